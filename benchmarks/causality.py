@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.plausible import UNEXPLAINED_RATIO, lead_s, matches
-from sim2real.recording import Array, read_recording
+from sim2real.recording import read_recording
 
 
 def joints(path: Path) -> list[tuple[str, Array, Array, Array]]:

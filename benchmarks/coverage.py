@@ -19,10 +19,10 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binom
 from tqdm import tqdm
 
+from sim2real.arrays import Array
 from sim2real.identification.identify import identify
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.output import write_json, write_whole
@@ -32,8 +32,6 @@ from sim2real.recording import Load, Recording
 from sim2real.report.style import ACCENT, FAINT, RULE, house_style, new_figure
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.trace import trace
-
-Array = NDArray[np.float64]
 
 INERTIA = 0.002
 PRIORS = Priors(

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Mask
 
 SPREADS = (0.15, 0.3, 0.6, 1.2, 2.4)
 FEWEST = 10
@@ -99,7 +98,7 @@ def curve(samples: Sequence[Sample]) -> Curve | None:
     return Curve(weights, foretold, y, spread)
 
 
-def _folds(samples: Sequence[Sample]) -> list[NDArray[np.bool_]]:
+def _folds(samples: Sequence[Sample]) -> list[Mask]:
     """Plants, each left out whole; fifths of the cases where there is one plant."""
     of = [one.plant for one in samples]
     if len(set(of)) < 2:

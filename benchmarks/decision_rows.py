@@ -188,15 +188,12 @@ def stepped(challenge: Path, answer: Row) -> list[Row]:
 
 def _step(case: Case, joint: Any) -> float | None:  # noqa: ANN401 - imported late
     """Step of a sensor as recorded, relative to the stated one; None where nothing moves."""
-    import numpy as np
-
-    from sim2real.noise import quantization_step
     from sim2real.servo.trace import traces
 
     given, stated = traces(case.recordings, joint.name), joint.servo.position_step_rad
     if not given or stated <= 0:
         return None
-    steps = [quantization_step(np.where(t.used, t.position, np.nan)) for t in given]
+    steps = [trace.quantization_step() for trace in given]
     # One that differs between recordings is no grid.
     return float(min(steps) / stated) if max(steps) < 1.1 * min(steps) else 0.0
 
@@ -260,7 +257,7 @@ def _row(answer: Row, one: JointFindings, case: Case) -> Row:
         "unseen": errors,
         "excess_plain": finding.unmodelled.excess,
         "excess": finding.excess,
-        "left": finding.search.left(tried, tried.base),
+        "left": finding.search.remaining_gain(tried, tried.base),
         "alone": {e: x - float(tried.plain.fit.loglikelihood[0]) for e, x in alone.items()},
         "tried": [
             [sorted(h.members - tried.base), h.evidence, float(h.fit.loglikelihood[0])]

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from real_fish import read_clip
 
 import sim2real as s2r
 from sim.inference.swims import Swim, swim_of
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.prescribed import RUN_UP_S
+from sim2real.arrays import Array
 from sim2real.recording import Recording
-
-Array = NDArray[np.float64]
 
 MEASURES = ("surge", "sway", "yaw rate", "mean speed")
 _HARMONICS, _NOISY = 3, 20

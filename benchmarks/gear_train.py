@@ -19,10 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from tqdm import tqdm
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 LIMIT_RAD = 1e-4
 PERIOD_S, DURATION_S = 0.02, 30.0

@@ -12,15 +12,14 @@ from pathlib import Path
 
 import genesis
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.mujoco_agreement import print_agreement, servo
+from sim2real.arrays import Array
 from sim2real.exporters.genesis import HAS
 from sim2real.exporters.genesis import genesis as exported
 from sim2real.model import Model
 from sim2real.recording import Load
 
-Array = NDArray[np.float64]
 STEP_S = 0.0005
 BODY = """<robot name="bench"><link name="base"/>
   <link name="horn"><inertial><mass value="0.1"/>

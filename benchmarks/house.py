@@ -9,8 +9,9 @@ functions or for type checkers alone do not count.
 With ``--way``, three walks through the code as one reads it: from ``verbs.identify``,
 ``diagnose_all`` and ``diagnose_swims`` through the functions and methods that are called, each
 once, in the order in which they are written. A method is followed where its name belongs to one
-class and to no built-in type. A stop is a function in another file than the one before; a return
-is a stop in a file where one has been.
+class and to no built-in type; attributes of what other packages define, such as ``np.log``, are not
+followed. A stop is a function in another file than the one before; a return is a stop in a file
+where one has been.
 """
 
 from __future__ import annotations
@@ -118,18 +119,25 @@ class Code:
 
     Attributes:
         functions: Syntax trees by module and name; methods as ``Class.method``.
-        imported: Module and name behind a word, by module and word.
+        modules: The modules.
+        imported: Module and name behind a word, by module and word; no name where it is a module.
         owners: Where the methods of each name stand.
     """
 
     def __init__(self, root: Path) -> None:
         self.functions: dict[tuple[str, str], ast.FunctionDef] = {}
+        self.modules: set[str] = set()
         self.imported: dict[tuple[str, str], tuple[str, str]] = {}
         self.owners: dict[str, list[tuple[str, str]]] = {}
         for path in sorted([*(root / "sim2real").rglob("*.py"), *(root / "sim").rglob("*.py")]):
             name, tree = module(root, path), ast.parse(path.read_text())
+            self.modules.add(name)
             for node in ast.walk(tree):
-                if isinstance(node, ast.ImportFrom) and node.module:
+                if isinstance(node, ast.Import):
+                    for alias in node.names:
+                        word = alias.asname or alias.name.partition(".")[0]
+                        self.imported[name, word] = alias.name, ""
+                elif isinstance(node, ast.ImportFrom) and node.module:
                     for alias in node.names:
                         self.imported[name, alias.asname or alias.name] = node.module, alias.name
             for statement in tree.body:
@@ -174,9 +182,13 @@ class Code:
         if isinstance(called.value, ast.Name):
             if called.value.id == "self":
                 return name, f"{function.partition('.')[0]}.{called.attr}"
-            behind = ".".join(self.imported.get((name, called.value.id), ("",)))
-            if (behind, called.attr) in self.functions:
+            behind = ".".join(self.imported.get((name, called.value.id), ("",))).removesuffix(".")
+            if behind in self.modules:
                 return behind, called.attr
+        first = ast.unparse(called).partition(".")[0]
+        package = self.imported.get((name, first), (name, ""))[0].partition(".")[0]
+        if package not in ("sim2real", "sim"):
+            return "", ""
         owners = self.owners.get(called.attr, [])
         return owners[0] if len(owners) == 1 and called.attr not in _BUILT_IN else ("", "")
 

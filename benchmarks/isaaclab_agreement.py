@@ -14,14 +14,13 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from benchmarks.mujoco_agreement import print_agreement, servo
+from sim2real.arrays import Array
 from sim2real.exporters.isaaclab import isaaclab
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load
 
-Array = NDArray[np.float64]
 STEP_S = 0.0005
 OMNIVERSE = [
     "carb",

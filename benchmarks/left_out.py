@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from filmed import Film, by_beat, by_regression, errors
-from numpy.typing import NDArray
 
 import sim2real as s2r
 from sim.calibration.swim_parameters import candidates, law_parameters
@@ -17,10 +16,9 @@ from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.swims import Simulator, Swim, simulated
 from sim.twin.prescribed import by_film, follower
 from sim.twin.twin import Coefficients
+from sim2real.arrays import Array
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
-
-Array = NDArray[np.float64]
 
 HIDDEN = ("skin_elasticity", "skin_damping", "skin_viscoelasticity", "skin_coupling")
 """Torques on the joints: a tail that is moved as filmed does not feel them."""

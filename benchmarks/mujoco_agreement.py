@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.mujoco import HAS, mujoco
 from sim2real.exporters.mujoco_bench import simulate
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.servo.predict import predict
-
-Array = NDArray[np.float64]
+from sim2real.servo.prediction import predict
 
 
 def signals() -> tuple[Array, dict[str, Array]]:

@@ -14,17 +14,15 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from sim2real.arrays import Array
 from sim2real.model import JointModel, Model
 from sim2real.output import write_json, write_whole
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import gather
 from sim2real.recording import Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-
-Array = NDArray[np.float64]
 
 LATENCY_S, LATENCY_HALF_S = 0.068, 0.020
 POSITION_M, DIRECTION_RAD, JOINT_RAD = 0.05, np.deg2rad(3.0), np.deg2rad(2.0)

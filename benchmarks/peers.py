@@ -30,13 +30,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.model import Model, read_model
 from sim2real.output import write_json
 from sim2real.recording import PER_INERTIA, Recording, read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
@@ -48,7 +48,6 @@ SIGNALS = ("chirp", "sine", "square", "steps")
 BAM_MODELS = ("m1", "m2", "m3", "m4", "m5", "m6")
 BAM_OWN = "bam_published_m6"
 METHODS = ("sim2real", "hand", "position", "dcmotor", *(f"bam_{m}" for m in BAM_MODELS), BAM_OWN)
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

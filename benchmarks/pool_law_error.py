@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from sim.inference.coordinates import ERROR, Coordinates, Swum
@@ -41,12 +40,11 @@ from sim.inference.law_error import (
 from sim.inference.linear_fit import together
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import SwimPrior, TwinSwims
+from sim2real.arrays import Array
 from sim2real.model import Model, read_model
 from sim2real.output import write_json
 from sim2real.recording import read_recording
 from sim2real.robot import Robot, read_robot
-
-Array = NDArray[np.float64]
 
 Files = tuple[Path, ...]
 _STEPS = 30

@@ -20,8 +20,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.diagnose import Case, diagnose_all
 from sim2real.diagnose.missing.best_predictor import predicting
 from sim2real.diagnose.result import Diagnosis
@@ -31,7 +31,7 @@ from sim2real.recording import Recording, read_recording
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.drawing import save_png
 from sim2real.robot import read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 ROOT = Path(__file__).parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
@@ -164,8 +164,8 @@ class Answer:
     task: Task
     law: JointModel
     found: Diagnosis | None
-    mae: NDArray[np.float64]
-    rmse: NDArray[np.float64]
+    mae: Array
+    rmse: Array
 
 
 def main() -> None:
@@ -286,7 +286,7 @@ def _at_gain(joint: JointModel, ratio: float) -> JointModel:
     return replace(joint, kp_Nm_per_rad=ratio * joint.kp_Nm_per_rad)
 
 
-def error(model: Model, recording: Recording) -> NDArray[np.float64]:
+def error(model: Model, recording: Recording) -> Array:
     """Simulated minus measured angles in rad while the torque is on."""
     joint = recording.joints[0]
     sent = recording.command[:, 0]
@@ -310,7 +310,7 @@ def table(answers: Sequence[Answer]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
-def _cells(mae: NDArray[np.float64], rmse: NDArray[np.float64]) -> tuple[str, ...]:
+def _cells(mae: Array, rmse: Array) -> tuple[str, ...]:
     fallen = f"{100 * (1 - mae[-1] / mae[0]):.0f} %"
     return (*(f"{1e3 * x:.1f}" for x in mae), fallen, *(f"{1e3 * x:.1f}" for x in rmse))
 

@@ -19,17 +19,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from tqdm import tqdm
 
 import sim2real as s2r
 from sim.robot.shape import draught, hull_of
 from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim2real.arrays import Array
 from sim2real.body import listed
 from sim2real.model import JointModel, Model
-
-Array = NDArray[np.float64]
 
 CLIPS = ("f0_75", "f1_25", "f1_75", "f2_25")
 FRAMES = (60.0, 80.0)

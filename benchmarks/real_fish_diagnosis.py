@@ -20,16 +20,14 @@ from typing import Any
 import numpy as np
 from filmed import MEASURES, Film, beat, film, irregular, jitter
 from left_out import ENOUGH, Pool, blocks, catalogue, leave_out, pool
-from numpy.typing import NDArray
 from real_fish import CLIPS, FRAMES, RIVAL_M_S, floating
 from tqdm import tqdm
 
 import sim2real as s2r
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.swims import Swim
+from sim2real.arrays import Array
 from sim2real.output import write_json
-
-Array = NDArray[np.float64]
 
 PAIRS = (
     ("calibrated", "uncalibrated"),

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from filmed import Film, errors, film
-from numpy.typing import NDArray
 from real_fish import CLIPS, FRAMES, VISCOSITY_M2_S, floating
 from real_fish_diagnosis import beats, plain
 from scipy.interpolate import CubicSpline
@@ -24,11 +23,10 @@ from tqdm import tqdm
 
 import sim2real as s2r
 from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim2real.arrays import Array
 from sim2real.model import JointModel, Model
 from sim2real.output import write_json
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 _START_M_S = 0.1
 

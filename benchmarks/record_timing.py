@@ -17,9 +17,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from sim2real.arrays import Array
 from sim2real.hardware.bus import Bus
 from sim2real.hardware.motion import approach, release
 from sim2real.hardware.mounting import mount
@@ -56,7 +56,7 @@ def main() -> None:
     print(described(late))
 
 
-def recorded(port: str, seconds: float, *, plain: bool) -> NDArray[np.float64]:
+def recorded(port: str, seconds: float, *, plain: bool) -> Array:
     """How late each cycle began, in s."""
     robot = read_robot(ROBOT)
     mountings = mount(robot, IDS)
@@ -93,7 +93,7 @@ def recorded(port: str, seconds: float, *, plain: bool) -> NDArray[np.float64]:
     return np.array(outcome.late_s)
 
 
-def described(late: NDArray[np.float64]) -> str:
+def described(late: Array) -> str:
     """Percentiles, the share of late cycles and a histogram."""
     share = float(np.mean(late > LATE_S))
     lines = [

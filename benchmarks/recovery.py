@@ -18,11 +18,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the workers share the core
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from tqdm import tqdm
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 NAMES = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 INERTIA_KGM2 = 0.002

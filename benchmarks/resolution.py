@@ -19,13 +19,11 @@ from typing import Any
 
 import numpy as np
 from fluid_speed import MODEL, ROBOT
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from sim.robot.multibody import HELD
 from sim.robot.swimmer import CONTROL_S, Swimmer
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 VISCOSITY_M2_S = 5e-5
 """The same at all sizes, so that only the cells differ."""

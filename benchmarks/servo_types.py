@@ -24,7 +24,7 @@ from sim2real.identification.servo_type import FOLDER, ServoType, learn, write_t
 from sim2real.model import Model
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 ROOT = Path(__file__).parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))

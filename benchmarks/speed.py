@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 DATA = Path(__file__).parents[1] / "datasets" / "servo_steps"
 LINE = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}

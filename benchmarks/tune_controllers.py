@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
@@ -41,10 +40,10 @@ from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values
 from sim.twin.twin import Coefficients
+from sim2real.arrays import Array
 from sim2real.model import Model
 from sim2real.output import write_whole
 
-Array = NDArray[np.float64]
 Starts = tuple[Array, Array, Array]
 
 ROBOT = s2r.read_robot("datasets/pool/robot.toml")

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 from tune_controllers import BOUNDS, KINDS, LIMITS, MODEL, PRICES, ROBOT, as_toml
 
@@ -32,10 +31,10 @@ from rl.experiments.testbeds import Controllers, Simulated
 from rl.make import draws_of
 from rl.task import TASKS, Task
 from rl.world import Draws
+from sim2real.arrays import Array
 from sim2real.output import write_whole
 from sim2real.ranges.entry import read_ranges
 
-Array = NDArray[np.float64]
 SEARCHES = [(kind, pace) for kind in KINDS for pace in PRICES]
 SPREAD = 0.06
 """Standard deviation of the first round's gains, as a share of their bounds."""

@@ -24,7 +24,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 import sim2real as s2r
@@ -34,8 +33,7 @@ from sim.view.legend import colours
 from sim.view.plane import Plane, depth, plane_of
 from sim.view.render import picture
 from sim.view.video import FRAMES_PER_S, Video
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 SECONDS = 6.0
 _FULL = 15.0

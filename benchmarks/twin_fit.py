@@ -17,7 +17,6 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from tqdm import tqdm
 from twin_report import report
@@ -26,10 +25,9 @@ from twin_signals import HELD_OUT, SIGNALS, UNSTEADY, set_points
 import sim2real as s2r
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.twin import Coefficients, Twin
+from sim2real.arrays import Array, Index
 from sim2real.model import JointModel, Model
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 ROBOT = s2r.read_robot("datasets/pool/robot.toml")
 MODEL = Model(joints={j.name: JointModel(2.0, 0.07, 0.066, 0.002) for j in ROBOT.joints})
@@ -93,14 +91,14 @@ class Swims:
         self.rms = np.sqrt(np.mean(self.truth**2, axis=1))
         self._sent = set_points(self.names)
 
-    def by_twin(self, laws: list[Coefficients], which: NDArray[np.intp]) -> Array:
+    def by_twin(self, laws: list[Coefficients], which: Index) -> Array:
         """What the twin shows under each law, shape (laws, which, T, 6)."""
         each = [law for law in laws for _ in which]
         twin = Twin(ROBOT, MODEL, n_envs=len(each), coefficients=each)
         seen = shown(twin.swim(self._sent, np.tile(which, len(laws))))
         return seen.reshape(len(laws), which.size, *seen.shape[1:])
 
-    def errors(self, laws: list[Coefficients], which: NDArray[np.intp]) -> Array:
+    def errors(self, laws: list[Coefficients], which: Index) -> Array:
         """Errors in the swims' own root mean squares, shape (laws, which, T, 6)."""
         off = self.by_twin(laws, which) - self.truth[which]
         return np.asarray(np.nan_to_num(off / self.rms[which][:, None], nan=1e3))
@@ -111,7 +109,7 @@ def law_of(x: Array) -> Coefficients:
     return Coefficients(*np.exp(x).tolist())
 
 
-def fitted(swims: Swims, seen: NDArray[np.intp], start: Coefficients) -> OptimizeResult:
+def fitted(swims: Swims, seen: Index, start: Coefficients) -> OptimizeResult:
     """Least squares from one start, in the logarithms of the coefficients."""
 
     def residual(x: Array) -> Array:

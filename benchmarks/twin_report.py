@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.robot.swimmer import CONTROL_S
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 BAR = 0.15
 """Error of a signal, of its own root mean square, that a steady wave held out may have."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.robot.swimmer import CONTROL_S
+from sim2real.arrays import Array
 
-Array = NDArray[np.float64]
 Signal = Callable[[float], Array]
 
 SECONDS = 10.0

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
 
 import sim.fluid.wall
 from sim.fluid.fluid import Fluid
@@ -21,8 +20,6 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import HELD, Bodies, Masses
 from sim.robot.shape import Hull
-
-Array = NDArray[np.float64]
 
 RADII, HALVES, HEADINGS = (3.0, 6.0, 12.0), (3.0, 6.0, 12.0), (0.0, 0.3, 0.785)
 _THIN = 0.15

@@ -10,15 +10,13 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 from torch import Tensor
 
 from rl.decisions import Decisions
 from rl.observer import LARGEST, View
 from rl.task import Task, observation_bounds
 from rl.world import Step, World
-
-Array = NDArray[np.float32]
+from sim2real.arrays import Array32, Mask
 
 
 def observation_space(world: World, view: View) -> spaces.Box:
@@ -58,7 +56,7 @@ def succeeded(task: Task, step: Step) -> Tensor:
     return step.reached >= task.waypoints
 
 
-class FishEnv(gymnasium.Env[Array, Array]):
+class FishEnv(gymnasium.Env[Array32, Array32]):
     """Environment of one robot, in the fluid or in the twin.
 
     A step is one decision of ``view``: 80 ms, or 20 ms for ``PAPER``. Observations are the columns
@@ -109,7 +107,7 @@ class FishEnv(gymnasium.Env[Array, Array]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Start an episode."""
         super().reset(seed=seed)
         if seed is not None:
@@ -118,7 +116,7 @@ class FishEnv(gymnasium.Env[Array, Array]):
         self._show()
         return observed, {}
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array32) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
         """Apply a decision and simulate until the next; ``reset`` starts the next episode."""
         decision = torch.as_tensor(action, device=self.world.device)[None]
         step = self.decisions.step(decision, begin=False)
@@ -161,7 +159,7 @@ class FishEnv(gymnasium.Env[Array, Array]):
             self.window.show(self._picture())
 
 
-class FishVectorEnv(VectorEnv[Array, Array, Array]):
+class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
     """Vector environment of a batch of robots in one simulator.
 
     With ``autoreset_mode`` ``NEXT_STEP``, Gymnasium's default, the step after the last one of an
@@ -206,7 +204,7 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Start all episodes; of several seeds, the first is used for the whole batch."""
         first = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=first)
@@ -215,7 +213,7 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
         self._over[:] = False
         return self.decisions.reset().cpu().numpy(), {}
 
-    def step(self, actions: Array) -> tuple[Array, Array, Any, Any, dict[str, Any]]:
+    def step(self, actions: Array32) -> tuple[Array32, Array32, Any, Any, dict[str, Any]]:
         """Apply a decision of each robot and simulate until the next."""
         decision = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
@@ -242,7 +240,7 @@ class FishVectorEnv(VectorEnv[Array, Array, Array]):
         )
 
 
-def _finals(final: Array, ended: NDArray[np.bool_]) -> dict[str, Any]:
+def _finals(final: Array32, ended: Mask) -> dict[str, Any]:
     """The last observations of the episodes that ended, as Gymnasium keeps them in ``infos``."""
     if not ended.any():
         return {}

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.task import CONTROL_S, POINT
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Mask
 
 REACHED_M = POINT.arrive_m
 """Distance at which a target counts as reached."""
@@ -142,5 +140,5 @@ def circle_radius(position: Array) -> Array:
     return np.where(count < 3, np.nan, np.where(straight, np.inf, radius))
 
 
-def _finite(rows: Array) -> NDArray[np.bool_]:
+def _finite(rows: Array) -> Mask:
     return np.asarray(np.isfinite(rows).all(axis=2))

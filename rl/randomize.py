@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference.swims import with_values
+from sim2real.arrays import Array
 from sim2real.density import normalised_density
 from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, Model
 from sim2real.ranges.entry import Range, Ranges
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

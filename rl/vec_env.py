@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from rl.decisions import Decisions
 from rl.env import action_space, observation_space, reward_terms, succeeded
 from rl.observer import View
 from rl.world import Step, World
-
-Array = NDArray[np.float32]
+from sim2real.arrays import Array32, Index, Mask
 
 
 class FishVecEnv(VecEnv):
@@ -33,7 +31,7 @@ class FishVecEnv(VecEnv):
         self._length = np.zeros(world.n_envs, dtype=int)
         self._action = torch.zeros(world.n_envs, len(world.low), device=world.device)
 
-    def reset(self) -> Array:
+    def reset(self) -> Array32:
         """Start all episodes; the first seed of ``seed`` is used for the whole batch."""
         if self._seeds[0] is not None:
             self.world.seed(self._seeds[0])
@@ -41,11 +39,11 @@ class FishVecEnv(VecEnv):
         self._return[:], self._length[:] = 0.0, 0
         return self.decisions.reset().cpu().numpy()
 
-    def step_async(self, actions: Array) -> None:
+    def step_async(self, actions: Array32) -> None:
         """Take the actions of the next step."""
         self._action = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
 
-    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Array32, Array32, Mask, list[dict[str, Any]]]:
         """Simulate until the next decision."""
         step = self.decisions.step(self._action)
         value = step.reward.cpu().numpy()
@@ -61,7 +59,7 @@ class FishVecEnv(VecEnv):
             self._tell(step, np.flatnonzero(ended), infos)
         return step.observation.cpu().numpy(), value, ended, infos
 
-    def _tell(self, step: Step, ended: NDArray[np.intp], infos: list[dict[str, Any]]) -> None:
+    def _tell(self, step: Step, ended: Index, infos: list[dict[str, Any]]) -> None:
         final, late = step.final.cpu().numpy(), step.truncated.cpu().numpy()
         success = succeeded(self.world.task, step).cpu().numpy()
         for e in ended:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.view.legend import Image
+from sim2real.arrays import Picture
 from sim2real.errors import InputError
 
 _WHERE = "render_mode 'human'"
@@ -47,7 +47,7 @@ class Window:
             raise InputError("sim2real/Fish-v0", _WHERE, f"no screen ({error})", expected) from None
         self._clock = pygame.time.Clock()
 
-    def show(self, picture: Image) -> None:
+    def show(self, picture: Picture) -> None:
         """Show a picture, shape (height, width, 3), 8 bits a channel, then wait for its time."""
         pygame = self._pygame
         height, width, _ = picture.shape
@@ -59,7 +59,7 @@ class Window:
         pygame.display.flip()
         self._clock.tick(self.frames_per_s)
 
-    def shown(self) -> Image:
+    def shown(self) -> Picture:
         """The pixels that the window shows now, shape (height, width, 3)."""
         pixels = self._pygame.surfarray.array3d(self._surface)
         return np.ascontiguousarray(np.swapaxes(pixels, 0, 1))

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
 from rl.randomize import Noise
 from rl.task import Task, bonus, effort, observation, observation_bounds, progress
 from sim.robot.live import Simulator
+from sim2real.arrays import Array, Index
 from sim2real.model import Model
 from sim2real.velocity import NEWEST, slope_weights
 
@@ -171,7 +171,7 @@ class World:
             self._last = torch.where(mask[:, None], self._observed(), self._last)
         return self._last
 
-    def _begin(self, environments: NDArray[np.intp]) -> None:
+    def _begin(self, environments: Index) -> None:
         """Start an episode in the environments with these indices."""
         simulator, rng, n = self.simulator, self.rng, len(environments)
         J = len(simulator.robot.joints)
@@ -235,11 +235,11 @@ class World:
         """True distance from each head to its target."""
         return torch.sqrt(((self._target() - self.pose[:, :2]) ** 2).sum(dim=1))
 
-    def _tensor(self, values: NDArray[np.float64]) -> Tensor:
+    def _tensor(self, values: Array) -> Tensor:
         return torch.as_tensor(np.array(values), dtype=torch.float32).to(self.device)
 
 
-def _deviations(noise: Noise, J: int) -> NDArray[np.float64]:
+def _deviations(noise: Noise, J: int) -> Array:
     """Standard deviations of x, y, heading and joint angles, shape (3 + J,)."""
     per_joint = np.broadcast_to(np.asarray(noise.joint_rad), (J,))
     return np.concatenate([[noise.position_m, noise.position_m, noise.yaw_rad], per_joint])

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from sim.inference.swims import by_twin
 from sim.robot.swimmer import CONTROL_S, State, Swimmer
+from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -26,7 +26,6 @@ from sim2real.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 File = str | os.PathLike[str]
 POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
 THREADS = 2

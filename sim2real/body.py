@@ -10,28 +10,21 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim2real.effects import BODY, CAMERA
-from sim2real.effects.body_effect import BodyEffect, CameraEffect
+from sim2real.arrays import Array
+from sim2real.effects import BODY, CAMERA, find
+from sim2real.effects.body_effect import SwimEffect
 from sim2real.errors import InputError
 from sim2real.model import Model
 
-Array = NDArray[np.float64]
 
-
-def body_effect(name: str, where: str = "body.effects") -> BodyEffect | CameraEffect:
+def body_effect(name: str, where: str = "body.effects") -> SwimEffect:
     """The effect of the body or the camera with this identifier.
 
     Raises:
         InputError: If there is none; ``where`` is the place in the message.
     """
-    effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
-    for effect in effects:
-        if effect.name == name:
-            return effect
-    names = ", ".join(effect.name for effect in effects)
-    raise InputError(where, "effects", repr(name), f"one of {names}")
+    return find((*BODY, *CAMERA), name, where)
 
 
 def values(model: Model, where: str = "model") -> dict[str, float]:

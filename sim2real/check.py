@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.clock import Timing, clock_findings, timing
-from sim2real.display import NotebookDisplay
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.findings import joint_findings, moves
 from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.plausible import validate_recording
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot
-
-WIDTH = 100
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class Check(NotebookDisplay):
 
     def __str__(self) -> str:
         """The check as the command line prints it."""
-        return format_check(self).rstrip("\n")
+        return str(from_report("table.check_report")(self))
 
 
 def check(
@@ -115,38 +112,6 @@ def all_findings(check: Check) -> list[str]:
     return [*check.findings, *shared]
 
 
-def format_check(check: Check) -> str:
-    """The check as text for a terminal, at most 100 columns wide."""
-    clock, joints = check.timing, len(check.joints)
-    pauses = "no gap" if not clock.gaps else f"{sum(g[1] for g in clock.gaps):.3g} s in gaps"
-    lines = [
-        f"{check.recording}: {check.kind}, {check.duration_s:.2f} s, "
-        f"{joints} joint{'s' if joints != 1 else ''}",
-        f"clock: {clock.rate_hz:.4g} Hz, jitter {1000 * clock.jitter_s:.2g} ms, {pauses}, "
-        f"{clock.missing_cells} positions missing",
-        "",
-        f"{'joint':<12} {'moves':>5} {'command':>8} {'range':>8} {'noise':>9} {'step':>9} "
-        f"{'missing':>7}  load",
-        f"{'':<12} {'':>5} {'rad':>8} {'rad':>8} {'rad':>9} {'rad':>9}",
-    ]
-    for row in check.joints:
-        step = f"{row.step_rad:.6f}" if row.step_rad else "-"
-        lines.append(
-            f"{_cut(row.joint, 12):<12} {row.moves:>5} {row.command_range_rad:>8.3f} "
-            f"{row.range_rad:>8.3f} {row.noise_rad:>9.6f} {step:>9} "
-            f"{row.missing:>7}  {row.load}"
-        )
-    lines = [_cut(line.rstrip(), WIDTH) for line in lines]
-    findings = all_findings(check)
-    identifiable = [f"{row.joint}: {f}" for row in check.joints for f in row.identifiable]
-    for mark, sentences in (("! ", findings), ("  ", identifiable)):
-        if sentences:
-            lines.append("")
-        for sentence in sentences:
-            lines += textwrap.wrap(sentence, WIDTH, initial_indent=mark, subsequent_indent="  ")
-    return "\n".join(lines) + "\n"
-
-
 def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | None) -> JointCheck:
     name, position = recording.joints[j], recording.position[:, j]
     powered = recording.powered(j)
@@ -171,7 +136,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     )
 
 
-def _range(values: NDArray[np.float64]) -> float:
+def _range(values: Array) -> float:
     finite = values[np.isfinite(values)]
     return float(np.ptp(finite)) if finite.size else 0.0
 
@@ -183,7 +148,3 @@ def _load_text(load: Load | None) -> str:
     if load.gravity_Nm:
         text += f", {load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:.3g} m"
     return text
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else text[: width - 1] + "…"

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
-
-Array = NDArray[np.float64]
 
 GAP = 2.5  # median steps
 SLOWEST_RATE_HZ = 20.0

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError, nearest, shown
 from sim2real.structured import check_size
-
-Array = NDArray[np.float64]
 
 LARGEST_FILE_BYTES = 256 * 2**20
 LARGEST_ANGLE_RAD = 4 * np.pi

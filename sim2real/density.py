@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.inference.normal import Z90
 from sim2real.model import Model
@@ -15,8 +15,6 @@ from sim2real.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

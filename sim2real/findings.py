@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.recording import Recording
 from sim2real.robot import Joint
-
-Array = NDArray[np.float64]
 
 SLOWEST_EXCITATION_HZ = 0.2
 FEWEST_MOVES = 4
@@ -91,7 +89,7 @@ def joint_findings(
         )
 
 
-def _motion(data: _PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
+def _motion(data: _PoweredJoint, finite: Mask) -> Iterator[str]:
     t, command, position = data.t[finite], data.command[finite], data.position[finite]
     edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
     for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
@@ -121,7 +119,7 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-def _start(data: _PoweredJoint, finite: NDArray[np.bool_]) -> Iterator[str]:
+def _start(data: _PoweredJoint, finite: Mask) -> Iterator[str]:
     changed = np.flatnonzero(data.command != data.command[0])
     still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
     early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))

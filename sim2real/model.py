@@ -121,7 +121,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         body=top.table("body").content,
         effects=_read_effects(top),
         fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},
-        notes=_read_notes(top),
+        notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
     )
 
@@ -164,15 +164,8 @@ def _read_joint(fields: Fields) -> JointModel:
         interval={name: _read_interval(interval, name) for name in interval.content},
         correlation={pair: correlation.number(pair) for pair in correlation.content},
         effects=_read_effects(fields),
-        notes=_read_notes(fields),
+        notes=fields.sentences("notes"),
     )
-
-
-def _read_notes(fields: Fields) -> tuple[str, ...]:
-    notes = fields.content.get("notes", [])
-    if not isinstance(notes, list):
-        raise fields.error("notes", "a list of sentences")
-    return tuple(str(note) for note in notes)
 
 
 def _read_interval(fields: Fields, name: str) -> tuple[float, float]:

@@ -7,10 +7,9 @@ from math import comb
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.special import chdtri, logsumexp, ndtr
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 BLOCK = 10  # samples over which a joint at rest may drift along a line
 _FEWEST_BLOCKS = 4  # 32 degrees of freedom: a relative error of the standard deviation of 12 %

@@ -9,14 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Joint, Robot, match_joints
-
-Array = NDArray[np.float64]
 
 _QUANTILE = 0.99
 """Quantile of speed and acceleration that is compared, to exclude outliers and end stops."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+Progress = Callable[[float], None]
+"""What an operation calls with the share of it that is done, from 0 to 1."""
+
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[float], None]]:
+def progress_bar(title: str) -> Iterator[Progress]:
     """Show a bar on a terminal and nothing elsewhere.
 
     Yields:

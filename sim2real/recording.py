@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from sim2real import csv_columns
+from sim2real.arrays import Array
 from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
@@ -24,9 +24,6 @@ SCHEMA = "sim2real.recording/1"
 GRAVITY_M_S2 = 9.80665
 FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
 """Known fields of the JSON file; other fields are preserved as ``metadata``."""
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal as waves
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.recording import read_commands
 from sim2real.robot import Joint
-
-Array = NDArray[np.float64]
 
 REST_S = 0.5
 """Time in s for which the first set-point is held before the motion starts."""

@@ -199,6 +199,13 @@ class Fields:
             raise self.error(name, "text")
         return value
 
+    def sentences(self, name: str) -> tuple[str, ...]:
+        """Read a list of sentences; none if it is absent."""
+        value = self.content.get(name, [])
+        if not isinstance(value, list):
+            raise self.error(name, "a list of sentences")
+        return tuple(str(sentence) for sentence in value)
+
     def table(self, name: str) -> Fields:
         """Read the table ``name``; an empty one if it is absent."""
         return Fields(self.file, self.path(name), self.content.get(name, {}))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 _WINDOW_S = 0.22
 """Length of the moving window: 11 samples at 50 Hz."""

@@ -191,7 +191,7 @@ def ranges(
 def predict(recordings: Recorded, robot: Robot | File | None, model: Model | File) -> Prediction:
     """Simulate a model from rest on the commands of recordings.
 
-    Measured angles are not used. ``sim2real.servo.predict.predict`` does the same with arrays.
+    Measured angles are not used. ``sim2real.servo.prediction.predict`` does the same with arrays.
 
     Args:
         recordings: Recordings, or tables of commands (t_s, J.command_rad) without measurements.

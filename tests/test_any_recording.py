@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from simulated import INERTIA, KD, KP, LATENCY, recording, robot
 
 import sim2real as s2r
-from sim2real.check import format_check
 from sim2real.commands.as_json import plain
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
@@ -126,7 +125,7 @@ def swum(bench: Recording) -> Recording:
 
 
 def check(bench: Recording, folder: Path) -> object:
-    format_check(s2r.check(bench))
+    str(s2r.check(bench))
     return s2r.check(bench, BENCH)
 
 

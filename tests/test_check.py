@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim2real.check import Check, check, format_check
+from sim2real.check import Check, check
 from sim2real.errors import InputError
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, match_joints, read_robot
@@ -190,7 +190,7 @@ def test_joint_that_the_robot_lacks() -> None:
 def test_very_short_recordings(samples: int) -> None:
     t = T[:samples]
     for command in (0 * t, np.where(np.arange(samples) < 1, 0.0, 0.5), t):
-        format_check(check(recording(command, t=t), robot("j1")))
+        str(check(recording(command, t=t), robot("j1")))
 
 
 @pytest.mark.usefixtures("without_fits")
@@ -203,7 +203,7 @@ def test_text_is_narrow_and_complete() -> None:
     )
     checked = check(bad, robot(joint))
     row = replace(checked.joints[0], identifiable=("kp to 2 %",), load="a long load " * 9)
-    text = format_check(replace(checked, joints=(row,)))
+    text = str(replace(checked, joints=(row,)))
     lines = text.splitlines()
     assert max(map(len, lines)) <= 100
     marks = [line for line in lines if line.startswith("! ")]

@@ -21,7 +21,7 @@ from scipy.stats import beta, binom
 from sim2real.model import Model, read_model
 from sim2real.output import write_json, write_whole
 from sim2real.recording import Recording, read_recording
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 Row = dict[str, Any]
 

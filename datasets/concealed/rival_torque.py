@@ -10,7 +10,7 @@ from rival_case import Array, Case
 from scipy.signal import savgol_filter
 
 from sim2real.identification.fit import Fit
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 from sim2real.servo.trace import Trace
 
 SMOOTHING_S = 0.12

@@ -10,13 +10,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from rl.deploy.forward import Policy, read_npz
 from rl.deploy.link import Link
 from rl.deploy.pilot import Pilot, Track
 from rl.deploy.swim import ANSWER_S, swim
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.interruption import interruption
 from sim2real.output import check_writable, provenance
@@ -137,7 +137,7 @@ def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Rec
     )
 
 
-def _target(text: str) -> NDArray[np.float64]:
+def _target(text: str) -> Array:
     try:
         place = np.array([float(number) for number in text.split(",")])
     except ValueError:

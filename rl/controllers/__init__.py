@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from sim2real.arrays import Array32, Mask
 
 
 class Controller(Protocol):
     """Controls E robots at 50 Hz."""
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Reset the robots in ``mask``, shape (E,); the others continue."""
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observation: Array32) -> Array32:
         """Desired joint angles in rad, shape (E, J), inside the joints' limits.
 
         Args:

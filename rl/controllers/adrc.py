@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rl.controllers.cpg import CentralPatternGenerator
 from rl.controllers.guidance import LineOfSight
 from rl.controllers.stroke import Stroke, begin
 from rl.controllers.tuned import tuned
 from rl.task import CONTROL_S
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Array32, Mask
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class TransientProfile:
         self.value, self.rate = np.zeros(n_envs), np.zeros(n_envs)
         self._limit, self._dt = limit, dt
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Robots in ``mask`` (E,) begin anew from zero."""
         self.value[mask] = self.rate[mask] = 0.0
 
@@ -95,7 +94,7 @@ class ExtendedStateObserver:
         self._effect, self._dt = np.asarray(effect, dtype=np.float64), dt
         self.state = np.zeros((n_envs, 3))
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Robots in ``mask`` (E,) begin anew from zero."""
         self.state[mask] = 0.0
 
@@ -147,7 +146,7 @@ class DisturbanceRejection:
         self._heading, self._lead, self._turn = (np.zeros(n_envs) for _ in range(3))
         self._fresh = np.ones(n_envs, dtype=bool)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Robots in ``mask`` (E,) begin anew."""
         self._fresh |= mask
         for part in (self._sight, self._profile, self.observer):
@@ -155,7 +154,7 @@ class DisturbanceRejection:
         for signal in (self._heading, self._lead, self._turn):
             signal[mask] = 0.0
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         gains, sight = self.gains, self._sight
         sight.update(observation)

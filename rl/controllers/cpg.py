@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rl.task import CONTROL_S
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Mask
 
 SETTLE_PER_S = 12.0
 """Rate at which amplitudes and offsets approach their goals: 90 % in 0.32 s."""
@@ -94,9 +93,7 @@ class CentralPatternGenerator:
         self._fresh = np.ones(n_envs, dtype=bool)
         self._start = np.zeros(n_envs)
 
-    def reset(
-        self, mask: NDArray[np.bool_], phase: ArrayLike = 0.0, angle: ArrayLike = 0.0
-    ) -> None:
+    def reset(self, mask: Mask, phase: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> None:
         """Reset the robots in ``mask`` (E,).
 
         Args:

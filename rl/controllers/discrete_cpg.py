@@ -22,9 +22,8 @@ from stable_baselines3 import DQN
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
 from rl.task import CONTROL_S
+from sim2real.arrays import Array, Array32, Mask
 from sim2real.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -124,12 +123,12 @@ class DiscreteCPG:
         self._choice, self._left = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
         self._fresh = np.ones(n_envs, dtype=bool)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Robots in ``mask`` (E,) begin anew."""
         self._fresh |= mask
         self._left[mask] = 0
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         joints = self._generator.phase.shape[1]
         self._generator.reset(self._fresh, angle=observation[:, 3 : 3 + joints])
@@ -147,7 +146,7 @@ def with_phase(
     observation: NDArray[np.floating],
     generator: CentralPatternGenerator,
     rows: ArrayLike | None = None,
-) -> NDArray[np.float32]:
+) -> Array32:
     """The observations (E, N) with two columns for the phase of the generator's ``rows``."""
     phase = generator.first_phase()
     phase = phase if rows is None else phase[np.asarray(rows, dtype=np.intp)]

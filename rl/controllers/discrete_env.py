@@ -12,8 +12,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from rl.controllers.cpg import CentralPatternGenerator
 from rl.controllers.discrete_cpg import TABLE, ActionTable, with_phase
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Array32, Mask
 
 _PHASE = 2
 
@@ -40,7 +39,7 @@ class DiscreteCPGEnv(VecEnvWrapper):
         self._generator = CentralPatternGenerator(np.stack(list(ends), axis=1), venv.num_envs)
         self._choice = np.zeros(venv.num_envs, dtype=np.int64)
 
-    def reset(self) -> NDArray[np.float32]:  # type: ignore[override]
+    def reset(self) -> Array32:  # type: ignore[override]
         """As ``VecEnv.reset``."""
         observation: Any = self.venv.reset()
         self._begin(np.ones(self.num_envs, dtype=bool), observation)
@@ -74,11 +73,11 @@ class DiscreteCPGEnv(VecEnvWrapper):
         infos_out = [{**end, **sums} for end, sums in zip(ends, terms, strict=True)]
         return with_phase(observation, self._generator), reward, ended, infos_out
 
-    def _scaled(self, angle: Array) -> NDArray[np.float32]:
+    def _scaled(self, angle: Array) -> Array32:
         low, high = self._generator.limits_rad.T
         return np.asarray(2 * (angle - low) / (high - low) - 1, dtype=np.float32)
 
-    def _begin(self, mask: NDArray[np.bool_], observation: Any) -> None:  # noqa: ANN401
+    def _begin(self, mask: Mask, observation: Any) -> None:  # noqa: ANN401
         joints = self._generator.phase.shape[1]
         self._generator.reset(mask, angle=observation[:, 3 : 3 + joints])
 

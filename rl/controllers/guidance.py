@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Mask
 
 _COMMIT_RAD = 1.25 * np.pi
 """Bearing up to which a turn keeps its direction, even if the other is shorter: hysteresis."""
@@ -45,7 +45,7 @@ class LineOfSight:
         self._fresh = np.ones(n_envs, dtype=bool)
         self.bearing, self.smooth, self.rate = (np.zeros(n_envs) for _ in range(3))
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Robots in ``mask`` (E,) begin anew."""
         self._fresh |= mask
 

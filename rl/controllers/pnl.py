@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rl.controllers.cpg import CentralPatternGenerator
 from rl.controllers.guidance import LineOfSight
 from rl.controllers.stroke import Stroke, begin
 from rl.controllers.tuned import tuned
 from rl.task import CONTROL_S
+from sim2real.arrays import Array32, Mask
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,12 @@ class ProportionalNavigation:
         self._sight = LineOfSight(n_envs, self.gains.filter_s, dt=dt)
         self._fresh = np.ones(n_envs, dtype=bool)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Robots in ``mask`` (E,) begin anew."""
         self._fresh |= mask
         self._sight.reset(mask)
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         sight, gains = self._sight, self.gains
         sight.update(observation)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
+from sim2real.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Stroke:
     bend_rad: ArrayLike
     ease: ArrayLike
 
-    def bent(self, turn: NDArray[np.float64]) -> Gait:
+    def bent(self, turn: Array) -> Gait:
         """The wave about an offset of ``turn`` in rad, shape (E,), positive to the left."""
         largest = np.asarray(self.bend_rad, dtype=np.float64)
         offset = np.clip(turn, -largest, largest)
@@ -46,8 +47,8 @@ class Stroke:
 
 def begin(
     generator: CentralPatternGenerator,
-    mask: NDArray[np.bool_],
-    left: NDArray[np.bool_],
+    mask: Mask,
+    left: Mask,
     observation: NDArray[np.floating],
 ) -> None:
     """Reset robots in ``mask`` to their present angles, with the first beat towards the target.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.deploy.forward import Policy, forward
 from rl.observer import Observer
-
-Array = NDArray[np.float32]
+from sim2real.arrays import Array32, Mask
 
 
 class PolicyController:
@@ -27,13 +25,13 @@ class PolicyController:
         self._since = np.zeros(n, dtype=np.int64)
         self._fresh = np.ones(n, dtype=bool)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Reset the robots in ``mask``, shape (E,)."""
         if len(mask) != len(self._fresh):
             self._start(len(mask))
         self._fresh = self._fresh | mask
 
-    def act(self, observation: Array, gone: int = 1) -> Array:
+    def act(self, observation: Array32, gone: int = 1) -> Array32:
         """Set-points in rad of this control period, shape (E, J).
 
         Args:
@@ -58,6 +56,6 @@ class PolicyController:
         tick = self._since[:, None].astype(np.float32)
         return np.asarray(self._observer.set_points(tick), dtype=np.float32)
 
-    def decided(self, inputs: Array) -> Array:
+    def decided(self, inputs: Array32) -> Array32:
         """Decisions between -1 and 1 from the policy's columns (E, F)."""
         return forward(self.policy, inputs)

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rl.observer import PAPER, View
+from sim2real.arrays import Array32
 from sim2real.errors import InputError
 
 SCHEMA = "sim2real.policy/2"
 FIRST = "sim2real.policy/1"
 """Former schema without a view, which is that of the paper."""
-
-Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -39,18 +38,18 @@ class Policy:
         provenance: Provenance.
     """
 
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
-    low: Array
-    high: Array
+    weights: tuple[Array32, ...]
+    biases: tuple[Array32, ...]
+    low: Array32
+    high: Array32
     joints: tuple[str, ...]
     observation: tuple[str, ...]
-    observation_limit: Array
+    observation_limit: Array32
     view: View = PAPER
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def forward(policy: Policy, inputs: NDArray[Any]) -> Array:
+def forward(policy: Policy, inputs: NDArray[Any]) -> Array32:
     """Deterministic decisions of a policy, between -1 and 1, shape (..., J).
 
     The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C).
@@ -136,7 +135,7 @@ def _view(content: Mapping[str, NDArray[Any]]) -> View:
     return View(**fields)
 
 
-def _numbers(values: NDArray[Any]) -> Array:
+def _numbers(values: NDArray[Any]) -> Array32:
     numbers = np.asarray(values, dtype=np.float32)
     if not np.isfinite(numbers).all():
         raise ValueError("not finite")

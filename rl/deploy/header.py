@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rl.deploy.forward import Array, Policy
+from rl.deploy.forward import Policy
 from rl.observer import (
     HALF_M,
     KEPT_RAD,
@@ -18,6 +18,7 @@ from rl.observer import (
     SWAY_M_S,
     YAW_RAD_S,
 )
+from sim2real.arrays import Array32
 from sim2real.velocity import NEWEST
 
 _PER_LINE = 8
@@ -259,7 +260,7 @@ def _plain(text: str) -> str:
     return text.replace("*/", "* /").replace("\n", " ")
 
 
-def _constants(name: str, array: Array) -> str:
+def _constants(name: str, array: Array32) -> str:
     """An array, row by row, with enough digits to restore the same 32 bits."""
     numbers = [_number(x) for x in array.ravel()]
     rows = [numbers[k : k + _PER_LINE] for k in range(0, len(numbers), _PER_LINE)]

@@ -26,11 +26,9 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
-
-Array = NDArray[np.float64]
 
 SILENCE_S = 0.5
 """Time without a datagram after which either side regards the connection as lost."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.deploy.link import Telemetry
+from sim2real.arrays import Array, Array32
 from sim2real.velocity import NEWEST, newest_velocity, slope_weights
-
-Array = NDArray[np.float64]
 
 CONTROL_S = 0.02
 """Control period of the policies."""
@@ -21,7 +19,7 @@ _KEPT = 64
 class Measurements:
     """The last measurements of one robot; does not need PyTorch."""
 
-    def __init__(self, limit: NDArray[np.float32]) -> None:
+    def __init__(self, limit: Array32) -> None:
         """Start without measurements.
 
         Args:
@@ -48,7 +46,7 @@ class Measurements:
             return float("inf")
         return float(t[-1] - min(t[column].max() for column in measured.T))
 
-    def observation(self, target: Array) -> NDArray[np.float32]:
+    def observation(self, target: Array) -> Array32:
         """Surge, sway, yaw rate, angles, their rates, target in the body's frame: shape (O,).
 
         Velocities are slopes through the last measurements, resampled to a uniform grid; gaps are

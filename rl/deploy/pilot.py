@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.forward import Policy
 from rl.deploy.link import SILENCE_S, Telemetry
 from rl.deploy.measurements import CONTROL_S, Measurements
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 REST_S = 0.5
 """Rest before a swim: a recording starts at rest, and velocities need past measurements."""

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
@@ -25,10 +24,9 @@ from rl.experiments.testbeds import Controllers, Testbed
 from rl.sac.sampled import SampledController
 from rl.sac.train import Arm, Plan, train
 from rl.task import TASKS, Task
+from sim2real.arrays import Array
 from sim2real.output import write_json
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 def ablate(

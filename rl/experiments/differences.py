@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
+
+from sim2real.arrays import Array
 
 OUTCOME = "return"
 """Compared quantity: the rewards of a turn discounted as in training, which agents maximise. The
@@ -45,7 +46,7 @@ class Difference:
         return self.low > 0 or self.high < 0
 
 
-def paired(first: NDArray[np.float64], second: NDArray[np.float64]) -> Difference:
+def paired(first: Array, second: Array) -> Difference:
     """Difference of two arms, given the mean of each agent over the same trials, shape (S,)."""
     d = first - second
     S, mean = len(d), float(d.mean())

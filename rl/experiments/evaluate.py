@@ -15,8 +15,7 @@ from rl.controllers import Controller
 from rl.metrics import energy, path_length, turning_radius
 from rl.task import CONTROL_S, Task
 from rl.world import World
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class Episodes:
         return np.asarray(worth @ np.nan_to_num(self.value))
 
     @property
-    def success(self) -> NDArray[np.bool_]:
+    def success(self) -> Mask:
         """Whether the last waypoint was reached, shape (E,)."""
         return np.asarray(self.reached >= self.targets.shape[1])
 
@@ -140,7 +139,7 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
     won = episodes.success
     time, used = spent(episodes, task)
 
-    def mean(values: Array, where: NDArray[np.bool_] | None = None) -> float | None:
+    def mean(values: Array, where: Mask | None = None) -> float | None:
         chosen = values if where is None else values[where]
         chosen = chosen[np.isfinite(chosen)]
         return float(chosen.mean()) if chosen.size else None

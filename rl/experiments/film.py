@@ -10,17 +10,15 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.world import World
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
-from sim.view.legend import INK, RULE, Image, Lettering, colours
+from sim.view.legend import INK, RULE, Lettering, colours
 from sim.view.plane import Plane, front_ends, plane_of
 from sim.view.render import VORTICITY
 from sim.view.video import FRAMES_PER_S, Video
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Picture
 
 TARGET = (20, 120, 84)
 _MARGIN_M = 0.1
@@ -31,7 +29,7 @@ _HELD_S = 1.0
 """Duration for which the last picture of a policy is shown, s."""
 
 
-def still(world: World, *, width: int = 480) -> Image:
+def still(world: World, *, width: int = 480) -> Picture:
     """The first robot of a world from above, shape (height, width, 3), 8 bits a channel."""
     live: Any = world.simulator.live()
     return Film(None, world, "", width=width)._picture(float(live.clock.numpy()[0]))
@@ -64,7 +62,7 @@ class Film:
         self._way = np.zeros_like(self._rules)
         self._last: Array | None = None
         self._taken = 0
-        self._image: Image | None = None
+        self._image: Picture | None = None
 
     def __call__(self) -> None:
         """Extend the trajectory, and add a picture if the next frame is due."""
@@ -95,11 +93,11 @@ class Film:
             for _ in range(round(_HELD_S * FRAMES_PER_S)):
                 self._add(self._image)
 
-    def _add(self, image: Image) -> None:
+    def _add(self, image: Picture) -> None:
         if self._video is not None:
             self._video.add(image)
 
-    def _picture(self, clock: float) -> Image:
+    def _picture(self, clock: float) -> Picture:
         """The current picture."""
         world, x, y = self._world, self._x, self._y
         simulator: Any = world.simulator
@@ -122,7 +120,7 @@ class Film:
         draw_robot(canvas, simulator.hull, links, x, y)
         return self._lettered(np.rint(canvas).astype(np.uint8), plane, clock)
 
-    def _lettered(self, image: Image, plane: Plane | None, clock: float) -> Image:
+    def _lettered(self, image: Picture, plane: Plane | None, clock: float) -> Picture:
         lettering = Lettering(image, _DRAWN_FOR)
         lettering.write(lettering.left, lettering.top, self._name, "lt", large=True)
         count = self._world.task.waypoints

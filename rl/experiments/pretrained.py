@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.deploy.forward import npz
 from rl.experiments.ablation import policy_in
 from rl.sac.train import Arm, Plan, agent_names
 from sim.inference.swims import Simulator, Swim, simulated
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import write_json, write_whole
@@ -130,7 +130,7 @@ def write_pretrained(
 
 
 def drift(
-    trained: Model, calibrated: Model, swim: Swim, simulator: Simulator, error: NDArray[np.float64]
+    trained: Model, calibrated: Model, swim: Swim, simulator: Simulator, error: Array
 ) -> float:
     """Difference of two models relative to the held-out error of the newer one.
 

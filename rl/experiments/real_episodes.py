@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from rl.controllers import Controller
@@ -15,11 +14,9 @@ from rl.deploy.measurements import Measurements
 from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import Reality
 from rl.task import CONTROL_S, Task, observation_bounds, reward
+from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class Starts:
     joint: Array
     targets: Array
 
-    def of(self, rows: NDArray[np.intp]) -> Starts:
+    def of(self, rows: Index) -> Starts:
         """The starts of some of the episodes."""
         return Starts(self.pose[rows], self.joint[rows], self.targets[rows])
 
@@ -49,7 +46,7 @@ def run_real_episodes(
     task: Task,
     starts: Starts,
     *,
-    swims: Flags | None = None,
+    swims: Mask | None = None,
     name: str = "reality",
 ) -> Episodes:
     """Run one episode of each robot of a reality, as ``evaluate.run_episodes`` does in a world.
@@ -137,15 +134,15 @@ class Observers:
         return np.asarray(np.hypot(*self.observation[:, -2:].T.astype(np.float64)))
 
     @property
-    def arrived(self) -> Flags:
+    def arrived(self) -> Mask:
         """Whether the last waypoint was reached, shape (n,)."""
         return np.asarray(self.reached >= self._targets.shape[1])
 
-    def blind(self) -> Flags:
+    def blind(self) -> Mask:
         """Robots without a measurement for longer than ``SILENCE_S``, shape (n,)."""
         return np.array([observer.blind_s > SILENCE_S for observer in self._observers])
 
-    def look(self, measured: tuple[Array, Array], going: Flags) -> Array:
+    def look(self, measured: tuple[Array, Array], going: Mask) -> Array:
         """Process measurements of the robots in ``going``; the measured poses, shape (n, 3)."""
         pose, joint = self._checked(measured)
         t = CONTROL_S * self._count
@@ -158,7 +155,7 @@ class Observers:
             self._observe(e)
         return pose
 
-    def go_on(self, reached: Flags) -> None:
+    def go_on(self, reached: Mask) -> None:
         """Count waypoints, and switch robots that reached one to the next."""
         self.reached += reached
         for e in np.flatnonzero(reached & ~self.arrived).tolist():

@@ -41,13 +41,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.robot import Robot
 
-Array = NDArray[np.float64]
 _NAME = "reality_of_your_own"
 
 

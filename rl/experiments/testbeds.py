@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes, run_episodes
@@ -18,9 +17,8 @@ from rl.make import Fidelity, make_world, own_stream
 from rl.sac.train import digest
 from rl.task import Task
 from rl.world import Draws
+from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class Testbed(Protocol):
@@ -51,18 +49,18 @@ class Controllers:
         self.controllers = list(controllers)
         self.owner = np.repeat(np.arange(len(self.controllers)), repeats)
 
-    def of(self, rows: NDArray[np.intp]) -> Controllers:
+    def of(self, rows: Index) -> Controllers:
         """The same controllers for some of the robots."""
         fewer = Controllers(self.controllers, 1)
         fewer.owner = self.owner[rows]
         return fewer
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Reset the controllers of the robots in ``mask``."""
         for controller, rows in self._shares():
             controller.reset(mask[rows])
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observation: Array32) -> Array32:
         """Actions of all robots."""
         parts = [(rows, controller.act(observation[rows])) for controller, rows in self._shares()]
         action = np.empty((len(self.owner), parts[0][1].shape[1]), dtype=np.float32)
@@ -70,7 +68,7 @@ class Controllers:
             action[rows] = part
         return action
 
-    def _shares(self) -> list[tuple[Controller, NDArray[np.intp]]]:
+    def _shares(self) -> list[tuple[Controller, Index]]:
         shares = [
             (controller, np.flatnonzero(self.owner == k))
             for k, controller in enumerate(self.controllers)
@@ -175,7 +173,7 @@ class Real:
         return _joined(parts)
 
 
-def subset(episodes: Episodes, mask: NDArray[np.bool_]) -> Episodes:
+def subset(episodes: Episodes, mask: Mask) -> Episodes:
     """The episodes of some of the robots, ``which`` of shape (E,)."""
     e = episodes
     return Episodes(

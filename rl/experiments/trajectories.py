@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rl.metrics import REACHED_M
+from sim2real.arrays import Array
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 _ACROSS = 2
 _PANEL = 360

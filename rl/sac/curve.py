@@ -10,12 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.output import check_writable
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
-
-Array = NDArray[np.float64]
 
 _HEIGHT = 420
 LEAST = 64

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, read_agent, set_price
 from rl.sac.agents import Settings
+from sim2real.arrays import Array32, Mask
 
 
 class SampledController(PolicyController):
@@ -45,14 +45,14 @@ class SampledController(PolicyController):
         self._decay = math.exp(-self.policy.view.decision_s / noise_s) if noise_s > 0 else 0.0
         self._noise = np.empty((0, len(self.policy.low)))
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Draw new noise for the robots that are reset."""
         super().reset(mask)
         fresh = self._rng.standard_normal((len(mask), len(self.policy.low)))
         same_size = len(self._noise) == len(mask)
         self._noise = np.where(mask[:, None], fresh, self._noise) if same_size else fresh
 
-    def decided(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+    def decided(self, inputs: Array32) -> Array32:
         """Sample actions."""
         if len(self._noise) != len(inputs):
             self._noise = self._rng.standard_normal((len(inputs), len(self.policy.low)))

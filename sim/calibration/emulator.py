@@ -15,15 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from sim.inference.swims import Simulator, Swim, values_of, with_values
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
-
-Array = NDArray[np.float64]
 
 ROLLOUTS = 48
 """Rollouts of a batch: 42 s on an H200 in cells of 1 cm."""

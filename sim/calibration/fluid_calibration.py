@@ -8,12 +8,11 @@ the size of a cell, the shift of a parameter from coarse to fine cells equals it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from sim.calibration.emulator import ROLLOUTS, Emulator, rollouts
@@ -21,12 +20,12 @@ from sim.calibration.fluid_fit import Fitted, fit, rmse
 from sim.calibration.swim_parameters import body_parameters, servo_parameters, water_parameters
 from sim.calibration.swim_problem import HELD_OUT_SHARE
 from sim.inference.swims import Simulator, Swim, simulated, with_values
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
+from sim2real.progress import Progress
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 2
 
@@ -86,7 +85,7 @@ def calibrate_in_fluid(
     held_out: float = HELD_OUT_SHARE,
     uncalibrated: Model | None = None,
     seed: int = 0,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> InFluid:
     """Fit water, centre of mass and servos to swims in the fluid.
 

@@ -14,17 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from sim.calibration.swim_problem import BLOCK, HELD_OUT_SHARE, SwimProblem, seen
 from sim.inference.swims import Simulator, Swim
+from sim2real.arrays import Array
 from sim2real.inference.correlated_noise import autocorrelation_times
 from sim2real.inference.parameters import Gaussian, Parameter, column
 from sim2real.model import Model
-
-Array = NDArray[np.float64]
 
 SHARE = 0.2
 """Standard deviation of the calibrated fluid's error in cells of 1 cm, relative to the signal."""

@@ -6,16 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from sim.inference.swims import Simulator, Swim, simulated, with_values
+from sim2real.arrays import Array, Index
 from sim2real.inference import least_squares
 from sim2real.inference.least_squares import Expansion, central, expansion
 from sim2real.inference.parameters import Gaussian, Parameter, column
 from sim2real.model import Model
-
-Array = NDArray[np.float64]
 
 HELD_OUT_SHARE = 1 / 3
 """Share of a swim, at its end, that the fit does not use."""
@@ -114,7 +112,7 @@ class SwimProblem:
             prior_errors = (values - self.prior.mean) @ root.T
             return np.concatenate([self.fitted_rows(values, weights), prior_errors], axis=1)
 
-        def expand(x: Array, _: NDArray[np.intp]) -> Expansion:
+        def expand(x: Array, _: Index) -> Expansion:
             error, slope = central(rows, x[0], np.full(x.shape[1], step), low, high)
             result = expansion(error, slope)
             result.aside.update(error=error[None], slope=slope[None])

@@ -13,16 +13,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from sim.calibration.swim_problem import BLOCK, HELD_OUT_SHARE, Minimum, SwimProblem
 from sim.inference.swims import Simulator, Swim
+from sim2real.arrays import Array
 from sim2real.inference.correlated_noise import long_run
 from sim2real.inference.parameters import Gaussian, Parameter, column
 from sim2real.model import Model
-
-Array = NDArray[np.float64]
+from sim2real.progress import Progress
 
 _FINEST = 1e-6
 """Least error of a signal in its unit, which limits its weight: the fit may be exact."""
@@ -69,7 +68,7 @@ def calibrate(
     held_out: float = HELD_OUT_SHARE,
     evaluations: int = 20,
     view: Callable[[Array], Array] = lambda signals: signals,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Calibrated:
     """Fit parameters to the first part of each swim and score them on the rest.
 

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.cases.swimming import Swum, swim
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 SPEED = 0.54
 VISCOSITY = 1.4e-4

@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
 from sim.lattice.cell import MOVING, SOLID
 from sim.lattice.velocities import D2Q9
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 _LID = 0.1
 """Speed of the lid in cells a step."""

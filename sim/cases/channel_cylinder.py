@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.cases.ramp import Ramp
@@ -20,8 +19,7 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import HELD, Bodies, Masses, inset_at
 from sim.robot.shape import Hull
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Array32, Integers, Picture
 
 LENGTH, HEIGHT, CENTRE = 22.0, 4.1, (2.0, 2.0)
 DRAG, LIFT, PRESSURE = 5.57953523384, 0.010618948146, 0.11752016697
@@ -54,7 +52,7 @@ class FixedCylinder:
     pressure: float
 
 
-def channel(diameter: int) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32]]:
+def channel(diameter: int) -> tuple[Picture, Integers, Array32]:
     """Walls, their normals and velocities; the row y = 0 is the wall on either side."""
     size = (round(LENGTH * diameter) + 2, round(HEIGHT * diameter) + 1)
     walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import kv
 
 from sim.cases.case import Case, Curve, Figure
@@ -17,8 +16,7 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import Bodies, Masses, inset_at
 from sim.robot.shape import Hull
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 RATIOS = (0.5, 0.9, 1.0, 1.1, 2.0, 10.0)
 _VISCOSITY, _PERIOD, _PERIODS = 0.02, 2000, 4

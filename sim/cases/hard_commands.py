@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import CS2, Fluid
@@ -18,9 +17,8 @@ from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim.robot.swimmer import CONTROL_S, LEAST_VISCOSITY, SMAGORINSKY
+from sim2real.arrays import Array, Integers
 from sim2real.servo.parameters import COLUMNS
-
-Array = NDArray[np.float64]
 
 LENGTH_M, DEPTH_M, CELL_M = 0.52, 0.1, 0.02
 AMPLITUDE, FREQUENCY_HZ = 0.8, 2.0
@@ -46,7 +44,7 @@ class Shaken:
     time: Array
     work: Array
     kinetic: Array
-    stopped: NDArray[np.int32]
+    stopped: Integers
     fastest: Array
 
 

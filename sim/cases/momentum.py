@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
@@ -13,9 +12,8 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9, D3Q19, Lattice
 from sim.robot.bodies import Bodies, Masses
 from sim.robot.shape import Hull, displaced
+from sim2real.arrays import Array
 from sim2real.servo.parameters import COLUMNS
-
-Array = NDArray[np.float64]
 
 RADII = np.array([0.085, 0.115, 0.06, 0.03, 0.02])
 """Half-widths at the nose, the joints and the tail's tip, in body lengths."""

@@ -9,7 +9,6 @@ Kwon, Choi, KSME Int. J. 12 (1998) 1200.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
@@ -18,8 +17,7 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import HELD, Bodies, Masses
 from sim.robot.shape import Hull
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 REYNOLDS = 100.0
 DRAG, STROUHAL = 1.34, 0.1645

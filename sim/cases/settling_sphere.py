@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
@@ -18,8 +17,7 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D3Q19
 from sim.robot.bodies import VIRTUAL_MASS, Bodies, Masses, inset_at
 from sim.robot.shape import Hull
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 DIAMETER_M, DENSITY = 0.015, 1120.0
 TANK_M = (0.16, 0.1, 0.1)

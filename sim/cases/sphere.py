@@ -7,7 +7,6 @@ Source of the reference: the correlation of Clift, Grace and Weber, Bubbles, Dro
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.cases.ramp import Ramp
@@ -17,8 +16,7 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D3Q19
 from sim.robot.bodies import HELD, Bodies, Masses
 from sim.robot.shape import Hull
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Array32, Integers, Picture
 
 REYNOLDS = 100.0
 DRAG = 1.087
@@ -30,7 +28,7 @@ _AHEAD, _BEHIND, _SIDE = 5, 8, 5
 """Extent of the water upstream, downstream and to the side of the centre, in diameters."""
 
 
-def stream(diameter: int) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32]]:
+def stream(diameter: int) -> tuple[Picture, Integers, Array32]:
     """Walls, their normals and velocities: in at x = 0, out at the end, free-slip sides.
 
     Two of the sides are planes of symmetry through the sphere's centre. Boxes and bodies are

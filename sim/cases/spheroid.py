@@ -9,7 +9,6 @@ International Towing Tank Conference, 1957.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
@@ -18,8 +17,7 @@ from sim.lattice.units import WATER_KG_M3, WATER_M2_S, Units
 from sim.lattice.velocities import D3Q19
 from sim.robot.bodies import HELD, KINEMATIC, Bodies, Masses
 from sim.robot.shape import Hull, displaced
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 FINENESS = 6.0
 CARRIED = (0.045, 0.918)

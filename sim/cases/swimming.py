@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
@@ -15,8 +14,7 @@ from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import INSET, KINEMATIC, Bodies, Masses
 from sim.robot.shape import Hull, displaced
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 RADII = (0.085, 0.115, 0.06, 0.025, 0.01)
 """Half-widths at the nose, the joints and the tail's tip, in body lengths."""

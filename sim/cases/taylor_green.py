@@ -7,13 +7,11 @@ an exact solution of the Navier-Stokes equations.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import CS2, Fluid
 from sim.lattice.velocities import D2Q9, D3Q19, Lattice
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 _PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 _VISCOSITY = 0.1

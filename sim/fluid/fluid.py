@@ -15,10 +15,10 @@ from sim.lattice.kernels import kernels
 from sim.lattice.populations import allocate, is_wide, most_cells
 from sim.lattice.velocities import Lattice
 from sim.lattice.walls import let_out, wall_kernels
+from sim2real.arrays import Array32, Integers
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
 
-Array = NDArray[np.float32]
 CS2 = 1 / 3
 """Square of the lattice's speed of sound."""
 BLOCK = 128
@@ -49,8 +49,8 @@ class Fluid:
         viscosity: float | NDArray[np.floating[Any]],
         boxes: int = 1,
         walls: NDArray[np.uint8] | None = None,
-        normals: NDArray[np.int32] | None = None,
-        wall_velocity: Array | None = None,
+        normals: Integers | None = None,
+        wall_velocity: Array32 | None = None,
         magic: float = 3 / 16,
         smagorinsky: float = 0.0,
         storage: str = "float32",
@@ -123,8 +123,8 @@ class Fluid:
     def _close(
         self,
         walls: NDArray[np.uint8] | None,
-        normals: NDArray[np.int32] | None,
-        velocity: Array | None,
+        normals: Integers | None,
+        velocity: Array32 | None,
     ) -> None:
         flags = np.zeros(self.size, dtype=np.uint8) if walls is None else walls.reshape(self.size)
         flags = flags.copy()
@@ -244,10 +244,10 @@ class Fluid:
         )  # fmt: skip
         self.stopped.fill_(-1)
 
-    def _flat(self, field: NDArray[Any]) -> Array:
+    def _flat(self, field: NDArray[Any]) -> Array32:
         return np.concatenate([flatten(box) for box in field]).astype(np.float32)
 
-    def moments(self) -> tuple[Array, Array]:
+    def moments(self) -> tuple[Array32, Array32]:
         """Density (E, nx, ny, nz) and velocity (E, nx, ny, nz, 3), copied from the device."""
         density: Any = wp.empty(self.boxes * self.cells, dtype=wp.float32, device=self.device)
         velocity: Any = wp.empty(self.boxes * self.cells, dtype=wp.vec3, device=self.device)

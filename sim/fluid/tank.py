@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.lattice.cell import SLIP, SOLID
+from sim2real.arrays import Integers, Picture
 
 WINDOW_M = (1.5, 1.0, 0.4)
 POOL_M = (3.6, 3.6, 0.4)
@@ -27,8 +27,8 @@ class Tank:
     """
 
     size: tuple[int, int, int]
-    walls: NDArray[np.uint8]
-    normals: NDArray[np.int32]
+    walls: Picture
+    normals: Integers
     sponge: int
 
 

@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 
 from sim.inference.swims import PoseNoise, Swim
+from sim2real.arrays import Array, Index
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 2.5
 BANDS_HZ = (0.35, 1.8)
@@ -67,8 +65,8 @@ class Blocks:
     """
 
     edges: tuple[tuple[int, int], ...]
-    block: NDArray[np.intp]
-    band: NDArray[np.intp]
+    block: Index
+    band: Index
     noise: Array
     power: Array
     seen: Array

@@ -12,18 +12,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.calibration.swim_parameters import Candidate, candidates
 from sim.inference import discrepancy
 from sim.inference.swims import Swim, with_values
 from sim.twin.law import Coefficients
+from sim2real.arrays import Array, Mask
 from sim2real.body import observed, values
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that are fitted to swims."""
@@ -288,7 +286,7 @@ def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim
     return out
 
 
-def in_fit(columns: Sequence[Column], members: frozenset[Candidate]) -> NDArray[np.bool_]:
+def in_fit(columns: Sequence[Column], members: frozenset[Candidate]) -> Mask:
     """Whether a fit with these effects varies each column, shape (F,)."""
     on = {(e.name, e.component) for e in members}
     return np.array([c.effect is None or c.effect in on for c in columns])

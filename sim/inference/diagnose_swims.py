@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
@@ -25,14 +24,14 @@ from sim.inference.swim_decision import Decided, decide
 from sim.inference.swim_findings import findings
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
+from sim2real.arrays import Array
 from sim2real.body import body_effect
 from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
+from sim2real.progress import Progress
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 400
 _REPEATED = 0.005
@@ -57,7 +56,7 @@ def diagnose_swims(
     references: Sequence[Swim] = (),
     law_error: LawError = LAW_ERROR,
     resimulate: Callable[[Model], tuple[Swum, Model] | None] = lambda result: None,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """Find the effects of body and camera that the simulator leaves out.
 

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from sim.robot.swimmer import CONTROL_S
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 ORDER = 3
 """Largest order of the polynomials in time of the error of the speed."""

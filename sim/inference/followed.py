@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from sim.calibration.emulator import path_of, steps_of
@@ -22,11 +21,9 @@ from sim.inference.swims import Swim
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.prescribed import carry
 from sim.twin.twin import Twin
+from sim2real.arrays import Array
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
-
 
 SUBSTEPS = 4
 """Sub-steps of a control period, half the twin's default: this changes a swim by 1 %, far less than

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.calibration.emulator import path_of, steps_of
 from sim.fluid.wall import SLIP, Wall
@@ -28,13 +27,12 @@ from sim.inference.swims import Swim, with_values
 from sim.inference.twin_search import TwinSwims
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim.twin.law import Coefficients
+from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 CELL_M = 0.016
 """Side of a cell."""

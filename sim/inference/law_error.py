@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference.coordinates import Coordinates
 from sim.inference.swim_decision import BANDS, ROWS, NameFeatures, UnlistedFeatures
+from sim2real.arrays import Array
 from sim2real.structured import read_json
-
-Array = NDArray[np.float64]
 
 FILE = Path(__file__).with_name("law_error.json")
 IN_WATER = Path(__file__).with_name("law_error_in_water.json")

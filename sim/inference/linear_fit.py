@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 _HOLDS = 4
 """Iterations in which columns are fixed at their bounds and the others are solved again."""

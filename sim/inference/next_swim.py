@@ -6,15 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference.blocks import Blocks
 from sim.inference.coordinates import swum
 from sim.inference.twin_search import Fit, TwinSwims
 from sim.robot.swimmer import CONTROL_S
+from sim2real.arrays import Array
 from sim2real.diagnose.result import Experiment
-
-Array = NDArray[np.float64]
 
 SECONDS = 12.0
 _SIZE, _LAG = (0.28, 0.6), 1.1

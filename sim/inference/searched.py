@@ -9,13 +9,12 @@ better than all effects, the diagnosis abstains. Thresholds are in ``law_error.j
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
@@ -26,12 +25,12 @@ from sim.inference.linear_fit import together
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, SwimPrior, TwinSwims
 from sim.inference.unlisted import gains
+from sim2real.arrays import Array
 from sim2real.body import listed, values
 from sim2real.inference.selection import Breadth, Hypothesis, Ledger, Members, select
 from sim2real.model import Model
+from sim2real.progress import Progress
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 MOST = 2
 """Largest number of effects of a set, lost frames not counted."""
@@ -189,7 +188,7 @@ def searched(
     robot: Robot,
     simulate: Swum,
     prior: SwimPrior,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
     simulated: Model | None = None,
 ) -> Searched:
     """Try sets of effects on swims of one robot.
@@ -229,7 +228,7 @@ def searched(
 
 
 def _search(
-    problem: TwinSwims, progress: Callable[[float], None]
+    problem: TwinSwims, progress: Progress
 ) -> tuple[dict[Members, Hypothesis[Fit]], list[Hypothesis[Fit]], Hypothesis[Fit]]:
     """Every set that was tried by its members, sorted by evidence, and the best with an effect."""
     plain = problem.plain()

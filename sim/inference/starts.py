@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference.coordinates import Coordinates
 from sim.inference.linear_fit import Fit, Slope
+from sim2real.arrays import Array
 from sim2real.inference.selection import Members
-
-Array = NDArray[np.float64]
 
 _JUMPS = (-2.0, 2.0, 6.0)
 """Sizes of an effect that a fit may start from, in steps of its derivative."""

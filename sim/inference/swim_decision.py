@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference.coordinates import WATER_FORCES
+from sim2real.arrays import Array
 from sim2real.diagnose.result import Verdict
 
-Array = NDArray[np.float64]
 Name = tuple[str, str]
 Names = frozenset[Name]
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")

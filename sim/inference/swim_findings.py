@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sim.inference.swims import SIGNALS
+from sim2real.arrays import Array
 from sim2real.diagnose.result import (
     Diagnosis,
     Mismatch,
@@ -17,8 +15,6 @@ from sim2real.diagnose.result import (
 )
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 _IMPROVED = 0.8
 """Ratio of errors after and before, below which a signal shows the mismatch."""

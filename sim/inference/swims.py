@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter, savgol_filter
 from tqdm import tqdm
 
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.twin import Coefficients, Twin
+from sim2real.arrays import Array
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -25,8 +25,6 @@ from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 SIGNALS = ("surge", "sway", "yaw rate")
 UNITS = ("m/s", "m/s", "rad/s")

@@ -16,7 +16,6 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
@@ -24,9 +23,8 @@ from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, s
 from sim.inference.linear_fit import Fit, Slope, SwimPrior, bounded
 from sim.inference.starts import with_other_sizes
 from sim.inference.swims import Swim
+from sim2real.arrays import Array, Mask
 from sim2real.inference.selection import Hypothesis, Ledger, Members
-
-Array = NDArray[np.float64]
 
 FIRST = 8
 """Number of single effects that are refitted, those with the largest predicted evidence."""
@@ -70,9 +68,9 @@ class TwinSwims:
     doubted: Sequence[Array] = ()
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
-    is_error: NDArray[np.bool_] = field(init=False)
+    is_error: Mask = field(init=False)
     first_fit: Fit | None = None
-    kept: NDArray[np.bool_] | None = None
+    kept: Mask | None = None
     rollouts: int = 0
     _doubts: Array | None = field(default=None, init=False, repr=False)
     _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
@@ -285,7 +283,7 @@ class TwinSwims:
                 break
         return hypothesis
 
-    def held(self, members: Members, fit: Fit, share: float) -> tuple[Fit, NDArray[np.bool_]]:
+    def held(self, members: Members, fit: Fit, share: float) -> tuple[Fit, Mask]:
         """A fit to the first part of each swim, started from ``fit``, and the rows left out."""
         first = [
             np.repeat(blocks.block < round((1 - share) * len(blocks.edges)), weight.shape[1])

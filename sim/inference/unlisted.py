@@ -11,14 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.inference.blocks import Blocks, spectrum
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
+from sim2real.arrays import Array
 from sim2real.inference.selection import Members
-
-Array = NDArray[np.float64]
 
 _WAVES_HZ = tuple(float(f) for f in np.arange(0.1, 0.84, 0.04))
 _WAVE_M_S = 0.03

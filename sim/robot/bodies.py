@@ -18,9 +18,8 @@ from sim.robot.effects import OFF, Outside, surface_drag
 from sim.robot.multibody import FREE, HELD, KINEMATIC, advance, move, start
 from sim.robot.rows import Masses, chain_rows, change_rows, make_rows
 from sim.robot.shape import Hull, displaced
+from sim2real.arrays import Array, Index, Mask
 from sim2real.servo.parameters import CELLS, COLUMNS
-
-Array = NDArray[np.float64]
 
 VIRTUAL_MASS = 0.25
 """Share of the displaced water that is added to both sides of the equations of motion."""
@@ -196,15 +195,11 @@ class Bodies:
         rows["resist"] = resist
         return rows
 
-    def adopt(
-        self, which: NDArray[np.intp], masses: Masses, servos: Array, outside: Outside
-    ) -> None:
+    def adopt(self, which: Index, masses: Masses, servos: Array, outside: Outside) -> None:
         """Assign other masses, servos and effects to some robots, one row each."""
         change_rows(self.chain, self._rows(masses, servos, outside), which)
 
-    def place(
-        self, q: Array, v: Array | None = None, mask: NDArray[np.bool_] | None = None
-    ) -> None:
+    def place(self, q: Array, v: Array | None = None, mask: Mask | None = None) -> None:
         """Set coordinates and their velocities, shape (E, N), only where ``mask`` is true.
 
         Coordinates are x and y of the head's centre of mass, its heading and the joint angles.

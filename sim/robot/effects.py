@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull
+from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.effects import BODY
 from sim2real.effects.body_effect import BodyEffect, Forces
 from sim2real.model import Model
 from sim2real.robot import Robot
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Outside:
     """Effects on E robots in addition to the fluid's forces; shapes may be broadcast.
 
-    Attributes:
-        com: Shift of the centres of mass backwards in m, (E, 1).
-        side: Shift of the centres of mass to the left of the axis in m, (E, 1).
-        rough: Additional friction coefficient of each link's surface, (E, L).
-        resist: For each link: drag in N s/m, drag along its axis in N s2/m2, added mass across it
-            and added inertia relative to the displaced water, (E, L, 4).
-        skin: For each joint: stiffness in N m/rad, damping in N m s/rad, relaxing stiffness in
-            N m/rad, relaxation time in s, (E, J, 4).
-        coupling: Stiffness between neighbouring joints in N m/rad, (E,).
-        tether: Stiffness at the head in N/m, and the anchor's x and y in m, (E, 3).
-        trim: Offset of the joints' angles in rad, (E, 1).
-        current: Velocity of the pool's water in m/s, (E, 2).
-        wall: Relative increase of the thrust by a wall one body length away, (E,).
+    The fields are those of ``body_effect.Forces`` with E as first dimension; ``com``, ``side`` and
+    ``trim`` have the shape (E, 1).
     """
 
     com: Array
@@ -58,21 +45,13 @@ def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
     """
     forces = [_forces(robot, model, hull) for model in models]
 
-    def of(name: str) -> Array:
-        return np.array([getattr(force, name) for force in forces], dtype=np.float64)
-
-    return Outside(
-        com=of("com")[:, None],
-        side=of("side")[:, None],
-        rough=of("rough"),
-        resist=of("resist"),
-        skin=of("skin"),
-        coupling=of("coupling"),
-        tether=of("tether"),
-        trim=of("trim")[:, None],
-        current=of("current"),
-        wall=of("wall"),
-    )
+    stacked = {
+        field.name: np.array([getattr(robot, field.name) for robot in forces], dtype=np.float64)
+        for field in fields(Outside)
+    }
+    for name in ("com", "side", "trim"):
+        stacked[name] = stacked[name][:, None]
+    return Outside(**stacked)
 
 
 def _forces(robot: Robot, model: Model, hull: Hull) -> Forces:

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from sim.robot.effects import Outside
+from sim2real.arrays import Array, Index, Mask
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,12 +50,12 @@ class Simulator(Protocol):
     def advance(self) -> None:
         """Advance by one control period with the set-points in ``live().command``."""
 
-    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
         """Assign other models to some robots, before their reset."""
 
     def reset(
         self,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Mask | None = None,
         pose: Array | None = None,
         joint: Array | None = None,
     ) -> None:

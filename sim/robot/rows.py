@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from sim.robot.effects import Outside
 from sim.robot.shape import Hull
+from sim2real.arrays import Array, Index
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.servo.parameters import COLUMNS, joint_row
 from sim2real.servo.rollout import active_effects
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def make_rows(struct: Any, rows: Mapping[str, NDArray[Any]], device: Any) -> Non
 def change_rows(
     struct: Any,  # noqa: ANN401 - a Warp struct
     rows: Mapping[str, NDArray[Any]],
-    which: NDArray[np.intp],
+    which: Index,
 ) -> None:
     """Overwrite the rows of some robots, in place: captured graphs stay valid."""
     for name, values in rows.items():
@@ -96,7 +95,7 @@ def change_rows(
         array.assign(content)
 
 
-def changed(outside: Outside, replacement: Outside, which: NDArray[np.intp], E: int) -> Outside:
+def changed(outside: Outside, replacement: Outside, which: Index, E: int) -> Outside:
     """The effects of E robots, with those of some robots replaced."""
     merged: dict[str, Array] = {}
     for field in fields(Outside):

@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from sim.fluid.section import RAMP
 from sim.lattice.units import WATER_KG_M3
+from sim2real.arrays import Array
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 _NOSE, _TIP = 0.6, 0.3
 """Width of the nose and of the tail's tip, relative to the widest of their links."""

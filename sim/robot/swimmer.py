@@ -21,11 +21,10 @@ from sim.robot.effects import outside
 from sim.robot.live import Live
 from sim.robot.rows import changed, masses, servo_rows
 from sim.robot.shape import Hull, afloat, draught, hull_of
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 CONTROL_S = 0.02
 """Control period of the robot: 50 Hz."""
@@ -75,7 +74,7 @@ class State:
     torque: Array
     force: Array
     time: Array
-    stopped: NDArray[np.int32]
+    stopped: Integers
 
 
 class Swimmer:
@@ -200,7 +199,7 @@ class Swimmer:
 
     def reset(
         self,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Mask | None = None,
         pose: Array | None = None,
         joint: Array | None = None,
     ) -> None:
@@ -233,7 +232,7 @@ class Swimmer:
         self.bodies.place(q, v, mask=chosen)
         self._launch(remember, E, [on_device, self.bodies.chain, motion])
 
-    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
         """Assign other models to the robots of some boxes, before their ``reset``.
 
         The water keeps its viscosity.

@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull, afloat, draught
-
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 POINTS = 3
 """Points of Gaussian quadrature on a link."""

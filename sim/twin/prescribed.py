@@ -11,17 +11,15 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sim.inference.swims import Simulator
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.kernel import start_twin
 from sim.twin.twin import Twin
+from sim2real.arrays import Array
 from sim2real.model import JointModel, Model
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 RUN_UP_S = 12.0
 """Seconds of simulated motion before a film begins, which shows steady swimming."""

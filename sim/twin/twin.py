@@ -25,12 +25,11 @@ from sim.robot.shape import Hull, hull_of
 from sim.robot.swimmer import CONTROL_S, State
 from sim.twin.kernel import Water, start_twin, swim_twin
 from sim.twin.law import FITTED, POINTS, Coefficients, hull_in_water, law_rows, sections
+from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.servo.parameters import CELLS
-
-Array = NDArray[np.float64]
 
 SUBSTEPS = 8
 """Sub-steps per control period: doubling them changes a path of 10 s by less than 1 %."""
@@ -153,7 +152,7 @@ class Twin:
         self._no_track = zeros((E, 0, 3 + J), wp.float64)
         self._stopped = wp.full(E, -1, dtype=wp.int32, device=self.device)
 
-    def adopt(self, which: NDArray[np.intp], models: Sequence[Model]) -> None:
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
         """Assign other models to some robots, before their ``reset``; as ``Swimmer.adopt``."""
         laws = [Coefficients.of(model.body) for model in models]
         effects = outside(self.robot, models, self.hull)
@@ -164,7 +163,7 @@ class Twin:
 
     def reset(
         self,
-        mask: NDArray[np.bool_] | None = None,
+        mask: Mask | None = None,
         pose: Array | None = None,
         joint: Array | None = None,
     ) -> None:
@@ -220,7 +219,7 @@ class Twin:
         self._launch(self._signal, self._own, self._no_track)
         self.step_count += 1
 
-    def swim(self, commands: Array, which: NDArray[np.intp] | None = None) -> Array:
+    def swim(self, commands: Array, which: Index | None = None) -> Array:
         """Simulate whole signals in one launch, from the current state.
 
         Args:
@@ -241,7 +240,7 @@ class Twin:
         self.step_count += signals.shape[1]
         return track
 
-    def _swim(self, commands: Array, which: NDArray[np.intp], kept: int) -> Array:
+    def _swim(self, commands: Array, which: Index, kept: int) -> Array:
         E, J = self.n_envs, len(self.robot.joints)
         signal: Any = wp.array(
             np.ascontiguousarray(commands, np.float64), dtype=wp.float64, device=self.device

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.calibration.swim_problem import HELD_OUT_SHARE
 from sim.calibration.twin_fit import Calibrated
@@ -18,8 +17,6 @@ from sim2real.report.page import Figure, Note, Section, Table
 from sim2real.report.quantity import change_text
 from sim2real.report.style import NARROW
 from sim2real.robot import Robot
-
-Array = NDArray[np.float64]
 
 _WORSE = 0.05
 """Relative increase of a held-out error from which the page comments on it."""

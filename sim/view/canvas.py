@@ -7,11 +7,11 @@ the world coordinates of its columns and rows in m: shapes (width,) and (height,
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.robot.shape import Hull
-from sim.view.legend import BODY, INK, Array
+from sim.view.legend import BODY, INK
 from sim.view.plane import Plane, depth
+from sim2real.arrays import Array, Index
 
 GRID_M = 0.25
 _STROKE = 0.0026
@@ -56,7 +56,7 @@ def zoomed(plane: Plane, x: Array, y: Array) -> Array:
 
 def _inside(
     along: Array, corner: float, cell: float, count: int, half: float
-) -> tuple[NDArray[np.intp], float, float]:
+) -> tuple[Index, float, float]:
     """Indices of the coordinates in the box, and their outer edges in cells."""
     low, high = (0.5 + (along + side - corner) / cell for side in (-half, half))
     inside = np.flatnonzero((low > -1e-9) & (high < count + 1e-9))

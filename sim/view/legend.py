@@ -6,14 +6,11 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sim2real.arrays import Array, Picture
 
 if TYPE_CHECKING:
     from sim.view.plane import Plane
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-"""Rows from the top, shape (height, width, 3)."""
 
 INK, BODY, RULE = (28, 30, 33), (250, 247, 240), (106, 112, 120)
 _STOPS = (
@@ -45,7 +42,7 @@ class Lettering:
         unit: Pixels per pixel of a picture with the width ``drawn_for``.
     """
 
-    def __init__(self, image: Image, drawn_for: int = _DRAWN_FOR) -> None:
+    def __init__(self, image: Picture, drawn_for: int = _DRAWN_FOR) -> None:
         from PIL import Image as Pillow
         from PIL import ImageDraw, ImageFont
 
@@ -87,12 +84,12 @@ class Lettering:
         self.write(corner[0] + width / 2, under, "vorticity, 1/s", "ma")
         self.write(corner[0] + width, under, f"{vorticity:g}", "ma")
 
-    def image(self) -> Image:
+    def image(self) -> Picture:
         """The annotated picture."""
         return np.asarray(self._page)
 
 
-def lettered(image: Image, plane: Plane, pixels: float, vorticity: float) -> Image:
+def lettered(image: Picture, plane: Plane, pixels: float, vorticity: float) -> Picture:
     """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
 
     Args:

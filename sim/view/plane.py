@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from sim.robot.chain import Chain, Motion
 from sim.robot.shape import Hull
 from sim.view.slice import slice_kernel
+from sim2real.arrays import Array
 
 if TYPE_CHECKING:
     from sim.robot.swimmer import Swimmer
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import blend, draw_robot, grid_lines, places, zoomed
-from sim.view.legend import RULE, Image, colours, lettered
+from sim.view.legend import RULE, colours, lettered
 from sim.view.plane import plane_of
+from sim2real.arrays import Picture
 from sim2real.errors import InputError
 from sim2real.output import check_writable, write_whole
 
@@ -22,7 +23,7 @@ VORTICITY = 10.0
 
 def picture(
     swimmer: Swimmer, environment: int = 0, *, width: int = 1280, vorticity: float = VORTICITY
-) -> Image:
+) -> Picture:
     """The water in the plane of the robot's middle, and the robot, with lines of a world grid.
 
     Args:
@@ -58,7 +59,7 @@ def check_picture(path: str | os.PathLike[str]) -> Path:
     return check_writable(path)
 
 
-def save_picture(image: Image, path: str | os.PathLike[str]) -> Path:
+def save_picture(image: Picture, path: str | os.PathLike[str]) -> Path:
     """Write a picture as PNG, whole or not at all.
 
     Raises:

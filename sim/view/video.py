@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from sim.view.legend import BODY, INK, Image, colours
+from sim.view.legend import BODY, INK, colours
 from sim.view.render import need
+from sim2real.arrays import Picture
 from sim2real.errors import InputError
 from sim2real.output import check_writable
 
@@ -93,7 +94,7 @@ class Video:
         self._stream = add(self._format.codec, rate=frames_per_s, options=self._format.options)
         self._stream.pix_fmt = self._format.pixels
 
-    def add(self, image: Image) -> None:
+    def add(self, image: Picture) -> None:
         """Append a frame; all have the size of the first, with even sides."""
         if not self.frames:
             self._stream.height, self._stream.width = image.shape[:2]
@@ -125,13 +126,13 @@ class Video:
                 self._temporary.unlink()
 
 
-def _in_all(image: Image) -> Any:  # noqa: ANN401 - PyAV is optional
+def _in_all(image: Picture) -> Any:  # noqa: ANN401 - PyAV is optional
     from av import VideoFrame
 
     return VideoFrame.from_ndarray(image, format="rgb24")
 
 
-def _in_few_colours(image: Image) -> Any:  # noqa: ANN401
+def _in_few_colours(image: Picture) -> Any:  # noqa: ANN401
     """A GIF has 256 colours, from one fixed palette, as later frames are not known."""
     from av import VideoFrame
 
@@ -142,7 +143,7 @@ def _in_few_colours(image: Image) -> Any:  # noqa: ANN401
 
 
 @cache
-def _palette() -> Image:
+def _palette() -> Picture:
     """Colours of the water, and mixtures at edges of the robot and of text, shape (256, 3)."""
     share = np.linspace(0, 1, 28)[:, None]
     edges = [

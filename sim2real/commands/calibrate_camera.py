@@ -7,17 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from sim2real.arrays import Array, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.camera_file import write_camera
-from sim2real.hardware.charuco import Board, Picture, calibrate, corner_markers, views
+from sim2real.hardware.charuco import Board, calibrate, corner_markers, views
 from sim2real.hardware.plane import Lens, stand
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
-
-Array = NDArray[np.float64]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 

@@ -6,7 +6,7 @@ import argparse
 
 from tqdm import tqdm
 
-from sim2real.check import check, format_check
+from sim2real.check import check
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
@@ -17,5 +17,5 @@ def run(options: argparse.Namespace) -> int:
     paths = tqdm(options.recordings, desc="check", unit="recording", disable=None)
     checks = [check(read_recording(path), robot, seed=options.seed) for path in paths]
     options.result = checks
-    print("\n\n".join(format_check(result) for result in checks))
+    print("\n\n\n".join(map(str, checks)) + "\n")
     return 0

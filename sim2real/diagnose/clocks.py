@@ -11,16 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.identification.held_out import simulated
 from sim2real.identification.servo_problem import Hypothesis, variants
-from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
-
-Array = NDArray[np.float64]
+from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
+from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout_on
+from sim2real.servo.trace import Trace
 
 _DRIFT = COLUMNS.index("clock_drift.s_per_s")
 
@@ -57,11 +56,20 @@ def on_one_clock(
         for j in robot:
             moved = []
             for trace in joints[j].traces:
-                angle = simulated(trace, best[j].fit.servos.theta)[0]
+                angle = _simulated(trace, best[j].fit.servos.theta[0])
                 late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
                 moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
             corrected[j] = replace(joints[j], traces=moved)
     return corrected
+
+
+def _simulated(trace: Trace, theta: Array) -> Array:
+    """Angles in rad of a servo (P,) on the command and load of a recording, shape (T,)."""
+    kp, kd, inertia = float(theta[0]), float(theta[1]), trace.load.inertia_kgm2
+    inertia += float(theta[INERTIA_LEFT_OUT])
+    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * kd / inertia, 1e-9)
+    step = min(LONGEST_SUBSTEP_S, 1 / (STEPS_PER_RADIAN * fastest))
+    return np.asarray(rollout_on(trace, theta[None], substep_s=step, threads=2)[0])
 
 
 def _known(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim2real.diagnose.case import Case, JointCase, limits_beside, on_their_lines, prepared
+from sim2real.arrays import Array
+from sim2real.diagnose.case import Case, JointCase, prepared
 from sim2real.diagnose.changed.references import against_references, with_known_servos
 from sim2real.diagnose.clocks import on_one_clock
 from sim2real.diagnose.decision import DECISION
@@ -24,19 +24,18 @@ from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.diagnose.page.supplements import with_checks
 from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.torque_speed_line import limits_beside, on_their_lines
 from sim2real.effects import named
 from sim2real.identification.fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import Model
 from sim2real.plausible import validate_recording
+from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
-
-Array = NDArray[np.float64]
-Progress = Callable[[float], None]
 
 _ALIKE = 1.25
 """Sampling periods that differ by less than about that may share a batch: its noise model has one
@@ -165,7 +164,7 @@ def _joint_results(
     ends = np.cumsum([0, *map(len, of_robots)])
     robots = [list(range(a, b)) for a, b in pairwise(ends)]
     joints, first_ledgers = _first_look(recorded, rng, device)
-    if not any(joint.before for joint in joints):
+    if not any(joint.references for joint in joints):
         batch = Batch([joint.traces for joint in joints], device)
         joints = on_one_clock(batch, joints, robots, [ledger.best for ledger in first_ledgers])
     batch = Batch([joint.traces for joint in joints], device)
@@ -198,7 +197,7 @@ def _first_look(
     lines = limits_beside(batch, joints, [ledger.best for ledger in ledgers])
     if not lines:
         return list(joints), ledgers
-    joints = [replace(joint, given=lines.get(j, joint.given)) for j, joint in enumerate(joints)]
+    joints = [replace(joint, model=lines.get(j, joint.model)) for j, joint in enumerate(joints)]
     some = [joints[j] for j in lines]
     again = Batch([joint.traces for joint in some], device, period=batch.period)
     for j, ledger in zip(lines, _looked(again, some, rng), strict=True):
@@ -207,9 +206,9 @@ def _first_look(
 
 
 def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator) -> list[Tried]:
-    plain = baselines(batch, [joint.given for joint in joints])
+    plain = baselines(batch, [joint.model for joint in joints])
     ledgers = ledgers_of(plain, [joint.base for joint in joints])
-    if not all(joint.before for joint in joints):
+    if not all(joint.references for joint in joints):
         large = [DECISION.nuisance_finding_size * joint.noise for joint in joints]
         first_look(ServoSearch(batch, DECISION.false_alarms, rng), ledgers, large)
     return ledgers

@@ -6,24 +6,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
+from sim2real.diagnose.torque_speed_line import with_stated_line
 from sim2real.effects import named
 from sim2real.effects.effect import is_limit
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set
-from sim2real.identification.torque_speed_line import with_stated_line
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import COLUMNS, stated
-
-Array = NDArray[np.float64]
 
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.output import write_json
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
 
 SCHEMA = "sim2real.diagnosis/1"
 
-Array = NDArray[np.float64]
 Verdict = Literal[
     "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"
 ]

@@ -11,15 +11,18 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from sim2real.effects.body_effect import BodyEffect, CameraEffect
+from sim2real.effects.body_effect import BodyEffect, CameraEffect, SwimEffect
 from sim2real.effects.effect import Effect as Effect
 from sim2real.errors import InputError
 from sim2real.warp_start import start_warp
 
 start_warp()
+
+AnyEffect = TypeVar("AnyEffect", Effect, SwimEffect)
 
 MOST_EFFECTS = 62
 """Largest number of servo effects: bits of the mask of active ones."""
@@ -56,11 +59,19 @@ def named(name: str, where: str = "effects") -> Effect:
     Raises:
         InputError: If there is none; ``where`` is the place in the message.
     """
-    for effect in CATALOGUE:
-        if effect.name == name:
-            return effect
-    names = ", ".join(effect.name for effect in CATALOGUE)
-    raise InputError(where, "effects", repr(name), f"one of {names}")
+    return find(CATALOGUE, name, where)
+
+
+def find(effects: Iterable[AnyEffect], name: str, where: str) -> AnyEffect:
+    """The one of these effects with this identifier.
+
+    Raises:
+        InputError: If there is none; ``where`` is the place in the message.
+    """
+    by_name = {effect.name: effect for effect in effects}
+    if name not in by_name:
+        raise InputError(where, "effects", repr(name), f"one of {', '.join(by_name)}")
+    return by_name[name]
 
 
 SET_ANEW = {

@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.inference.parameters import Parameter
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 """Parameters of one effect, by name."""
 
@@ -64,7 +63,7 @@ class Forces:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SwimEffect:
+class SwimEffect:
     """What effects of the body and of the camera have in common.
 
     Attributes:
@@ -86,7 +85,7 @@ class _SwimEffect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyEffect(_SwimEffect):
+class BodyEffect(SwimEffect):
     """Physics of the body that the simulator omits by default.
 
     Attributes:
@@ -97,7 +96,7 @@ class BodyEffect(_SwimEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraEffect(_SwimEffect):
+class CameraEffect(SwimEffect):
     """An error of the poses that the camera measures.
 
     Attributes:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.model import JointModel
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 PERIOD_S, SECONDS = 0.01, 15.0
 REACH_RAD = 0.6

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 def simulate(

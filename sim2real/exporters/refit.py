@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sim2real.arrays import Array
 from sim2real.effects import named
 from sim2real.effects.effect import scaled
 from sim2real.identification.fit import Fit, fit, gains, of_effects, residuals
@@ -17,8 +15,6 @@ from sim2real.model import FittedEffect, JointModel, Law
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, SOFT, joint_row, stated
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 STICKS = SOFT[0]
 """Time in which dry friction stops the shaft, a parameter of the motor."""

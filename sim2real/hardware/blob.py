@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Picture
 from sim2real.hardware.plane import Plane
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 LEAST_PX = 6
 

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Array32, Picture
 from sim2real.hardware.plane import Plane
 from sim2real.hardware.registration import Print, darkness
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 YAWS = 24
 SIDE_PX = 12.0  # larger prints are searched in a picture of lower resolution
@@ -36,8 +34,8 @@ class Bank:
         shrink: Pixels of the frame per pixel of a pattern.
     """
 
-    patterns: NDArray[np.float32]
-    masks: NDArray[np.float32]
+    patterns: Array32
+    masks: Array32
     yaws: Array
     shrink: float
 

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.blob import Blob
 from sim2real.hardware.marker import DICTIONARIES, Marker, size_of
 from sim2real.hardware.plane import Lens, Plane, stand
 from sim2real.output import write_whole
 from sim2real.structured import Fields, finite_number, read_toml
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Picture
 from sim2real.hardware.marker import dictionary_of
 from sim2real.hardware.plane import Lens
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 LEAST_CORNERS = 8
 LEAST_VIEWS = 6

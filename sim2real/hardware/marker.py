@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 DICTIONARIES = {
     "4x4_50": "DICT_4X4_50",

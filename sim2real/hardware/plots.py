@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.hardware.tracker import Track
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 from sim2real.robot import Joint
@@ -14,8 +15,6 @@ from sim2real.signals import Excitation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from sim2real.hardware.camera_file import Array
 
 
 def signal_figure(excitation: Excitation, joints: Sequence[Joint]) -> Figure:

@@ -7,15 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sim2real.arrays import Array
 from sim2real.hardware.bus import Bus
 from sim2real.hardware.lx import BusCommand, Packet, move, signed_word, supply_V
 from sim2real.hardware.motion import Stopped, check_temperature
 from sim2real.hardware.mounting import Mounting
-
-Array = NDArray[np.float64]
 
 CONTACT_S = 0.5
 """Time without an answer after which a servo is regarded as lost."""

@@ -11,13 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from sim2real.arrays import Array, Picture
 from sim2real.hardware.plane import Plane
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 MARGIN_CELLS = 0.4  # width of the white margin that is compared
 LARGEST_SIDE_PX = 20.0  # pixels of larger markers are subsampled

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.hardware.tracker import Track
 from sim2real.recording import Recording
 from sim2real.velocity import body_velocity
-
-Array = NDArray[np.float64]
 
 _GRID_S = 0.01
 _LEAST_OVERLAP = 0.3

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.blob import ahead, find_blob
 from sim2real.hardware.board_search import Bank, bank, search
@@ -20,9 +20,6 @@ from sim2real.hardware.camera_file import Camera
 from sim2real.hardware.marker import Marker, ink
 from sim2real.hardware.plane import Plane
 from sim2real.hardware.registration import Print, Sighting, register
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 LIKENESS = 0.85
 """Smallest correlation with the print of a valid sighting."""
@@ -51,7 +48,7 @@ class Track:
     brightness: Array
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Mask:
         """Mask of frames in which the body was found, shape (T,)."""
         return np.asarray(np.isfinite(self.pose[:, 0]))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import Fit, residuals
 from sim2real.identification.motor_fit import MotorFit
@@ -19,8 +19,6 @@ from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace
 from sim2real.units import readable_name
-
-Array = NDArray[np.float64]
 
 ABOVE_NOISE = 2.0
 """Multiple of the noise above which residuals are reported as a misfit."""

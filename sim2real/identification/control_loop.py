@@ -12,14 +12,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index
 from sim2real.identification.motor_fit import MotorFit, refitted
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
 _RATES_HZ = (90.0, 1100.0)
@@ -120,7 +118,7 @@ def _arrivals(
 
 
 def _effect_of_delay(
-    motor: MotorFit, trace: Trace, step: NDArray[np.intp], *, longest_s: float = 1e-3
+    motor: MotorFit, trace: Trace, step: Index, *, longest_s: float = 1e-3
 ) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
     shifted = [trace]

@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import Effect
 from sim2real.identification.fit import Fit, errors, fit, gains, of_effects
 from sim2real.inference.least_squares import OUTLIER_SD, robust_loss
@@ -15,8 +15,6 @@ from sim2real.inference.low_discrepancy import kronecker
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 STRENGTHS = (0.3, 1.0, 3.0, 10.0)
 """Multiples of the typical value from which each parameter of an effect starts."""

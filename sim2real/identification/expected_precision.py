@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.identification.fit import first_guess, fit, gains, inertia_left_out
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.servo.trace import traces
-
-Array = NDArray[np.float64]
 
 _NAMES = ("kp", "kd", "latency", "inertia left out")
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import Effect
 from sim2real.effects.effect import scaled
 from sim2real.inference.least_squares import (
@@ -30,8 +30,6 @@ from sim2real.servo.rollout import (
     rollout,
 )
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 FREQUENCY_RAD_S = (2.0, 300.0)
 DAMPING_RATIO = (0.05, 4.0)

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.identification.servo_problem import Servos, minimise, residual_angles, stacked
 from sim2real.inference.least_squares import rms
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import BASE, INERTIA_LEFT_OUT
-from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout
 from sim2real.servo.trace import Trace, split
-
-Array = NDArray[np.float64]
-
-_INERTIA, _GRAVITY = BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")
 
 
 @dataclass(frozen=True)
@@ -74,8 +68,7 @@ def held_out(
     theta: list[list[Array]] = [[] for _ in joints]
     for width in sorted({servos[n].columns.shape[1] for n, _ in pairs}):
         members = [k for k, (n, _) in enumerate(pairs) if servos[n].columns.shape[1] == width]
-        start = stacked([servos[pairs[k][0]] for k in members])
-        start = replace(start, joint=np.array(members, dtype=np.int32))
+        start = stacked([servos[pairs[k][0]] for k in members]).of_joints(members)
         fits = minimise(training, start, iterations=10, white=white)
         errors = residual_angles(scoring, fits)
         for k, error, row in zip(members, errors, fits.servos.theta, strict=True):
@@ -86,15 +79,3 @@ def held_out(
         Unseen(tuple(errors), np.array(rows)) if errors else None
         for errors, rows in zip(residuals, theta, strict=True)
     ]
-
-
-def simulated(trace: Trace, theta: Array, *, steps_per_radian: float = 16.0) -> Array:
-    """Angles in rad of servos (N, P) on the command and load of a recording, shape (N, T)."""
-    rows = np.array(theta)
-    rows[:, _INERTIA], rows[:, _GRAVITY] = trace.load.inertia_kgm2, trace.load.gravity_Nm
-    kp, kd = rows[0, :2]
-    inertia = trace.load.inertia_kgm2 + rows[0, INERTIA_LEFT_OUT]
-    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * float(kd) / inertia, 1e-9)
-    # A common sub-step, so that integration errors cancel in differences of servos.
-    step = min(LONGEST_SUBSTEP_S, 1 / (steps_per_radian * fastest))
-    return rollout(rows, trace.t, trace.command, substep_s=step, threads=2)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import Effect, named
 from sim2real.errors import InputError, check_choice, check_whole, names_of
 from sim2real.identification import advice
@@ -44,8 +44,6 @@ from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
-
-Array = NDArray[np.float64]
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
 """What a data sheet must state for the law ``motor``."""
@@ -296,13 +294,13 @@ def _figures(
     best: Fit, heldout: tuple[Array, ...], fitted: list[Trace], noise: float
 ) -> dict[str, float | None]:
     errors = [e for e in best.residuals if e.size]
-    period = float(np.median(np.diff(fitted[0].t)))
     return {
         "train": rms(errors),
         "heldout": rms(heldout) if heldout else None,
         "noise": noise,
         "whiteness": whiteness(errors),
-        "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors])) * period,
+        "correlation_time_s": float(np.mean([correlation_samples(e) for e in errors]))
+        * fitted[0].period_s,
         "robust_outliers": float(np.mean(np.abs(np.concatenate(errors)) > 4 * best.scale_rad)),
     }
 

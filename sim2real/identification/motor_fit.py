@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Mask
 from sim2real.identification.fit import Fit, errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.inference.correlated_noise import correlation_samples
@@ -24,8 +24,6 @@ from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP, LOSSES, ROTOR, SOFT, motor_of
 from sim2real.servo.rollout import Simulator, coarse_substep
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
@@ -175,7 +173,7 @@ class MotorFit:
         return np.where(self.log_scale, unit * self.fit.values, unit)
 
     @property
-    def log_scale(self) -> NDArray[np.bool_]:
+    def log_scale(self) -> Mask:
         """Which of the free parameters were searched as logarithms, shape (F,)."""
         return np.array([p.log for p in self.fit.parameters])
 
@@ -349,18 +347,18 @@ def _search(
     free = list(problem.free)
     latest: dict[int, Array] = {}
 
-    def servos_at(points: Array, index: NDArray[np.intp]) -> Array:
+    def servos_at(points: Array, index: Index) -> Array:
         servos = x[index].copy()
         servos[:, free] = points * unit
         return servos
 
-    def losses(points: Array, index: NDArray[np.intp]) -> Array:
+    def losses(points: Array, index: Index) -> Array:
         servos = servos_at(points, index)
         error = problem.residuals(servos)
         latest.update(zip(index.tolist(), error, strict=True))
         return 0.5 * problem.loss(servos, error, scale, inflation)
 
-    def expand(points: Array, index: NDArray[np.intp]) -> Expansion:
+    def expand(points: Array, index: Index) -> Expansion:
         if not set(index.tolist()) <= latest.keys():
             losses(points, index)
         servos = servos_at(points, index)
@@ -399,7 +397,7 @@ def _robust_order(
     *,
     neighbours: int = 128,
     distance: float = 0.1,
-) -> NDArray[np.intp]:
+) -> Index:
     """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
 
     Neighbours differ in rotor inertia and losses by a small share of the prior's width. A narrow

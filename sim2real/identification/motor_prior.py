@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.inference.parameters import Parameter, column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LINE, LOOP, ROTOR
 from sim2real.servo.reported_drive import ReportedDrive
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

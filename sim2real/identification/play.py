@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.recording import Recording
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

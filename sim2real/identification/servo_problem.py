@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.effects import CATALOGUE
 from sim2real.inference import least_squares, selection
 from sim2real.inference.evidence import profile_loglikelihood
@@ -16,8 +17,6 @@ from sim2real.inference.least_squares import Expansion
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS, LINE
 
-Array = NDArray[np.float64]
-Whole = NDArray[np.int32]
 Set = frozenset[str]
 
 _LINE = np.array([COLUMNS.index(name) for name in LINE])
@@ -49,16 +48,20 @@ class Servos:
         high: Largest values, shape (N, F).
     """
 
-    joint: Whole
+    joint: Integers
     theta: Array
-    columns: Whole
+    columns: Integers
     unit: Array
     low: Array
     high: Array
 
-    def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Servos:
+    def __getitem__(self, index: Index | Mask | slice) -> Servos:
         """A selection of the servos."""
         return Servos(*(value[index] for value in vars(self).values()))
+
+    def of_joints(self, joint: Sequence[int]) -> Servos:
+        """The same servos on other joints of a batch, shape (N,)."""
+        return replace(self, joint=np.array(joint, dtype=np.int32))
 
     def wide(self, width: int) -> Servos:
         """Add or remove places for free parameters at the end, to ``width`` places."""
@@ -67,7 +70,7 @@ class Servos:
         return replace(self, **parts)
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """Mask of the places of ``columns`` that hold a parameter, shape (N, F)."""
         return self.columns >= 0
 
@@ -126,7 +129,7 @@ def plain_servos(
     low = np.stack([1e-3 * inertia, none, none], axis=1)
     high = np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1)
     line = theta[:, _LINE]
-    has: NDArray[np.bool_] = np.all(line > 0, axis=1)
+    has: Mask = np.all(line > 0, axis=1)
     if free_line and has.any():
         columns = np.hstack([columns, np.where(has[:, None], _LINE, -1).astype(np.int32)])
         unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
@@ -160,7 +163,7 @@ class Fits:
     gram: Array
     count: Array
     autoregression: Array
-    converged: NDArray[np.bool_]
+    converged: Mask
 
     @property
     def error2(self) -> Array:
@@ -172,14 +175,18 @@ class Fits:
         """Log-likelihood with fitted variance and noise model, shape (N,)."""
         return profile_loglikelihood(self.error2, self.count)
 
-    def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Fits:
+    def __getitem__(self, index: Index | Mask | slice) -> Fits:
         """A selection of the fits."""
         return Fits(*(value[index] for value in vars(self).values()))
 
-    def one(self, n: int) -> Fits:
+    def of_joints(self, joint: Sequence[int]) -> Fits:
+        """The same fits on other joints of a batch, shape (N,)."""
+        return replace(self, servos=self.servos.of_joints(joint))
+
+    def single(self, n: int) -> Fits:
         """A single fit, without places that hold no parameter."""
-        single = self[np.array([n])]
-        return single.wide(int(single.servos.free.sum()))
+        fit = self[np.array([n])]
+        return fit.wide(int(fit.servos.free.sum()))
 
     def resampled(self, weights: Array) -> Array:
         """Log-likelihood of a single fit for each set of weights of its blocks (D, B), shape (D,).
@@ -244,7 +251,7 @@ def minimise(
         hopeless: Selects servos to stop, see ``inference.least_squares.minimise``.
     """
 
-    def expand(x: Array, index: NDArray[np.intp]) -> Expansion:
+    def expand(x: Array, index: Index) -> Expansion:
         trial = servos[index].at(x)
         noise = np.zeros((index.size, batch.lags)) if white else None
         normal = batch.evaluate(variants(trial), blocks=blocks, autoregression=noise)

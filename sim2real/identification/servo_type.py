@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.motor_prior import MotorPrior
@@ -28,8 +28,6 @@ from sim2real.output import write_json
 from sim2real.robot import Servo
 from sim2real.servo.parameters import BASE, LOOP
 from sim2real.structured import Fields, read_json
-
-Array = NDArray[np.float64]
 
 SCHEMA = "sim2real.servo_type/1"
 FOLDER = Path(__file__).parent / "types"

@@ -9,17 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from sim2real.arrays import Array
 from sim2real.identification.fit import Fit, fit, gains
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _CHI2_90 = 6.251
 """90 % quantile of chi-square with three degrees of freedom, as regions may be disconnected."""

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError
-from sim2real.recording import Array, Load, Recording
+from sim2real.recording import Load, Recording
 from sim2real.structured import Fields, read_json
 
 SAMPLE = ("timestamp", "goal_position", "torque_enable", "position")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.recording import Array
 
 
 @dataclass(frozen=True)

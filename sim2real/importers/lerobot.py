@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.importers.units import Conversion
-from sim2real.recording import Array, Recording
+from sim2real.recording import Recording
 from sim2real.structured import Fields, read_json
 
 STATE, ACTION = "observation.state", "action"

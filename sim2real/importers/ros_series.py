@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError
 from sim2real.importers.ros_messages import Message
-from sim2real.recording import Array
 
 
 def command_topics(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.importers.ros_messages import (
     COMMAND_TYPES,
@@ -27,7 +28,7 @@ from sim2real.importers.ros_series import (
     joint_series,
     streams,
 )
-from sim2real.recording import Array, Recording
+from sim2real.recording import Recording
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}
 SOURCE = (

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError, shown
 from sim2real.importers.units import SECONDS_PER, Conversion
-from sim2real.recording import Array, Recording
+from sim2real.recording import Recording
 
 ANGLES = ("command", "position")
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")

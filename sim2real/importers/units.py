@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError
-from sim2real.recording import Array
 from sim2real.structured import Fields, read_json
 
 RADIANS_PER = {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi}

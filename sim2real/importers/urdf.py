@@ -9,9 +9,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError, shown
 from sim2real.importers.chain import Body, Hinge, Tree
-from sim2real.recording import Array
 from sim2real.structured import read_text
 
 TURNS = ("revolute", "continuous")

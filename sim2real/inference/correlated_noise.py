@@ -10,10 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sim2real.arrays import Array, Mask
 
 MEMORY_S = 0.5
 """Time span of the autoregression of the noise."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 
 def profile_loglikelihood(error2: Array, count: Array) -> Array:

@@ -11,11 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from sim2real.arrays import Array, Index, Mask
 
 SETTLED = 0.02
 """Expected gain in log-likelihood below which a search ends."""

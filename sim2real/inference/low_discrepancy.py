@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
 
 
 def kronecker(count: int, dimensions: int, rng: np.random.Generator) -> Array:

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.units import unit_of
-
-Array = NDArray[np.float64]
 
 _INSIDE = 1e-4
 
@@ -79,7 +77,7 @@ class Priors:
         return tuple(parameter.name for parameter in self.each)
 
     @property
-    def _ends(self) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _ends(self) -> tuple[Array, Array, Mask]:
         log = np.array([p.log for p in self.each])
         ends = np.array([[p.low, p.high] for p in self.each])
         scaled = np.where(log[:, None], np.log(np.where(log[:, None], ends, 1.0)), ends)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Mask
+
 Window = tuple[float, float]
 
 LARGER = 5.0
@@ -15,7 +16,7 @@ EDGE_COST = 12.0
 SHORTEST_S = 0.1
 
 
-def robust_sd(residual: Array, inside: NDArray[np.bool_]) -> float:
+def robust_sd(residual: Array, inside: Mask) -> float:
     """Standard deviation of the residual outside windows, from its median absolute deviation."""
     outside = residual[~inside & np.isfinite(residual)]
     if outside.size < 10:
@@ -44,7 +45,7 @@ def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
     return tuple((a, b) for a, b in segments if b - a >= SHORTEST_S)
 
 
-def inside(t: Array, windows: tuple[Window, ...]) -> NDArray[np.bool_]:
+def inside(t: Array, windows: tuple[Window, ...]) -> Mask:
     """Mask of the times that lie in one of the windows, shape (T,)."""
     mask = np.zeros(t.size, dtype=bool)
     for begin, end in windows:

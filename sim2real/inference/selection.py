@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, Generic, Protocol, TypeVar
 
+from sim2real.progress import Progress
+
 Fit = TypeVar("Fit")
 Start = TypeVar("Start")
 Members = frozenset[Any]
@@ -122,7 +124,7 @@ def select(
     problem: Problem[Fit, Start],
     ledgers: Sequence[Ledger[Fit]],
     breadth: Breadth = Breadth(),  # noqa: B008 - frozen
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
     exhausted: Callable[[Ledger[Fit]], bool] = lambda ledger: False,
 ) -> None:
     """Try sets of candidates in every case until none is better, and record them in the ledgers.

@@ -14,11 +14,11 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import autocorrelation_times
 from sim2real.output import write_whole
 
-Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
 FORMAT = "sim2real.chain/1"

@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.identification.servo_problem import Servos, minimise
 from sim2real.inference.parameters import column
 from sim2real.posterior.likelihood import ServoData
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import counting
 from sim2real.inference.parameters import Priors
 from sim2real.model import JointModel
@@ -17,9 +17,6 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN, WhitenedServo
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 THREADS = 2
 LONGEST_SUBSTEP_S = 0.001

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import write_whole
@@ -21,9 +21,6 @@ from sim2real.posterior.servo import ServoPosterior
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-Array = NDArray[np.float64]
 
 FORMAT = "sim2real.posterior/1"
 MOST_DRAWS = 4000

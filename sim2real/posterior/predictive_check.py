@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
 from sim2real.posterior.likelihood import loaded
 from sim2real.posterior.servo import ServoPosterior
-from sim2real.servo.rollout import rollout
+from sim2real.servo.rollout import rollout_on
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 LEVELS = (0.5, 0.8, 0.95)
 TOO_NARROW = 0.85
@@ -67,13 +65,14 @@ def predictive_check(
     """
     trace = loaded(held_out, joint)
     values = posterior.values[rng.choice(posterior.values.shape[0], DRAWS, replace=True)]
+    optimum = posterior.data.theta(posterior.optimum[None])
     residuals = [
-        (_angles(posterior, fitted, posterior.optimum[None])[0] - fitted.position)[fitted.used]
+        (rollout_on(fitted, optimum)[0] - fitted.position)[fitted.used]
         for fitted in posterior.data.traces
     ]
-    angles = _angles(posterior, trace, values)
+    angles = rollout_on(trace, posterior.data.theta(values))
     noisy = angles + rng.normal(0.0, rms(residuals), angles.shape)
-    measured = np.where(trace.used, trace.position, np.nan)
+    measured = trace.measured
     present = np.isfinite(measured)
     covered = {}
     for level in LEVELS:
@@ -89,10 +88,3 @@ def predictive_check(
         covered=covered,
         rmse=rms([(median - measured)[present]]),
     )
-
-
-def _angles(posterior: ServoPosterior, trace: Trace, values: Array) -> Array:
-    """Angles in rad (B, T) of servos with ``values`` (B, F) on the commands of one recording."""
-    theta = posterior.data.theta(values)
-    theta[:, 3], theta[:, 4] = trace.load.inertia_kgm2, trace.load.gravity_Nm
-    return rollout(theta, trace.t, trace.command)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import SIGNATURE, named
 from sim2real.effects.effect import scaled
 from sim2real.errors import InputError
@@ -30,8 +30,6 @@ from sim2real.posterior.laplace import Laplace, laplace, sharpened
 from sim2real.posterior.likelihood import RANDOM_EFFECTS, Likelihood, ServoData, loaded, servo_data
 from sim2real.servo.trace import Trace
 from sim2real.units import unit_of
-
-Array = NDArray[np.float64]
 
 STEPS, WALKERS = 2000, 32
 

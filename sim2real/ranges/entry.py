@@ -147,13 +147,10 @@ def read_ranges(path: str | os.PathLike[str]) -> Ranges:
         InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_json(path, SCHEMA))
-    notes = top.content.get("notes", [])
-    if not isinstance(notes, list):
-        raise top.error("notes", "a list of sentences")
     return Ranges(
         entries=tuple(_read(entry) for entry in top.tables("ranges")),
         posterior=top.text("posterior") if top.content.get("posterior") else "",
-        notes=tuple(str(note) for note in notes),
+        notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
     )
 

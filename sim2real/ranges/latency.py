@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from sim2real.arrays import Array, Index
 from sim2real.identification.servo_problem import Fits, Servos, minimise, plain_servos
 from sim2real.model import JointModel, Model
 from sim2real.posterior.likelihood import loaded
@@ -18,8 +18,6 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import Trace, traces
 
-Array = NDArray[np.float64]
-
 _LAW_SD_S = 2e-4
 """Smallest standard deviation of a latency, due to errors of the servo's law."""
 
@@ -27,7 +25,7 @@ _LAW_SD_S = 2e-4
 def episode_latencies(
     traces: Sequence[Trace],
     joints: Sequence[JointModel],
-    group: NDArray[np.intp],
+    group: Index,
     *,
     gain_sd: float = 0.02,
     iterations: int = 30,
@@ -92,7 +90,7 @@ def _eliminated(weights: tuple[Array, Array]) -> tuple[Array, Array]:
     return slope[:, :2] - cross * slope[:, 2:], inner
 
 
-def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -> Array:
+def _pooled(fits: Fits, weights: tuple[Array, Array], group: Index) -> Array:
     """Gains (N, 2) of the group of each trace: means of single fits, weighted by precision."""
     _, inner = _eliminated(weights)
     value, unit = fits.servos.values()[:, :2], fits.servos.unit[:, :2]
@@ -105,7 +103,7 @@ def _pooled(fits: Fits, weights: tuple[Array, Array], group: NDArray[np.intp]) -
 
 
 def _step(
-    weights: tuple[Array, Array], group: NDArray[np.intp], gains: Array, *, largest: float = 0.5
+    weights: tuple[Array, Array], group: Index, gains: Array, *, largest: float = 0.5
 ) -> Array:
     """Relative change of the gains, shape (N, 2), by one Gauss-Newton step of each group."""
     slope, inner = _eliminated(weights)

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.body import body_effect, values
 from sim2real.density import Density
 from sim2real.model import JointModel, Model
@@ -17,8 +17,6 @@ from sim2real.ranges.entry import Range, normal, uniform
 from sim2real.recording import Recording
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
-
-Array = NDArray[np.float64]
 
 LOW, HIGH = 0.05, 0.95
 """Quantiles between which a parameter is randomized."""

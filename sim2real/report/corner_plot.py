@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.posterior.servo import ServoPosterior
-from sim2real.recording import Array
 from sim2real.report.quantity import printable
 from sim2real.report.style import ACCENT, INK, PAPER, RULE, house_style, new_figure
 from sim2real.units import readable_name

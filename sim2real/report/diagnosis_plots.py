@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim2real.diagnose.result import Array, Experiment, JointSeries
+from sim2real.arrays import Array
+from sim2real.diagnose.result import Experiment, JointSeries
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure

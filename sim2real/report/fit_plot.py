@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sim2real.recording import Array, Recording
+from sim2real.arrays import Array, Mask
+from sim2real.recording import Recording
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable, isolated_samples, largest_move, segments
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
@@ -22,7 +20,7 @@ def fit_figure(
     joint: str,
     predicted: Array,
     *,
-    heldout: NDArray[np.bool_] | None = None,
+    heldout: Mask | None = None,
     noise_rad: float | None = None,
 ) -> Figure:
     """Plot the prediction of one joint of a recording.
@@ -116,7 +114,7 @@ def _draw_residual(axes: Axes, t: Array, residual: Array, noise_rad: float | Non
     axes.set_title(title)
 
 
-def _shade(top: Axes, bottom: Axes, t: Array, heldout: NDArray[np.bool_]) -> None:
+def _shade(top: Axes, bottom: Axes, t: Array, heldout: Mask) -> None:
     for number, (first, last) in enumerate(segments(heldout)):
         for axes in (top, bottom):
             axes.axvspan(t[first], t[last], color=RULE, alpha=0.45, linewidth=0, zorder=0)

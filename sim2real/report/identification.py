@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sim2real.arrays import Array, Mask
 from sim2real.model import JointModel, Model
-from sim2real.recording import Array, Recording
+from sim2real.recording import Recording
 from sim2real.report.drawing import svg
 from sim2real.report.fit_plot import fit_figure
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -17,7 +15,7 @@ from sim2real.report.quantity import Quantity, effect_text, milliradians, quanti
 from sim2real.report.response import describe_response
 from sim2real.report.style import NARROW
 
-Fit = tuple[Recording, str, Array, NDArray[np.bool_] | None]
+Fit = tuple[Recording, str, Array, Mask | None]
 
 _LEAD = (
     "Each servo is a PD controller with latency: torque = "

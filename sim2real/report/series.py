@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim2real.recording import Array
+from sim2real.arrays import Array, Index, Mask
 
 GAP_INTERVALS = 3.0
 LONGEST = 4000
 _BINS = 1500
 
 
-def gaps(t: Array) -> NDArray[np.intp]:
+def gaps(t: Array) -> Index:
     """Indices of samples more than three median intervals after the previous one."""
     interval = np.diff(t)
     if not interval.size:
@@ -36,14 +35,14 @@ def drawable(t: Array, values: Array) -> tuple[Array, Array]:
     return t[indices], values[indices]
 
 
-def isolated_samples(values: Array) -> NDArray[np.bool_]:
+def isolated_samples(values: Array) -> Mask:
     """Mask of ``values`` between two missing ones, which a line would not show."""
     missing = np.concatenate([[True], np.isnan(values), [True]])
-    isolated: NDArray[np.bool_] = ~missing[1:-1] & missing[:-2] & missing[2:]
+    isolated: Mask = ~missing[1:-1] & missing[:-2] & missing[2:]
     return isolated
 
 
-def segments(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def segments(mask: Mask) -> list[tuple[int, int]]:
     """First and last index of every run of True in ``mask (T,)``."""
     edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
     starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -71,11 +70,11 @@ def largest_move(
     return start, float(min(start + window_s, t[-1]))
 
 
-def _bins(size: int) -> list[NDArray[np.intp]]:
+def _bins(size: int) -> list[Index]:
     return np.array_split(np.arange(size), _BINS)
 
 
-def _extremes(indices: NDArray[np.intp], values: Array) -> NDArray[np.intp]:
+def _extremes(indices: Index, values: Array) -> Index:
     part = values[indices]
     missing = np.isnan(part)
     chosen = [np.argmax(missing)] if missing.any() else []

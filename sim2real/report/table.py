@@ -1,4 +1,4 @@
-"""The fitted model as a text table, for a terminal, a pipe or a log."""
+"""Models, recordings and checks as text, for a terminal, a pipe or a log."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from sim2real.arrays import Array
+from sim2real.check import Check, all_findings
 from sim2real.model import JointModel, Model
-from sim2real.recording import Array, Recording
+from sim2real.recording import Recording
 from sim2real.report.quantity import (
     Quantity,
     correlations,
@@ -67,10 +69,46 @@ def recording_report(recording: Recording) -> str:
     return "\n".join(printable(line) for line in lines)
 
 
+def check_report(check: Check) -> str:
+    """The check as text for a terminal, at most 100 columns wide."""
+    clock, joints = check.timing, len(check.joints)
+    pauses = "no gap" if not clock.gaps else f"{sum(g[1] for g in clock.gaps):.3g} s in gaps"
+    lines = [
+        f"{check.recording}: {check.kind}, {check.duration_s:.2f} s, "
+        f"{joints} joint{'s' if joints != 1 else ''}",
+        f"clock: {clock.rate_hz:.4g} Hz, jitter {1000 * clock.jitter_s:.2g} ms, {pauses}, "
+        f"{clock.missing_cells} positions missing",
+        "",
+        f"{'joint':<12} {'moves':>5} {'command':>8} {'range':>8} {'noise':>9} {'step':>9} "
+        f"{'missing':>7}  load",
+        f"{'':<12} {'':>5} {'rad':>8} {'rad':>8} {'rad':>9} {'rad':>9}",
+    ]
+    for row in check.joints:
+        step = f"{row.step_rad:.6f}" if row.step_rad else "-"
+        lines.append(
+            f"{_cut(row.joint, 12):<12} {row.moves:>5} {row.command_range_rad:>8.3f} "
+            f"{row.range_rad:>8.3f} {row.noise_rad:>9.6f} {step:>9} "
+            f"{row.missing:>7}  {row.load}"
+        )
+    lines = [_cut(line.rstrip(), WIDTH) for line in lines]
+    findings = all_findings(check)
+    identifiable = [f"{row.joint}: {f}" for row in check.joints for f in row.identifiable]
+    for mark, sentences in (("! ", findings), ("  ", identifiable)):
+        if sentences:
+            lines.append("")
+        for sentence in sentences:
+            lines += textwrap.wrap(sentence, WIDTH, initial_indent=mark, subsequent_indent="  ")
+    return "\n".join(lines)
+
+
 def span(angles: Array) -> str:
     """Smallest to largest of the angles that are not missing, in rad."""
     finite = angles[np.isfinite(angles)]
     return f"{finite.min():.3f} to {finite.max():.3f} rad" if finite.size else "none"
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 1] + "…"
 
 
 def _cells(quantity: Quantity) -> tuple[str, ...]:

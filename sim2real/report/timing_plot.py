@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.recording import Array, Recording
+from sim2real.arrays import Array
+from sim2real.recording import Recording
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable, gaps
 from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.inference.correlated_noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
 from sim2real.servo.parameters import BASE, COLUMNS
@@ -18,13 +19,11 @@ from sim2real.servo.rollout import (
     active_effects,
     coarse_substep,
     longest_substep,
+    padded,
     simulate,
     to_warp,
 )
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int32]
 
 STEPS_PER_RADIAN = 16.0
 """Sub-steps per radian of the fastest mode: an error of 1e-4 rad, mostly absorbed by the gains."""
@@ -50,7 +49,7 @@ class Problems:
             absent variant.
     """
 
-    joint: Whole
+    joint: Integers
     theta: Array
     scale: Array
 
@@ -108,7 +107,6 @@ class Batch:
         period: float | None = None,
     ) -> None:
         all_traces = [trace for traces in joints for trace in traces]
-        longest = max(trace.t.size for trace in all_traces)
         if period is None:
             period = float(np.median(np.concatenate([np.diff(x.t) for x in all_traces[:64]])))
         self.device, self.threads, self.period = device, threads, period
@@ -116,23 +114,19 @@ class Batch:
         self.lags, self.white = lags(period), white
         self.recordings = np.array([len(traces) for traces in joints], dtype=np.int32)
         self.first_signal = np.concatenate([[0], np.cumsum(self.recordings)[:-1]]).astype(np.int32)
-        self.length = np.array([trace.t.size for trace in all_traces], dtype=np.int32)
-        self.load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in all_traces])
-        t, command, position = (np.zeros((len(all_traces), longest)) for _ in range(3))
-        counts = np.zeros((len(all_traces), longest), dtype=np.int32)
+        signals, position, self.load = padded(all_traces)
+        self.length = signals[2]
+        counts = np.zeros(position.shape, dtype=np.int32)
         for s, trace in enumerate(all_traces):
-            part = np.s_[s, : trace.t.size]
-            t[part], command[part] = trace.t, trace.command
-            position[part] = np.where(trace.used, trace.position, np.nan)
-            counts[part] = counting(trace.used, self.lags)
+            counts[s, : trace.t.size] = counting(trace.used, self.lags)
         self.samples = counts.sum(axis=1)
         self.substeps = np.zeros(len(joints))
-        self._span_s = np.array([trace.t[-1] - trace.t[0] for trace in all_traces])
-        self._signals = [to_warp(x, device) for x in (t, command, self.length)]
+        self._span_s = np.array([trace.duration_s for trace in all_traces])
+        self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)
 
-    def count(self, joint: Whole) -> Array:
+    def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""
         per_joint = np.add.reduceat(self.samples, self.first_signal).astype(np.float64)
         return np.asarray(per_joint[joint])
@@ -230,7 +224,7 @@ class Batch:
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
 
-        def run(substep: Array, selected: NDArray[np.intp] | None = None) -> None:
+        def run(substep: Array, selected: Index | None = None) -> None:
             latency, on = problems.theta[problem, variant, 2], active[problem, variant]
             longest = substep[problem, recording]
             simulate(on, latency, theta, signal, self._signals, longest, angle, selected)
@@ -289,7 +283,7 @@ class Batch:
         )
         return (*_unpacked(_values(packed), size[1], count, order), noise_model, *extras)
 
-    def _fetch(self, angle: Any, first: Whole, count: Whole, recordings: Whole) -> Array:  # noqa: ANN401
+    def _fetch(self, angle: Any, first: Integers, count: Integers, recordings: Integers) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""
         angles = _values(angle)
         out = np.zeros((first.size, int(self.recordings.max()), angles.shape[1]))
@@ -323,7 +317,7 @@ class Batch:
         return coarse if rough else fine, coarse
 
 
-def _unstable(angles: Array, servos: NDArray[np.bool_], exact: Array) -> NDArray[np.bool_]:
+def _unstable(angles: Array, servos: Mask, exact: Array) -> Mask:
     """Rows that are unstable with long sub-steps, as under strong nonlinear damping, (rows,).
 
     Args:
@@ -331,7 +325,7 @@ def _unstable(angles: Array, servos: NDArray[np.bool_], exact: Array) -> NDArray
         servos: Mask of the rows that are servos, not variants, shape (rows,).
         exact: Angles of the servos with short sub-steps in rad, shape (servos, T).
     """
-    unstable: NDArray[np.bool_] = np.logical_not(np.isfinite(angles).all(axis=1))
+    unstable: Mask = np.logical_not(np.isfinite(angles).all(axis=1))
     with np.errstate(over="ignore", invalid="ignore"):
         close = np.mean((angles[servos] - exact) ** 2, axis=1) < _SAME_RAD**2
     unstable[servos] |= ~close
@@ -345,7 +339,7 @@ def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs
 
 
 def _unpacked(
-    packed: Array, deep: int, count: Whole, order: NDArray[np.int64]
+    packed: Array, deep: int, count: Integers, order: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Inner products in the order of the variants, 0 for absent ones."""
     N, B, _ = packed.shape

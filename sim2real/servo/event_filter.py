@@ -16,15 +16,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.inference.correlated_noise import whitened
 from sim2real.servo.event_kernels import COUNTS, expect, run_filter
 from sim2real.servo.linearised import Modes
 from sim2real.servo.rollout import to_warp
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Channel:
     modes: Modes
     residual: Array
     scale: Array
-    rests: NDArray[np.bool_]
+    rests: Mask
     autoregression: Array
     variance: float
 
@@ -257,7 +254,7 @@ def _slots(channel: Channel) -> int:
     return int(np.searchsorted(channel.t + channel.latency_s, channel.t[-1], side="right"))
 
 
-def _timeline(channel: Channel) -> tuple[Array, Array, NDArray[np.intp]]:
+def _timeline(channel: Channel) -> tuple[Array, Array, Index]:
     """Propagation to each sample, that to the end of each slot, and each slot's first sample.
 
     Rows are those of ``propagator``. A sample is reached from the one before or from the beginning

@@ -9,62 +9,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter, savgol_coeffs, savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sim2real.arrays import Array
+from sim2real.servo.trace import Trace
 
 _SETTLED, _LONGEST = 0.003, 80
 """Share of a response at which it is truncated, and its largest number of samples."""
 _LEAST_RATE, _APART = 0.1, 0.03
-Filter = tuple[Array, Array]
-"""Numerator and denominator of a digital filter, as ``scipy.signal.lfilter`` takes them."""
 WINDOW_S, ORDER = 0.18, 3
 """Length and order of the smoothing local polynomials."""
-
-
-def torque_filter(inertia: float, kd: float, stiffness: float, step_s: float) -> Filter:
-    """Filter from torque in N m to angle in rad, 1 / (I s2 + kd s + stiffness).
-
-    By the bilinear transform: Oppenheim, Schafer, Discrete-Time Signal Processing, 3rd ed. (Pearson
-    2010), section 7.2.2.
-
-    Args:
-        inertia: kg m2.
-        kd: N m s/rad.
-        stiffness: Sum of those of the gain and of the weight, N m/rad.
-        step_s: Time between samples.
-    """
-    c = 2 / step_s
-    a = np.array(
-        [
-            inertia * c**2 + kd * c + stiffness,
-            2 * stiffness - 2 * inertia * c**2,
-            inertia * c**2 - kd * c + stiffness,
-        ]
-    )
-    return np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
-
-
-def through(torque: Array, coefficients: Filter) -> Array:
-    """Angles in rad in response to torques in N m, shape (T, ...), from rest."""
-    return np.asarray(lfilter(*coefficients, torque, axis=0))
-
-
-def gain_torques(t: Array, command: Array, angle: Array, servo: tuple[float, float]) -> Array:
-    """Torques equivalent to a change of kp, kd and latency, per unit of each, shape (T, 3).
-
-    Args:
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        angle: Angles in rad, shape (T,).
-        servo: kp in N m/rad and latency in s.
-    """
-    kp, latency = servo
-    in_force = np.interp(t - latency, t, command)
-    speed = np.gradient(angle, t)
-    return np.stack([in_force - angle, speed, kp * np.gradient(in_force, t)], axis=1)
 
 
 def residual_torque(
@@ -117,26 +71,18 @@ class Residual:
     """Residual of the fit of a servo, for one joint in one recording.
 
     Attributes:
-        t: Times in s, shape (T,), increasing.
-        command: Set-points in rad, sent at ``t``, shape (T,).
-        used: Mask of the samples to use, shape (T,).
+        trace: The recording.
         residual: Simulated minus measured angle in rad, shape (T,); arbitrary where not used.
         kp: Fitted proportional gain in N m/rad.
         kd: Fitted derivative gain in N m s/rad.
         latency_s: Fitted latency.
-        inertia_kgm2: Inertia on the shaft.
-        gravity_Nm: Torque of the load's weight when held level.
     """
 
-    t: Array
-    command: Array
-    used: Mask
+    trace: Trace
     residual: Array
     kp: float
     kd: float
     latency_s: float
-    inertia_kgm2: float
-    gravity_Nm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -179,9 +125,9 @@ def gain_derivatives(residual: Residual) -> Array:
     Returns:
         Shape (T, 3).
     """
-    modes, t, T = servo_modes(residual), residual.t, residual.t.size
-    period = float(np.median(np.diff(t)))
-    change = np.diff(residual.command, prepend=residual.command[0])
+    modes, t, T = servo_modes(residual), residual.trace.t, residual.trace.t.size
+    period = residual.trace.period_s
+    change = np.diff(residual.trace.command, prepend=residual.trace.command[0])
     arrival = t + residual.latency_s
     offset = (np.searchsorted(t, arrival) - np.arange(T))[arrival <= t[-1]]
     first = int(offset.min()) if offset.size else 0
@@ -190,7 +136,7 @@ def gain_derivatives(residual: Residual) -> Array:
     width = int(np.clip(np.ceil(lasting / period), 2, _LONGEST))
     sample = np.arange(T)[:, None] + first + np.arange(width)
     since = np.where(sample < T, t[np.minimum(sample, T - 1)] - arrival[:, None], -1.0)
-    inertia, kp, kd = residual.inertia_kgm2, residual.kp, residual.kd
+    inertia, kp, kd = residual.trace.load.inertia_kgm2, residual.kp, residual.kd
     double_pole, slope = (x * change[:, None] / inertia**2 for x in modes.twice(since))
     late = modes.impulse(since) * change[:, None]
     out = np.zeros((3, T + first + width))
@@ -204,10 +150,11 @@ def gain_derivatives(residual: Residual) -> Array:
 
 def servo_modes(residual: Residual) -> Modes:
     """Poles and gain of the linearised servo."""
-    weight = residual.gravity_Nm * float(np.cos(np.mean(residual.command)))
-    stiffness = max(residual.kp + weight, 1e-3 * residual.kp) / residual.inertia_kgm2
-    half = residual.kd / (2 * residual.inertia_kgm2)
+    kp, load = residual.kp, residual.trace.load
+    weight = load.gravity_Nm * float(np.cos(np.mean(residual.trace.command)))
+    stiffness = max(kp + weight, 1e-3 * kp) / load.inertia_kgm2
+    half = residual.kd / (2 * load.inertia_kgm2)
     root = complex(half**2 - stiffness) ** 0.5
     if abs(root) < _APART * half:
         root = complex(_APART * half)
-    return Modes(-half - root, -half + root, residual.kp / residual.inertia_kgm2)
+    return Modes(-half - root, -half + root, kp / load.inertia_kgm2)

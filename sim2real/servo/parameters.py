@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE, named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel
@@ -74,8 +74,6 @@ INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
 ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
-
-Array = NDArray[np.float64]
 
 
 def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Array:

@@ -1,24 +1,58 @@
-"""Recordings as a fitted model predicts them."""
+"""Commands and recordings as a fitted model predicts them, from rest."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.errors import InputError
 from sim2real.model import Model
-from sim2real.recording import Recording
-from sim2real.servo.predict import predict
+from sim2real.recording import Load, Recording
+from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
+
+def predict(
+    model: Model,
+    t: Array,
+    command: Mapping[str, Array],
+    loads: Mapping[str, Load] | None = None,
+    *,
+    where: str = "commands",
+) -> dict[str, Array]:
+    """Measured angles predicted by the model.
+
+    Args:
+        model: The fitted model.
+        t: Times in s, shape (T,).
+        command: Set-points in rad by joint, each of shape (T,).
+        loads: Loads by joint; for other joints, the load in the model.
+        where: Origin of the commands, for messages.
+
+    Returns:
+        Angles in rad by joint, each of shape (T,).
+
+    Raises:
+        InputError: If a joint is not in the model.
+    """
+    from sim2real.servo.rollout import rollout
+
+    angles = {}
+    for joint, sent in command.items():
+        if joint not in model.joints:
+            modelled = ", ".join(model.joints)
+            raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
+        row = joint_row(model.joints[joint], (loads or {}).get(joint), where=f"model, {joint}")
+        angles[joint] = rollout(row[None], t, sent)[0]
+    return angles
 
 
 @dataclass(frozen=True)
@@ -99,7 +133,7 @@ class Replay:
     recording: Recording
     joint: str
     predicted: Array
-    held_out: NDArray[np.bool_]
+    held_out: Mask
 
 
 def replay(

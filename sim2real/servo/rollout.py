@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
@@ -26,8 +27,6 @@ from sim2real.servo.parameters import (
 from sim2real.servo.trace import Trace
 from sim2real.servo.whitening import innovation_energy
 
-Array = NDArray[np.float64]
-
 STEPS_PER_RADIAN = 32.0
 """Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
@@ -35,6 +34,7 @@ _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
 _LANES = 4
 """Coefficients of the autoregression are padded to a multiple of this."""
+_LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
 def rollout(
@@ -88,6 +88,18 @@ def rollout(
     return position
 
 
+def rollout_on(
+    trace: Trace, theta: Array, *, substep_s: float | None = None, threads: int = 1
+) -> Array:
+    """Measured angles in rad of servos (B, P) on a recording's commands and load, shape (B, T).
+
+    ``substep_s`` and ``threads`` are those of ``rollout``.
+    """
+    rows = np.array(theta)
+    rows[:, _LOAD] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    return rollout(rows, trace.t, trace.command, substep_s=substep_s, threads=threads)
+
+
 def longest_substep(
     theta: Array,
     inertia: Array,
@@ -120,6 +132,23 @@ def coarse_substep(substep_s: Array) -> Array:
     return np.minimum(longest, _COARSENING * substep_s)
 
 
+def padded(traces: Sequence[Trace]) -> tuple[tuple[Array, Array, Integers], Array, Array]:
+    """Recordings as arrays, padded to the length T of the longest.
+
+    Returns:
+        Times in s and set-points in rad, 0 beyond the end, shape (S, T), and numbers of samples,
+        shape (S,); measured angles in rad, NaN where not used, shape (S, T); inertia in kg m2 and
+        gravity torque in N m of the loads, shape (S, 2).
+    """
+    length = np.array([trace.t.size for trace in traces], dtype=np.int32)
+    t, command, position = (np.full((len(traces), length.max()), x) for x in (0.0, 0.0, np.nan))
+    for s, trace in enumerate(traces):
+        part = np.s_[s, : trace.t.size]
+        t[part], command[part], position[part] = trace.t, trace.command, trace.measured
+    load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
+    return (t, command, length), position, load
+
+
 class Simulator:
     """Simulates servos with any parameters on the recordings of one joint."""
 
@@ -131,15 +160,8 @@ class Simulator:
             threads: CPU threads.
         """
         self.traces, self.threads = traces, threads
-        S, T = len(traces), max(trace.t.size for trace in traces)
-        t, command, position = (np.full((S, T), x) for x in (0.0, 0.0, np.nan))
-        for s, trace in enumerate(traces):
-            part = np.s_[s, : trace.t.size]
-            t[part], command[part] = trace.t, trace.command
-            position[part] = np.where(trace.used, trace.position, np.nan)
-        length = np.array([trace.t.size for trace in traces], dtype=np.int32)
-        self._signals = [to_warp(x, "cpu") for x in (t, command, length)]
-        self._load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
+        signals, position, self._load = padded(traces)
+        self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
         self._pool = _pool(threads)
 
@@ -199,7 +221,7 @@ class WhitenedServo(Simulator):
     def __init__(
         self,
         traces: Sequence[Trace],
-        counts: Sequence[NDArray[np.bool_]],
+        counts: Sequence[Mask],
         autoregression: Array,
         substep_s: float = np.inf,
         threads: int = 2,
@@ -254,9 +276,6 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads)
 
 
-_LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
-
-
 def active_effects(rows: Array) -> NDArray[np.int64]:
     """Bit mask of the active effects and of the motor's law for each parameter row, (N,)."""
     motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
@@ -272,11 +291,11 @@ def simulate(
     active: NDArray[np.int64],
     latency: Array,
     theta: Any,  # noqa: ANN401 - Warp has no stubs
-    signal: NDArray[np.int32],
+    signal: Integers,
     signals: Sequence[Any],
     longest: Array,
     out: Any,  # noqa: ANN401
-    rows: NDArray[np.intp] | None = None,
+    rows: Index | None = None,
 ) -> None:
     """Launch N rollouts; on the CPU, those without effects and with the same events in pairs.
 

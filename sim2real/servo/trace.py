@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
-from sim2real.noise import noise_floor
+from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.servo.reported_drive import ReportedDrive, reported_drive
-
-Array = NDArray[np.float64]
 
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
@@ -41,7 +39,7 @@ class Trace:
     command: Array
     position: Array
     load: Load
-    used: NDArray[np.bool_]
+    used: Mask
     drive: ReportedDrive | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
@@ -52,6 +50,25 @@ class Trace:
         part = slice(first, max(last, first + 2))
         arrays = {name: getattr(self, name)[part] for name in ("t", "command", "position", "used")}
         return replace(self, **arrays)
+
+    @property
+    def measured(self) -> Array:
+        """Measured angles in rad, NaN where not used, shape (T,)."""
+        return np.where(self.used, self.position, np.nan)
+
+    @property
+    def period_s(self) -> float:
+        """Median time between samples, s."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def duration_s(self) -> float:
+        """Time between the first and the last sample, s."""
+        return float(self.t[-1] - self.t[0])
+
+    def quantization_step(self) -> float:
+        """Step on which the used angles lie, in rad; 0 if there is none."""
+        return quantization_step(self.measured)
 
     def activity(self) -> float:
         """Total variation of the command in rad."""
@@ -108,7 +125,7 @@ def check_runs(traces: Sequence[Trace], joint: str) -> None:
     """
     count = order = 0
     for trace in traces:
-        order = max(order, lags(float(np.median(np.diff(trace.t)))))
+        order = max(order, lags(trace.period_s))
         count += int(counting(trace.used, order).sum())
     if count <= order:
         found = f"{count} measured angles that follow {order} others without a gap"

@@ -10,7 +10,7 @@ import pytest
 from sim2real.identification.fit import fit, gains, plain_row
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Load, Recording, write_recording
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 from sim2real.servo.trace import Trace
 
 FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"

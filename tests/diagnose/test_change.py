@@ -69,7 +69,7 @@ def test_a_first_look_is_least_squares():
     table = np.zeros((4 * COUNT, 2))
     table[:, 0] = np.concatenate([J[:, 0] for J in of.shared])
     table[KNOWN * COUNT :, 1] = by.moved[KNOWN][1]
-    y = np.concatenate(of.left)
+    y = np.concatenate(of.residuals)
     x, rest, *_ = np.linalg.lstsq(table, y, rcond=None)
     assert left[1] == pytest.approx(np.mean((y - table @ x)[KNOWN * COUNT :] ** 2))
     without = np.linalg.lstsq(table[:, :1], y, rcond=None)[1]
@@ -81,7 +81,7 @@ def test_two_at_first_sight_are_least_squares():
     of, by = made([(0, 0, 0)] * KNOWN + [(3, 2, -1)], shared=0)
     pairs = first_pairs(of, replace(by, rows=np.eye(3, row().size)))
     assert list(pairs) == [frozenset(NAMES[:2])]  # a negative backlash is none
-    size = np.linalg.lstsq(by.moved[KNOWN][:2].T, of.left[KNOWN], rcond=None)[0]
+    size = np.linalg.lstsq(by.moved[KNOWN][:2].T, of.residuals[KNOWN], rcond=None)[0]
     found, left = pairs[frozenset(NAMES[:2])]
     assert left == np.inf  # three and two times their starts
     np.testing.assert_allclose(found, row() + size @ (np.eye(3, row().size)[:2] - row()))
@@ -89,7 +89,7 @@ def test_two_at_first_sight_are_least_squares():
 
 def test_what_references_look_like_knows_nothing_of_the_case():
     of, by = made([(0, 0, 0)] * KNOWN + [(0, 2, 0)])
-    far = replace(of, left=(*of.left[:KNOWN], of.left[KNOWN] + 100))
+    far = replace(of, residuals=(*of.residuals[:KNOWN], of.residuals[KNOWN] + 100))
     for one, other in zip(first_look(of, by, [0]), first_look(far, by, [0]), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -97,7 +97,7 @@ def test_what_references_look_like_knows_nothing_of_the_case():
 def test_what_would_be_left_had_nothing_changed():
     of, _ = made([(0, 0, 0)] * KNOWN + [(0, 2, 0)])
     table = np.concatenate([J[:, 0] for J in of.shared])
-    y = np.concatenate(of.left)
+    y = np.concatenate(of.residuals)
     rest = y - table * (table @ y) / (table @ table)
     assert loss(of) == pytest.approx(rest @ rest)
     assert energy(settled(of)) == pytest.approx(np.mean(rest[KNOWN * COUNT :] ** 2))
@@ -272,7 +272,7 @@ def test_what_was_sent_in_a_gap_is_not_held_against_the_servo():
     )  # fmt: skip
     of = explained([a, b], [cut], row(), servo())
     soon = (cut.t > cut.t[200]) & (cut.t < cut.t[200] + 0.1)
-    assert np.isnan(of.left[2][soon]).all()
+    assert np.isnan(of.residuals[2][soon]).all()
     assert changed(of).nameless < 0.5
 
 

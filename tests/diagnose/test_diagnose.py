@@ -21,7 +21,7 @@ from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Note
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,10 @@ from scipy.linalg import expm
 
 from sim2real.diagnose.link.angle_noise import with_noise
 from sim2real.diagnose.link.link_effect import EFFECTS, MOST_LAGS, LinkData, fitted, link
+from sim2real.recording import Load
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, propagator
 from sim2real.servo.linearised import Residual, servo_modes
+from sim2real.servo.trace import Trace
 
 KP, KD, LATENCY, INERTIA = 3.0, 0.12, 0.05, 0.003
 LAGS, LEAST_GAIN = 25, 0.02
@@ -61,8 +63,13 @@ def recording(seed, jitter=0.0, loss=0.0, t=None, lost=None, kp=KP, scale=1.0):
     lost = lost[lost > 0]
     arrival[lost] = np.inf
     residual = angle(t, u, t + LATENCY) - measured(angle(t, u, arrival, kp), rng)
+    return fitted_servo(t, u, residual, LATENCY), lost
+
+
+def fitted_servo(t, command, residual, latency):
     used = np.ones(t.size, dtype=bool)
-    return Residual(t, u, used, residual, KP, KD, LATENCY, INERTIA), lost
+    trace = Trace("r", "r.csv", t, command, command, Load(INERTIA, 0.0), used)
+    return Residual(trace, residual, KP, KD, latency)
 
 
 def uneven(*joints):
@@ -167,7 +174,7 @@ def test_times_may_be_uneven():
 
 def test_does_not_look_at_what_it_may_not_use():
     given = recording(12, jitter=0.006)[0]
-    given.used[400:700] = False
+    given.trace.used[400:700] = False
     given.residual[400:700] = np.nan
     found = uneven([given])[0]
     assert found.value == pytest.approx(0.006, rel=0.2)
@@ -179,7 +186,7 @@ def test_does_not_look_at_what_it_may_not_use():
 
 def test_needs_samples():
     given = recording(13)[0]
-    given.used[MOST_LAGS:] = False
+    given.trace.used[MOST_LAGS:] = False
     with pytest.raises(ValueError, match="0 samples count"):
         uneven([given])
 
@@ -211,8 +218,8 @@ def test_recovers_the_length_of_bursts():
 def test_says_when_set_points_were_lost():
     given, lost = recording(7, loss=0.03)
     (of_joint,) = uneven([given])[1].lost_s
-    seen = lost[np.abs(np.diff(given.command)[lost - 1]) > 0.005]
-    assert np.isin(given.t[seen], of_joint[0]).mean() > 0.8
+    seen = lost[np.abs(np.diff(given.trace.command)[lost - 1]) > 0.005]
+    assert np.isin(given.trace.t[seen], of_joint[0]).mean() > 0.8
 
 
 def test_finds_whether_one_packet_carries_all_joints():
@@ -266,12 +273,9 @@ def exact(track, timing):
 def test_the_filter_sums_over_all_histories(timing):
     rng = np.random.default_rng(5)
     t = np.arange(12) / 50
-    source = Residual(
-        t, rng.normal(size=12), np.ones(12, dtype=bool), 0.02 * rng.normal(size=12),
-        KP, KD, 0.043, INERTIA,
-    )  # fmt: skip
+    source = fitted_servo(t, rng.normal(size=12), 0.02 * rng.normal(size=12), 0.043)
     track = Channel(
-        t, source.command, source.latency_s, servo_modes(source), source.residual,
+        t, source.trace.command, source.latency_s, servo_modes(source), source.residual,
         rng.uniform(0.5, 2.0, size=12), np.zeros(12, dtype=bool), np.zeros(1), 1e-4,
     )  # fmt: skip
     ((found,),) = EventFilter([[track]], alike=0.0).run([timing], width=2000)

@@ -169,7 +169,7 @@ def lined(stall_Nm):
         traces.append(replace(bare, position=angle + rng.normal(0, NOISE, angle.size)))
     servo = Servo("s", 1.05 * stall_Nm, 21.0, 0.0)
     (joint,), _ = _first_look([JointCase("j1", traces, NOISE, None, servo=servo)], rng, "cpu")
-    return joint.given.motor if joint.given else None
+    return joint.model.motor if joint.model else None
 
 
 def test_friction_does_not_hide_that_the_motor_reaches_its_line():

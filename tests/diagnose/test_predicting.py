@@ -8,7 +8,7 @@ from simulated import FRICTION, KD, NOISE, recording, two
 
 from sim2real.diagnose.missing.best_predictor import predicting
 from sim2real.model import FittedEffect
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 
 @pytest.fixture(scope="module")

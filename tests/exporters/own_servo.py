@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array
+
 COUNTS, ZERO, INERTIA = 4096, 2048, 0.0021
 STEP_S, PERIOD_S = 2e-4, 0.01
 

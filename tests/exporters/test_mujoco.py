@@ -16,7 +16,7 @@ from sim2real.identification.identify import identify
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load, read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 SERVO_STEPS = Path("datasets/servo_steps")
 WITHIN_RAD = 1e-3

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim2real.arrays import Array, Picture
+
 Paint = Callable[[Array, Array], Array]
 """Colours (..., 3), linear, of the points x, y of a plane."""
 
@@ -204,7 +204,7 @@ def with_swimmer(shot: Shot, pool: Array, poses: Array) -> Array:
     return picture
 
 
-def developed(linear: Array, shot: Shot, t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def developed(linear: Array, shot: Shot, t: float, rng: np.random.Generator) -> Picture:
     """Light (flicker, moving ripple), the sensor's gamma and noise; blue, green, red bytes."""
     v, u = np.mgrid[0 : SIZE[1], 0 : SIZE[0]]
     light = 1 + shot.flicker * rng.standard_normal()
@@ -225,7 +225,7 @@ def frames(
     hidden: tuple[float, float] = (0.0, 0.0),
     flash: tuple[float, float] = (0.0, 0.0),
     paint: Paint = tiles,
-) -> Iterator[NDArray[np.uint8]]:
+) -> Iterator[Picture]:
     """One frame for each time t (its middle of exposure).
 
     ``hidden``: from when to when an arm is in the way; ``flash``: a lamp is on.
@@ -243,7 +243,7 @@ def frames(
         yield developed(picture, shot, float(time), rng)
 
 
-def write_video(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, codec: str) -> Path:
+def write_video(path: Path, pictures: Iterator[Picture], rate: float, codec: str) -> Path:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), rate, SIZE)
     assert writer.isOpened()
     for picture in pictures:

@@ -12,8 +12,7 @@ from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, read_robot
-from sim2real.servo.predict import predict
-from sim2real.servo.prediction import replay
+from sim2real.servo.prediction import predict, replay
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 NAMES = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")

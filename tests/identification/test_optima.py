@@ -10,7 +10,7 @@ from sim2real.identification import advice
 from sim2real.identification.identify import identify
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", Path(__file__).parents[3] / "shared" / "realdata"))
 XL330 = REAL / "bam_xl330"

@@ -12,7 +12,7 @@ from sim2real.cli import main
 from sim2real.importers.lerobot import read_lerobot
 from sim2real.importers.units import conversion
 from sim2real.recording import read_recording
-from sim2real.servo.predict import predict
+from sim2real.servo.prediction import predict
 
 pytest.importorskip("pyarrow", reason="LeRobot datasets are read with pyarrow")
 

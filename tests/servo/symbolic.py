@@ -9,9 +9,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.recording import Load
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "unmodelled_inertia_kgm2")
 """What the derivatives are by, in this order."""

@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
+from sim2real.arrays import Array
 from sim2real.diagnose.changed.contrast import (
     BANKS,
     Contrast,
@@ -38,16 +38,14 @@ from sim2real.diagnose.changed.explained import (
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.link.link_effect import LinkData, Uneven, link
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
-from sim2real.diagnose.missing.investigate import link_residual
 from sim2real.diagnose.missing.unmodelled import Windows
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
 from sim2real.robot import Servo
+from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _MOST = 10
 """Changes that are fitted to the case; those of them that a second one is looked for beside."""
@@ -85,7 +83,7 @@ class Change:
 
 
 def what_changed(
-    before: Sequence[Trace],
+    references: Sequence[Trace],
     case: Sequence[Trace],
     row: Array,
     servo: Servo,
@@ -94,13 +92,13 @@ def what_changed(
     """What of a joint differs from its references.
 
     Args:
-        before: The joint's references.
+        references: The joint's references.
         case: Its recordings in question.
         row: Parameters of the servo as the references tell it, shape (P,).
         servo: Its data sheet.
         step_rad: Step of the case's sensor.
     """
-    of = explained(before, case, row, servo)
+    of = explained(references, case, row, servo)
     load = misstated(of)
     if load is not None:
         effects, with_load, gain = load
@@ -127,7 +125,7 @@ def changed(of: Explained, step_rad: float = 0.0) -> Change:
         change = _pair(of, effects, by) or change
     named = change.groups[0].probability >= DECISION.named
     remaining = _without(of, change.row) if named else of
-    steps = [np.diff(of.left[r] - remaining.left[r]) for r in of.case]
+    steps = [np.diff(of.residuals[r] - remaining.residuals[r]) for r in of.case]
     explained_rad = max(float(np.nanmax(np.abs(x), initial=0.0)) for x in steps)
     usual = max(step_rad, DECISION.change.law_error * explained_rad)
     if of.way == "rest":  # the residual may be nothing but a step of the sensor
@@ -167,26 +165,29 @@ def _refined(of: Explained, effects: Contrast, by: Directions) -> Contrast:
         rows.append(fitted(of, [name], [effects.rows[k], own[0], own[-1]])[0])
     others = [_without(of, row) for row in rows]
     gone = (loss(of) - np.array([loss(x) for x in others])) / max(of.count(of.case), 1)
-    left = np.array([energy(settled(x)) for x in others])
+    remaining = np.array([energy(settled(x)) for x in others])
     # Near its start, what a change does to first order is as good.
     linear = (np.abs(effects.size[order]) < straight(of)) & (effects.gone[order] > gone)
     return replace(
         effects,
         effects=tuple(effects.effects[k] for k in order),
         gone=np.maximum(np.where(linear, effects.gone[order], gone), 0.0),
-        left=np.where(linear, effects.left[order], left),
+        remaining=np.where(linear, effects.remaining[order], remaining),
         size=effects.size[order],
         rows=np.where(linear[:, None], effects.rows[order], rows),
         usual=effects.usual[order],
-        before=effects.before[order],
+        in_references=effects.in_references[order],
     )
 
 
 def _without(of: Explained, row: Array) -> Explained:
     """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
     angles = of.simulated(np.array([of.row, row]), of.case)
-    case = (left - (a[1] - a[0]) for left, a in zip(of.left[of.references :], angles, strict=True))
-    return replace(of, left=(*of.left[: of.references], *case))
+    case = (
+        residual - (a[1] - a[0])
+        for residual, a in zip(of.residuals[of.references :], angles, strict=True)
+    )
+    return replace(of, residuals=(*of.residuals[: of.references], *case))
 
 
 def _single(of: Explained, effects: Contrast) -> Change:
@@ -196,8 +197,8 @@ def _single(of: Explained, effects: Contrast) -> Change:
     sure = float(expit(effects.evidence[best] + LOG_PRIOR))
     strange = 0.0
     if of.way != "law":
-        excess = max(float(effects.gone[best] + effects.left[best]) - effects.scale2, 0.0)
-        beyond = max(float(effects.left[best]) - effects.scale2, 0.0)
+        excess = max(float(effects.gone[best] + effects.remaining[best]) - effects.scale2, 0.0)
+        beyond = max(float(effects.remaining[best]) - effects.scale2, 0.0)
         if beyond > (1 - DECISION.change.explained_share) * excess and beyond > effects.scale2:
             strange = DECISION.uncatalogued_probability
     retuned = np.exp(DECISION.change.retuned_log_odds)
@@ -206,7 +207,7 @@ def _single(of: Explained, effects: Contrast) -> Change:
     share *= sure * (1 - strange) / share.sum()
     probability = {n: float(p) for n, p in zip(effects.effects, share, strict=True)}
     group = _group(probability)
-    foreign = of.way == "law" and effects.left[best] > DECISION.change.misfit_ratio * of.scale2
+    foreign = of.way == "law" and effects.remaining[best] > DECISION.change.misfit_ratio * of.scale2
     foreign = foreign or (of.way == "repeat" and _leaves_more(of, effects))
     if of.way == "rest" or foreign or any(n in BASE for n in group.members):
         most = min(group.probability, DECISION.change.most_certain)
@@ -236,9 +237,9 @@ def _group(probability: Mapping[str, float]) -> Group:
 
 def _leaves_more(of: Explained, effects: Contrast) -> bool:
     """Whether the best change leaves more than repeats do and than the error of its law."""
-    best = int(np.argmin(effects.left))
+    best = int(np.argmin(effects.remaining))
     wrong = DECISION.change.law_error**2 * effects.gone[best]
-    return bool(effects.left[best] > max(DECISION.change.misfit_ratio * of.scale2, wrong))
+    return bool(effects.remaining[best] > max(DECISION.change.misfit_ratio * of.scale2, wrong))
 
 
 def _pair(of: Explained, effects: Contrast, by: Directions, *, partners: int = 2) -> Change | None:
@@ -255,7 +256,7 @@ def _pair(of: Explained, effects: Contrast, by: Directions, *, partners: int = 2
         return min(fits, key=lambda pair: fits[pair][1])
 
     fit({pair: row for pair, (row, _) in list(linear.items())[:_MOST]})
-    order = [int(k) for k in np.argsort(effects.left) if effects.effects[k] not in BASE]
+    order = [int(k) for k in np.argsort(effects.remaining) if effects.effects[k] not in BASE]
     for k in order[:partners]:
         head, row = effects.effects[k], effects.rows[k]
         second = contrast(_without(of, row), by)
@@ -267,22 +268,22 @@ def _pair(of: Explained, effects: Contrast, by: Directions, *, partners: int = 2
         with_it = {pair: row for pair, (row, _) in linear.items() if name in pair}
         fit(dict(list(with_it.items())[: _MOST // 2]))
     best = fit({})
-    row, left = fits[best]
+    row, remaining = fits[best]
     whole = energy(of)
-    beyond = max(left - of.scale2, 0.0)
+    beyond = max(remaining - of.scale2, 0.0)
     strange = beyond > (1 - DECISION.change.explained_share) * whole and beyond > of.scale2
-    if strange or DECISION.change.misfit_ratio * left > float(effects.left.min()):
+    if strange or DECISION.change.misfit_ratio * remaining > float(effects.remaining.min()):
         return None
     probability: dict[str, float] = {}
     groups = []
-    left_by = dict(zip(effects.effects, effects.left, strict=True))
+    remaining_by = dict(zip(effects.effects, effects.remaining, strict=True))
     for head in sorted(best):
         (other,) = best - {head}
         rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
         # As wrong as a law may be of what this one explains beside the other.
-        error2 = DECISION.change.law_error**2 * max(left_by.get(other, whole) - left, 0.0)
+        error2 = DECISION.change.law_error**2 * max(remaining_by.get(other, whole) - remaining, 0.0)
         blurred = of.scale2 + error2
-        weight = {n: float(np.exp(-0.5 * (m - left) / blurred)) for n, m in rivals.items()}
+        weight = {n: float(np.exp(-0.5 * (m - remaining) / blurred)) for n, m in rivals.items()}
         total = sum(weight.values())
         mine = {n: DECISION.most_certain * w / total for n, w in weight.items()}
         groups.append(_group(mine))
@@ -296,8 +297,8 @@ def jumps(of: Explained, r: int) -> tuple[Array, Array]:
     What acts on a shaft moves it smoothly. A residual jumps where the sensor, the clock or the horn
     does something of its own.
     """
-    t, left = of.traces[r].t, of.left[r]
-    apart, size = np.diff(t), np.abs(np.diff(left))
+    t, residual = of.traces[r].t, of.residuals[r]
+    apart, size = np.diff(t), np.abs(np.diff(residual))
     good = (apart < 1.5 * float(np.median(apart))) & np.isfinite(size)
     return t[1:][good], size[good]
 
@@ -336,9 +337,9 @@ def jump_windows(of: Explained, step_rad: float = 0.0) -> Windows | None:
 
 def _stays(of: Explained, r: int, first: float, last: float) -> bool:
     """Whether a recording is far off after the last jump, and was not before the first."""
-    t, left2 = of.traces[r].t, of.left[r] ** 2
+    t, residual2 = of.traces[r].t, of.residuals[r] ** 2
     seen = of.seen(r)
-    before, after = left2[seen & (t < first)], left2[seen & (t > last)]
+    before, after = residual2[seen & (t < first)], residual2[seen & (t > last)]
     if before.size == 0 or after.size == 0:
         return False
     usual = max(float(np.mean(before)), of.scale2)
@@ -357,10 +358,11 @@ def _uneven(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change 
     The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is
     1, so that it takes nothing for itself that repeats may have from the link, too.
     """
-    period = float(np.median(np.diff(of.traces[0].t)))
+    period = of.traces[0].period_s
     links = []
     for r, trace in enumerate(of.traces):
-        residual = link_residual(trace, of.seen(r), -np.nan_to_num(of.left[r]), of.row)
+        seen = replace(trace, used=of.seen(r))
+        residual = Residual(seen, -np.nan_to_num(of.residuals[r]), *of.row[:3].tolist())
         links.append(link(LinkData(((residual,),), lags, least_gain)))
     late = [u.value if u.effect == "latency_jitter" else 0.0 for u in links]
     worst = max(of.case, key=lambda r: late[r])

@@ -11,20 +11,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.decision import DECISION
 from sim2real.servo.trace import Trace
 
-Array = NDArray[np.float64]
 Rest = tuple[float, float]
 """Set-point in rad, and the side from which the servo came, 0 if unknown."""
 
 
 def freed_of_the_common(
     traces: Sequence[Trace], residuals: Sequence[Array], references: int
-) -> tuple[list[Trace], NDArray[np.bool_]]:
+) -> tuple[list[Trace], Mask]:
     """Traces corrected by the residuals of other references with the same command.
 
     Physics that a model lacks is in both recordings of one command, and not in their difference.

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.changed.explained import DIFFERENCE, GAINS, Explained
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import candidate, candidates
@@ -17,8 +18,6 @@ from sim2real.inference.evidence import student
 from sim2real.inference.least_squares import Expansion, expansion, minimise, stacked
 from sim2real.servo.parameters import COLUMNS
 from sim2real.structured import Fields, read_json
-
-Array = NDArray[np.float64]
 
 BANK = Path(__file__).with_name("unchanged.json")
 
@@ -67,7 +66,7 @@ class Directions:
 
     names: tuple[str, ...]
     rows: Array
-    signed: NDArray[np.bool_]
+    signed: Mask
     moved: tuple[Array, ...]
 
 
@@ -113,7 +112,7 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
     cross, along, square = np.zeros((F, K)), np.zeros(K), np.zeros(K)
     for r in {*range(of.references), *own}:
         seen = of.seen(r)
-        J, e = of.shared[r][seen], of.left[r][seen]
+        J, e = of.shared[r][seen], of.residuals[r][seen]
         normal = normal + J.T @ J
         slope = slope + J.T @ e
         if r in own:
@@ -131,12 +130,12 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
     size = np.where(visible, along / np.where(visible, free, 1.0), 0.0)
     size[(size < 0) & ~by.signed] = 0.0
     law = inverse @ (slope[:, None] - cross * size)
-    left = np.zeros(K)
+    remaining = np.zeros(K)
     for r in own:
         seen = of.seen(r)
-        error = of.left[r][seen][:, None] - of.shared[r][seen] @ law
-        left += ((error - by.moved[r][:, seen].T * size) ** 2).sum(axis=0)
-    return np.where(visible, size * along, 0.0) / count, size, left / count
+        error = of.residuals[r][seen][:, None] - of.shared[r][seen] @ law
+        remaining += ((error - by.moved[r][:, seen].T * size) ** 2).sum(axis=0)
+    return np.where(visible, size * along, 0.0) / count, size, remaining / count
 
 
 @dataclass(frozen=True)
@@ -146,11 +145,11 @@ class Contrast:
     Attributes:
         effects: The effects, and parameters of the plain servo, of which there are N.
         gone: Mean square that each takes away from the case, rad2, shape (N,).
-        left: Mean square that each leaves, shape (N,).
+        remaining: Mean square that each leaves, shape (N,).
         size: How far each lies, in multiples of its start, shape (N,).
         rows: The case's servo with each, shape (N, P).
         usual: What each takes away where nothing has changed, in ``unit``, by the bank, (N,).
-        before: The sum of what each takes away from the references, rad2, shape (N,).
+        in_references: The sum of what each takes away from the references, rad2, shape (N,).
         known: Unchanged recordings behind the null sizes, of the bank and in all.
         scale2: Mean square residual of the references.
         law: Whether these are explained by a law, which may fit few of them too well.
@@ -158,11 +157,11 @@ class Contrast:
 
     effects: tuple[str, ...]
     gone: Array
-    left: Array
+    remaining: Array
     size: Array
     rows: Array
     usual: Array
-    before: Array
+    in_references: Array
     known: tuple[float, float]
     scale2: float
     law: bool = False
@@ -171,7 +170,9 @@ class Contrast:
     def null(self) -> Array:
         """Mean square that each takes away where nothing has changed, rad2, shape (N,)."""
         bank, every = self.known
-        return (self.usual * unit(self.law, self.scale2, self.left) * bank + self.before) / every
+        return (
+            self.usual * unit(self.law, self.scale2, self.remaining) * bank + self.in_references
+        ) / every
 
     @property
     def evidence(self) -> Array:
@@ -199,7 +200,7 @@ def contrast(of: Explained, by: Directions) -> Contrast:
     unchanged = BANKS[of.way]
     names = tuple(dict.fromkeys(by.names))
     place = [np.flatnonzero([n == name for n in by.names]) for name in names]
-    gone, size, left = first_look(of, by, of.case)
+    gone, size, remaining = first_look(of, by, of.case)
     # Of several starts that which needs no far extrapolation.
     near = gone / np.maximum(np.abs(size) / straight(of), 1.0) ** 2
     best = np.array([mine[np.argmax(near[mine])] for mine in place])
@@ -207,14 +208,14 @@ def contrast(of: Explained, by: Directions) -> Contrast:
     middle = float(np.median(list(unchanged.null.values())))
     usual = np.array([unchanged.null.get(name, middle) for name in names])
     if of.way == "repeat":
-        usual *= np.mean([at_any_time(of.left[r], by.moved[r][best]) for r in seen], axis=0)
+        usual *= np.mean([at_any_time(of.residuals[r], by.moved[r][best]) for r in seen], axis=0)
     looks = [first_look(of, by, [r])[0] for r in seen]
     before = np.array([sum(float(look[mine].max()) for look in looks) for mine in place])
     rows = of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None]
     known = unchanged.known, unchanged.known + len(seen)
     law = of.way == "law"
     return Contrast(
-        names, gone[best], left[best], size[best], rows, usual, before, known, of.scale2, law
+        names, gone[best], remaining[best], size[best], rows, usual, before, known, of.scale2, law
     )
 
 
@@ -223,24 +224,24 @@ def straight(of: Explained) -> float:
     return DECISION.change.max_extrapolation if of.way == "law" else 1.0
 
 
-def unit(law: bool, scale2: float, left: Array) -> Array:
+def unit(law: bool, scale2: float, remaining: Array) -> Array:
     """What null sizes are multiples of, rad2, shape (N,).
 
     Args:
         law: Whether the recordings are explained by a law.
         scale2: Mean square residual of the references.
-        left: Mean square that effects leave of the case, shape (N,).
+        remaining: Mean square that effects leave of the case, shape (N,).
     """
-    return np.maximum(left, scale2) if law else np.full(left.shape, scale2)
+    return np.maximum(remaining, scale2) if law else np.full(remaining.shape, scale2)
 
 
-def at_any_time(left: Array, moved: Array) -> Array:
+def at_any_time(residual: Array, moved: Array) -> Array:
     """Share of a reference's residual (T,) that directions (N, T) take away at a random time, (N,).
 
     The mean over all times, by the theorem of Wiener and Khinchin. NaN are not looked at.
     """
-    seen = np.isfinite(left)
-    shown = np.where(seen, left, 0.0), np.where(seen, moved, 0.0)
+    seen = np.isfinite(residual)
+    shown = np.where(seen, residual, 0.0), np.where(seen, moved, 0.0)
     power, other = (np.abs(np.fft.fft(x)) ** 2 for x in shown)
     weight = power.sum() * other.sum(axis=1)
     share = np.ones(len(moved))
@@ -258,7 +259,7 @@ def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], tuple[Arr
         infinite where one lies farther than its start, as no straight line leads there.
     """
     seen = np.concatenate([of.seen(r) for r in of.case])
-    e = np.concatenate([of.left[r] for r in of.case])[seen]
+    e = np.concatenate([of.residuals[r] for r in of.case])[seen]
     D = np.concatenate([by.moved[r] for r in of.case], axis=1)[:, seen]
     gram, along = D @ D.T, D @ e
     square = np.diag(gram)
@@ -272,13 +273,13 @@ def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], tuple[Arr
     plain = np.isin(by.names, GAINS)
     gone[wrong | wrong.T | ~visible | plain[:, None] | plain] = 0.0
     far = np.abs(size) > 1
-    left = np.where(far | far.T, np.inf, np.maximum(e @ e - gone, 0.0) / max(e.size, 1))
+    remaining = np.where(far | far.T, np.inf, np.maximum(e @ e - gone, 0.0) / max(e.size, 1))
     pairs: dict[frozenset[str], tuple[Array, float]] = {}
     for i, j in zip(*np.unravel_index(np.argsort(-gone, axis=None), gone.shape), strict=True):
         pair = frozenset((by.names[i], by.names[j]))
         if gone[i, j] > 0 and len(pair) == 2 and pair not in pairs:
             more = size[i, j] * (by.rows[i] - of.row) + size[j, i] * (by.rows[j] - of.row)
-            pairs[pair] = of.row + more, float(left[i, j])
+            pairs[pair] = of.row + more, float(remaining[i, j])
     return pairs
 
 
@@ -301,18 +302,18 @@ def fitted(
     box = low / scale, high / scale
     base = of.simulated(of.row[None], of.case)
 
-    def left(x: Array) -> Array:
+    def residuals(x: Array) -> Array:
         rows = np.tile(of.row, (len(x), 1))
         rows[:, columns] = x * scale
         moved = [a - b for a, b in zip(of.simulated(rows, of.case), base, strict=True)]
-        parts = [(of.left[r] - m)[:, of.seen(r)] for r, m in zip(of.case, moved, strict=True)]
+        parts = [(of.residuals[r] - m)[:, of.seen(r)] for r, m in zip(of.case, moved, strict=True)]
         return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
 
     noise = np.sqrt(of.scale2)
 
     def about(x: Array) -> Expansion:
         step = np.where(x + DIFFERENCE > box[1], -DIFFERENCE, DIFFERENCE)
-        error, *others = left(np.vstack([x, x + np.diag(step)])) / noise
+        error, *others = residuals(np.vstack([x, x + np.diag(step)])) / noise
         return expansion(error, ((np.array(others) - error) / step[:, None]).T)
 
     minimum = minimise(

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.changed.comparison import alignment, beside_rest, freed_of_the_common
 from sim2real.diagnose.decision import DECISION
 from sim2real.effects import CATALOGUE
@@ -26,7 +26,6 @@ from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INE
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
-Array = NDArray[np.float64]
 Way = Literal["repeat", "rest", "law"]
 
 DIFFERENCE = 1e-3
@@ -42,7 +41,7 @@ class Explained:
         way: How they are explained.
         traces: The recordings.
         references: Number of references.
-        left: Measured minus explained angles in rad, NaN where not looked at, (T,) each.
+        residuals: Measured minus explained angles in rad, NaN where not looked at, (T,) each.
         row: Parameters of the servo, shape (P,).
         shared: Derivatives of the angles by what the law shares among all, (T, F) each; F is 0
             where no law explains them.
@@ -54,7 +53,7 @@ class Explained:
     way: Way
     traces: tuple[Trace, ...]
     references: int
-    left: tuple[Array, ...]
+    residuals: tuple[Array, ...]
     row: Array
     shared: tuple[Array, ...]
     precision: Array
@@ -66,9 +65,9 @@ class Explained:
         """Places of the recordings in question."""
         return list(range(self.references, len(self.traces)))
 
-    def seen(self, r: int) -> NDArray[np.bool_]:
+    def seen(self, r: int) -> Mask:
         """Samples of a recording that are looked at, shape (T,)."""
-        return np.isfinite(self.left[r])
+        return np.isfinite(self.residuals[r])
 
     def count(self, places: Sequence[int]) -> int:
         """Number of samples of some recordings that are looked at."""
@@ -85,7 +84,7 @@ def simulated(
     """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
     simulator = Simulator(traces, threads=1)
     # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
-    period = min(float(np.median(np.diff(trace.t))) for trace in traces)
+    period = min(trace.period_s for trace in traces)
     longest = min(LONGEST_SUBSTEP_S, period / substeps)
     step = simulator.substep(servo[None], STEPS_PER_RADIAN, longest)
     return simulator.angles(rows, min(step, longest))
@@ -117,26 +116,28 @@ def explained(
     shared, precision = tuple(np.zeros((trace.t.size, 0)) for trace in traces), np.zeros((0, 0))
     smallest2, predicted = 1e-18, [True] * R
     if way == "rest":
-        left, spread2 = beside_rest(traces, R, step)
+        residuals, spread2 = beside_rest(traces, R, step)
         smallest2 = max(smallest2, spread2, step**2 / 12)
     else:
-        left = _law_errors(traces, row)
+        residuals = _law_errors(traces, row)
     if way == "repeat":
-        freed, repeated = freed_of_the_common(traces, [-np.nan_to_num(x) for x in left], R)
-        triples = zip(left, freed, traces, strict=True)
-        left = [error + (f.position - t.position) for error, f, t in triples]
+        freed, repeated = freed_of_the_common(traces, [-np.nan_to_num(x) for x in residuals], R)
+        triples = zip(residuals, freed, traces, strict=True)
+        residuals = [error + (f.position - t.position) for error, f, t in triples]
         predicted = repeated[:R].tolist()
         if not any(predicted):
             noise = max(noise_floor(t.t, t.command, t.position) for t in references)
             smallest2 = max(smallest2, 4 * noise**2)
     if way == "law":
         shared, precision = _derivatives(traces, row, servo)
-    known = [x[np.isfinite(x)] for x, is_known in zip(left, predicted, strict=False) if is_known]
+    known = [
+        x[np.isfinite(x)] for x, is_known in zip(residuals, predicted, strict=False) if is_known
+    ]
     values = np.concatenate([*known, np.zeros(0)])
     scale2 = max(float(np.mean(values**2)) if values.size else 0.0, smallest2)
     correlated = [correlation_samples(x) for x in known] if way == "law" else []
     variance = scale2 * (float(np.mean(correlated)) if correlated else 1.0)
-    return Explained(way, traces, R, tuple(left), row, shared, precision, variance, scale2)
+    return Explained(way, traces, R, tuple(residuals), row, shared, precision, variance, scale2)
 
 
 def _law_errors(
@@ -181,7 +182,7 @@ def _derivatives(
 
 def energy(of: Explained) -> float:
     """Mean square residual of the case, rad2; 0 where nothing is looked at."""
-    values = np.concatenate([of.left[r][of.seen(r)] for r in of.case])
+    values = np.concatenate([of.residuals[r][of.seen(r)] for r in of.case])
     return float(np.mean(values**2)) if values.size else 0.0
 
 
@@ -193,16 +194,16 @@ def loss(of: Explained) -> float:
 def settled(of: Explained) -> Explained:
     """The same, less what the law explains better with what it shares at its best."""
     law, _ = _refit(of)
-    pairs = zip(of.left, of.shared, strict=True)
-    return replace(of, left=tuple(left - slopes @ law for left, slopes in pairs))
+    pairs = zip(of.residuals, of.shared, strict=True)
+    return replace(of, residuals=tuple(residual - slopes @ law for residual, slopes in pairs))
 
 
 def _refit(of: Explained) -> tuple[Array, float]:
     """Shared parameters that explain all recordings best, (F,), and the sum of squares, rad2."""
     normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
-    for r, left in enumerate(of.left):
+    for r, residual in enumerate(of.residuals):
         seen = of.seen(r)
-        J, e = of.shared[r][seen], left[seen]
+        J, e = of.shared[r][seen], residual[seen]
         normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
     law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope
     return law, total - float(slope @ law)
@@ -231,6 +232,6 @@ def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
     if not effects:
         return None
     case = tuple(replace(trace, load=known) for trace in case)
-    left = (*of.left[: of.references], *_law_errors(case, of.row))
-    with_known = replace(of, traces=(*references, *case), left=left)
+    residuals = (*of.residuals[: of.references], *_law_errors(case, of.row))
+    with_known = replace(of, traces=(*references, *case), residuals=residuals)
     return tuple(effects), row, 0.5 * (loss(of) - loss(with_known)) / of.variance

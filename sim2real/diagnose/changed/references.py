@@ -15,11 +15,10 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
-from sim2real.identification.fit import best_of, first_guess, gains
+from sim2real.identification.fit import best_of, first_guess
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.servo_problem import Hypothesis, minimise
 from sim2real.model import JointModel, Model
-from sim2real.noise import quantization_step
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row, stated
@@ -44,10 +43,10 @@ def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[C
         if case.model is None:
             joints = {}
             for joint in case.robot.joints:
-                before = traces(case.references, joint.name)
+                references = traces(case.references, joint.name)
                 now = traces(case.recordings, joint.name)
-                if before and now:
-                    joints[joint.name] = law_of(before, now, joint.servo, rng)
+                if references and now:
+                    joints[joint.name] = law_of(references, now, joint.servo, rng)
             known[k] = replace(case, model=Model(joints=joints))
     return known
 
@@ -67,8 +66,7 @@ def law_of(
     """
     load = references[0].load
     start, others = first_guess(references, rng)
-    names = [p.name for p in gains(start, load.inertia_kgm2)]
-    servo_fit, _ = best_of(references, [start, *others], names)
+    servo_fit, _ = best_of(references, [start, *others])
     if way_of(references, case) == "law":
         noise = sensor_noise(references)
         servo_fit = choose_motor(references, servo_fit, servo, noise, rng).fit
@@ -83,19 +81,18 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         joint: The joint; one without references keeps its finding.
         finding: What is missing.
     """
-    before = joint.before
-    if not before or joint.given is None or joint.servo is None:
+    references = joint.references
+    if not references or joint.model is None or joint.servo is None:
         return finding
-    row = joint_row(joint.given, before[0].load, joint.name)
-    change = what_changed(before, joint.traces, row, joint.servo, joint.step_rad or 0.0)
+    row = joint_row(joint.model, references[0].load, joint.name)
+    change = what_changed(references, joint.traces, row, joint.servo, joint.step_rad or 0.0)
     tried, plain = finding.tried, finding.tried.plain.fit.servos
     named = [group for group in change.groups if group.probability >= DECISION.named]
     link = change.link.effect if change.link is not None else ""
     rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
         # As fitted beside the servo of the references: the case alone says less of its servo.
-        kp, inertia = float(plain.theta[0, 0]), before[0].load.inertia_kgm2
-        servos = with_effects(plain, rich, change.row, kp, inertia)
+        servos = with_effects(plain, rich, change.row, references[0].load.inertia_kgm2)
         servos = replace(servos, theta=change.row[None])
         fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
         tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
@@ -112,7 +109,7 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
         best=tried.tried.get(rich, tried.plain),
         posterior=change.posterior(tried.base),
         groups=(*coarse, *change.groups),
-        left=nameless,
+        unexplained=nameless,
         unknown=change.nameless,
         unmodelled=replace(finding.unmodelled, windows=change.windows),
         link=change.link,
@@ -125,7 +122,7 @@ def _coarser(joint: JointCase) -> float:
 
     Of all angles on a finer grid one in so many lies on the coarser one.
     """
-    grid = max(quantization_step(np.where(t.used, t.position, np.nan)) for t in joint.before)
+    grid = max(trace.quantization_step() for trace in joint.references)
     if joint.step_rad is None or joint.step_rad <= DECISION.coarse_step_ratio * grid:
         return 0.0
     levels = [np.unique(np.round(t.position[t.used] / joint.step_rad)) for t in joint.traces]
@@ -139,7 +136,7 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
     A recording of the same command as before knows of no missing physics that is in both.
     """
     for joint in joints:
-        if joint.before and way_of(joint.before, joint.traces) == "law":
+        if joint.references and way_of(joint.references, joint.traces) == "law":
             trace = max(joint.traces, key=Trace.activity)
             return Experiment(
                 component=joint.name,
@@ -147,7 +144,7 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
                 command=f"the command of {trace.name}",
                 context="none",
                 separation=0.0,
-                duration_s=float(trace.t[-1] - trace.t[0]),
+                duration_s=trace.duration_s,
                 statement=f"Repeat the command of {trace.name} on {joint.name} in the state of the "
                 "references: beside a repeat what the model lacks cancels, and far smaller "
                 "changes show.",

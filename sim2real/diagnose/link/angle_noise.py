@@ -10,13 +10,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, counting, lag_products, whitened
 from sim2real.servo.linearised import Residual, gain_derivatives
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 RATIOS = (0.1, 10.0)
 """Smallest and largest noise at rest, relative to that in motion."""
@@ -163,9 +160,9 @@ def with_noise(
         Segment(
             one,
             gain_derivatives(one),
-            np.where(one.used, one.residual, 0.0),
-            counting(one.used, lags),
-            np.zeros(one.used.size, dtype=bool),
+            np.where(one.trace.used, one.residual, 0.0),
+            counting(one.trace.used, lags),
+            np.zeros(one.trace.used.size, dtype=bool),
         )
         for one in given
     )

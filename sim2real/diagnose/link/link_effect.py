@@ -8,8 +8,8 @@ from itertools import islice
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, Segment, with_noise
 from sim2real.inference.correlated_noise import whitened
@@ -18,7 +18,6 @@ from sim2real.processes import shared
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
 from sim2real.servo.linearised import Residual, servo_modes
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 MOST_LAGS = 6
@@ -201,7 +200,7 @@ class LinkFit:
         out = []
         for joint, some in zip(self.joints, self._by_joint(deviations), strict=True):
             segments = tuple(
-                replace(s, residual=np.where(s.source.used, s.residual - x.mean, 0.0))
+                replace(s, residual=np.where(s.source.trace.used, s.residual - x.mean, 0.0))
                 for s, x in zip(joint.segments, some, strict=True)
             )
             covariance = np.sum([x.covariance for x in some], axis=0)
@@ -244,7 +243,7 @@ class LinkFit:
         of_joints = [results[1]] * len(self.joints) if self.common else self._by_joint(results[1])
         lost_s = tuple(
             tuple(
-                segment.source.t[np.setdiff1d(np.arange(x.active.size), x.active)]
+                segment.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
                 for segment, x in zip(joint.segments, of_joint, strict=True)
             )
             for joint, of_joint in zip(self.joints, of_joints, strict=True)
@@ -293,6 +292,6 @@ def _channel(segment: Segment, noise: Noise) -> Channel:
     of, residual = segment.source, segment.left(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
     return Channel(
-        of.t, of.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
+        of.trace.t, of.trace.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
         noise.model, noise.variance,
     )  # fmt: skip

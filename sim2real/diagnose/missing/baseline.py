@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Mask
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
 from sim2real.identification.fit import servos_at
@@ -24,8 +23,6 @@ from sim2real.inference.low_discrepancy import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
-
-Array = NDArray[np.float64]
 
 SATURATION = "torque_saturation"
 """The effect that limits a motor's torque at any speed; at the data sheet's torque it is no effect
@@ -95,9 +92,8 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
     for j, (tried, base) in enumerate(zip(known, bases, strict=True)):
         plain = tried.plain.fit.servos
         inertia = float(batch.load[batch.first_signal[j], 0])
-        kp = float(plain.theta[0, 0])
-        servo = with_effects(plain, base, plain.theta[0], kp, inertia, base - {SATURATION})
-        servos.append(replace(servo, joint=np.array([j], dtype=np.int32)))
+        servo = with_effects(plain, base, plain.theta[0], inertia, base - {SATURATION})
+        servos.append(servo.of_joints([j]))
     return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
 
 
@@ -105,20 +101,20 @@ def with_effects(
     plain: Servos,
     effects: Set,
     theta: Array,
-    kp: float,
     inertia: float,
     held: Set = frozenset(),
 ) -> Servos:
     """A servo whose gains, latency and parameters of effects are free.
 
     Args:
-        plain: The plain servo, of one row; its gains, latency and line are free.
+        plain: The plain servo, of one row; its gains, latency and line are free, and effects are
+            scaled to its kp.
         effects: Effects whose parameters are free; others of ``theta`` are dropped.
         theta: Where to start, shape (P,).
-        kp: Gain that the effects are scaled to, N m/rad.
-        inertia: Inertia that they are scaled to, kg m2.
+        inertia: Inertia that the effects are scaled to, kg m2.
         held: Those of the effects that stay as they are in ``theta``.
     """
+    kp = float(plain.theta[0, 0])
     options = [candidate(named(e), kp, inertia) for e in sorted(effects) if named(e).fitted]
     row = np.zeros_like(theta)
     row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
@@ -133,7 +129,7 @@ def with_effects(
     return Servos(plain.joint, row[None], *free)
 
 
-def own_parameters(servos: Servos) -> NDArray[np.bool_]:
+def own_parameters(servos: Servos) -> Mask:
     """Which of one servo's free parameters are no effect's, shape (F,)."""
     columns = servos.columns[0]
     return np.asarray((columns >= 0) & (columns < FIRST_EFFECT_COLUMN))

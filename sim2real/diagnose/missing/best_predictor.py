@@ -7,7 +7,7 @@ fitted anew by plain least squares, and chosen by how it predicts recordings tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from sim2real.diagnose.result import Diagnosis, NamedEffect
 from sim2real.identification.held_out import held_out
 from sim2real.identification.servo_problem import Hypothesis, Tried
 from sim2real.model import JointModel
+from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import Trace, traces
@@ -34,27 +35,27 @@ _NOTE = (
 
 
 def predicting(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     recordings: Sequence[Recording],
     seed: int,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """A diagnosis whose model predicts best; what it names, and how surely, stays.
 
     Args:
-        found: A diagnosis. It is returned as it is where it leaves nothing unexplained, and where
-            it started from a model with effects, which stay.
+        diagnosis: Returned as it is where it leaves nothing unexplained, and where it started from
+            a model with effects, which stay.
         recordings: The recordings that it is of.
         seed: Seed of the bootstraps of the search.
         progress: Called with the share that is done, the diagnosis included.
     """
-    plain = found.baseline.joints.values() if found.baseline else ()
+    plain = diagnosis.baseline.joints.values() if diagnosis.baseline else ()
     had_effects = any(e.effect != ROUNDING for joint in plain for e in joint.effects)
-    if found.verdict not in ("partly_explained", "unexplained") or had_effects:
+    if diagnosis.verdict not in ("partly_explained", "unexplained") or had_effects:
         progress(1.0)
-        return found
-    differing = {entry.signal.partition(".")[0] for entry in found.mismatch}
-    names = [name for name in found.model.joints if name in differing]
+        return diagnosis
+    differing = {entry.signal.partition(".")[0] for entry in diagnosis.mismatch}
+    names = [name for name in diagnosis.model.joints if name in differing]
     data = [traces(recordings, name) for name in names]
     batch = Batch(data, bounded=False, white=True)
     ledgers, problem = search(
@@ -64,7 +65,11 @@ def predicting(
         rng=np.random.default_rng(seed),
         progress=lambda share: progress(BEFORE + 0.8 * (1 - BEFORE) * share),
     )
-    joints, fit, unfinished = dict(found.model.joints), dict(found.model.fit), {*found.unfinished}
+    joints, fit, unfinished = (
+        dict(diagnosis.model.joints),
+        dict(diagnosis.model.fit),
+        {*diagnosis.unfinished},
+    )
     for name, tried, of_joint in zip(names, ledgers, data, strict=True):
         signal = f"{name}.position_rad"
         best, errors = _best(tried, of_joint)
@@ -75,9 +80,11 @@ def predicting(
             unfinished.add(name)
     progress(1.0)
     return replace(
-        found,
-        effects=tuple(_shifted(effect, found.model.joints, joints) for effect in found.effects),
-        model=replace(found.model, joints=joints, fit=fit),
+        diagnosis,
+        effects=tuple(
+            _shifted(effect, diagnosis.model.joints, joints) for effect in diagnosis.effects
+        ),
+        model=replace(diagnosis.model, joints=joints, fit=fit),
         unfinished=tuple(name for name in joints if name in unfinished),
     )
 

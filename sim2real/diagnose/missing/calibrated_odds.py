@@ -74,9 +74,9 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
     smooth = without.smooth.evidence(float(best.fit.count[0]))
     # Evidence by which a smooth function, which names no effect, exceeds the best set.
     lead = smooth - (best.evidence - tried.plain.evidence)
-    gain, limit = finding.search.left(tried, best.members)
+    gain, limit = finding.search.remaining_gain(tried, best.members)
     # Effects of the best set that no group states are no findings.
-    servo = tried.tried.get(best.members - (finding.said - tried.base), tried.plain)
+    servo = tried.tried.get(best.members - (finding.effects - tried.base), tried.plain)
     plain, rich = unseen.get(tried.base), unseen.get(best.members)
     more = max(without.excess - 1, 0.0)
     explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
@@ -156,6 +156,6 @@ def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
         finding,
         mismatch=bool(coarse or matters) or misfit or unknown > DECISION.named,
         groups=tuple(sorted([*coarse, *groups], key=lambda g: -g.probability)),
-        left=unknown > DECISION.named or unsolved,
+        unexplained=unknown > DECISION.named or unsolved,
         unknown=unknown,
     )

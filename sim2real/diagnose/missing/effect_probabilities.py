@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.screening import FITTED
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from sim2real.diagnose.missing.nuisances import beside_rivals, first_look, with_
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
 from sim2real.inference import selection
+from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 
 
@@ -24,7 +25,7 @@ def search(
     bases: Sequence[Set] | None = None,
     best: Sequence[Hypothesis] | None = None,
     needed: bool = True,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
 
@@ -81,7 +82,7 @@ def search(
             if ledger.best.members != ledger.base and not problem.exhausted(ledger)
         ]
         some, angles = [ledgers[k] for k in going], [large[k] for k in going]
-        changed = beside_rivals(problem, some, angles, DECISION.decisive_gain)
+        changed = beside_rivals(problem, some, angles)
         selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem

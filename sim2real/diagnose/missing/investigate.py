@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
@@ -20,12 +19,10 @@ from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, exces
 from sim2real.effects import CATALOGUE, named
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
+from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
 from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
 """The effect that is read off the recorded numbers themselves."""
@@ -47,7 +44,7 @@ class Finding:
         posterior: Their probabilities.
         best: The likeliest set.
         mismatch: Whether something is missing at all.
-        left: Whether the likeliest set leaves something.
+        unexplained: Whether the likeliest set leaves something.
         groups: What is missing, likeliest first.
         unmodelled: What could be missing without a name.
         unknown: Probability that what is missing is not in the catalogue.
@@ -62,7 +59,7 @@ class Finding:
     posterior: EffectPosterior
     best: Hypothesis
     mismatch: bool
-    left: bool
+    unexplained: bool
     groups: tuple[Group, ...]
     unmodelled: Unmodelled
     unknown: float
@@ -77,7 +74,7 @@ class Finding:
         return self.tried.case in self.search.unfinished
 
     @property
-    def said(self) -> Set:
+    def effects(self) -> Set:
         """Effects of its groups."""
         return frozenset(effect for group in self.groups for effect in group.members)
 
@@ -112,7 +109,7 @@ def investigate(
     known: Sequence[Tried],
     *,
     rng: np.random.Generator,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> list[Finding]:
     """Find what each joint is missing.
 
@@ -159,10 +156,8 @@ def investigate(
 
 def placed(tried: Tried, joint: int) -> Tried:
     """What was tried in another batch, as of this joint of the whole one."""
-    at = np.array([joint], dtype=np.int32)
     moved = {
-        members: replace(h, fit=replace(h.fit, servos=replace(h.fit.servos, joint=at)))
-        for members, h in tried.tried.items()
+        members: replace(h, fit=h.fit.of_joints([joint])) for members, h in tried.tried.items()
     }
     return replace(tried, case=joint, tried=moved)
 
@@ -173,7 +168,7 @@ def _pass(
     robots: Sequence[Sequence[int]],
     known: Sequence[Tried],
     rng: np.random.Generator,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> list[Finding]:
     """The findings with the noise model of a batch."""
     bases = [joint.base for joint in joints]
@@ -187,7 +182,7 @@ def _pass(
         noise=[joint.noise for joint in joints],
         bases=bases,
         best=[ledger.best for ledger in known],
-        needed=not all(joint.before for joint in joints),
+        needed=not all(joint.references for joint in joints),
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     probable = posteriors(ledgers, robots, rng)
@@ -213,7 +208,7 @@ def _pass(
                 posterior=probable[j],
                 best=best[j],
                 mismatch=structured or problem.remains(tried, tried.base),
-                left=excesses[j] > DECISION.structured_excess,
+                unexplained=excesses[j] > DECISION.structured_excess,
                 groups=tuple(groups),
                 unmodelled=without[j],
                 unknown=0.0,
@@ -281,7 +276,7 @@ def _with_links(
                 explained[j] = replace(
                     finding,
                     mismatch=True,
-                    left=remaining > DECISION.structured_excess,
+                    unexplained=remaining > DECISION.structured_excess,
                     excess=remaining,
                     best=finding.tried.plain if instead else finding.best,
                     groups=(group,) if instead else (*finding.groups, group),
@@ -318,18 +313,9 @@ def _link_data(
     residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
     left = tuple(
         tuple(
-            link_residual(t, t.used, residual[r, : t.t.size], fits[j].fit.servos.theta[0])
+            Residual(t, residual[r, : t.t.size], *fits[j].fit.servos.theta[0, :3].tolist())
             for r, t in enumerate(joints[j].traces)
         )
         for j, residual in zip(robot, residuals, strict=True)
     )
     return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)
-
-
-def link_residual(trace: Trace, used: NDArray[np.bool_], residual: Array, row: Array) -> Residual:
-    """Residual (T,) of a servo with parameters ``row`` (P,), as the analysis of the link has it."""
-    kp, kd, latency = (float(x) for x in row[:3])
-    load = trace.load
-    return Residual(
-        trace.t, trace.command, used, residual, kp, kd, latency, load.inertia_kgm2, load.gravity_Nm
-    )

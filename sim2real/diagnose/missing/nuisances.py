@@ -53,25 +53,25 @@ def first_look(
         large: Angle from which a joint's nuisance is a finding, rad.
         most: Effects that are tried beside the plain servo.
     """
-    problem.look([(one, one.base) for one in ledgers])
+    problem.look([(ledger, ledger.base) for ledger in ledgers])
     jobs = [
-        (one, one.base | {name}, start)
-        for one in ledgers
-        for name, start in problem.additions(one, one.base, most)
+        (ledger, ledger.base | {name}, start)
+        for ledger in ledgers
+        for name, start in problem.additions(ledger, ledger.base, most)
     ]
-    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-        one.keep(found)
-    beside = {one.case: one.best for one in ledgers}
-    wanted = [one for one in ledgers if _missing(beside[one.case].members)]
+    for (ledger, _, _), refitted in zip(jobs, problem.refit(jobs), strict=True):
+        ledger.keep(refitted)
+    beside = {ledger.case: ledger.best for ledger in ledgers}
+    wanted = [ledger for ledger in ledgers if _missing(beside[ledger.case].members)]
     if not wanted:
         return
-    pairs = [(one, beside[one.case]) for one in wanted]
-    jobs = [job for some in _jobs(problem, pairs) for job in some]
-    tried: dict[int, list[Hypothesis]] = {one.case: [] for one in wanted}
-    for (one, _, _), found in zip(jobs, problem.refit(jobs), strict=True):
-        tried[one.case].append(found)
-    for one in wanted:
-        one.keep(_best(beside[one.case], tried[one.case], large[one.case]))
+    pairs = [(ledger, beside[ledger.case]) for ledger in wanted]
+    jobs = [job for group in _jobs(problem, pairs) for job in group]
+    tried: dict[int, list[Hypothesis]] = {ledger.case: [] for ledger in wanted}
+    for (ledger, _, _), refitted in zip(jobs, problem.refit(jobs), strict=True):
+        tried[ledger.case].append(refitted)
+    for ledger in wanted:
+        ledger.keep(_best(beside[ledger.case], tried[ledger.case], large[ledger.case]))
 
 
 def with_nuisances(
@@ -90,9 +90,10 @@ def with_nuisances(
             are fitted beside it.
     """
     small = [
-        _small(h, angle) - one.base for one, h, angle in zip(ledgers, best, large, strict=True)
+        _small(h, angle) - ledger.base
+        for ledger, h, angle in zip(ledgers, best, large, strict=True)
     ]
-    wanted = [k for k, some in enumerate(small) if some]
+    wanted = [k for k, names in enumerate(small) if names]
     if not wanted:
         return list(ledgers)
     jobs = [
@@ -105,15 +106,15 @@ def with_nuisances(
         (ledgers[k], ledgers[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
         for k, h in zip(wanted, beside, strict=True)
     ]
-    for one, members, _ in jobs:
+    for ledger, members, _ in jobs:
         # As fitted beside what explains most, and so they stay.
-        problem.held[one.case] = members - one.base
+        problem.held[ledger.case] = members - ledger.base
     based = list(ledgers)
-    for k, (one, members, _), found in zip(wanted, jobs, problem.refit(jobs), strict=True):
-        based[k] = Tried(one.case, members)
+    for k, (ledger, members, _), refitted in zip(wanted, jobs, problem.refit(jobs), strict=True):
+        based[k] = Tried(ledger.case, members)
         # As part of the base they cost no set their prior.
-        evidence = found.evidence - len(members - one.base) * LOG_PRIOR
-        based[k].keep(replace(found, evidence=evidence))
+        evidence = refitted.evidence - len(members - ledger.base) * LOG_PRIOR
+        based[k].keep(replace(refitted, evidence=evidence))
     return based
 
 
@@ -121,7 +122,6 @@ def beside_rivals(
     problem: ServoSearch,
     ledgers: Sequence[Tried],
     large: Sequence[float],
-    surely: float,
     *,
     rivals: int = 8,
     promise: float = 2.0,
@@ -134,36 +134,39 @@ def beside_rivals(
         problem: The search that was.
         ledgers: What it tried.
         large: Angle from which a joint's nuisance is a finding, rad.
-        surely: Evidence that a sensor bent by more than that must earn.
         rivals: Sets of effects of each joint that are looked at.
         promise: Times the gain at first sight that a fit may make.
 
     Returns:
         Those in which other effects are likeliest now.
     """
-    before = {one.case: one.best for one in ledgers}
-    largest = {one.case: angle for one, angle in zip(ledgers, large, strict=True)}
+    before = {ledger.case: ledger.best for ledger in ledgers}
+    largest = {ledger.case: angle for ledger, angle in zip(ledgers, large, strict=True)}
     within = problem.limits.near
     pairs = [
-        (one, h)
-        for one in ledgers
-        for h in sorted(one.tried.values(), key=lambda h: -h.evidence)[:rivals]
-        if _missing(h.members) and h.evidence > before[one.case].evidence - within
+        (ledger, h)
+        for ledger in ledgers
+        for h in sorted(ledger.tried.values(), key=lambda h: -h.evidence)[:rivals]
+        if _missing(h.members) and h.evidence > before[ledger.case].evidence - within
     ]
-    behind = [before[one.case].evidence - h.evidence for one, h in pairs]
+    behind = [before[ledger.case].evidence - h.evidence for ledger, h in pairs]
     jobs = _jobs(problem, pairs, [max(x / promise, DECISION.nuisance_min_evidence) for x in behind])
-    found = iter(problem.refit([job for some in jobs for job in some]))
-    for (one, h), some in zip(pairs, jobs, strict=True):
-        tried = [next(found) for _ in some]
+    refits = iter(problem.refit([job for group in jobs for job in group]))
+    for (ledger, h), group in zip(pairs, jobs, strict=True):
+        tried = [next(refits) for _ in group]
         if not tried:
             continue
-        one.keep(_best(h, tried, largest[one.case]))
+        ledger.keep(_best(h, tried, largest[ledger.case]))
         # Bent more than any sensor that is in order: no nuisance, and it has no name.
-        bent = [t for t in tried if _BENT in t.members - _small(t, largest[one.case])]
+        bent = [t for t in tried if _BENT in t.members - _small(t, largest[ledger.case])]
         top = max(bent, key=lambda t: t.evidence, default=h)
-        if top.evidence > before[one.case].evidence + surely:
-            one.keep(top)
-    return [one for one in ledgers if one.best.members - NAMES != before[one.case].members - NAMES]
+        if top.evidence > before[ledger.case].evidence + DECISION.decisive_gain:
+            ledger.keep(top)
+    return [
+        ledger
+        for ledger in ledgers
+        if ledger.best.members - NAMES != before[ledger.case].members - NAMES
+    ]
 
 
 def _missing(members: Set) -> list[str]:
@@ -186,26 +189,26 @@ def _jobs(
         starts_each: Waves of each nuisance from which fits start.
     """
     lists = [
-        [candidate(named(n), *problem.strength(one)) for n in _missing(h.members)]
-        for one, h in pairs
+        [candidate(named(n), *problem.strength(ledger)) for n in _missing(h.members)]
+        for ledger, h in pairs
     ]
     jobs: list[list[Job]] = [[] for _ in pairs]
-    for n, (given, seen) in enumerate(zip(lists, problem.screened(pairs, lists), strict=True)):
-        one, base = pairs[n]
+    for n, (options, seen) in enumerate(zip(lists, problem.screened(pairs, lists), strict=True)):
+        ledger, base = pairs[n]
         starts: dict[str, list[np.ndarray]] = {}
-        for k, option in enumerate(given):
+        for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
             best = mine[np.argsort(-seen.gain[mine])][:starts_each]
             if worth is None or seen.gain[best[0]] > worth[n]:
                 starts[option.effect.name] = [option.starts[seen.start[i]] for i in best]
-        columns = {option.effect.name: option.columns for option in given}
+        columns = {option.effect.name: option.columns for option in options}
         for count in range(1, len(starts) + 1):
             for names in combinations(starts, count):
                 for turn in range(starts_each):
                     theta = np.array(base.fit.servos.theta[0])
                     for name in names:
                         theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]
-                    jobs[n].append((one, base.members | set(names), theta))
+                    jobs[n].append((ledger, base.members | set(names), theta))
     return jobs
 
 
@@ -219,7 +222,7 @@ def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> 
     return best if best.evidence > beside.evidence + DECISION.nuisance_min_evidence else beside
 
 
-def _small(found: Hypothesis, large_rad: float) -> Set:
+def _small(hypothesis: Hypothesis, large_rad: float) -> Set:
     """Those of its nuisances that are small."""
-    given = NAMES & found.members
-    return frozenset(name for name in given if size_in_noise(found, name, large_rad) < 1)
+    names = NAMES & hypothesis.members
+    return frozenset(name for name in names if size_in_noise(hypothesis, name, large_rad) < 1)

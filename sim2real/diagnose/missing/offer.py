@@ -25,7 +25,7 @@ def judged_and_offered(
         errors on held-out data by set of effects.
     """
     judgements, errors = list(findings), [dict[Set, Unseen]() for _ in joints]
-    searched = [j for j, joint in enumerate(joints) if not joint.before]
+    searched = [j for j, joint in enumerate(joints) if not joint.references]
     _add_errors(errors, joints, findings, [_sets_to_score(f) for f in findings], device)
     for j in searched:
         judgements[j] = judged(findings[j], errors[j])
@@ -81,7 +81,7 @@ def _with_named(finding: Finding) -> Hypothesis:
     """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
     tried, best = finding.tried, finding.best
     heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
-    wanted = best.members - (finding.said - heads)
+    wanted = best.members - (finding.effects - heads)
     if finding.link is not None:
         wanted &= heads | {name for name in wanted if named(name).everywhere}
     return tried.tried.get(tried.base | wanted, best if heads else tried.plain)

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect, scaled
 from sim2real.identification.servo_problem import Fits, variants
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
-
-Array = NDArray[np.float64]
 
 FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.never_named)
 """Effects whose parameters a fit finds, and that may be named."""
@@ -37,7 +35,7 @@ class Candidate:
     """
 
     effect: Effect
-    columns: NDArray[np.int32]
+    columns: Integers
     low: Array
     high: Array
     unit: Array
@@ -100,14 +98,14 @@ class Screen:
         count: Samples that count.
     """
 
-    candidate: NDArray[np.intp]
-    start: NDArray[np.intp]
+    candidate: Index
+    start: Index
     score: Array
     blocks: Array
     visible: Array
     count: float
 
-    def of(self, wanted: NDArray[np.bool_]) -> Screen:
+    def of(self, wanted: Mask) -> Screen:
         """The starts of some candidates; ``wanted`` has one entry a candidate."""
         some = wanted[self.candidate]
         return replace(
@@ -192,8 +190,8 @@ def _score(
     count: float,
     free: int,
     starts: int,
-    candidate: NDArray[np.intp],
-    start: NDArray[np.intp],
+    candidate: Index,
+    start: Index,
 ) -> Screen:
     total = gram.sum(axis=0)
     error2 = total[0, 0]

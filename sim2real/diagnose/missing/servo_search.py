@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, as_read, own_parameters, with_effects
 from sim2real.diagnose.missing.screening import Candidate, Screen, candidates, screen
@@ -23,8 +23,6 @@ from sim2real.identification.servo_problem import (
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
@@ -67,7 +65,7 @@ def ledgers_of(plain: Fits, bases: Sequence[Set] | None = None) -> list[Tried]:
     ledgers = []
     for j in range(plain.count.size):
         base: Set = bases[j] if bases else frozenset()
-        fit = plain.one(j)
+        fit = plain.single(j)
         ledgers.append(Tried(j, base))
         ledgers[-1].keep(Hypothesis(base, fit, _evidence(fit, frozenset())))
     return ledgers
@@ -108,26 +106,29 @@ class ServoSearch:
 
     def look(self, pairs: Sequence[tuple[Tried, Set]]) -> None:
         """Screen all other effects from each of these sets; sets of one size share a launch."""
-        new = {(one.case, s): (one, s) for one, s in pairs if (one.case, s) not in self._seen}
-        lists = [candidates(s, *self.strength(one)) for one, s in new.values()]
-        seen = self.screened([(one, one.tried[s]) for one, s in new.values()], lists)
+        new = {
+            (ledger.case, s): (ledger, s)
+            for ledger, s in pairs
+            if (ledger.case, s) not in self._seen
+        }
+        lists = [candidates(s, *self.strength(ledger)) for ledger, s in new.values()]
+        seen = self.screened([(ledger, ledger.tried[s]) for ledger, s in new.values()], lists)
         self._seen.update(zip(new, zip(seen, lists, strict=True), strict=True))
 
     def screened(
         self, places: Sequence[tuple[Tried, Hypothesis]], lists: Sequence[list[Candidate]]
     ) -> list[Screen]:
         """What these candidates would explain of what each hypothesis leaves."""
-        found: dict[int, Screen] = {}
+        screens: dict[int, Screen] = {}
         widths = [h.fit.servos.columns.shape[1] for _, h in places]
         for width in sorted(set(widths)):
-            some = [k for k, w in enumerate(widths) if w == width]
-            fits = joined([places[k][1].fit for k in some])
+            same = [k for k, w in enumerate(widths) if w == width]
             # A finding may have been moved to a place in another batch.
-            joint = np.array([places[k][0].case for k in some], dtype=np.int32)
-            fits = replace(fits, servos=replace(fits.servos, joint=joint))
-            seen = screen(self.batch, fits, [lists[k] for k in some], blocks=BLOCKS)
-            found.update(zip(some, seen, strict=True))
-        return [found[k] for k in range(len(places))]
+            fits = joined([places[k][1].fit for k in same])
+            fits = fits.of_joints([places[k][0].case for k in same])
+            seen = screen(self.batch, fits, [lists[k] for k in same], blocks=BLOCKS)
+            screens.update(zip(same, seen, strict=True))
+        return [screens[k] for k in range(len(places))]
 
     def additions(self, ledger: Tried, members: Set, most: int | None) -> list[tuple[str, Array]]:
         """The effects that explain most from a set, each with a parameter row to start from.
@@ -138,11 +139,11 @@ class ServoSearch:
         """
         if most is None and not self.singles:
             return []
-        seen, given = self.seen(ledger, members)
+        seen, options = self.seen(ledger, members)
         gain = seen.gain
         starts: list[tuple[float, int]] = []
         weakest = most is None and self.remains(ledger, members)
-        for k, option in enumerate(given):
+        for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
             best = int(mine[gain[mine].argmax()])
             if most is not None or gain[best] > self.limits.hopeless_gain:
@@ -155,16 +156,15 @@ class ServoSearch:
         starts.sort(key=lambda entry: -entry[0])
         chosen = []
         for _, index in starts[:most]:
-            option = given[seen.candidate[index]]
-            theta = self.start(ledger, members, members)
+            option = options[seen.candidate[index]]
+            theta = ledger.tried[members].fit.servos.theta[0].copy()
             theta[option.columns] = option.starts[seen.start[index]]
             chosen.append((option.effect.name, theta))
         return chosen
 
-    def start(self, ledger: Tried, members: Set, of: Set | None = None) -> Array:
-        """The parameter row of a set, or of the best one."""
-        known = ledger.best if of is None else ledger.tried[of]
-        return np.array(known.fit.servos.theta[0])
+    def start(self, ledger: Tried, members: Set) -> Array:
+        """The parameter row of the best set, from which every other is refitted."""
+        return np.array(ledger.best.fit.servos.theta[0])
 
     def refit(self, jobs: Sequence[Job]) -> list[Hypothesis]:
         """Refit sets of effects from parameter rows; the best of several starts stands for all."""
@@ -172,13 +172,13 @@ class ServoSearch:
             return []
         servos = [
             with_effects(
-                one.plain.fit.servos,
+                ledger.plain.fit.servos,
                 members,
                 as_read(theta, members),
-                *self.strength(one),
-                self.held.get(one.case, frozenset()),
+                self.strength(ledger)[1],
+                self.held.get(ledger.case, frozenset()),
             )
-            for one, members, theta in jobs
+            for ledger, members, theta in jobs
         ]
         rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
         best: dict[tuple[int, Set], int] = {}
@@ -186,7 +186,7 @@ class ServoSearch:
             key = (ledger.case, members)
             if key not in best or rough.error2[k] < rough.error2[best[key]]:
                 best[key] = k
-        fits = {key: rough.one(k) for key, k in best.items()}
+        fits = {key: rough.single(k) for key, k in best.items()}
         keys = [key for key, k in best.items() if not rough.converged[k]]
         goal = self._goals(jobs, fits)
         promised = {key: _promised(fits[key]) for key in keys}
@@ -199,19 +199,17 @@ class ServoSearch:
             index = np.array([best[key] for key in keys])
             goals = np.array([goal[key] for key in keys])
 
-            def hopeless(
-                places: Index, _: Array, losses: Array, promised: Array
-            ) -> NDArray[np.bool_]:
+            def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
                 reachable = self.limits.promise * promised - losses[places]
                 return np.asarray(reachable < goals[places])
 
             fine = minimise(
                 self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
             )
-            fits.update((key, fine.one(n)) for n, key in enumerate(keys))
+            fits.update((key, fine.single(n)) for n, key in enumerate(keys))
         return [
-            Hypothesis(s, fits[one.case, s], _evidence(fits[one.case, s], s - one.base))
-            for one, s, _ in jobs
+            Hypothesis(s, fits[ledger.case, s], _evidence(fits[ledger.case, s], s - ledger.base))
+            for ledger, s, _ in jobs
         ]
 
     def _goals(
@@ -239,25 +237,25 @@ class ServoSearch:
         What was held was fitted beside what was likeliest then, and speaks for that.
         """
         held = [
-            (one, h)
-            for one in ledgers
-            if self.held.get(one.case)
-            for h in _likely(one, self.limits)
+            (ledger, h)
+            for ledger in ledgers
+            if self.held.get(ledger.case)
+            for h in _likely(ledger, self.limits)
         ]
         self.held.clear()
-        jobs = [(one, h.members, h.fit.servos.theta[0]) for one, h in held]
-        for (one, h), found in zip(held, self.refit(jobs), strict=True):
-            more = float(found.fit.loglikelihood[0] - h.fit.loglikelihood[0])
+        jobs = [(ledger, h.members, h.fit.servos.theta[0]) for ledger, h in held]
+        for (ledger, h), refitted in zip(held, self.refit(jobs), strict=True):
+            more = float(refitted.fit.loglikelihood[0] - h.fit.loglikelihood[0])
             # All are as free: what freedom costs is the same for each.
             if more > 0:
-                one.tried[h.members] = replace(found, evidence=h.evidence + more)
+                ledger.tried[h.members] = replace(refitted, evidence=h.evidence + more)
 
     def remains(self, ledger: Tried, members: Set) -> bool:
         """Whether some effect would still explain more than chance.
 
         What every servo has a little of must explain as much as is never left to chance.
         """
-        gain, limit = self.left(ledger, members)
+        gain, limit = self.remaining_gain(ledger, members)
         return (
             gain > limit or float(self.seen(ledger, members)[0].gain.max()) > DECISION.decisive_gain
         )
@@ -272,26 +270,26 @@ class ServoSearch:
             self.unfinished.add(ledger.case)
         return ledger.case in self.unfinished
 
-    def left(self, ledger: Tried, members: Set) -> tuple[float, float]:
+    def remaining_gain(self, ledger: Tried, members: Set) -> tuple[float, float]:
         """Largest gain that an effect would still make, and what chance would make.
 
         What every servo has a little of does not count: it is named only where it is large.
         """
-        seen, given = self.seen(ledger, members)
-        counted = seen.of(np.array([not c.effect.everywhere for c in given]))
+        seen, options = self.seen(ledger, members)
+        counted = seen.of(np.array([not option.effect.everywhere for option in options]))
         limit = min(counted.threshold(self.level, self.rng), DECISION.decisive_gain)
         return float(counted.gain.max()), limit
 
     def rebased(self, ledgers: Sequence[Tried]) -> list[Tried]:
         """Those whose plain servo fits better with the gains that the best single effect found."""
-        before = [one.plain.evidence for one in ledgers]
-        jobs = [(one, one.base, self.start(one, one.base)) for one in ledgers]
+        before = [ledger.plain.evidence for ledger in ledgers]
+        jobs = [(ledger, ledger.base, self.start(ledger, ledger.base)) for ledger in ledgers]
         better = []
-        for one, found, old in zip(ledgers, self.refit(jobs), before, strict=True):
-            one.keep(found)
-            if one.plain.evidence > old + self.limits.min_rebase_gain:
-                better.append(one)
-                del self._seen[one.case, one.base]
+        for ledger, refitted, old in zip(ledgers, self.refit(jobs), before, strict=True):
+            ledger.keep(refitted)
+            if ledger.plain.evidence > old + self.limits.min_rebase_gain:
+                better.append(ledger)
+                del self._seen[ledger.case, ledger.base]
         return better
 
     def strength(self, ledger: Tried) -> tuple[float, float]:
@@ -300,12 +298,12 @@ class ServoSearch:
         return float(ledger.plain.fit.servos.theta[0, 0]), float(self.batch.load[first, 0])
 
 
-def _likely(one: Tried, limits: SearchLimits) -> list[Hypothesis]:
+def _likely(ledger: Tried, limits: SearchLimits) -> list[Hypothesis]:
     """The sets that what is said rests on: the best, what it is without each effect, its rivals.
 
     What was held fits none with another gain of the sensor, however far behind they are.
     """
-    best, tried = one.best, one.tried
+    best, tried = ledger.best, ledger.tried
     near = sorted(tried.values(), key=lambda h: -h.evidence)[: limits.rivals]
     scaled = _GAIN in best.members
     sets = [
@@ -313,7 +311,7 @@ def _likely(one: Tried, limits: SearchLimits) -> list[Hypothesis]:
         for h in near
         if h.evidence > best.evidence - limits.near or (_GAIN in h.members) != scaled
     ]
-    sets += [one.base, *(best.members - {e} for e in best.members - one.base)]
+    sets += [ledger.base, *(best.members - {e} for e in best.members - ledger.base)]
     return [tried[s] for s in dict.fromkeys(sets) if s in tried]
 
 

@@ -11,16 +11,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import block_diag
+from scipy.signal import lfilter
 
+from sim2real.arrays import Array, Mask
 from sim2real.inference.correlated_noise import autoregression, lag_products, whitened
 from sim2real.inference.evidence import chance_gain
-from sim2real.servo.linearised import gain_torques, through, torque_filter
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class JointMotion:
     trace: Trace
     angle: Array
     residual: Array
-    counts: NDArray[np.bool_]
+    counts: Mask
     others: Array
 
 
@@ -124,16 +122,15 @@ class _Regression:
         self.residual = np.concatenate([m.residual for m in self.motions])
         self.filters, self.torques = [], []
         for m in self.motions:
-            load, step = m.trace.load, float(np.median(np.diff(m.trace.t)))
-            stiffness = servo.kp + load.gravity_Nm
-            self.filters.append(torque_filter(load.inertia_kgm2, servo.kd, stiffness, step))
-            gains = servo.kp, servo.latency
-            self.torques.append(gain_torques(m.trace.t, m.trace.command, m.angle, gains))
+            self.filters.append(_torque_filter(servo, m.trace))
+            self.torques.append(_gain_torques(servo, m))
         self.gains = self.angles(self.torques)
 
     def angles(self, torques: Sequence[Array]) -> Array:
         """Angles by which torques (T, K) in each recording move the servo, shape (N, K)."""
-        return np.vstack([through(x, f) for x, f in zip(torques, self.filters, strict=True)])
+        return np.vstack(
+            [lfilter(*f, x, axis=0) for x, f in zip(torques, self.filters, strict=True)]
+        )
 
     def fit(self, columns: Array, model: Array | None, *, rounds: int = 2) -> tuple[float, Array]:
         """Log-likelihood with gains, columns (N, K) and noise model at their best, and that model.
@@ -171,6 +168,32 @@ class _Regression:
         pairs = zip(self.motions, np.split(residual, self.cuts), strict=True)
         products = np.sum([lag_products(x, m.counts, self.servo.lags) for m, x in pairs], axis=0)
         return np.asarray(autoregression(products[None], self.servo.least_gain)[0])
+
+
+def _torque_filter(servo: ServoMotion, trace: Trace) -> tuple[Array, Array]:
+    """Digital filter from torque in N m to angle in rad, 1 / (I s2 + kd s + stiffness).
+
+    By the bilinear transform: Oppenheim, Schafer, Discrete-Time Signal Processing, 3rd ed. (Pearson
+    2010), section 7.2.2. Numerator and denominator are as ``scipy.signal.lfilter`` takes them.
+    """
+    inertia, kd, stiffness = trace.load.inertia_kgm2, servo.kd, servo.kp + trace.load.gravity_Nm
+    c = 2 / trace.period_s
+    a = np.array(
+        [
+            inertia * c**2 + kd * c + stiffness,
+            2 * stiffness - 2 * inertia * c**2,
+            inertia * c**2 - kd * c + stiffness,
+        ]
+    )
+    return np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
+
+
+def _gain_torques(servo: ServoMotion, motion: JointMotion) -> Array:
+    """Torques equivalent to a change of kp, kd and latency, per unit of each, shape (T, 3)."""
+    t, angle = motion.trace.t, motion.angle
+    in_force = np.interp(t - servo.latency, t, motion.trace.command)
+    speed = np.gradient(angle, t)
+    return np.stack([in_force - angle, speed, servo.kp * np.gradient(in_force, t)], axis=1)
 
 
 def _families(problem: _Regression) -> Iterator[tuple[str, Array]]:
@@ -221,12 +244,13 @@ def _shaking(
     power: Array = np.zeros(transform_length // 2 + 1)
     for part in np.split(left, ends):
         power += np.abs(np.fft.rfft(part, transform_length)) ** 2
-    hertz = np.fft.rfftfreq(transform_length, float(np.median(np.diff(motions[0].trace.t))))
+    hertz = np.fft.rfftfreq(transform_length, motions[0].trace.period_s)
     power[(hertz < shaken_Hz[0]) | (hertz > shaken_Hz[1])] = 0.0
     blocks = []
     for motion, filtered in zip(motions, problem.filters, strict=True):
         phase = 2 * np.pi * float(hertz[power.argmax()]) * motion.trace.t
-        blocks.append(through(np.stack([np.sin(phase), np.cos(phase)], axis=1), filtered))
+        wave = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        blocks.append(lfilter(*filtered, wave, axis=0))
     return block_diag(*blocks)
 
 

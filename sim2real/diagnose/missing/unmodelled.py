@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.smooth_function import (
     JointMotion,
@@ -23,7 +23,6 @@ from sim2real.processes import shared
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 
-Array = NDArray[np.float64]
 Windows = tuple[tuple[Window, ...], ...]
 
 
@@ -96,7 +95,7 @@ def excess(
     """
     energy, count = 0.0, 0
     for row, trace in zip(residual, traces, strict=False):
-        numerator, denominator, spread = RESIDUAL_WANDER.filter(float(np.median(np.diff(trace.t))))
+        numerator, denominator, spread = RESIDUAL_WANDER.filter(trace.period_s)
         innovation = lfilter(numerator, denominator, row[: trace.t.size])
         used = trace.used.copy()
         used[: batch.lags] = False
@@ -125,7 +124,7 @@ def _intermittent(
             for j, residual in remaining.items()
             if any(w := _windows(residual, joints[j], segments.get(j)))
             and sum(b - a for of_trace in w for a, b in of_trace)
-            < DECISION.segments_share * sum(float(t.t[-1] - t.t[0]) for t in joints[j])
+            < DECISION.segments_share * sum(t.duration_s for t in joints[j])
         }
         if not segments:
             return {}
@@ -135,13 +134,13 @@ def _intermittent(
             batch.device,
             batch.threads,
         )
-        start = replace(plain[np.array(order)].servos, joint=np.arange(len(order), dtype=np.int32))
+        start = plain[np.array(order)].servos.of_joints(range(len(order)))
         white = minimise(outside, start, iterations=8, white=True)
         fits = minimise(outside, white.servos, iterations=8)
-        whole = replace(fits, servos=replace(fits.servos, joint=np.array(order, dtype=np.int32)))
         square = fits.error2 / np.maximum(fits.count, 1)
         level = -0.5 * np.log(np.maximum(square, FINEST_NOISE_RAD**2))
-        for k, (j, residual) in enumerate(zip(order, residual_angles(batch, whole), strict=True)):
+        after = residual_angles(batch, fits.of_joints(order))
+        for k, (j, residual) in enumerate(zip(order, after, strict=True)):
             remaining[j] = residual
             gains[j] = float(level[k] * plain.count[j] - plain.loglikelihood[j])
             if fits.count[k] <= outside.lags:  # too few samples outside explain nothing
@@ -189,7 +188,7 @@ def _motions(
         counts = trace.used.copy()
         counts[: batch.lags] = False
         others = [
-            _angle(residuals[i, k], other)
+            simulated_angle(residuals[i, k], other)
             for i in siblings
             for k, other in enumerate(joints[i])
             if other.file == trace.file and other.t.size == trace.t.size
@@ -197,7 +196,7 @@ def _motions(
         motions.append(
             JointMotion(
                 trace,
-                _angle(residuals[joint, r], trace),
+                simulated_angle(residuals[joint, r], trace),
                 residuals[joint, r, : trace.t.size],
                 counts,
                 np.array(others).reshape(len(others), trace.t.size),
@@ -206,7 +205,7 @@ def _motions(
     return motions
 
 
-def _angle(residual: Array, trace: Trace) -> Array:
+def simulated_angle(residual: Array, trace: Trace) -> Array:
     """Simulated angles of a recording; where none was measured, between its neighbours."""
     used = np.flatnonzero(trace.used)
     angle = residual[used] + trace.position[used]

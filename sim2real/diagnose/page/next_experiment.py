@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.result import Diagnosis, Experiment
 from sim2real.effects import named
@@ -18,8 +18,6 @@ from sim2real.identification.servo_problem import Hypothesis, Servos, minimise, 
 from sim2real.recording import Load, Recording, write_recording
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.trace import Trace
-
-Array = NDArray[np.float64]
 
 _CLEAR = float(-2 * ndtri(DECISION.false_alarms))
 """Distance in noises at which one rival is seldom taken for the other."""
@@ -197,7 +195,7 @@ def _for_plans(rival: Hypothesis, plans: Sequence[_Plan]) -> Servos:
     many = rival.fit.servos[np.zeros(len(plans), dtype=np.intp)]
     theta = many.theta.copy()
     theta[[plan.context == "lower_supply" for plan in plans], 0] *= 0.75
-    return replace(many, joint=np.arange(len(plans), dtype=np.int32), theta=theta)
+    return replace(many.of_joints(range(len(plans))), theta=theta)
 
 
 def _statement(plan: _Plan, score: float, members: Sequence[str], component: str) -> str:

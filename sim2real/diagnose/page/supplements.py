@@ -6,21 +6,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim2real.arrays import Array
 from sim2real.check import all_findings, check
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.screening import Candidate, Screen
+from sim2real.diagnose.missing.unmodelled import simulated_angle
 from sim2real.diagnose.page.next_experiment import next_experiment
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
 from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
-
-Array = NDArray[np.float64]
 
 
 def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -> Diagnosis:
@@ -80,12 +79,8 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
     kp, kd = (float(x) for x in joint.finding.tried.plain.fit.servos.theta[0, :2])
     series = []
     for trace, before, after in zip(joint.joint.traces, joint.before, joint.after, strict=False):
-        known = np.flatnonzero(trace.used)
-        plain, rich = (
-            np.interp(trace.t, trace.t[known], residual[known] + trace.position[known])
-            for residual in (before, after)
-        )
-        position = np.where(trace.used, trace.position, np.nan)
+        plain, rich = (simulated_angle(residual, trace) for residual in (before, after))
+        position = trace.measured
         torque, sd = residual_torque(
             trace.t,
             np.where(trace.used, plain - position, np.nan),

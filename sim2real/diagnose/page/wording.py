@@ -65,7 +65,7 @@ def diagnosis(
         # What has changed since references is worth saying, whatever its size.
         is_small = not case.references and all(change < negligible for change in changes)
         (small if is_small else large).append(_named_effect(results, entry))
-    if any(joint.finding.mismatch and joint.finding.left for joint in joints):
+    if any(joint.finding.mismatch and joint.finding.unexplained for joint in joints):
         small = []  # beside something without a name a trifle is no finding
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
@@ -213,7 +213,7 @@ def _verdict(
 ) -> Verdict:
     differing = [joint.finding for joint in joints if joint.finding.mismatch]
     uncatalogued = any(f.unknown > DECISION.named for f in differing)
-    unsolved = uncatalogued or any(f.left for f in differing)
+    unsolved = uncatalogued or any(f.unexplained for f in differing)
     if changed and not effects and not uncatalogued:
         return "unchanged"
     if not differing or (small and not effects and not unsolved):
@@ -267,7 +267,7 @@ def _where(joint: JointFindings, segments: Sequence[tuple[Window, ...]]) -> str:
     driven = gain > DECISION.report.driving_gain
     words = _WORDS[state] if driven else "the residual depends on no single state"
     seconds = sum(b - a for of_trace in segments for a, b in of_trace)
-    if seconds > DECISION.report.throughout_share * sum(float(t.t[-1] - t.t[0]) for t in traces):
+    if seconds > DECISION.report.throughout_share * sum(t.duration_s for t in traces):
         return f"throughout: {words}" if driven else "throughout"
     if without.windows is None or not any(segments):
         return words

@@ -5,7 +5,8 @@
 Confused with: the servos' latency, where no angles are recorded.
 """
 
-from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values, late
+from sim2real.arrays import Array
+from sim2real.effects.body_effect import CameraEffect, Parameter, Values, late
 
 
 def _see(t: Array, pose: Array, p: Values) -> Array:

@@ -8,7 +8,8 @@ Confused with: latency.
 
 import numpy as np
 
-from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values, late
+from sim2real.arrays import Array
+from sim2real.effects.body_effect import CameraEffect, Parameter, Values, late
 
 
 def _see(t: Array, pose: Array, p: Values) -> Array:

@@ -7,7 +7,8 @@ Confused with: latency, which has the same effect at low frequencies.
 
 import numpy as np
 
-from sim2real.effects.body_effect import Array, CameraEffect, Parameter, Values
+from sim2real.arrays import Array
+from sim2real.effects.body_effect import CameraEffect, Parameter, Values
 
 
 def _see(t: Array, pose: Array, p: Values) -> Array:

@@ -1,0 +1,150 @@
+"""The motor's limit of torque, as the data sheet states it, of joints whose model has none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.diagnose.case import Case, JointCase
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.baseline import SATURATION, with_effects
+from sim2real.identification.fit import best_of, errors, first_guess
+from sim2real.identification.motor_fit import EXPLAINED, fit_motor
+from sim2real.identification.motor_prior import motor_prior
+from sim2real.identification.servo_problem import Fits, Hypothesis, Set, minimise, plain_servos
+from sim2real.inference.least_squares import rms
+from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.recording import PER_INERTIA
+from sim2real.robot import Servo
+from sim2real.servo.batch import Batch
+from sim2real.servo.parameters import COLUMNS, LINE, stated
+from sim2real.servo.rollout import Simulator
+from sim2real.servo.trace import Trace, sensor_noise, traces
+
+_LINE = [COLUMNS.index(name) for name in LINE]
+_FLAT = [COLUMNS.index(f"{SATURATION}.{name}") for name in ("limit_Nm", "free_damping")]
+_LARGER = np.linspace(1.0, 2.0, 26)
+
+
+def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
+    """The case, each joint that reaches the line of its data sheet with a model that has it.
+
+    One with references keeps what it knows, and a joint a given model that is no plain servo.
+    """
+    known = dict(case.model.joints) if case.model else {}
+    lines = {}
+    for joint in case.robot.joints if not case.references else ():
+        model, data = known.get(joint.name), traces(case.recordings, joint.name)
+        if not data or (model is not None and (model.law != "pd" or model.effects)):
+            continue
+        line = _on_its_line(data, joint.servo, rng)
+        # What changes the error by less, nobody would miss.
+        if line is not None and line[1] < 1 - DECISION.negligible:
+            lines[joint.name] = line[0]
+    if not lines:
+        return case
+    return replace(case, model=replace(case.model or Model(joints={}), joints=known | lines))
+
+
+def _on_its_line(
+    traces: Sequence[Trace], servo: Servo, rng: np.random.Generator
+) -> tuple[JointModel, float] | None:
+    """The servo with its motor's line, and its residual relative to that of the linear servo.
+
+    None if the linear servo explains the recordings.
+
+    Args:
+        traces: Recordings of one joint.
+        servo: Its data sheet.
+        rng: Generator for the search for a starting point.
+    """
+    noise = sensor_noise(traces)
+    start, others = first_guess(traces, rng)
+    plain, _ = best_of(traces, [start, *others])
+    if rms(plain.residuals) < EXPLAINED * noise:
+        return None
+    prior = motor_prior(servo, traces)
+    parameters, room = list(prior.parameters), 1 / DECISION.data_sheet_share
+    for name in LINE:
+        k = prior.index(name)
+        middle = float(np.exp(parameters[k].nominal))
+        if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
+            parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
+    motor = fit_motor(traces, plain, replace(prior, parameters=tuple(parameters)), LINE, rng)
+    model = stated(motor.fit.row, traces[0].load)
+    return model, rms(motor.fit.residuals) / rms(plain.residuals)
+
+
+def limits_beside(
+    batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
+) -> dict[int, JointModel]:
+    """Plain models with their motor's limit, of joints that reach it beside what explains them.
+
+    The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. Anything
+    large that is missing hides it from a fit of the plain servo. The likelier of the two is chosen.
+
+    Args:
+        batch: The recordings, joint by joint.
+        joints: The joints of the batch.
+        best: What explains each best at first sight.
+    """
+    models = {}
+    for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
+        row = servo.fit.servos.theta[0].copy()
+        if joint.references or joint.base or joint.stall_Nm is None or row[_LINE].any():
+            continue
+        assert joint.servo is not None
+        least = DECISION.data_sheet_share * joint.stall_Nm
+        # A limit at the data sheet's is the motor's by another name.
+        at_sheet = row[_FLAT[0]] > least
+        others: Set = servo.members - {SATURATION} if at_sheet else servo.members
+        line, flat = row.copy(), row.copy()
+        line[_FLAT] = 0.0 if at_sheet else line[_FLAT]
+        line[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
+        if not at_sheet:
+            flat[_FLAT] = joint.stall_Nm, 1.0
+        fits = [_fitted(batch, j, others, line)]
+        if SATURATION not in others:
+            fits.append(_fitted(batch, j, others | {SATURATION}, flat))
+        gains = [float(fit.loglikelihood[0] - servo.fit.loglikelihood[0]) for fit in fits]
+        k = int(np.argmax(gains))
+        if gains[k] <= (-1.0 if at_sheet else DECISION.decisive_gain):
+            continue
+        theta = fits[k].servos.theta[0]
+        if k == 0 or theta[_FLAT[0]] > least:
+            flat_limit = dict(zip(("limit_Nm", "free_damping"), theta[_FLAT].tolist(), strict=True))
+            effects = [FittedEffect(SATURATION, flat_limit)] if k else []
+            models[j] = stated(theta, joint.traces[0].load, effects)
+    return models
+
+
+def _fitted(batch: Batch, j: int, members: Set, row: Array) -> Fits:
+    """The fit of joint ``j`` with these effects, from a row (P,)."""
+    inertia = batch.load[batch.first_signal[j], :1]
+    plain = plain_servos(np.array([j]), row[None], inertia, batch.period, free_line=True)
+    start = with_effects(plain, members, row, float(inertia[0]))
+    return minimise(batch, start, iterations=15)
+
+
+def with_stated_line(
+    traces: Sequence[Trace], servo: Servo, row: Array, *, largest_cost: float = 2.0
+) -> Array:
+    """A servo's parameters (P,) with its data sheet's line, if the recordings do not determine it.
+
+    Without a line, faster motions would be predicted with unlimited torque. If the recordings
+    exclude the stated torque, the smallest larger one that they allow is used, up to twice the
+    stated one, otherwise no line; likewise if the load is unknown. A line is excluded if it costs
+    more than ``largest_cost`` of log-likelihood, about the effect of chance on one parameter.
+    """
+    if row[_LINE].any() or traces[0].load is PER_INERTIA:
+        return row
+    rows = np.tile(row, (1 + _LARGER.size, 1))
+    rows[1:, _LINE[0]] = servo.max_torque_Nm * _LARGER
+    rows[1:, _LINE[1]] = servo.no_load_speed_rad_s
+    residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
+    squares = np.sum(residuals**2, axis=1)
+    allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost
+    return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)
