@@ -2,7 +2,7 @@
 
 Set-points and angles are stamped by two clocks. Those of crystals differ by some 20 ppm, by another
 amount in each recording: after half a minute that is a millisecond, which shows wherever the sensor
-is good, and which nobody acts on. What runs apart farther is an effect, and left alone.
+is good, and which nobody acts on. A larger drift is an effect and is not corrected.
 """
 
 from __future__ import annotations

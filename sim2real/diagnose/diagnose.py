@@ -191,7 +191,7 @@ def _joint_results(
 def _first_look(
     joints: Sequence[JointCase], rng: np.random.Generator, device: str
 ) -> tuple[list[JointCase], list[Tried]]:
-    """The joints, on their lines where that shows beside what explains them best, and all tried."""
+    """The joints, with their motor's limit where that shows, and every set that was tried."""
     batch = Batch([joint.traces for joint in joints], device)
     ledgers = _looked(batch, joints, rng)
     lines = limits_beside(batch, joints, [ledger.best for ledger in ledgers])

@@ -81,7 +81,7 @@ def _on_its_line(
 def limits_beside(
     batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
 ) -> dict[int, JointModel]:
-    """Plain models with their motor's limit, of joints that reach it beside what explains them.
+    """Plain models with their motor's limit, of joints that reach it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. Anything
     large that is missing hides it from a fit of the plain servo. The likelier of the two is chosen.

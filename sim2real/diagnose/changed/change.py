@@ -48,7 +48,7 @@ from sim2real.servo.parameters import BASE
 from sim2real.servo.trace import Trace
 
 _MOST = 10
-"""Changes that are fitted to the case; those of them that a second one is looked for beside."""
+"""Changes that are fitted to the case; those of them with which a second one is searched for."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Change:
     """What has changed on a joint.
 
     Attributes:
-        groups: What it is, likeliest first; an effect and those that it can't be told from, then
+        groups: What it is, likeliest first; an effect and those that it is confused with, then
             parameters of the plain servo that may be set anew instead. There is at least one.
             Nothing is resampled: stability repeats probability.
         probability: Of each effect, and of each parameter of the plain servo.
@@ -219,10 +219,10 @@ def _single(of: Explained, effects: Contrast) -> Change:
 
 
 def _group(probability: Mapping[str, float]) -> Group:
-    """Effects that cannot be told apart, and what of the plain servo may be set anew instead.
+    """Effects that are indistinguishable, and parameters of the plain servo that may have changed.
 
-    The likeliest is an effect; where a parameter is so much likelier that it can be told from it,
-    none stands beside it.
+    The likeliest is an effect; where a parameter is so much likelier that the two are
+    distinguishable, no effect is listed with it.
     """
     order = sorted(probability, key=lambda n: -probability[n])
     first = next(n for n in order if n not in BASE)
@@ -264,7 +264,7 @@ def _pair(of: Explained, effects: Contrast, by: Directions, *, partners: int = 2
         likely = [p for p in ranked if second.effects[p] not in (*BASE, head)][: _MOST // 2]
         fit({frozenset((head, second.effects[p])): row + second.rows[p] - of.row for p in likely})
     best = fit({})
-    for name in sorted(best):  # its rivals beside the other one
+    for name in sorted(best):  # its rivals, together with the other one
         with_it = {pair: row for pair, (row, _) in linear.items() if name in pair}
         fit(dict(list(with_it.items())[: _MOST // 2]))
     best = fit({})
@@ -280,7 +280,7 @@ def _pair(of: Explained, effects: Contrast, by: Directions, *, partners: int = 2
     for head in sorted(best):
         (other,) = best - {head}
         rivals = {next(iter(p - {other})): m for p, (_, m) in fits.items() if other in p}
-        # As wrong as a law may be of what this one explains beside the other.
+        # As wrong as a law may be of what this one explains together with the other.
         error2 = DECISION.change.law_error**2 * max(remaining_by.get(other, whole) - remaining, 0.0)
         blurred = of.scale2 + error2
         weight = {n: float(np.exp(-0.5 * (m - remaining) / blurred)) for n, m in rivals.items()}

@@ -91,7 +91,7 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
     link = change.link.effect if change.link is not None else ""
     rich = tried.base | {group.members[0] for group in named} - {link}
     if rich != tried.base:
-        # As fitted beside the servo of the references: the case alone says less of its servo.
+        # As fitted with the servo of the references: the case alone determines its servo less well.
         servos = with_effects(plain, rich, change.row, references[0].load.inertia_kgm2)
         servos = replace(servos, theta=change.row[None])
         fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)

@@ -118,7 +118,7 @@ class NoisyJoint:
     def remodelled(
         self, noise: Noise, series: Sequence[Sequence[Array]], added: Array | float = 0.0
     ) -> Noise:
-        """The noise with its autoregression refitted to noises (T,), some for each recording."""
+        """The noise with its autoregression refitted to residuals (T,), some for each recording."""
         p = noise.model.size
         products = np.zeros((p + 1, p + 1))
         if isinstance(added, np.ndarray):

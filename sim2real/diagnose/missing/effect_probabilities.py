@@ -78,11 +78,11 @@ def posteriors(
         robots: Which joints share a supply and a link.
         rng: For the bootstrap.
     """
-    alone = [posterior(one, rng) for one in found]
-    after = list(alone)
+    separate = [posterior(tried, rng) for tried in found]
+    after = list(separate)
     for robot in robots:
         for j in robot:
-            odds = _shared_odds([alone[i] for i in robot if i != j])
+            odds = _shared_odds([separate[i] for i in robot if i != j])
             after[j] = posterior(found[j], rng, odds)
     return after
 

@@ -85,9 +85,9 @@ class Finding:
         return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
 
     def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
-        """Share by which an effect lowers the held-out error beside the others; or infinity.
+        """Share by which an effect lowers the held-out error in the presence of the others; or infinity.
 
-        Infinity where that cannot be told: of rounding, and where nothing is held out. Of an
+        Infinity where that cannot be measured: of rounding, and where nothing is held out. Of an
         uneven link, which nobody can foretell, it is the share by which it raises the error; none
         where set-points come no later than the controller's next turn would take them anyway.
         """
@@ -259,16 +259,16 @@ def _with_links(
     )
     with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
     explained = list(findings)
-    for robot, alone in zip(robots, both, strict=False):
-        beside = with_effects.get(robot[0], alone)
-        if not _on_all(alone, beside, [findings[j] for j in robot]):
+    for robot, plain_link in zip(robots, both, strict=False):
+        best_link = with_effects.get(robot[0], plain_link)
+        if not _on_all(plain_link, best_link, [findings[j] for j in robot]):
             continue
         for k, j in enumerate(robot):
             finding = findings[j]
             own = finding.best.evidence - finding.tried.plain.evidence
-            # Uneven timing instead of the joint's own effects, or beside them.
-            instead = alone.shares[k] > beside.shares[k] + own
-            link = alone if instead and alone.gain > 0 else beside
+            # Uneven timing instead of the joint's own effects, or together with them.
+            instead = plain_link.shares[k] > best_link.shares[k] + own
+            link = plain_link if instead and plain_link.gain > 0 else best_link
             if link.gain > 0:
                 group = Group((link.effect,), DECISION.most_certain, 1.0)
                 remaining = excess(link.unexplained[k], joints[j].traces, batch, _noise(finding))
@@ -292,11 +292,11 @@ def _noise(finding: Finding) -> float:
     return float(np.sqrt(fit.error2[0] / fit.count[0]))
 
 
-def _on_all(alone: Uneven, beside: Uneven, findings: Sequence[Finding]) -> bool:
+def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) -> bool:
     """Whether a link is uneven on more than the joints whose own effects could pass for it."""
-    if max(alone.gain, beside.gain) <= 0:
+    if max(plain_link.gain, best_link.gain) <= 0:
         return False
-    showing = [share > 0 for share in beside.shares]
+    showing = [share > 0 for share in best_link.shares]
     free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
     if free and not any(free):
         return False

@@ -1,8 +1,8 @@
 """What every servo has a little of: part of the plain servo, before anything is looked for.
 
 Cogging and the sensor's eccentricity are common to all recordings, and nobody acts on a little of
-them. Left out, their waves pass for anything. They are fitted beside whatever else explains most,
-so that they do not stand in for it, and kept while they are small in noises.
+them. Left out, their waves pass for any effect. They are fitted together with what explains most,
+so that they do not stand in for it, and kept while they are small relative to the noise.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
 
 
 def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
-    """An effect's size as the angle that it turns the servo by, in noises of the sensor.
+    """An effect's size: the angle that it turns the servo by, in standard deviations of the noise.
 
     Of an error of the sensor it is what a straight line leaves of it where sensors are calibrated.
     """
@@ -45,13 +45,13 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
 def first_look(
     problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float], *, most: int = 4
 ) -> None:
-    """Try what explains each joint best at first sight, with the small nuisances that show beside.
+    """Try what explains each joint best at first sight, with the small nuisances that show with it.
 
     Args:
         problem: The search to come.
         ledgers: One a joint, of plain servos.
         large: Angle from which a joint's nuisance is a finding, rad.
-        most: Effects that are tried beside the plain servo.
+        most: Effects that are tried, each added to the plain servo.
     """
     problem.look([(ledger, ledger.base) for ledger in ledgers])
     jobs = [
@@ -61,17 +61,17 @@ def first_look(
     ]
     for (ledger, _, _), refitted in zip(jobs, problem.refit(jobs), strict=True):
         ledger.keep(refitted)
-    beside = {ledger.case: ledger.best for ledger in ledgers}
-    wanted = [ledger for ledger in ledgers if _missing(beside[ledger.case].members)]
+    first = {ledger.case: ledger.best for ledger in ledgers}
+    wanted = [ledger for ledger in ledgers if _missing(first[ledger.case].members)]
     if not wanted:
         return
-    pairs = [(ledger, beside[ledger.case]) for ledger in wanted]
+    pairs = [(ledger, first[ledger.case]) for ledger in wanted]
     jobs = [job for group in _jobs(problem, pairs) for job in group]
     tried: dict[int, list[Hypothesis]] = {ledger.case: [] for ledger in wanted}
     for (ledger, _, _), refitted in zip(jobs, problem.refit(jobs), strict=True):
         tried[ledger.case].append(refitted)
     for ledger in wanted:
-        ledger.keep(_best(beside[ledger.case], tried[ledger.case], large[ledger.case]))
+        ledger.keep(_best(first[ledger.case], tried[ledger.case], large[ledger.case]))
 
 
 def with_nuisances(
@@ -87,7 +87,7 @@ def with_nuisances(
         ledgers: One a joint, of plain servos.
         large: Angle from which a joint's nuisance is a finding, rad.
         best: What explained each best before, of these recordings or of such a batch: the nuisances
-            are fitted beside it.
+            are fitted with it.
     """
     small = [
         _small(h, angle) - ledger.base
@@ -100,14 +100,14 @@ def with_nuisances(
         (ledgers[k], best[k].members | ledgers[k].base, np.array(best[k].fit.servos.theta[0]))
         for k in wanted
     ]
-    beside = problem.refit(jobs)
+    refits = problem.refit(jobs)
     jobs = [
         # Fitted to these recordings, a small one may be a large one after all.
         (ledgers[k], ledgers[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
-        for k, h in zip(wanted, beside, strict=True)
+        for k, h in zip(wanted, refits, strict=True)
     ]
     for ledger, members, _ in jobs:
-        # As fitted beside what explains most, and so they stay.
+        # As fitted together with what explains most, and so they stay.
         problem.held[ledger.case] = members - ledger.base
     based = list(ledgers)
     for k, (ledger, members, _), refitted in zip(wanted, jobs, problem.refit(jobs), strict=True):
@@ -126,9 +126,9 @@ def beside_rivals(
     rivals: int = 8,
     promise: float = 2.0,
 ) -> list[Tried]:
-    """Try small nuisances beside the likeliest sets of each joint, too.
+    """Try small nuisances with the likeliest sets of each joint as well.
 
-    One that was not seen beside the first explanation speaks for what happens to be shaped like it.
+    One that was not seen with the first explanation speaks for what happens to be shaped like it.
 
     Args:
         problem: The search that was.
@@ -180,7 +180,7 @@ def _jobs(
     *,
     starts_each: int = 2,
 ) -> list[list[Job]]:
-    """For each hypothesis every set of nuisances beside it, from the likeliest waves.
+    """For each hypothesis every set of nuisances added to it, from the likeliest waves.
 
     Args:
         problem: The search.
@@ -212,14 +212,14 @@ def _jobs(
     return jobs
 
 
-def _best(beside: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
+def _best(first: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
     """The likeliest set with those nuisances that are small where all are tried, if worth it."""
     top = max(tried, key=lambda h: h.evidence)
     # Where a large wave is likeliest, a small one in its place only stands in for it.
-    small = beside.members | _small(top, large_rad)
+    small = first.members | _small(top, large_rad)
     sets = [h for h in tried if h.members <= small and _small(h, large_rad) >= h.members & NAMES]
-    best = max([beside, *sets], key=lambda h: h.evidence)
-    return best if best.evidence > beside.evidence + DECISION.nuisance_min_evidence else beside
+    best = max([first, *sets], key=lambda h: h.evidence)
+    return best if best.evidence > first.evidence + DECISION.nuisance_min_evidence else first
 
 
 def _small(hypothesis: Hypothesis, large_rad: float) -> Set:

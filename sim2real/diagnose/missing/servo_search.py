@@ -234,7 +234,7 @@ class ServoSearch:
     def release(self, ledgers: Sequence[Tried]) -> None:
         """Refit the likeliest sets of each case, and the plain one, with nothing held.
 
-        What was held was fitted beside what was likeliest then, and speaks for that.
+        What was held was fitted with the likeliest set of that time, and favours it.
         """
         held = [
             (ledger, h)
@@ -299,7 +299,7 @@ class ServoSearch:
 
 
 def _likely(ledger: Tried, limits: SearchLimits) -> list[Hypothesis]:
-    """The sets that what is said rests on: the best, what it is without each effect, its rivals.
+    """The sets that the diagnosis compares: the best, the best without each effect, its rivals.
 
     What was held fits none with another gain of the sensor, however far behind they are.
     """

@@ -20,7 +20,7 @@ from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.trace import Trace
 
 _CLEAR = float(-2 * ndtri(DECISION.false_alarms))
-"""Distance in noises at which one rival is seldom taken for the other."""
+"""Distance, in standard deviations of the noise, at which two rivals are seldom confused."""
 _WEIGHT = (0.05, 0.1)
 """Mass in kg and arm in m of a weight that anyone can make."""
 _CONTEXTS = {

@@ -1,4 +1,4 @@
-"""From findings joint by joint to what a person is told of the robot."""
+"""From the findings on each joint to the diagnosis of the robot and its sentences."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class _Named:
 def diagnosis(
     case: Case, joints: Sequence[JointFindings], negligible: float, seed: int
 ) -> Diagnosis:
-    """What is said of one robot.
+    """The diagnosis of one robot.
 
     Args:
         case: The robot.
@@ -66,7 +66,7 @@ def diagnosis(
         is_small = not case.references and all(change < negligible for change in changes)
         (small if is_small else large).append(_named_effect(results, entry))
     if any(joint.finding.mismatch and joint.finding.unexplained for joint in joints):
-        small = []  # beside something without a name a trifle is no finding
+        small = []  # negligible next to a mismatch without a name
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
     uneven = [joint.finding.link for joint in joints if joint.finding.link is not None]
@@ -98,7 +98,7 @@ def diagnosis(
 
 
 def _named_groups(results: Mapping[str, JointFindings]) -> list[_Named]:
-    """Groups of all joints; what is on the supply or the link of several is said once."""
+    """Groups of all joints; an effect on the supply or the link of several joints counts once."""
     groups: list[_Named] = []
     shared: dict[str, list[tuple[str, Group]]] = {}
     for joint, result in results.items():
@@ -226,7 +226,7 @@ def _verdict(
 
 
 def _mismatch(joint: JointFindings) -> Mismatch:
-    """What is said of a joint that differs."""
+    """The mismatch of one joint."""
     finding, traces, noise, rmse = joint.finding, joint.joint.traces, joint.joint.noise, joint.error
     segments = _segments(joint)
     smooth, count = finding.unmodelled.smooth, float(finding.best.fit.count[0])
