@@ -222,7 +222,7 @@ def _group(probability: Mapping[str, float]) -> Group:
     """Effects that are indistinguishable, and parameters of the plain servo that may have changed.
 
     The likeliest is an effect; where a parameter is so much likelier that the two are
-    distinguishable, no effect is listed with it.
+    distinguishable, no parameter is listed with it.
     """
     order = sorted(probability, key=lambda n: -probability[n])
     first = next(n for n in order if n not in BASE)
