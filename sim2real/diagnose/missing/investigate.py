@@ -85,7 +85,7 @@ class Finding:
         return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
 
     def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
-        """Share by which an effect lowers the held-out error in the presence of the others; or infinity.
+        """Share by which an effect, added to the others, lowers the held-out error; or infinity.
 
         Infinity where that cannot be measured: of rounding, and where nothing is held out. Of an
         uneven link, which nobody can foretell, it is the share by which it raises the error; none
