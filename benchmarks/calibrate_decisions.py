@@ -23,11 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.decision_curves import Curve, Sample, curve, least_sure
 from benchmarks.decision_rows import read
 from benchmarks.decision_sensitivity import alike, sensitivity
 from benchmarks.decision_values import of_sensors, values_of
+from sim2real.diagnose.decision import Odds
 
 ROOT = Path(__file__).resolve().parents[1]
 QUIET = 0.96
@@ -38,6 +40,7 @@ LARGEST_NUISANCE = 8.0
 """Noise levels up to which a wave in a foreign servo may be one of its nuisances."""
 
 Row = dict[str, Any]
+Array = NDArray[np.float64]
 
 
 def main() -> None:
@@ -91,6 +94,14 @@ def _quiet(there: Curve, given: Sequence[Sample], rows: Sequence[Row]) -> tuple[
     return float(np.clip(np.quantile([*largest.values()], QUIET), 0.05, 0.95)), len(largest), why
 
 
+def _stated(fitted: Curve | None, given: Sequence[Sample], weights: Row) -> tuple[Array, Array]:
+    """Probabilities of findings, and whether they were right, by a fitted or a kept curve, (N,)."""
+    if fitted is not None:
+        return fitted.foretold, fitted.right
+    kept = [Odds(weights).probability(one.features) for one in given]
+    return np.array(kept), np.array([one.right for one in given], dtype=float)
+
+
 def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures: bool) -> None:
     """Write decision.json and the curves."""
     target = ROOT / "sim2real" / "diagnose" / "decision.json"
@@ -114,13 +125,14 @@ def write(rows: Sequence[Row], steps: Sequence[Row] = (), *, dry: bool, measures
     there = curves["mismatch"]
     if there is not None:
         read_off["mismatch_probability"] = _quiet(there, given["mismatch"], rows)
-    level = least_sure([one for k in ("effect", "link") if (one := curves[k]) is not None])
+    names = [_stated(curves[k], given[k], content["odds"][k]) for k in ("effect", "link")]
+    level = least_sure([p for p, _ in names], [right for _, right in names])
     if level is not None:
-        n = sum(one.right.size for k in ("effect", "link") if (one := curves[k]) is not None)
+        n = sum(right.size for _, right in names)
         read_off["min_certain_probability"] = (
             level,
             n,
-            "98.5 % of what plants left out are told with more is right",
+            "98.5 % of the findings stated with more are right on plants left out",
         )
     for name, (value, n, why) in read_off.items():
         before = values[name]["value"]

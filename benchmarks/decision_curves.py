@@ -161,12 +161,18 @@ def loss(p: Array, y: Array) -> float:
     return float(-np.mean(y * np.log(p) + (1 - y) * np.log(1 - p)))
 
 
-def least_sure(curves: Sequence[Curve], least: float = 0.9, right: float = 0.985) -> float | None:
-    """Probability from which so large a share of what is foretold is right; None where never."""
-    if not curves:
-        return None
-    p = np.concatenate([one.foretold for one in curves])
-    y = np.concatenate([one.right for one in curves])
+def least_sure(
+    stated: Sequence[Array], correct: Sequence[Array], least: float = 0.9, right: float = 0.985
+) -> float | None:
+    """Probability from which so large a share of the findings is right; None where never.
+
+    Args:
+        stated: Probabilities of findings, by curve.
+        correct: Whether they were right, likewise.
+        least: Smallest probability that is tried.
+        right: Share.
+    """
+    p, y = np.concatenate(stated), np.concatenate(correct)
     for level in np.arange(least, 0.985, 0.005):
         some = p >= level
         if some.any() and y[some].mean() >= right:

@@ -103,8 +103,7 @@ def test_recovers_jitter_whose_delays_are_alike():
     u = command(t)
     on_time, moved = angle(t, u, t + LATENCY), angle(t, u, t + LATENCY + late)
     residual = on_time - measured(moved, rng)
-    given = Residual(t, u, np.ones(T, dtype=bool), residual, KP, KD, LATENCY, INERTIA)
-    jitter = uneven([given])[0]
+    jitter = uneven([fitted_servo(t, u, residual, LATENCY)])[0]
     assert jitter.value == pytest.approx(0.003 * np.sqrt(3), rel=0.2)
     assert jitter.correlation == pytest.approx(0.7, abs=0.2)
 
