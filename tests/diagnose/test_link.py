@@ -72,11 +72,15 @@ def fitted_servo(t, command, residual, latency):
     return Residual(trace, residual, KP, KD, latency)
 
 
+def fit(effect, *joints):
+    """The likelier fit of an effect, with packets in common or not."""
+    noisy = [with_noise(joint, MOST_LAGS, LEAST_GAIN) for joint in joints]
+    return max(fitted(noisy, effect), key=lambda each: each.gain)
+
+
 def uneven(*joints):
     """Jitter and loss, each on its own."""
-    noisy = [with_noise(joint, MOST_LAGS, LEAST_GAIN) for joint in joints]
-    fits = (max(fitted(noisy, effect), key=lambda fit: fit.gain) for effect in EFFECTS)
-    return [fit.result() for fit in fits]
+    return [fit(effect, *joints).result() for effect in EFFECTS]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -117,10 +121,10 @@ def test_recovers_lost_set_points(share):
 
 def test_tells_them_apart():
     for seed in (3, 4):
-        late = uneven([recording(seed, jitter=0.008)[0]])
-        assert late[0].gain > 2 * late[1].gain
-        lossy = uneven([recording(seed, loss=0.05)[0]])
-        assert lossy[1].gain > 1.3 * lossy[0].gain
+        late, lost = (fit(e, [recording(seed, jitter=0.008)[0]]).gain for e in EFFECTS)
+        assert late > 2 * lost
+        late, lost = (fit(e, [recording(seed, loss=0.05)[0]]).gain for e in EFFECTS)
+        assert lost > 1.3 * late
 
 
 def test_a_link_says_which_and_on_which_joints():
@@ -135,25 +139,27 @@ def test_a_link_says_which_and_on_which_joints():
 
 def test_pools_recordings_and_joints():
     one, two = (recording(seed, jitter=0.003)[0] for seed in (5, 6))
-    alone = [uneven([given])[0] for given in (one, two)]
-    for pooled in (uneven([one, two])[0], uneven([one], [two])[0]):
-        assert pooled.gain > 0.8 * sum(jitter.gain for jitter in alone)
-        assert pooled.sd < min(jitter.sd for jitter in alone)
+    separate = [fit("latency_jitter", [given]).result() for given in (one, two)]
+    for joints in ([[one, two]], [[one], [two]]):
+        pooled = fit("latency_jitter", *joints).result()
+        assert pooled.gain > 0.8 * sum(jitter.gain for jitter in separate)
+        assert pooled.sd < min(jitter.sd for jitter in separate)
         assert pooled.value == pytest.approx(0.003, rel=0.15)
 
 
 def test_what_is_lost_is_lost_for_all():
     first, lost = recording(7, loss=0.05)
     second = recording(8, lost=lost, scale=0.5)[0]
-    alone = sum(uneven([given])[1].gain for given in (first, second))
-    assert uneven([first], [second])[1].gain > alone + 20
+    separate = sum(fit("packet_loss", [given]).gain for given in (first, second))
+    assert fit("packet_loss", [first], [second]).gain > separate + 20
 
 
 def test_joints_of_different_recordings_lose_each_its_own():
     short = recording(9, loss=0.05, t=np.arange(1200) / 50)[0]
     both = [recording(9, loss=0.05)[0], short]
-    alone = [uneven([given])[1].gain for given in both]
-    assert uneven(*([given] for given in both))[1].gain == pytest.approx(sum(alone), rel=0.01)
+    separate = [fit("packet_loss", [given]).gain for given in both]
+    together = fit("packet_loss", *([given] for given in both)).gain
+    assert together == pytest.approx(sum(separate), rel=0.01)
 
 
 def test_gains_that_are_wrong_are_neither():
@@ -223,10 +229,8 @@ def test_says_when_set_points_were_lost():
 
 def test_finds_whether_one_packet_carries_all_joints():
     first, lost = recording(7, loss=0.05)
-    same = uneven([first], [recording(8, lost=lost, scale=0.5)[0]])[1]
-    assert same.common
-    other = uneven([first], [recording(9, loss=0.05, scale=0.5)[0]])[1]
-    assert not other.common
+    assert fit("packet_loss", [first], [recording(8, lost=lost, scale=0.5)[0]]).common
+    assert not fit("packet_loss", [first], [recording(9, loss=0.05, scale=0.5)[0]]).common
 
 
 def exact(track, timing):

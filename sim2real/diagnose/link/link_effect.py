@@ -248,12 +248,14 @@ class LinkFit:
             )
             for joint, of_joint in zip(self.joints, of_joints, strict=True)
         )
+        single = len(self.joints) == 1
+        shares = [self] if single else [fitted([joint], self.effect)[0] for joint in self.joints]
         return Uneven(
             self.effect,
             self.gain,
             float(value),
             float(widened / np.sqrt(curvature)) if curvature > 0 else np.inf,
-            tuple(fitted([joint], self.effect)[0].gain for joint in self.joints),
+            tuple(share.gain for share in shares),
             self.common,
             burst,
             arrivals.correlation,
