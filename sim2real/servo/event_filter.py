@@ -79,19 +79,17 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class Filtered:
-    """What the filter says of one group of channels that share their events.
+    """Result of one group of channels that share their events.
 
     Attributes:
         loglikelihood: Of the innovations, up to a constant that no ``Arrivals`` changes.
         counts: Expected counts, shape (COUNTS,).
         active: Index of the set-point in force in each slot of the likeliest history, shape (T,).
-        error2: Expected sum of squares of normalised innovations.
     """
 
     loglikelihood: float
     counts: Array
     active: Integers
-    error2: float
 
 
 @dataclass(frozen=True)
@@ -175,13 +173,13 @@ class EventFilter:
         joints = max(len(group) for group in self.groups)
         results: tuple[Any, ...] = (
             wp.zeros((S, G), dtype=wp.float64, device="cpu"),
-            wp.zeros((S, G, COUNTS + 1), dtype=wp.float64, device="cpu"),
+            wp.zeros((S, G, COUNTS), dtype=wp.float64, device="cpu"),
             wp.zeros((S, G, K), dtype=wp.int32, device="cpu"),
         )
         scratch = [
             wp.zeros((S * G, pool, joints * n), dtype=wp.float64, device="cpu"),
             wp.zeros((S * G, pool, joints * n * (n + 1)), dtype=wp.float64, device="cpu"),
-            wp.zeros((S * G, pool, COUNTS + 2), dtype=wp.float64, device="cpu"),
+            wp.zeros((S * G, pool, COUNTS + 1), dtype=wp.float64, device="cpu"),
             wp.zeros((S * G, pool, 2), dtype=wp.int32, device="cpu"),
             wp.zeros((S * G, K, width, 2), dtype=wp.int32, device="cpu"),
         ]
@@ -194,9 +192,8 @@ class EventFilter:
             [
                 Filtered(
                     float(value[s, g]),
-                    counts[s, g, :COUNTS],
+                    counts[s, g],
                     active[s, g, : self._slots[g]],
-                    float(counts[s, g, COUNTS]),
                 )
                 for g in range(G)
             ]

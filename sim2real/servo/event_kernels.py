@@ -46,14 +46,14 @@ def _propagate(
 
 @wp.func
 def _observe(
-    x: Matrix, P: Matrix, m: int, j: int, n: int, model: Matrix, track: int,
+    x: Matrix, P: Matrix, m: int, j: int, n: int, model: Matrix, channel: int,
     innovation: wp.float64, sd: wp.float64, spread: int,
 ):  # fmt: skip
-    """Update by a sample; its log-likelihood and the square of its normalised innovation."""
+    """Update by a sample; its log-likelihood."""
     a = j * n
     error = innovation - x[m, a]
     for c in range(3, n):
-        error += model[track, c - 3] * x[m, a + c]
+        error += model[channel, c - 3] * x[m, a + c]
     variance = sd * sd
     if spread > 0:
         b = j * n * (n + 1)
@@ -61,17 +61,16 @@ def _observe(
         for c in range(n):
             P[m, k + c] = P[m, b + c]
             for d in range(3, n):
-                P[m, k + c] = P[m, k + c] - model[track, d - 3] * P[m, b + d * n + c]
+                P[m, k + c] = P[m, k + c] - model[channel, d - 3] * P[m, b + d * n + c]
         variance += P[m, k]
         for d in range(3, n):
-            variance -= model[track, d - 3] * P[m, k + d]
+            variance -= model[channel, d - 3] * P[m, k + d]
         for c in range(n):
             weight = P[m, k + c] / variance
             x[m, a + c] = x[m, a + c] + weight * error
             for d in range(n):
                 P[m, b + c * n + d] = P[m, b + c * n + d] - weight * P[m, k + d]
-    square = error * error / variance
-    return wp.vec2d(wp.float64(-0.5) * (wp.log(variance) + square), square)
+    return wp.float64(-0.5) * (wp.log(variance) + error * error / variance)
 
 
 @wp.func
@@ -130,9 +129,9 @@ def run_filter(
     tolerance: Matrix, value: wp.array2d(dtype=wp.float64), counts: wp.array3d(dtype=wp.float64),
     active: wp.array3d(dtype=wp.int32),
 ):  # fmt: skip
-    """Filter one group of tracks under one timing.
+    """Filter one group of channels under one model of arrivals.
 
-    ``sums`` of a hypothesis: log-likelihood, counts, normalised squares. ``marks``: the set-point
+    ``sums`` of a hypothesis: log-likelihood, counts. ``marks``: the set-point
     in force, and the hypothesis that it came from. The first ``width`` places hold what is kept.
     """
     s, g = wp.tid()
@@ -183,25 +182,23 @@ def run_filter(
                             lost == 1, wp.float64(1.0), wp.float64(0.0)
                         )
                     for j in range(J):
-                        track = first[g] + j
-                        at = start[track]
+                        channel = first[g] + j
+                        at = start[channel]
                         for d in range(n):
                             x[c, j * n + d] = x[m, j * n + d]
                         if spread > 0:
                             b = j * n * (n + 1)
                             for d in range(n * n):
                                 P[c, b + d] = P[m, b + d]
-                            kick = gain[track] * (command[at + new] - command[at + old])
+                            kick = gain[channel] * (command[at + new] - command[at + old])
                             _delay(x, P, c, j, n, k, rates[s, 2], rates[s, 3], kick)
                         below = command[at + k] - command[at + new]
-                        for i in range(samples[at + track + k], samples[at + track + k + 1]):
+                        for i in range(samples[at + channel + k], samples[at + channel + k + 1]):
                             _propagate(x, P, c, j, n, within, i, below, spread)
                             if noise[i] > wp.float64(0.0):
-                                r = _observe(
-                                    x, P, c, j, n, model, track, innovation[i], noise[i], spread
+                                score += _observe(
+                                    x, P, c, j, n, model, channel, innovation[i], noise[i], spread
                                 )
-                                score += r[0]
-                                w[c, w.shape[1] - 1] = w[c, w.shape[1] - 1] + r[1]
                             _remember(x, P, c, j, n, spread)
                         _propagate(x, P, c, j, n, tail, at + k, below, spread)
                     w[c, 0] = score
@@ -223,13 +220,13 @@ def run_filter(
                 for d in range(kept):
                     alike = int(1)
                     for j in range(J):
-                        track = first[g] + j
-                        at = start[track]
+                        channel = first[g] + j
+                        at = start[channel]
                         step = command[at + mark[d, 0]] - command[at + mark[c, 0]]
                         if wp.abs(step) > wp.float64(SAME_RAD):
                             alike = int(0)
                         for q in range(n):
-                            size = tolerance[track, wp.where(q == 1, 1, 0)]
+                            size = tolerance[channel, wp.where(q == 1, 1, 0)]
                             if q != 2 and wp.abs(x[d, j * n + q] - x[c, j * n + q]) > size:
                                 alike = int(0)
                     if alike > 0 and twin < 0:
@@ -283,25 +280,25 @@ def expect(
     states: wp.array3d(dtype=wp.float64), covariances: wp.array3d(dtype=wp.float64),
     mean: wp.array(dtype=wp.float64), sums: wp.array3d(dtype=wp.float64),
 ):  # fmt: skip
-    """Smooth one track along its group's path."""
-    track = wp.tid()
+    """Smooth one channel along its group's path."""
+    channel = wp.tid()
     g = int(0)
-    while first[g + 1] <= track:
+    while first[g + 1] <= channel:
         g += 1
-    at = start[track]
-    x = states[track]
-    P = covariances[track]
+    at = start[channel]
+    x = states[channel]
+    P = covariances[channel]
     n = model.shape[1] + 3
     behind = model.shape[1] - p - 1
     for k in range(slots[g]):
         new = path[g, k]
-        kick = gain[track] * (command[at + new] - command[at + path[g, wp.max(k - 1, 0)]])
+        kick = gain[channel] * (command[at + new] - command[at + path[g, wp.max(k - 1, 0)]])
         _delay(x, P, 0, 0, n, k, delay_sd_s, correlation, kick)
         below = command[at + k] - command[at + new]
-        for i in range(samples[at + track + k], samples[at + track + k + 1]):
+        for i in range(samples[at + channel + k], samples[at + channel + k + 1]):
             _propagate(x, P, 0, 0, n, within, i, below, 1)
             if noise[i] > wp.float64(0.0):
-                _observe(x, P, 0, 0, n, model, track, innovation[i], noise[i], 1)
+                _observe(x, P, 0, 0, n, model, channel, innovation[i], noise[i], 1)
             _remember(x, P, 0, 0, n, 1)
             mean[i] = x[0, 2]
             for d in range(wp.min(i - at, behind) + 1):
@@ -311,7 +308,7 @@ def expect(
                 for c in range(p + 1):
                     for d in range(p + 1):
                         q = (3 + behind + c) * n + 3 + behind + d
-                        sums[track, rest[back], c * (p + 1) + d] = (
-                            sums[track, rest[back], c * (p + 1) + d] + P[0, q]
+                        sums[channel, rest[back], c * (p + 1) + d] = (
+                            sums[channel, rest[back], c * (p + 1) + d] + P[0, q]
                         )
         _propagate(x, P, 0, 0, n, tail, at + k, below, 1)
