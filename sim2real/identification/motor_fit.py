@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
-from sim2real.identification.fit import Fit, errors, plain_row, split_by_trace
+from sim2real.identification.fit import Fit, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
-from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.identification.motor_problem import MotorProblem
 from sim2real.inference.least_squares import (
     OUTLIER_SD,
     Expansion,
@@ -20,116 +20,13 @@ from sim2real.inference.least_squares import (
     robust_scale,
     stacked,
 )
-from sim2real.inference.parameters import Parameter, column
-from sim2real.servo.parameters import BASE, COLUMNS, LOOP, LOSSES, ROTOR, SOFT, motor_of
-from sim2real.servo.rollout import Simulator, coarse_substep
+from sim2real.inference.parameters import column
+from sim2real.servo.parameters import LOOP, LOSSES, ROTOR, SOFT, motor_of
+from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
-_LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
-
-
-@dataclass(frozen=True)
-class MotorProblem:
-    """Recordings of a motor, its prior, and which parameters are fitted.
-
-    Attributes:
-        traces: The recordings of one joint.
-        prior: Prior of the N parameters.
-        free: Indices of the F fitted ones.
-        substep_s: Longest sub-step of a rollout, s.
-        simulator: Simulator of these traces.
-        steps: Largest number of steps of a search after the first round.
-        behind: Largest difference of log-likelihood to the best search at which one continues.
-    """
-
-    traces: Sequence[Trace]
-    prior: MotorPrior
-    free: tuple[int, ...]
-    substep_s: float
-    simulator: Simulator
-    steps: int
-    behind: float
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The free parameters."""
-        return tuple(self.prior.parameters[k] for k in self.free)
-
-    @property
-    def box(self) -> tuple[Array, Array, Array]:
-        """Smallest and largest values as searched, and units, of the free parameters."""
-        ends = [
-            (np.log(p.low), np.log(p.high)) if p.log else (p.low, p.high) for p in self.parameters
-        ]
-        low, high = np.array(ends).T
-        return low, high, column(self.parameters, "typical")
-
-    @property
-    def coarse(self) -> MotorProblem:
-        """This problem with longer sub-steps, see ``rollout.coarse_substep``."""
-        return replace(self, substep_s=float(coarse_substep(np.array(self.substep_s))))
-
-    def rows(self, x: Array) -> Array:
-        """Rows of the servo's parameters for those searched, (B, F) to (B, P).
-
-        The searched phase of a sampled loop is relative to the latency, so that a change of latency
-        shifts both and does not move a set-point to another sample.
-        """
-        rows = np.tile(plain_row(0.0, 0.0, 0.0), (x.shape[0], 1))
-        rows[:, [COLUMNS.index(name) for name in self.prior.names]] = self.prior.values(x)
-        period = rows[:, _PERIOD]
-        phase = (rows[:, _PHASE] + rows[:, _LATENCY]) % np.where(period > 0, period, 1.0)
-        rows[:, _PHASE] = np.where(period > 0, phase, 0.0)
-        return rows
-
-    def residuals(self, x: Array) -> Array:
-        """Simulated minus measured angles of all traces, shape (B, n)."""
-        return np.concatenate(errors(self.simulator, self.rows(x), self.substep_s), axis=1)
-
-    def terms(self, x: Array) -> Array:
-        """The prior's residuals, which are 0 for fixed parameters."""
-        fixed = np.setdiff1d(np.arange(3, x.shape[1]), self.free)
-        replaced = x.copy()
-        replaced[:, fixed] = [self.prior.parameters[k].nominal for k in fixed]
-        terms = self.prior.terms(replaced)
-        terms[:, fixed] = 0.0
-        if not {3, 4} <= set(self.free):
-            terms[:, -2:] = 0.0
-        return terms
-
-    def loss(self, x: Array, error: Array, scale: float, inflation: float) -> Array:
-        """Twice the negative log-posterior of ``x`` (B, F) with residuals (B, n), shape (B,)."""
-        size = OUTLIER_SD * scale
-        data = 2 * OUTLIER_SD**2 * (np.sqrt(1 + (error / size) ** 2) - 1).sum(axis=1) / inflation
-        return np.asarray(data + (self.terms(x) ** 2).sum(axis=1))
-
-    def inflation(self, error: Array) -> float:
-        """Number of samples of a residual (n,) per independent sample."""
-        parts = split_by_trace(error, self.traces)
-        times = [correlation_samples(part) for part in parts]
-        return float(np.average(times, weights=[part.size for part in parts]))
-
-    def slopes(self, x: Array, *, difference: float = 1e-3) -> tuple[Array, Array]:
-        """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
-        _, high, unit = self.box
-        ahead = x[list(self.free)] + difference * unit
-        step = np.where(ahead > high, -difference, difference)
-        return self._differences(self.residuals, x, step)
-
-    def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
-        """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        return self._differences(self.terms, x, np.full(len(self.free), difference))
-
-    def _differences(
-        self, evaluate: Callable[[Array], Array], x: Array, step: Array
-    ) -> tuple[Array, Array]:
-        """Values at ``x`` and their derivatives by steps (F,) of each free parameter, in units."""
-        points = np.tile(x, (len(self.free), 1))
-        points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        base, *moved = evaluate(np.stack([x, *points]))
-        return base, np.asarray((np.array(moved) - base).T / step)
 
 
 @dataclass(frozen=True)

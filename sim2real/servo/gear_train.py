@@ -27,15 +27,7 @@ from sim2real.servo.effect_chain import (
     load_torque,
     motor_torque,
 )
-from sim2real.servo.motor import (
-    MOTOR_BIT,
-    Motor,
-    Push,
-    Row,
-    drive_push,
-    gear_friction,
-    resistance,
-)
+from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
 from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN
 from sim2real.servo.torques import pendulum_torque, slide
 
@@ -79,8 +71,7 @@ class Train:
 class Drive:
     """The motor's torque from the start of a sub-step: ``torque - stiffness (q - q0) - damping v``.
 
-    The stiffness is kp, or 0 where the drive is clipped. Integrated implicitly, as a small rotor is
-    fast.
+    The stiffness is kp, or 0 where the drive is clipped. Implicit, as a small rotor is fast.
     """
 
     torque: wp.float64
