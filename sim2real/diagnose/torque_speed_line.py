@@ -10,22 +10,29 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import Case, JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.baseline import SATURATION, with_effects
+from sim2real.diagnose.missing.baseline import with_effects
 from sim2real.identification.fit import best_of, errors, first_guess
 from sim2real.identification.motor_fit import EXPLAINED, fit_motor
 from sim2real.identification.motor_prior import motor_prior
-from sim2real.identification.servo_problem import Fits, Hypothesis, Set, minimise, plain_servos
+from sim2real.identification.servo_problem import (
+    FLAT_COLUMNS,
+    LINE_COLUMNS,
+    SATURATION,
+    Fits,
+    Hypothesis,
+    Set,
+    minimise,
+    plain_servos,
+)
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import COLUMNS, LINE, stated
+from sim2real.servo.parameters import LINE, stated
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace, sensor_noise, traces
 
-_LINE = [COLUMNS.index(name) for name in LINE]
-_FLAT = [COLUMNS.index(f"{SATURATION}.{name}") for name in ("limit_Nm", "free_damping")]
 _LARGER = np.linspace(1.0, 2.0, 26)
 
 
@@ -94,30 +101,34 @@ def limits_beside(
     models = {}
     for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
         row = servo.fit.servos.theta[0].copy()
-        if joint.references or joint.base or joint.stall_Nm is None or row[_LINE].any():
+        if joint.references or joint.base or joint.stall_Nm is None or row[LINE_COLUMNS].any():
             continue
         assert joint.servo is not None
         least = DECISION.data_sheet_share * joint.stall_Nm
         # A limit at the data sheet's is the motor's by another name.
-        at_sheet = row[_FLAT[0]] > least
+        at_sheet = row[FLAT_COLUMNS[0]] > least
         others: Set = servo.members - {SATURATION} if at_sheet else servo.members
         line, flat = row.copy(), row.copy()
-        line[_FLAT] = 0.0 if at_sheet else line[_FLAT]
-        line[_LINE] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
-        if not at_sheet:
-            flat[_FLAT] = joint.stall_Nm, 1.0
+        line[LINE_COLUMNS] = joint.stall_Nm, joint.servo.no_load_speed_rad_s
+        if at_sheet:
+            line[FLAT_COLUMNS] = 0.0
+        else:
+            flat[FLAT_COLUMNS] = joint.stall_Nm, 1.0
         fits = [_fitted(batch, j, others, line)]
         if SATURATION not in others:
             fits.append(_fitted(batch, j, others | {SATURATION}, flat))
-        gains = [float(fit.loglikelihood[0] - servo.fit.loglikelihood[0]) for fit in fits]
-        k = int(np.argmax(gains))
-        if gains[k] <= (-1.0 if at_sheet else DECISION.decisive_gain):
+        best_fit = max(fits, key=lambda fit: float(fit.loglikelihood[0]))
+        gain = float(best_fit.loglikelihood[0] - servo.fit.loglikelihood[0])
+        if gain <= (-1.0 if at_sheet else DECISION.decisive_gain):
             continue
-        theta = fits[k].servos.theta[0]
-        if k == 0 or theta[_FLAT[0]] > least:
-            flat_limit = dict(zip(("limit_Nm", "free_damping"), theta[_FLAT].tolist(), strict=True))
-            effects = [FittedEffect(SATURATION, flat_limit)] if k else []
-            models[j] = stated(theta, joint.traces[0].load, effects)
+        theta, effects = best_fit.servos.theta[0], []
+        if best_fit is not fits[0]:
+            limit, free_damping = (float(x) for x in theta[FLAT_COLUMNS])
+            if limit <= least:
+                continue
+            values = {"limit_Nm": limit, "free_damping": free_damping}
+            effects = [FittedEffect(SATURATION, values)]
+        models[j] = stated(theta, joint.traces[0].load, effects)
     return models
 
 
@@ -139,11 +150,11 @@ def with_stated_line(
     stated one, otherwise no line; likewise if the load is unknown. A line is excluded if it costs
     more than ``largest_cost`` of log-likelihood, about the effect of chance on one parameter.
     """
-    if row[_LINE].any() or traces[0].load is PER_INERTIA:
+    if row[LINE_COLUMNS].any() or traces[0].load is PER_INERTIA:
         return row
     rows = np.tile(row, (1 + _LARGER.size, 1))
-    rows[1:, _LINE[0]] = servo.max_torque_Nm * _LARGER
-    rows[1:, _LINE[1]] = servo.no_load_speed_rad_s
+    rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * _LARGER
+    rows[1:, LINE_COLUMNS[1]] = servo.no_load_speed_rad_s
     residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
     squares = np.sum(residuals**2, axis=1)
     allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost

@@ -11,9 +11,7 @@ from sim2real.arrays import Array
 from sim2real.identification.fit import errors, plain_row, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.inference.correlated_noise import correlation_samples
-from sim2real.inference.least_squares import (
-    OUTLIER_SD,
-)
+from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.parameters import BASE, COLUMNS, LOOP
 from sim2real.servo.rollout import Simulator, coarse_substep

@@ -19,7 +19,7 @@ from sim2real.servo.parameters import COLUMNS, LINE
 
 Set = frozenset[str]
 
-_LINE = np.array([COLUMNS.index(name) for name in LINE])
+LINE_COLUMNS = np.array([COLUMNS.index(name) for name in LINE])
 """Columns of a motor's line: stall torque, no-load speed."""
 _ASCENDING = [
     [COLUMNS.index(f"{effect.name}.{name}") for name in effect.ascending]
@@ -27,7 +27,10 @@ _ASCENDING = [
     if effect.ascending
 ]
 """Pairs of columns of which the second is never below the first."""
-_FLAT = np.array([COLUMNS.index(f"torque_saturation.{x}") for x in ("limit_Nm", "free_damping")])
+SATURATION = "torque_saturation"
+"""The effect that limits a motor's torque at any speed; at the data sheet's torque it is no effect
+but the motor's law, and fitted with it."""
+FLAT_COLUMNS = np.array([COLUMNS.index(f"{SATURATION}.{x}") for x in ("limit_Nm", "free_damping")])
 """Columns of a limit at any speed, and of the damping beyond it."""
 LINE_ROOM = 1.5
 """Largest factor by which a fitted limit may differ from its starting value."""
@@ -128,15 +131,16 @@ def plain_servos(
     unit = np.stack([kp, kd, none + 0.05], axis=1)
     low = np.stack([1e-3 * inertia, none, none], axis=1)
     high = np.stack([fastest2 * inertia, 1.6e3 * inertia, none + 0.5], axis=1)
-    line = theta[:, _LINE]
+    line = theta[:, LINE_COLUMNS]
     has: Mask = np.all(line > 0, axis=1)
     if free_line and has.any():
-        columns = np.hstack([columns, np.where(has[:, None], _LINE, -1).astype(np.int32)])
+        columns = np.hstack([columns, np.where(has[:, None], LINE_COLUMNS, -1).astype(np.int32)])
         unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
         low, high = np.hstack([low, line / LINE_ROOM]), np.hstack([high, line * LINE_ROOM])
-    limit, clipped = theta[:, _FLAT[:1]], theta[:, _FLAT[0]] > 0
+    limit, clipped = theta[:, FLAT_COLUMNS[:1]], theta[:, FLAT_COLUMNS[0]] > 0
     if free_line and clipped.any():
-        columns = np.hstack([columns, np.where(clipped[:, None], _FLAT, -1).astype(np.int32)])
+        flat = np.where(clipped[:, None], FLAT_COLUMNS, -1).astype(np.int32)
+        columns = np.hstack([columns, flat])
         ones = np.ones_like(limit)
         unit = np.hstack([unit, np.where(clipped[:, None], limit, 1.0), ones])
         low = np.hstack([low, limit / LINE_ROOM, 0 * ones])

@@ -111,7 +111,7 @@ _MODEL = 9
 
 
 class EventFilter:
-    """Channels, ready to be filtered under any arrivals.
+    """Channels, ready to be filtered under any model of arrivals.
 
     Slot k begins when set-point k would be in force at its usual latency.
 
@@ -152,20 +152,19 @@ class EventFilter:
             model,
             np.array([channel.modes.gain for channel in channels]),
         ]
-
         sd = np.array([alike * np.sqrt(channel.variance) for channel in channels])
         speed = np.array([abs(x.modes.fast * x.modes.slow) ** 0.5 for x in channels])
         self._tolerance = np.stack([sd, sd * speed], axis=1)
 
     def run(self, options: Sequence[Arrivals], *, width: int = 32) -> list[list[Filtered]]:
-        """Filter every group under each arrivals.
+        """Filter every group under each model of arrivals.
 
         Args:
-            options: One or several.
+            options: Models of arrivals.
             width: Hypotheses that are kept.
 
         Returns:
-            For each arrivals the result of each group.
+            For each model the result of each group.
         """
         G, S, n, K = len(self.groups), len(options), self.order + 3, int(self._slots.max())
         rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s, x.correlation] for x in options])
@@ -183,18 +182,13 @@ class EventFilter:
             wp.zeros((S * G, pool, 2), dtype=wp.int32, device="cpu"),
             wp.zeros((S * G, K, width, 2), dtype=wp.int32, device="cpu"),
         ]
-        inputs = [*self._inputs, rates]
-        arrays = [to_warp(x, "cpu") for x in inputs]
+        arrays = [to_warp(x, "cpu") for x in (*self._inputs, rates)]
         settings = [*arrays, width, *scratch, to_warp(self._tolerance, "cpu"), *results]
         wp.launch(run_filter, (S, G), settings, device="cpu")
         value, counts, active = (x.numpy() for x in results)
         return [
             [
-                Filtered(
-                    float(value[s, g]),
-                    counts[s, g],
-                    active[s, g, : self._slots[g]],
-                )
+                Filtered(float(value[s, g]), counts[s, g], active[s, g, : self._slots[g]])
                 for g in range(G)
             ]
             for s in range(S)
@@ -210,11 +204,11 @@ class EventFilter:
 
         Args:
             active: Set-point in force in each slot, for each group.
-            arrivals: Of which the Gaussian part counts.
+            arrivals: Model, of which the delays count; losses are those of the history.
             span_s: Time by which the estimate lags behind the samples that it knows.
 
         Returns:
-            Of each channel, group by group.
+            Those of each channel, group by group.
         """
         p, channels = self.order, [channel for group in self.groups for channel in group]
         period = float(np.median(np.concatenate([np.diff(channel.t) for channel in channels])))
@@ -232,7 +226,7 @@ class EventFilter:
             wp.zeros((N, 1, n), dtype=wp.float64, device="cpu"),
             wp.zeros((N, 1, n * (n + 1)), dtype=wp.float64, device="cpu"),
         ]
-        inputs = [*self._inputs[:_MODEL], model, self._inputs[-1], path, rest]
+        inputs = *self._inputs[:_MODEL], model, self._inputs[-1], path, rest
         arrays = [to_warp(x, "cpu") for x in inputs]
         sizes = p, arrivals.delay_sd_s, arrivals.correlation
         wp.launch(expect, N, [*arrays, *sizes, *scratch, mean, covariance], device="cpu")

@@ -1,6 +1,6 @@
-"""The noise of an angle, under which single set-points are looked for.
+"""Autoregressive noise of an angle, with normal innovations of two sizes: in motion and at rest.
 
-Autoregressive, its innovations normal, of one size in motion and of another at rest.
+It is the alternative against which irregular timing of set-points is tested.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Segment:
         """One over the size of the noise relative to that in motion, 0 where not counted, (T,)."""
         return np.where(self.counts, np.where(self.rests, 1 / ratio, 1.0), 0.0)
 
-    def left(self, refit: Array) -> Array:
+    def corrected(self, refit: Array) -> Array:
         """Residual after a change of latency, kd and kp by ``refit`` (3,), shape (T,)."""
         return self.residual - self.derivatives @ refit
 
@@ -101,7 +101,7 @@ class NoisyJoint:
 
     def settled(self, noise: Noise) -> tuple[Noise, float]:
         """The noise with its sizes and ``refit`` at their best, and its log-likelihood."""
-        ratio = self.ratio([whitened(s.left(noise.refit), noise.model) for s in self.segments])
+        ratio = self.ratio([whitened(s.corrected(noise.refit), noise.model) for s in self.segments])
         refit, error2 = self._refitted(replace(noise, ratio=ratio))
         best = Noise(noise.model, ratio, self.variance(error2), refit)
         return best, self.loglikelihood(error2, ratio)
@@ -115,19 +115,22 @@ class NoisyJoint:
             return 1.0
         return float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
 
-    def remodelled(
-        self, noise: Noise, series: Sequence[Sequence[Array]], added: Array | float = 0.0
-    ) -> Noise:
-        """The noise with its autoregression refitted to residuals (T,), some for each recording."""
+    def remodelled(self, noise: Noise, uncertainty: Array | None = None) -> Noise:
+        """The noise with its autoregression refitted to the residuals under its ``refit``.
+
+        Args:
+            noise: The noise.
+            uncertainty: Lag products that an uncertain part of the residuals adds in motion and at
+                rest, in rad2, shape (2, p + 1, p + 1).
+        """
         p = noise.model.size
         products = np.zeros((p + 1, p + 1))
-        if isinstance(added, np.ndarray):
-            products += added[0] + added[1] / noise.ratio**2
-        for segment, some in zip(self.segments, series, strict=True):
+        if uncertainty is not None:
+            products += uncertainty[0] + uncertainty[1] / noise.ratio**2
+        for segment in self.segments:
+            residual = segment.corrected(noise.refit)
             for mask, size in ((~segment.rests, 1.0), (segment.rests, noise.ratio)):
-                counts = segment.counts & mask
-                each = sum(lag_products(one, counts, p) for one in some)
-                products += np.asarray(each) / (len(some) * size**2)
+                products += lag_products(residual, segment.counts & mask, p) / size**2
         return replace(noise, model=autoregression(products[None], self.least_gain)[0])
 
     def _refitted(self, noise: Noise) -> tuple[Array, float]:
@@ -140,15 +143,15 @@ class NoisyJoint:
 
 
 def with_noise(
-    given: Sequence[Residual], lags: int, least_gain: float, *, iterations: int = 20
+    recordings: Sequence[Residual], lags: int, least_gain: float, *, iterations: int = 20
 ) -> NoisyJoint:
-    """Fit the noise of one joint by maximum likelihood, with nothing random on its set-points.
+    """Fit the noise of one joint by maximum likelihood, set-points arriving at the latency.
 
-    Innovations are smaller at rest where the sensor is coarser than its noise. Were that not
-    allowed for, larger innovations in motion would be taken for set-points that come unevenly.
+    Innovations are smaller at rest where the sensor is coarser than its noise. With one size,
+    larger innovations in motion would pass for irregular timing.
 
     Args:
-        given: Its recordings.
+        recordings: Residuals of its recordings.
         lags: Order p of the autoregression.
         least_gain: Least gain of the whitening filter at frequency 0.
         iterations: Refits of the noise at most.
@@ -158,19 +161,19 @@ def with_noise(
     """
     segments = tuple(
         Segment(
-            one,
-            gain_derivatives(one),
-            np.where(one.trace.used, one.residual, 0.0),
-            counting(one.trace.used, lags),
-            np.zeros(one.trace.used.size, dtype=bool),
+            source,
+            gain_derivatives(source),
+            np.where(source.trace.used, source.residual, 0.0),
+            counting(source.trace.used, lags),
+            np.zeros(source.trace.used.size, dtype=bool),
         )
-        for one in given
+        for source in recordings
     )
     noise = Noise(np.zeros(lags), 1.0, 1.0, np.zeros(3))
     joint = NoisyJoint(segments, noise, least_gain)
     if joint.counts[0] <= lags:
         raise ValueError(f"{joint.counts[0]} samples count; {lags} lags take more")
-    noise = joint.remodelled(noise, [[s.residual] for s in segments])
+    noise = joint.remodelled(noise)
     joint = NoisyJoint(_with_rest(segments, noise.model), noise, least_gain)
     before = -np.inf
     for _ in range(iterations):
@@ -178,7 +181,7 @@ def with_noise(
         if value < before + 0.01:
             break
         before = value
-        noise = joint.remodelled(noise, [[s.left(noise.refit)] for s in joint.segments])
+        noise = joint.remodelled(noise)
     return replace(joint, noise=noise)
 
 

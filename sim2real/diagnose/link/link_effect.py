@@ -138,14 +138,14 @@ class LinkFit:
     ) -> tuple[float, Arrivals, list[Noise]]:
         """The best log-likelihood, arrivals and noises of a few alternations between the two."""
         best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noises)
-        for _ in range(steps):
+        for step in range(steps):
             events = self._filter(noises)
             arrivals, results = (self._losses if arrivals.loss else self._delays)(events, arrivals)
             total = _total(results)
             gained = total - best[0]
             if gained > 0:
                 best = (total, arrivals, noises)
-            if gained < DECISION.link.min_gain:
+            if gained < DECISION.link.min_gain or step == steps - 1:
                 break
             noises = self._renewed(noises, events, arrivals, results)
         return best
@@ -219,15 +219,14 @@ class LinkFit:
         explained = self._explained(events, arrivals, results)
         for (joint, covariance), old in zip(explained, noises, strict=True):
             noise, _ = joint.settled(old)
-            series = [[s.left(noise.refit)] for s in joint.segments]
-            noise, _ = joint.settled(joint.remodelled(noise, series, covariance))
+            noise, _ = joint.settled(joint.remodelled(noise, covariance))
             taps = np.append(1.0, -noise.model)
             extra = taps @ (covariance[0] + covariance[1] / noise.ratio**2) @ taps
             out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
         return out
 
     def result(self) -> Uneven:
-        """The effect, with its standard deviation and the gain at each joint."""
+        """The effect, its standard deviation and gain at each joint, and what it explains."""
         arrivals, events = self.arrivals, self._filter(self.noises)
         name = "delay_sd_s" if self.effect == "latency_jitter" else "loss"
         factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
@@ -261,7 +260,7 @@ class LinkFit:
             arrivals.correlation,
             lost_s,
             tuple(
-                tuple(s.left(noise.refit) for s in joint.segments)
+                tuple(s.corrected(noise.refit) for s in joint.segments)
                 for (joint, _), noise in zip(explained, self.noises, strict=True)
             ),
         )
@@ -275,7 +274,7 @@ def _typical(joint: NoisyJoint) -> Noise:
     """The noise with the variance of most samples, not of those that events disturb."""
     noise = joint.noise
     sizes = [
-        np.abs(whitened(s.left(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
+        np.abs(whitened(s.corrected(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
         for s in joint.segments
     ]
     sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
@@ -291,7 +290,7 @@ def _white(joint: NoisyJoint) -> Noise:
 
 
 def _channel(segment: Segment, noise: Noise) -> Channel:
-    of, residual = segment.source, segment.left(noise.refit)
+    of, residual = segment.source, segment.corrected(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
     return Channel(
         of.trace.t, of.trace.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,

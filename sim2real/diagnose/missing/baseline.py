@@ -11,6 +11,7 @@ from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
 from sim2real.identification.fit import servos_at
 from sim2real.identification.servo_problem import (
+    SATURATION,
     Fits,
     Servos,
     Set,
@@ -24,9 +25,6 @@ from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row
 
-SATURATION = "torque_saturation"
-"""The effect that limits a motor's torque at any speed; at the data sheet's torque it is no effect
-but the motor's law, and fitted with it."""
 BLOCKS = 20
 """Blocks of each recording for bootstraps."""
 _SENSOR = ("sensor_gain", "sensor_offset")

@@ -18,7 +18,15 @@ from sim2real.diagnose.missing.servo_search import ServoSearch
 from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
 from sim2real.effects import CATALOGUE, named
 from sim2real.identification.held_out import Unseen
-from sim2real.identification.servo_problem import Hypothesis, Set, Tried, joined, residual_angles
+from sim2real.identification.servo_problem import (
+    FLAT_COLUMNS,
+    SATURATION,
+    Hypothesis,
+    Set,
+    Tried,
+    joined,
+    residual_angles,
+)
 from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
@@ -30,7 +38,6 @@ _DRY = "coulomb_friction"
 _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
-_LIMIT = COLUMNS.index("torque_saturation.limit_Nm")
 _INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
 
@@ -236,8 +243,8 @@ def _no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
     if effect == "unmodelled_inertia":
         small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
         return bool(abs(theta[_INERTIA]) < small)
-    stated = effect == "torque_saturation" and joint.stall_Nm is not None
-    return stated and theta[_LIMIT] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)
+    stated = effect == SATURATION and joint.stall_Nm is not None
+    return stated and theta[FLAT_COLUMNS[0]] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)
 
 
 def _with_links(
