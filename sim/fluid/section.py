@@ -65,7 +65,16 @@ def solid_share(signed_distance: float) -> float:
 
 
 @wp.func
-def side(
+def sealed(n: wp.vec3) -> float:
+    """Half-thickness of a sheet with this normal through which no link of the lattice passes."""
+    x = wp.abs(n[0])
+    y = wp.abs(n[1])
+    z = wp.abs(n[2])
+    return 0.5 * (x + y + z - wp.min(x, wp.min(y, z))) + 0.01
+
+
+@wp.func
+def surface(
     x: float,
     y: float,
     z: float,
@@ -75,13 +84,11 @@ def side(
     height: wp.vec3,
     touch: Touch,
 ):
-    """Distance from a link's side, share of the cell within its outline, the side's area, normal.
+    """Signed distance from a link's surface, its normal, and depth of the other side if thin.
 
-    The area is that over one cell of its height and one of its outline seen from above.
-
-    At each height the link extends half its thickness there to either side of its axis. Parts
-    thinner than the grid resolves are a sheet with the normals of its two sides, without the
-    pressure on a round edge, which ends where the link ends.
+    Sections are ellipses. Parts thinner than the grid resolves are a sheet with the normals of its
+    two sides, without a round edge, which ends where the link ends. The depth is 0 where the link
+    is thick.
     """
     dx = x - pose[0]
     dy = y - pose[1]
@@ -93,26 +100,37 @@ def side(
         s = clamped / length
     w = along(width, s)
     h = along(height, s)
-    up = wp.clamp(z, -wp.max(h - 0.5, 0.0), wp.max(h - 0.5, 0.0))
-    root = wp.sqrt(1.0 - up * up / (h * h))
-    blunt = wp.clamp(w - touch.thin, 0.0, 1.0)
+    blunt = wp.clamp(w - touch.thin + wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)
     over = back - clamped
     off = wp.sqrt(lateral * lateral + blunt * over * over)
-    edge = blunt * touch.inset + (1.0 - blunt) * touch.edge
-    gap = off - wp.max(w * root - touch.inset, touch.thin)
-    within = wp.clamp(0.5 - (wp.abs(z) - h + edge), 0.0, 1.0)
-    within *= wp.clamp(0.5 - (wp.max(back - length, -back) - w + edge), 0.0, 1.0)
+    low = wp.max(h - 0.5, 0.0)
+    up = blunt * z + (1.0 - blunt) * wp.clamp(z, -low, low)
+    root = wp.sqrt(wp.max(1.0 - up * up / (h * h), 0.0))
+    out = wp.max(wp.max(off, (1.0 - blunt) * w * root), 1.0e-3)
     ahead = float(0.0)
     sideways = float(1.0)
+    if lateral < 0.0:
+        sideways = -1.0
     if off > 1.0e-4:
         ahead = -blunt * over / off
         sideways = lateral / off
     if over == 0.0 and length > 0.0:
-        narrows = taper(width, s) * root + w * up * up * taper(height, s) / (h * h * h * root)
+        narrows = out * taper(width, s) / w + up * up * w * w * taper(height, s) / (h * h * h * out)
         ahead += narrows / length
-    n = wp.vec3(
-        ahead * pose[2] - sideways * pose[3],
-        ahead * pose[3] + sideways * pose[2],
-        w * up / (h * h * root),
+    n = wp.normalize(
+        wp.vec3(
+            ahead * pose[2] - sideways * pose[3],
+            ahead * pose[3] + sideways * pose[2],
+            w * w * up / (h * h * out),
+        )
     )
-    return gap, within, wp.length(n), wp.normalize(n)
+    d = distance(off, z, w, h)
+    other = float(0.0)
+    if blunt < 1.0:
+        half = wp.max(w * wp.sqrt(wp.max(1.0 - z * z / (h * h), 0.0)), sealed(n))
+        d = off - half
+        beyond = wp.max(wp.abs(z) - h + touch.edge, wp.max(back - length, -back) - w + touch.edge)
+        if beyond > 0.0:
+            d = wp.max(d, beyond)
+        other = off + half
+    return d, n, other

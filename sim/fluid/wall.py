@@ -21,13 +21,9 @@ from sim2real.errors import InputError
 
 LINES = ("none", "laminar", "turbulent")
 """Friction lines: 1.328 / sqrt(Re) is Blasius's, 0.075 / (log10 Re - 2)^2 that of ITTC 1957."""
-DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
-"""In cells: depth below the surface from which the inner water moves with the body; distance by
-which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
-moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
-disc acts 0.1 cells too large, a plate 0.2 to 0.4 (``benchmarks/wall_constants.py``)."""
-MEMORY = 40.0
-"""Steps over which the momentum that the inner water takes from the outer is averaged."""
+INSET, THIN, EDGE = 0.0, 0.5, 0.5
+"""In cells: distance by which thick sides are moved inwards; half-thickness below which a part is a
+sheet; distance by which the edges of sheets are moved inwards."""
 
 
 @wp.struct
@@ -38,13 +34,12 @@ class Touch:
         slip: 1 where only the velocity across the surface is set, 0 where all of it is.
         line: Number of the friction line in ``LINES``.
         reynolds: Reynolds number of one cell per step over the body's length, in water.
-        deep, inset, thin, edge: ``DEEP``, ``INSET``, ``THIN``, ``EDGE``.
+        inset, thin, edge: ``INSET``, ``THIN``, ``EDGE``.
     """
 
     slip: int
     line: int
     reynolds: float
-    deep: float
     inset: float
     thin: float
     edge: float
@@ -75,7 +70,7 @@ class Wall:
         touch = Touch()
         touch.slip, touch.line = int(self.slip), LINES.index(self.line)
         touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
-        touch.deep, touch.inset, touch.thin, touch.edge = DEEP, INSET, THIN, EDGE
+        touch.inset, touch.thin, touch.edge = INSET, THIN, EDGE
         return touch
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, place, within
+from sim.fluid.ghost import ghosts
+from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, within
 from sim.lattice.collision import collision
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
@@ -39,34 +40,58 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     pop, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
     neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
+    emitted = ghosts(lattice, storage, wide).emitted
     subgrid_tau, relaxed, pushed = collide.subgrid_tau, collide.relaxed, collide.pushed
 
     @wp.func
-    def body_push(
-        n: int,
-        e: int,
-        box: Box,
-        u: wp.vec3,
-        covered: Covered,
-        twist: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-    ) -> wp.vec3:
-        """Change of velocity by the body's share of a cell."""
+    def slot_of(n: int, e: int, box: Box, covered: Covered) -> wp.vec3i:
+        """Place of a cell in the square around a body, and its coordinates in the plane."""
         at = place(n, box)
         corner = covered.corner[e]
         dx = within(at[0] - corner[0], box.nx)
         dy = within(at[1] - corner[1], box.ny)
         slot = ((e * covered.side + dy) * covered.side + dx) * covered.tall + at[2] - covered.low
-        held = covered.share[slot]
-        face = covered.face[slot]
-        link = int(held)
-        share = held - float(link)
-        x = float(corner[0] + dx) - centre[e, link][0]
-        y = float(corner[1] + dy) - centre[e, link][1]
+        return wp.vec3i(slot, corner[0] + dx, corner[1] + dy)
+
+    @wp.func
+    def body_velocity(
+        at: wp.vec3i,
+        e: int,
+        covered: Covered,
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+    ) -> wp.vec3:
+        """Velocity of the body in a cell that it covers."""
+        link = int(covered.share[at[0]])
+        x = float(at[1]) - centre[e, link][0]
+        y = float(at[2]) - centre[e, link][1]
         v = twist[e, link]
-        lack = wp.vec3(v[0] - v[2] * y - u[0], v[1] + v[2] * x - u[1], -u[2])
+        return wp.vec3(v[0] - v[2] * y, v[1] + v[2] * x, 0.0)
+
+    @wp.func
+    def body_push(slot: int, lack: wp.vec3, covered: Covered) -> wp.vec3:
+        """Change of velocity by the body where the water lacks this velocity."""
+        face = covered.face[slot]
         o = wp.vec3(face[0], face[1], face[2])
-        return face[3] * lack + (share - face[3]) * wp.dot(o, lack) * o + covered.more[slot]
+        return face[3] * (lack - wp.dot(o, lack) * o)
+
+    @wp.func
+    def ghost_out(slot: int, p: Vector, body: wp.vec3, covered: Covered) -> Vector:
+        """Populations that a ghost cell sends out."""
+        links = covered.links[slot]
+        if links[0] + links[1] == 0:
+            return Vector()
+        face = covered.face[slot]
+        across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
+        out = emitted(p, links[0], face, covered.water[slot], across)
+        if links[1] != 0:
+            face = covered.back[slot]
+            across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
+            beyond = emitted(p, links[1], face, covered.beyond[slot], across)
+            for k in range(wp.static(lattice.Q)):
+                if (links[1] & wp.static(1 << k)) != 0:
+                    out[k] = beyond[k]
+        return out
 
     @wp.kernel(
         enable_backward=False,
@@ -114,8 +139,13 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if (flag & wp.static(BODY)) + driven != 0:
             push = drive[e]
             if (flag & wp.static(BODY)) != 0:
-                push += body_push(n, e, box, inv * m, covered, twist, centre)
+                at = slot_of(n, e, box, covered)
+                lack = body_velocity(at, e, covered, twist, centre) - inv * m
+                push += body_push(at[0], lack, covered)
             out = pushed(out, 1.0 + rest, inv * m, push)
+        if (flag & wp.static(GHOST)) != 0:
+            at = slot_of(n, e, box, covered)
+            out = ghost_out(at[0], p, body_velocity(at, e, covered, twist, centre), covered)
         if halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
             stopped[e] = n - e * box.cells
         if halted < 0:

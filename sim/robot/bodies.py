@@ -8,9 +8,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fluid.coupling import FIXED_POINT, SUMS, cover_kernel
+from sim.fluid.coupling import FIXED_POINT, SUMS, cover_kernels
 from sim.fluid.fluid import Fluid
-from sim.fluid.wall import MEMORY, NO_SLIP, Wall
+from sim.fluid.wall import NO_SLIP, Wall
 from sim.lattice.cell import Covered
 from sim.lattice.units import Units
 from sim.robot.chain import RING, Chain, Motion, OnGrid
@@ -145,8 +145,6 @@ class Bodies:
         grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
         grid.sums = room((E, L, SUMS), wp.int64)
-        grid.kept = room((E, L), wp.float32)
-        grid.memory = wp.float32(MEMORY)
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
@@ -170,9 +168,11 @@ class Bodies:
         cells = E * self._side**2 * covered.tall
         covered.corner = grid.corner = room((E,), wp.vec4i)
         covered.share = room((cells,), wp.float32)
-        covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
+        covered.face, covered.back = room((cells,), wp.vec4), room((cells,), wp.vec4)
+        covered.water, covered.beyond = room((cells,), wp.vec4), room((cells,), wp.vec4)
+        covered.links = room((cells,), wp.vec2i)
         self._touch = wall.touch(hull.body_length, units)
-        self._cover = cover_kernel(fluid.lattice, fluid.storage, fluid.wide)
+        self._kernels = cover_kernels(fluid.lattice, fluid.storage, fluid.wide)
         self.place(np.zeros((E, N)))
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:
@@ -219,12 +219,21 @@ class Bodies:
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
         fluid = self.fluid
+        if self.wall.slip:
+            self._launch(
+                self._kernels.mark,
+                (fluid.boxes, self._side**2),
+                [
+                    fluid.flags, fluid.box, fluid.covered, self.middle, self._touch,
+                    self.grid.pose, *self._shape, fluid.stopped,
+                ],
+            )  # fmt: skip
         self._launch(
-            self._cover,
+            self._kernels.cover,
             (fluid.boxes, self._side**2),
             [
                 fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered, self.middle, self._touch,
-                self.chain.rough, self.grid.kept, self.grid.pose, self.grid.twist, self.grid.centre,
+                self.chain.rough, self.grid.pose, self.grid.twist, self.grid.centre,
                 *self._shape, self.grid.sums, fluid.stopped,
             ],
         )  # fmt: skip

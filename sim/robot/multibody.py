@@ -129,15 +129,18 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
 
 @wp.func
 def matrix(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.mat33d:
-    """A symmetric matrix of the fluid's sums over link k, in kg, kg m and kg m2."""
+    """A matrix of the fluid's sums over link k, in kg, kg m and kg m2."""
     c = grid.cell
-    xx = wp.float64(grid.sums[e, k, at]) * unit
-    xy = wp.float64(grid.sums[e, k, at + 1]) * unit
-    yy = wp.float64(grid.sums[e, k, at + 2]) * unit
-    xw = wp.float64(grid.sums[e, k, at + 3]) * unit * c
-    yw = wp.float64(grid.sums[e, k, at + 4]) * unit * c
-    ww = wp.float64(grid.sums[e, k, at + 5]) * unit * c * c
-    return wp.mat33d(xx, xy, xw, xy, yy, yw, xw, yw, ww)
+    m = wp.mat33d()
+    for i in range(3):
+        for j in range(3):
+            x = wp.float64(grid.sums[e, k, at + 3 * i + j]) * unit
+            if i == 2:
+                x = x * c
+            if j == 2:
+                x = x * c
+            m[i, j] = x
+    return m
 
 
 @wp.func
@@ -167,7 +170,6 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     move_links(e, chain, s)
     s.fresh[e] = 1
     for k in range(chain.length.shape[0]):
-        grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
         s.inner[e, k] = wp.vec3d()
         for i in range(wp.static(SUMS)):
@@ -201,16 +203,16 @@ def advance(
     unit = grid.mass / grid.scale
     c = grid.cell
     for k in range(L):
-        K = matrix(e, k, 0, unit, grid)
-        p = vector(e, k, 15, unit, grid) - vector(e, k, 12, unit, grid)
-        if s.fresh[e] == 0:
-            p -= about(s.inner[e, k], s.link[e, k], wp.float64(-1.0))
-        else:
-            p -= vector(e, k, 15, unit, grid)
-        s.force[e, k] = p
+        full = matrix(e, k, 0, unit, grid)
+        K = wp.float64(0.5) * (full + wp.transpose(full))
         m = chain.mass[e, k]
         w = chain.water[e, k]
         V = s.twist[e, k]
+        p = full * V
+        if s.fresh[e] == 0:
+            p = (K - full) * V - vector(e, k, 18, unit, grid)
+            p -= about(s.inner[e, k], s.link[e, k], wp.float64(-1.0))
+        s.force[e, k] = p
         dV = V - s.before[e, k]
         M = m[0] + w[0]
         inertia = m[1] + w[1]
@@ -262,15 +264,12 @@ def advance(
     move_links(e, chain, s)
     for k in range(L):
         V = s.twist[e, k]
-        s.force[e, k] = (s.force[e, k] - matrix(e, k, 0, unit, grid) * V) / h
-        inner = vector(e, k, 15, unit, grid) + matrix(e, k, 6, unit, grid) * V
+        full = matrix(e, k, 0, unit, grid)
+        K = wp.float64(0.5) * (full + wp.transpose(full))
+        s.force[e, k] = (s.force[e, k] - K * V) / h
+        inner = vector(e, k, 21, unit, grid) + matrix(e, k, 9, unit, grid) * V
+        inner += (full - K) * (V - s.before[e, k])
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
-        share = float(0.0)
-        if (
-            grid.sums[e, k, 19] > wp.int64(0) and s.fresh[e] == 0
-        ):  # inner cells that moved with the body
-            share = float(wp.float64(grid.sums[e, k, 18]) / wp.float64(grid.sums[e, k, 19]))
-        grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
         grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
         for i in range(wp.static(SUMS)):

@@ -1,0 +1,135 @@
+"""Ghost cells: water inside a body, set so that the water outside slips along its surface.
+
+A cell whose centre lies inside a body sends out, towards each neighbour in the water, populations
+at equilibrium. Across the surface their velocity is the body's; along it, that of the water
+``REACH`` cells outside, so that nothing is exchanged along the surface. Their density is such that
+through the links of the cell no mass passes but what the moving surface displaces. Uniform flow
+along a plane of any direction is an exact solution. Cells that the body uncovers hold water that
+continues the water outside. Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481
+(ghost cells in a lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that
+displace what the surface displaces).
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from sim.lattice.cell import FLUID, GHOST, KIND, Box, within
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+
+REACH = 1.2
+"""Least distance in cells from the surface of the water that ghost cells continue."""
+
+
+class Ghosts(NamedTuple):
+    """Warp functions for one lattice.
+
+    Attributes:
+        water_at: Density minus 1 and velocity of the water at a point.
+        emitted: Populations that a ghost cell sends out.
+        momentum: Momentum in the plane of the populations in some directions.
+    """
+
+    water_at: Any
+    emitted: Any
+    momentum: Any
+
+
+@cache
+def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
+    """The functions for a lattice."""
+    c, w, Q = lattice.velocities, lattice.weights, lattice.Q
+    pop = populations(lattice, storage, wide)
+    Stored, Vector, load = pop.Stored, pop.Vector, pop.load
+    neighbours, moments = pop.neighbours, pop.moments
+
+    @wp.func
+    def water_at(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        e: int,
+        x: float,
+        y: float,
+        z: float,
+        otherwise: wp.vec4,
+    ) -> wp.vec4:
+        """Linear in the cells around the point; ``otherwise`` where none of them is water."""
+        x0 = int(wp.floor(x))
+        y0 = int(wp.floor(y))
+        z0 = int(wp.floor(z))
+        total = wp.vec4()
+        weight = float(0.0)
+        for corner in range(wp.static(2**lattice.dimensions)):
+            i = corner % 2
+            k = (corner // 2) % 2
+            m = corner // 4
+            share = 1.0 - wp.abs(x - float(x0 + i))
+            share *= 1.0 - wp.abs(y - float(y0 + k))
+            if wp.static(lattice.dimensions == 3):
+                share *= 1.0 - wp.abs(z - float(z0 + m))
+            n = e * box.cells + within(x0 + i, box.nx) + box.nx * within(y0 + k, box.ny)
+            n += box.nx * box.ny * within(z0 + m, box.nz)
+            flag = int(flags[n])
+            if share > 0.0 and (flag & wp.static(KIND | GHOST)) == wp.static(FLUID):
+                u = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                inverse = 1.0 / (1.0 + u[0])
+                total += share * wp.vec4(u[0], inverse * u[1], inverse * u[2], inverse * u[3])
+                weight += share
+        if weight < 1.0e-3:
+            return otherwise
+        return total / weight
+
+    @wp.func
+    def emitted(
+        p: Vector, links: int, face: wp.vec4, water: wp.vec4, across: float
+    ) -> Vector:
+        """Populations for the body's velocity ``across`` the surface; linear in it.
+
+        ``p`` are those that arrive, ``face`` the surface's normal and the density, ``water`` the
+        velocity along it and, for the terms of second order, that across it.
+        """
+        rho = face[3]
+        u = wp.vec3(
+            water[0] + across * face[0], water[1] + across * face[1], water[2] + across * face[2]
+        )
+        before = wp.vec3(
+            water[0] + water[3] * face[0],
+            water[1] + water[3] * face[1],
+            water[2] + water[3] * face[2],
+        )
+        still = 1.5 * wp.dot(before, before)
+        out = Vector()
+        passed = float(0.0)
+        weight = float(0.0)
+        for k in range(wp.static(Q)):
+            q = wp.vec3(
+                wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
+            )
+            odd = 3.0 * wp.dot(q, u)
+            cu = wp.dot(q, before)
+            even = 4.5 * cu * cu - still
+            out[k] = wp.static(w[k]) * rho * (odd + even)
+            if (links & wp.static(1 << k)) != 0:
+                passed += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
+                passed += wp.static(w[k]) * rho * (odd - even)
+                weight += wp.static(w[k])
+        rest = rho - 1.0
+        if weight > 0.0:
+            rest = passed / weight
+        for k in range(wp.static(Q)):
+            out[k] += wp.static(w[k]) * rest
+        return out
+
+    @wp.func
+    def momentum(p: Vector, links: int) -> wp.vec2:
+        m = wp.vec2()
+        for k in range(wp.static(Q)):
+            if (links & wp.static(1 << k)) != 0:
+                m += p[k] * wp.vec2(wp.static(float(c[k][0])), wp.static(float(c[k][1])))
+        return m
+
+    return Ghosts(water_at, emitted, momentum)
