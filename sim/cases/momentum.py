@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.cases.case import Case, Curve, Figure
 from sim.fluid.fluid import Fluid
+from sim.fluid.wall import NO_SLIP, Wall
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9, D3Q19, Lattice
 from sim.robot.bodies import Bodies, Masses
@@ -41,7 +42,7 @@ class Audit:
     bend: float
 
 
-def robot(fluid: Fluid, length: float) -> Bodies:
+def robot(fluid: Fluid, length: float, wall: Wall = NO_SLIP) -> Bodies:
     """Four links with three servos at density ratio 1, in lattice units, oblique to the grid."""
     half = length * np.stack([RADII[:-1], (RADII[:-1] + RADII[1:]) / 2, RADII[1:]], axis=1)
     hull = Hull(np.full(4, length * (1 - RADII[0] - RADII[-1]) / 4), half, 1.5 * half)
@@ -52,7 +53,7 @@ def robot(fluid: Fluid, length: float) -> Bodies:
     rows[:, COLUMNS.index("kp_Nm_per_rad")] = _KP * scale / length**2
     rows[:, COLUMNS.index("kd_Nms_per_rad")] = _KD * scale / length**2
     masses = Masses(water[:, 0], water[:, 2], water[:, 1])
-    bodies = Bodies(fluid, hull, masses, Units(1.0, 1.0, 1.0, 1.0), servos=rows)
+    bodies = Bodies(fluid, hull, masses, Units(1.0, 1.0, 1.0, 1.0), servos=rows, wall=wall)
     start = np.zeros((1, 6))
     start[0, :3] = fluid.size[0] / 2 + 0.3 * length, fluid.size[1] / 2 + 0.2, 0.3
     bodies.place(start)
@@ -73,7 +74,14 @@ def momentum(fluid: Fluid, bodies: Bodies) -> Array:
 
 
 def audit(
-    lattice: Lattice, length: int, side: int, steps: int, *, device: str = "cpu", threads: int = 2
+    lattice: Lattice,
+    length: int,
+    side: int,
+    steps: int,
+    wall: Wall = NO_SLIP,
+    *,
+    device: str = "cpu",
+    threads: int = 2,
 ) -> Audit:
     """Move the servos to their set-points in a periodic box; evaluate twenty times."""
     size = (side,) * lattice.dimensions
@@ -85,7 +93,7 @@ def audit(
         device=device,
         threads=threads,
     )
-    bodies = robot(fluid, float(length))
+    bodies = robot(fluid, float(length), wall)
     impulse, rows = 0.0, []
     for step in range(1, steps + 1):
         bodies.step()

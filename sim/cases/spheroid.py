@@ -88,7 +88,7 @@ def prolate(length: float, fineness: float = FINENESS) -> Hull:
     return Hull(length / 2 * np.diff(x[::2]), half, half)
 
 
-def masses(length: int, *, device: str = "cpu", threads: int = 2) -> Array:
+def masses(length: int, wall: Wall, *, device: str = "cpu", threads: int = 2) -> Array:
     """Mass of body and added mass over the displaced mass, end-on and broadside.
 
     An oscillating force drives the free, neutrally buoyant body, in one box for each direction.
@@ -101,7 +101,7 @@ def masses(length: int, *, device: str = "cpu", threads: int = 2) -> Array:
     true = displaced(hull, 0.5, 0.0, False)
     true[:, [0, 2]] *= volume / true[:, 0].sum()
     weights = Masses(true[:, 0], true[:, 2], true[:, 1])
-    bodies = Bodies(fluid, hull, weights, Units(1.0, 1.0, 1.0, 1.0), wall=Wall(slip=True))
+    bodies = Bodies(fluid, hull, weights, Units(1.0, 1.0, 1.0, 1.0), wall=wall)
     start = np.zeros((2, 2 + links))
     start[:, 0] = (cells[0] + length) / 2 + 0.3
     start[:, 1] = cells[1] / 2 + 0.2
@@ -166,7 +166,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     """
     length = 24 if quick else (96 if device.startswith("cuda") else 48)
     k1, k2 = carried()
-    along, across = masses(length, device=device, threads=threads)
+    along, across = masses(length, Wall(slip=True), device=device, threads=threads)
     (moved, with_line), (_, without) = (
         drag(length, Wall(True, line), device=device, threads=threads)
         for line in ("turbulent", "none")

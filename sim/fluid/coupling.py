@@ -1,79 +1,50 @@
-"""Coupling of bodies and fluid, implicit in the bodies' velocity.
+"""Coupling of bodies and fluid by the solid share of each cell.
 
-Where the water does not slip, by the solid share of each cell: within a step the velocity of the
-fluid in a cell is set to the body's in proportion to the cell's solid share (direct forcing of the
-volume: Uhlmann, J. Comput. Phys. 209 (2005) 448; by the solid share: Kajishima et al., JSME Int. J.
-B 44 (2001) 526). Where it slips, by ghost cells (``ghost``) and, in the water next to the surface,
-by the friction of the wall model.
+Direct forcing of the volume: within a step the velocity of the fluid in a cell is set to the body's
+in proportion to the solid share of the cell; next to a surface with slip only the component across
+the surface. Before that, the impulses of this forcing are summed for each link;
+``multibody.advance`` solves for the velocity at which body and fluid agree, so that the exchange is
+implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys. 209
+(2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share).
 
-Both exchange momentum that is linear in the bodies' velocity. Its sums over each link are taken
-before the step; ``multibody.advance`` solves for the velocity, so that a body as light as the fluid
-is stable. The momentum that ghost cells receive is that of the populations that arrive in them,
-less what they sent to each other; so the momentum of bodies and water is conserved.
+Where the water slips, the force on a body is the change of the momentum of the water outside it:
+that of all the forcing minus that of the water inside, summed over the cells by their solid share
+(Kempe and Froehlich, J. Comput. Phys. 231 (2012) 3663), so that the inner water does not load the
+body. But the inner water takes momentum along the surface from the water outside, which a wall with
+slip must not do. This momentum is measured by the velocity that inner water moving with the body
+has lost since the last step, and given back to the cells at the surface, uniformly over each link,
+as a mean over ``wall.MEMORY`` steps.
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import warp as wp
 
-from sim.fluid.ghost import REACH, ghosts
-from sim.fluid.section import along, distance, position_on, solid_share, surface
+from sim.fluid.section import along, distance, position_on, side, solid_share
 from sim.fluid.wall import Touch, friction
-from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, neighbour, within
+from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, within
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 
-SUMS = 24
-"""Sums of one link. In a step the water receives from it the momentum E v + a, where v are its
-velocities; of ghost cells a includes, with the opposite sign, all that arrives in them, and R v + b
-is what they send to each other. E and R (9 each, by rows), a and b (x, y and the moment each)."""
+SUMS = 26
+"""Sums of one link. In a step all water receives from it the momentum (E + R) v + a, where v are
+the body's velocities, and the water inside it then has R v + b; the rest acts on the link. E and R
+are matrices (9 each, by rows), a and b vectors (x, y and the moment). By forcing, a covered cell of
+density rho, solid share c and velocity u gets the velocity N v + d: E sums (1 - c) rho N, R sums
+c rho N, a sums rho d, b sums c rho (u + d). Without slip c counts as 0. The last two are the
+momentum along the axis that the inner water is given, and the mass at the surface that it is taken
+from."""
 FIXED_POINT = float(2**32)
 """Scale of the sums, which are integers so that their order makes no difference."""
 _MOST_SHARE = 0.99999
-_NEAR = 3.0
+NEAR = 3.0
 """Distance in cells from a link's outline within which a column of cells is processed."""
-
-
-class CoverKernels(NamedTuple):
-    """Kernels of the coupling for one lattice.
-
-    Attributes:
-        mark: Marks the cells inside a body with slip and those next to it.
-        cover: Sums over the cells a body covers; without slip it marks them too.
-    """
-
-    mark: Any
-    cover: Any
-
-
-@wp.func
-def nearest_link(
-    x: float,
-    y: float,
-    e: int,
-    pose: wp.array2d(dtype=wp.vec4),
-    length: wp.array(dtype=wp.float32),
-    half_width: wp.array(dtype=wp.vec3),
-):
-    """The link nearest in plan view: its number, distance, share of the way along it, off axis."""
-    nearest = float(1.0e9)
-    link = int(0)
-    along_it = float(0.0)
-    off_axis = float(0.0)
-    for k in range(length.shape[0]):
-        at = position_on(x, y, pose[e, k], length[k])
-        wide = along(half_width[k], at[0])
-        if at[1] - wide < nearest:
-            nearest = at[1] - wide
-            link = k
-            along_it = at[0]
-            off_axis = at[1]
-    return link, nearest, along_it, off_axis
 
 
 @wp.func
 def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float64) -> int:
+    """Add to one sum of a link."""
     wp.atomic_add(sums, e, link, k, wp.int64(x * wp.float64(wp.static(FIXED_POINT))))
     return 0
 
@@ -82,6 +53,7 @@ def add(sums: wp.array3d(dtype=wp.int64), e: int, link: int, k: int, x: wp.float
 def add_matrix(
     sums: wp.array3d(dtype=wp.int64), e: int, link: int, at: int, r: wp.vec2, k: wp.mat22
 ) -> int:
+    """Add G' k G, where G leads from the link's twist to the velocity at r from its centre."""
     ax = wp.float64(r[0])
     ay = wp.float64(r[1])
     xx = wp.float64(k[0, 0])
@@ -98,7 +70,7 @@ def add_matrix(
     add(sums, e, link, at + 5, yw)
     add(sums, e, link, at + 6, ax * yx - ay * xx)
     add(sums, e, link, at + 7, ax * yy - ay * xy)
-    add(sums, e, link, at + 8, ax * yw - ay * xw)
+    add(sums, e, link, at + 8, ay * ay * xx - ax * ay * (xy + yx) + ax * ax * yy)
     return 0
 
 
@@ -106,6 +78,7 @@ def add_matrix(
 def add_vector(
     sums: wp.array3d(dtype=wp.int64), e: int, link: int, at: int, r: wp.vec2, p: wp.vec2
 ) -> int:
+    """Add G' p: a momentum at r and its moment."""
     x = wp.float64(p[0])
     y = wp.float64(p[1])
     add(sums, e, link, at, x)
@@ -115,89 +88,10 @@ def add_vector(
 
 
 @cache
-def cover_kernels(lattice: Lattice, storage: str, wide: bool) -> CoverKernels:
-    """The kernels of the coupling."""
-    pop, ghost = populations(lattice, storage, wide), ghosts(lattice, storage, wide)
-    Stored, Vector, load = pop.Stored, pop.Vector, pop.load
-    neighbours, moments = pop.neighbours, pop.moments
-    water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
-    c, Q = lattice.velocities, lattice.Q
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def mark(
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        covered: Covered,
-        middle: float,
-        touch: Touch,
-        pose: wp.array2d(dtype=wp.vec4),
-        length: wp.array(dtype=wp.float32),
-        half_width: wp.array(dtype=wp.vec3),
-        half_height: wp.array(dtype=wp.vec3),
-        stopped: wp.array(dtype=wp.int32),
-    ):
-        """One column of cells: those inside a body, their depth and normal; those next to it."""
-        e, column = wp.tid()
-        count = covered.side
-        corner = covered.corner[e]
-        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
-            return
-        X = corner[0] + column % count
-        Y = corner[1] + column // count
-        link, nearest, _s, _o = nearest_link(float(X), float(Y), e, pose, length, half_width)
-        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
-        for layer in range(covered.tall):
-            z = covered.low + layer
-            n = floor + box.nx * box.ny * z
-            flag = int(flags[n])
-            if (flag & wp.static(KIND)) == wp.static(FLUID):
-                flag = flag & wp.static(~(GHOST | BODY) & 255)
-                if nearest < wp.static(_NEAR):
-                    d, o, other = surface(
-                        float(X),
-                        float(Y),
-                        float(z) - middle,
-                        pose[e, link],
-                        length[link],
-                        half_width[link],
-                        half_height[link],
-                        touch,
-                    )
-                    slot = (e * count * count + column) * covered.tall + layer
-                    covered.share[slot] = float(link)
-                    if d <= 0.0:
-                        flag = flag | wp.static(GHOST)
-                        covered.face[slot] = wp.vec4(o[0], o[1], o[2], -d)
-                        covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, other)
-                    elif d <= 1.0:
-                        flag = flag | wp.static(BODY)
-                        covered.face[slot] = wp.vec4(o[0], o[1], o[2], 1.0)
-                flags[n] = wp.uint8(flag)
-
-    @wp.func
-    def continued(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        e: int,
-        at: wp.vec3,
-        n: wp.vec3,
-        depth: float,
-        body: wp.vec3,
-    ):
-        """Normal and density, and velocities, of the water that a ghost cell continues."""
-        reach = depth + wp.max(depth, wp.static(REACH))
-        found = water_at(
-            f, flags, box, t, e,
-            at[0] + reach * n[0], at[1] + reach * n[1], at[2] + reach * n[2],
-            wp.vec4(0.0, body[0], body[1], body[2]),
-        )  # fmt: skip
-        u = wp.vec3(found[1], found[2], found[3])
-        u -= wp.dot(u, n) * n
-        return wp.vec4(n[0], n[1], n[2], 1.0 + found[0]), wp.vec4(
-            u[0], u[1], u[2], wp.dot(body, n)
-        )
+def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that marks the cells a body covers and sums over them."""
+    pop = populations(lattice, storage, wide)
+    Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")
     def cover(
@@ -209,6 +103,7 @@ def cover_kernels(lattice: Lattice, storage: str, wide: bool) -> CoverKernels:
         middle: float,
         touch: Touch,
         rough: wp.array2d(dtype=wp.float64),
+        kept: wp.array2d(dtype=wp.float32),
         pose: wp.array2d(dtype=wp.vec4),
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
@@ -218,7 +113,7 @@ def cover_kernels(lattice: Lattice, storage: str, wide: bool) -> CoverKernels:
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells."""
+        """One column of cells; ``kept`` is the velocity that the cells at each surface get back."""
         e, column = wp.tid()
         count = covered.side
         corner = covered.corner[e]
@@ -226,109 +121,114 @@ def cover_kernels(lattice: Lattice, storage: str, wide: bool) -> CoverKernels:
             return
         X = corner[0] + column % count
         Y = corner[1] + column // count
-        link, nearest, along_it, off_axis = nearest_link(
-            float(X), float(Y), e, pose, length, half_width
-        )
-        width = along(half_width[link], along_it)
-        height = along(half_height[link], along_it)
+        nearest = float(1.0e9)
+        link = int(0)
+        off_axis = float(0.0)
+        width = float(0.0)
+        height = float(1.0)
+        for k in range(length.shape[0]):
+            at = position_on(float(X), float(Y), pose[e, k], length[k])
+            wide = along(half_width[k], at[0])
+            if at[1] - wide < nearest:
+                nearest = at[1] - wide
+                link = k
+                off_axis = at[1]
+                width = wide
+                height = along(half_height[k], at[0])
         r = wp.vec2(float(X), float(Y)) - centre[e, link]
         v = twist[e, link]
         body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
-        lateral = wp.vec3(-pose[e, link][3], pose[e, link][2], 0.0)
-        off = (float(X) - pose[e, link][0]) * lateral[0] + (float(Y) - pose[e, link][1]) * lateral[1]
+        axis = wp.vec3(pose[e, link][2], pose[e, link][3], 0.0)
         touched = bool(False)
-        sends = wp.mat22()
-        keeps = wp.mat22()
-        given = wp.vec2()
-        held = wp.vec2()
+        outer = wp.mat22()
+        inner = wp.mat22()
+        forcing = wp.vec2()
+        held_in = wp.vec2()
+        taken = float(0.0)
+        surface_mass = float(0.0)
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         for layer in range(covered.tall):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z
             flag = int(flags[n])
-            slot = (e * count * count + column) * covered.tall + layer
-            if touch.slip == 0 and (flag & wp.static(KIND)) == wp.static(FLUID):
+            if (flag & wp.static(KIND)) == wp.static(FLUID):
                 share = float(0.0)
-                if nearest < wp.static(_NEAR):
-                    share = solid_share(distance(off_axis, float(z) - middle, width, height))
-                flag = flag & wp.static(~BODY & 255)
-                if share > 0.0:
-                    flag = flag | wp.static(BODY)
-                    share = wp.min(share, wp.static(_MOST_SHARE))
-                    covered.share[slot] = float(link)
-                    covered.face[slot] = wp.vec4(0.0, 0.0, 0.0, share)
-                flags[n] = wp.uint8(flag)
-            if (flag & wp.static(BODY | GHOST)) != 0:
-                touched = bool(True)
-                p = load(f, n, neighbours(n, flag, box), t, box.total)
-                m = moments(p)
-                face = covered.face[slot]
-                o = wp.vec3(face[0], face[1], face[2])
-                if (flag & wp.static(BODY)) != 0:
-                    u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+                slips = float(0.0)
+                whole = bool(True)
+                o = wp.vec3()
+                if nearest < wp.static(NEAR):
+                    up = float(z) - middle
                     if touch.slip != 0:
-                        sliding = body - u - wp.dot(body - u, o) * o
-                        face[3] = face[3] * friction(
-                            wp.length(sliding), float(rough[e, link]), touch
+                        gap, outline, area, facing = side(
+                            float(X),
+                            float(Y),
+                            up,
+                            pose[e, link],
+                            length[link],
+                            half_width[link],
+                            half_height[link],
+                            touch,
                         )
-                        covered.face[slot] = face
-                    even = face[3] * (1.0 + m[0])
-                    sends += even * wp.mat22(
-                        1.0 - o[0] * o[0], -o[0] * o[1], -o[0] * o[1], 1.0 - o[1] * o[1]
-                    )
-                    u -= wp.dot(u, o) * o
-                    given -= even * wp.vec2(u[0], u[1])
-                else:
-                    near = int(0)
-                    far = int(0)
-                    for k in range(1, wp.static(Q)):
-                        x = wp.static(c[k][0])
-                        y = wp.static(c[k][1])
-                        beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
-                        if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
-                            across = off + float(x) * lateral[0] + float(y) * lateral[1]
-                            if covered.back[slot][3] > 0.0 and across * off < 0.0:
-                                far = far | wp.static(1 << k)
-                            else:
-                                near = near | wp.static(1 << k)
-                    covered.links[slot] = wp.vec2i(near, far)
-                    given -= wp.vec2(m[1], m[2])
-                    if near + far != 0:
-                        at = wp.vec3(float(X), float(Y), float(z))
-                        facing, water = continued(
-                            f, flags, box, t, e, at, o, face[3], body
-                        )
-                        covered.face[slot] = facing
-                        covered.water[slot] = water
-                        still = Vector()
-                        out = emitted(p, near, facing, water, water[3])
-                        rate = emitted(still, near, facing, wp.vec4(), 1.0)
-                        s = momentum(out, near)
-                        ds = momentum(rate, near)
-                        among = wp.static(2**lattice.Q - 1) - near - far
-                        k0 = momentum(out, among)
-                        dk = momentum(rate, among)
-                        n2 = wp.vec2(o[0], o[1])
-                        sends += wp.outer(ds, n2)
-                        keeps += wp.outer(dk, n2)
-                        given += s - water[3] * ds
-                        held += k0 - water[3] * dk
-                        if far != 0:
-                            o -= 2.0 * wp.dot(o, lateral) * lateral
-                            facing, water = continued(
-                                f, flags, box, t, e, at, o, covered.back[slot][3], body
+                        o = facing
+                        share = outline * wp.clamp(0.5 - gap, 0.0, 1.0)
+                        whole = gap <= -touch.deep
+                        if gap > 0.0 and gap <= 1.0:
+                            slips = outline * area
+                    else:
+                        share = solid_share(distance(off_axis, up, width, height))
+                if share > 0.0 or slips > 0.0:
+                    held = float(link) + wp.min(share, wp.static(_MOST_SHARE))
+                    share = held - float(link)
+                    flags[n] = wp.uint8(flag | wp.static(BODY))
+                    m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                    rho = 1.0 + m[0]
+                    u = wp.vec3(m[1], m[2], m[3]) / rho
+                    lack = body - u
+                    even = share
+                    inside = float(0.0)
+                    more = wp.vec3()
+                    if touch.slip != 0:
+                        inside = share
+                        if whole:
+                            taken += rho * share * wp.dot(lack, axis)
+                        else:
+                            even = 0.0
+                        if slips > 0.0:
+                            sliding = lack - wp.dot(lack, o) * o
+                            even = slips * friction(
+                                wp.length(sliding), float(rough[e, link]), touch
                             )
-                            covered.back[slot] = facing
-                            covered.beyond[slot] = water
-                            s = momentum(emitted(p, far, facing, water, water[3]), far)
-                            ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0), far)
-                            sends += wp.outer(ds, wp.vec2(o[0], o[1]))
-                            given += s - water[3] * ds
+                            ahead = axis - wp.dot(axis, o) * o
+                            surface_mass += rho * slips * wp.dot(ahead, axis)
+                            more = -slips * kept[e, link] * ahead
+                    slot = (e * count * count + column) * covered.tall + layer
+                    covered.share[slot] = held
+                    covered.face[slot] = wp.vec4(o[0], o[1], o[2], even)
+                    covered.more[slot] = more
+                    across = rho * (share - even)
+                    even *= rho
+                    pull = wp.mat22(
+                        even + across * o[0] * o[0],
+                        across * o[0] * o[1],
+                        across * o[0] * o[1],
+                        even + across * o[1] * o[1],
+                    )
+                    outer += (1.0 - inside) * pull
+                    inner += inside * pull
+                    gain = rho * more - even * u - across * wp.dot(o, u) * o
+                    forcing += wp.vec2(gain[0], gain[1])
+                    gain += rho * u
+                    held_in += inside * wp.vec2(gain[0], gain[1])
+                    touched = bool(True)
+                elif (flag & wp.static(BODY)) != 0:
+                    flags[n] = wp.uint8(flag - wp.static(BODY))
         if touched:
-            add_matrix(sums, e, link, 0, r, sends)
-            add_vector(sums, e, link, 18, r, given)
+            add_matrix(sums, e, link, 0, r, outer)
+            add_vector(sums, e, link, 18, r, forcing)
             if touch.slip != 0:
-                add_matrix(sums, e, link, 9, r, keeps)
-                add_vector(sums, e, link, 21, r, held)
+                add_matrix(sums, e, link, 9, r, inner)
+                add_vector(sums, e, link, 21, r, held_in)
+                add(sums, e, link, 24, wp.float64(taken))
+                add(sums, e, link, 25, wp.float64(surface_mass))
 
-    return CoverKernels(mark, cover)
+    return cover

@@ -62,7 +62,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         y0 = int(wp.floor(y))
         z0 = int(wp.floor(z))
         total = wp.vec4()
-        weight = float(0.0)
+        weight = 0.0
         for corner in range(wp.static(2**lattice.dimensions)):
             i = corner % 2
             k = (corner // 2) % 2
@@ -84,9 +84,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         return total / weight
 
     @wp.func
-    def emitted(
-        p: Vector, links: int, face: wp.vec4, water: wp.vec4, across: float
-    ) -> Vector:
+    def emitted(p: Vector, links: int, face: wp.vec4, water: wp.vec4, across: float) -> Vector:
         """Populations for the body's velocity ``across`` the surface; linear in it.
 
         ``p`` are those that arrive, ``face`` the surface's normal and the density, ``water`` the
@@ -103,8 +101,8 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         )
         still = 1.5 * wp.dot(before, before)
         out = Vector()
-        passed = float(0.0)
-        weight = float(0.0)
+        passed = 0.0
+        weight = 0.0
         for k in range(wp.static(Q)):
             q = wp.vec3(
                 wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))

@@ -6,6 +6,9 @@ from sim.fluid.wall import Touch
 
 RAMP = 1.0
 """Width in cells over which a cell's solid share falls from 1 to 0."""
+SHEET = 0.5
+"""For ghost cells, in cells: half-thickness below which a tall part is a sheet, and distance by
+which the edges of a sheet are moved inwards."""
 
 
 @wp.func
@@ -65,6 +68,60 @@ def solid_share(signed_distance: float) -> float:
 
 
 @wp.func
+def side(
+    x: float,
+    y: float,
+    z: float,
+    pose: wp.vec4,
+    length: float,
+    width: wp.vec3,
+    height: wp.vec3,
+    touch: Touch,
+):
+    """Distance from a link's side, share of the cell within its outline, the side's area, normal.
+
+    The area is that over one cell of its height and one of its outline seen from above.
+
+    At each height the link extends half its thickness there to either side of its axis. Parts
+    thinner than the grid resolves are a sheet with the normals of its two sides, without the
+    pressure on a round edge, which ends where the link ends.
+    """
+    dx = x - pose[0]
+    dy = y - pose[1]
+    back = -(dx * pose[2] + dy * pose[3])
+    lateral = dy * pose[2] - dx * pose[3]
+    clamped = wp.clamp(back, 0.0, length)
+    s = float(0.0)
+    if length > 0.0:
+        s = clamped / length
+    w = along(width, s)
+    h = along(height, s)
+    up = wp.clamp(z, -wp.max(h - 0.5, 0.0), wp.max(h - 0.5, 0.0))
+    root = wp.sqrt(1.0 - up * up / (h * h))
+    blunt = wp.clamp(w - touch.thin, 0.0, 1.0)
+    over = back - clamped
+    off = wp.sqrt(lateral * lateral + blunt * over * over)
+    edge = blunt * touch.inset + (1.0 - blunt) * touch.edge
+    gap = off - wp.max(w * root - touch.inset, touch.thin)
+    within = wp.clamp(0.5 - (wp.abs(z) - h + edge), 0.0, 1.0)
+    within *= wp.clamp(0.5 - (wp.max(back - length, -back) - w + edge), 0.0, 1.0)
+    ahead = float(0.0)
+    sideways = float(1.0)
+    if off > 1.0e-4:
+        ahead = -blunt * over / off
+        sideways = lateral / off
+    if over == 0.0 and length > 0.0:
+        narrows = taper(width, s) * root + w * up * up * taper(height, s) / (h * h * h * root)
+        ahead += narrows / length
+    n = wp.vec3(
+        ahead * pose[2] - sideways * pose[3],
+        ahead * pose[3] + sideways * pose[2],
+        w * up / (h * h * root),
+    )
+    return gap, within, wp.length(n), wp.normalize(n)
+
+
+@wp.func
 def sealed(n: wp.vec3) -> float:
     """Half-thickness of a sheet with this normal through which no link of the lattice passes."""
     x = wp.abs(n[0])
@@ -82,7 +139,6 @@ def surface(
     length: float,
     width: wp.vec3,
     height: wp.vec3,
-    touch: Touch,
 ):
     """Signed distance from a link's surface, its normal, and depth of the other side if thin.
 
@@ -100,7 +156,7 @@ def surface(
         s = clamped / length
     w = along(width, s)
     h = along(height, s)
-    blunt = wp.clamp(w - touch.thin + wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)
+    blunt = wp.clamp(w - wp.static(SHEET) + wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)
     over = back - clamped
     off = wp.sqrt(lateral * lateral + blunt * over * over)
     low = wp.max(h - 0.5, 0.0)
@@ -129,7 +185,9 @@ def surface(
     if blunt < 1.0:
         half = wp.max(w * wp.sqrt(wp.max(1.0 - z * z / (h * h), 0.0)), sealed(n))
         d = off - half
-        beyond = wp.max(wp.abs(z) - h + touch.edge, wp.max(back - length, -back) - w + touch.edge)
+        beyond = wp.max(
+            wp.abs(z) - h + wp.static(SHEET), wp.max(back - length, -back) - w + wp.static(SHEET)
+        )
         if beyond > 0.0:
             d = wp.max(d, beyond)
         other = off + half

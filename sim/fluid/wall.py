@@ -21,9 +21,13 @@ from sim2real.errors import InputError
 
 LINES = ("none", "laminar", "turbulent")
 """Friction lines: 1.328 / sqrt(Re) is Blasius's, 0.075 / (log10 Re - 2)^2 that of ITTC 1957."""
-INSET, THIN, EDGE = 0.0, 0.5, 0.5
-"""In cells: distance by which thick sides are moved inwards; half-thickness below which a part is a
-sheet; distance by which the edges of sheets are moved inwards."""
+DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
+"""In cells: depth below the surface from which the inner water moves with the body; distance by
+which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
+moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
+disc acts 0.1 cells too large, a plate 0.2 to 0.4 (``benchmarks/wall_constants.py``)."""
+MEMORY = 40.0
+"""Steps over which the momentum that the inner water takes from the outer is averaged."""
 
 
 @wp.struct
@@ -34,12 +38,13 @@ class Touch:
         slip: 1 where only the velocity across the surface is set, 0 where all of it is.
         line: Number of the friction line in ``LINES``.
         reynolds: Reynolds number of one cell per step over the body's length, in water.
-        inset, thin, edge: ``INSET``, ``THIN``, ``EDGE``.
+        deep, inset, thin, edge: ``DEEP``, ``INSET``, ``THIN``, ``EDGE``.
     """
 
     slip: int
     line: int
     reynolds: float
+    deep: float
     inset: float
     thin: float
     edge: float
@@ -51,26 +56,34 @@ class Wall:
 
     Attributes:
         slip: Whether the water slips along the surface.
+        ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
+            surface; else by forcing (``coupling``). Experimental: bodies at least three cells thick
+            have the drag and the added mass of ideal fluid within a few percent when they move
+            through water at rest, but fins thinner than two cells can become unstable, and a
+            body at rest in a stream is pushed upstream. All reports were made without.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
 
     Raises:
-        InputError: If there is no such line.
+        InputError: If there is no such line, or ghost cells are asked for without slip.
     """
 
     slip: bool
     line: str = "none"
+    ghosts: bool = False
 
     def __post_init__(self) -> None:
         if self.line not in LINES:
             raise InputError("wall", "line", repr(self.line), f"one of {', '.join(LINES)}")
+        if self.ghosts and not self.slip:
+            raise InputError("wall", "ghosts", "without slip", "slip=True")
 
     def touch(self, length_m: float, units: Units) -> Any:  # noqa: ANN401 - Warp has no stubs
         """The wall model for the kernels, for bodies of this length."""
         touch = Touch()
         touch.slip, touch.line = int(self.slip), LINES.index(self.line)
         touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
-        touch.inset, touch.thin, touch.edge = INSET, THIN, EDGE
+        touch.deep, touch.inset, touch.thin, touch.edge = DEEP, INSET, THIN, EDGE
         return touch
 
 

@@ -5,8 +5,8 @@ import warp as wp
 FLUID, SOLID, MOVING, SLIP, OUTLET, INLET = range(6)
 """Kinds of cells. A wall lies half-way between a wall cell and the fluid."""
 KIND, GHOST, BODY, EDGE = 7, 32, 64, 128
-"""Bits of a cell's flag: its kind; inside a body along which water slips; pushed by a body; at the
-edge of its box, where cells wrap."""
+"""Bits of a cell's flag: its kind; a ghost cell; pushed by a body; at the edge of its box, where
+cells wrap."""
 
 
 @wp.struct
@@ -32,6 +32,7 @@ class Covered:
         face: Normal of the surface there, and the share of the velocity along it that the body
             takes away in a step, (E side side tall,); of ghost cells the density of the water
             outside in place of that share.
+        more: Additional change of the cell's velocity, (E side side tall,).
         water: Of ghost cells, the velocity along the surface of the water outside, and the
             velocity across it that the body had before, (E side side tall,).
         beyond: Density and velocity likewise at the other side of a thin part.
@@ -45,6 +46,7 @@ class Covered:
     corner: wp.array(dtype=wp.vec4i)
     share: wp.array(dtype=wp.float32)
     face: wp.array(dtype=wp.vec4)
+    more: wp.array(dtype=wp.vec3)
     water: wp.array(dtype=wp.vec4)
     back: wp.array(dtype=wp.vec4)
     beyond: wp.array(dtype=wp.vec4)

@@ -8,9 +8,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fluid.coupling import FIXED_POINT, SUMS, cover_kernels
+from sim.fluid.coupling import FIXED_POINT, SUMS, cover_kernel
 from sim.fluid.fluid import Fluid
-from sim.fluid.wall import NO_SLIP, Wall
+from sim.fluid.ghost_coupling import ghost_kernels
+from sim.fluid.wall import MEMORY, NO_SLIP, Wall
 from sim.lattice.cell import Covered
 from sim.lattice.units import Units
 from sim.robot.chain import RING, Chain, Motion, OnGrid
@@ -145,6 +146,8 @@ class Bodies:
         grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
         grid.sums = room((E, L, SUMS), wp.int64)
+        grid.kept = room((E, L), wp.float32)
+        grid.memory = wp.float32(MEMORY)
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
@@ -168,11 +171,13 @@ class Bodies:
         cells = E * self._side**2 * covered.tall
         covered.corner = grid.corner = room((E,), wp.vec4i)
         covered.share = room((cells,), wp.float32)
-        covered.face, covered.back = room((cells,), wp.vec4), room((cells,), wp.vec4)
-        covered.water, covered.beyond = room((cells,), wp.vec4), room((cells,), wp.vec4)
-        covered.links = room((cells,), wp.vec2i)
+        covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
+        ghosts = cells if wall.ghosts else 1
+        covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
+        covered.links = room((ghosts,), wp.vec2i)
         self._touch = wall.touch(hull.body_length, units)
-        self._kernels = cover_kernels(fluid.lattice, fluid.storage, fluid.wide)
+        made = ghost_kernels if wall.ghosts else cover_kernel
+        self._cover = made(fluid.lattice, fluid.storage, fluid.wide)
         self.place(np.zeros((E, N)))
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:
@@ -218,25 +223,18 @@ class Bodies:
 
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
-        fluid = self.fluid
-        if self.wall.slip:
-            self._launch(
-                self._kernels.mark,
-                (fluid.boxes, self._side**2),
-                [
-                    fluid.flags, fluid.box, fluid.covered, self.middle, self._touch,
-                    self.grid.pose, *self._shape, fluid.stopped,
-                ],
-            )  # fmt: skip
-        self._launch(
-            self._kernels.cover,
-            (fluid.boxes, self._side**2),
-            [
-                fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered, self.middle, self._touch,
-                self.chain.rough, self.grid.pose, self.grid.twist, self.grid.centre,
-                *self._shape, self.grid.sums, fluid.stopped,
-            ],
-        )  # fmt: skip
+        fluid, grid, columns = self.fluid, self.grid, (self.fluid.boxes, self._side**2)
+        water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
+        place, shape = [grid.pose, grid.twist, grid.centre], self._shape
+        touch, rough = self._touch, self.chain.rough
+        if self.wall.ghosts:
+            marked = [fluid.flags, fluid.box, fluid.covered, self.middle, grid.pose]
+            self._launch(self._cover.mark, columns, [*marked, *shape, fluid.stopped])
+            inputs = [*water, touch, rough, *place, *shape[:2]]
+            self._launch(self._cover.cover, columns, [*inputs, grid.sums, fluid.stopped])
+        else:
+            inputs = [*water, self.middle, touch, rough, grid.kept, *place, *shape]
+            self._launch(self._cover, columns, [*inputs, grid.sums, fluid.stopped])
         self._launch(
             advance,
             fluid.boxes,

@@ -102,7 +102,11 @@ class Motion:
 
 @wp.struct
 class OnGrid:
-    """The robots in lattice units, for the fluid, and the fluid's sums over them."""
+    """The robots in lattice units, for the fluid, and the fluid's sums over them.
+
+    ``kept`` is the velocity along each link's axis that is given back to the cells at its surface
+    in a step (``coupling``), a mean over ``memory`` steps, (E, L).
+    """
 
     cell: wp.float64
     step: wp.float64
@@ -115,4 +119,6 @@ class OnGrid:
     twist: wp.array2d(dtype=wp.vec4)
     position: wp.array(dtype=wp.vec2)
     sums: wp.array3d(dtype=wp.int64)
+    kept: wp.array2d(dtype=wp.float32)
+    memory: wp.float32
     scale: wp.float64

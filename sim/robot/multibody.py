@@ -8,6 +8,9 @@ the new coordinates' velocities v solve
 
     sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
+C is the symmetric part of the matrix of the sums; the rest of it, which only ghost cells have, acts
+on V, and what this neglects is made up for in the next step.
+
 Where the water does not slip, M is the mass minus that of the water inside, p and P are 0, and B is
 a virtual mass on both sides that cancels at constant acceleration. T are the servos' torques, with
 implicit gains, and h is the step. Dry friction and joint limits are impulses that can stop a joint
@@ -170,6 +173,7 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     move_links(e, chain, s)
     s.fresh[e] = 1
     for k in range(chain.length.shape[0]):
+        grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
         s.inner[e, k] = wp.vec3d()
         for i in range(wp.static(SUMS)):
@@ -208,10 +212,12 @@ def advance(
         m = chain.mass[e, k]
         w = chain.water[e, k]
         V = s.twist[e, k]
-        p = full * V
+        p = vector(e, k, 21, unit, grid) - vector(e, k, 18, unit, grid)
         if s.fresh[e] == 0:
-            p = (K - full) * V - vector(e, k, 18, unit, grid)
             p -= about(s.inner[e, k], s.link[e, k], wp.float64(-1.0))
+        else:
+            p -= vector(e, k, 21, unit, grid)
+        p += (K - full) * V
         s.force[e, k] = p
         dV = V - s.before[e, k]
         M = m[0] + w[0]
@@ -270,6 +276,12 @@ def advance(
         inner = vector(e, k, 21, unit, grid) + matrix(e, k, 9, unit, grid) * V
         inner += (full - K) * (V - s.before[e, k])
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
+        share = float(0.0)
+        if (
+            grid.sums[e, k, 25] > wp.int64(0) and s.fresh[e] == 0
+        ):  # inner cells that moved with the body
+            share = float(wp.float64(grid.sums[e, k, 24]) / wp.float64(grid.sums[e, k, 25]))
+        grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
         grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
         for i in range(wp.static(SUMS)):

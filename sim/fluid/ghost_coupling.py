@@ -1,0 +1,251 @@
+"""Coupling of bodies and fluid by ghost cells (``ghost``), implicit in the bodies' velocity.
+
+Ghost cells exchange with the water outside what they send to it and what arrives in them. What they
+send is linear in the body's velocity. Its sums over each link are those of ``coupling``: E v is
+part of what they send to the water, R v + b what they send to each other, which arrives in them in
+the next step, and a the rest of both less all that arrives in them. So the momentum of bodies and
+water is conserved. Friction acts on the water within a cell of the surface.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from sim.fluid.coupling import NEAR, add_matrix, add_vector
+from sim.fluid.ghost import REACH, ghosts
+from sim.fluid.section import along, position_on, surface
+from sim.fluid.wall import Touch, friction
+from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, neighbour, within
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
+
+
+class GhostKernels(NamedTuple):
+    """Kernels for one lattice.
+
+    Attributes:
+        mark: Marks the cells inside a body and those next to it, with their distance and normal.
+        cover: Sums over them.
+    """
+
+    mark: Any
+    cover: Any
+
+
+@wp.func
+def nearest_link(
+    x: float,
+    y: float,
+    e: int,
+    pose: wp.array2d(dtype=wp.vec4),
+    length: wp.array(dtype=wp.float32),
+    half_width: wp.array(dtype=wp.vec3),
+):
+    """The link nearest in plan view, and the distance from its outline."""
+    nearest = float(1.0e9)
+    link = int(0)
+    for k in range(length.shape[0]):
+        at = position_on(x, y, pose[e, k], length[k])
+        wide = along(half_width[k], at[0])
+        if at[1] - wide < nearest:
+            nearest = at[1] - wide
+            link = k
+    return link, nearest
+
+
+@cache
+def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
+    """The kernels for a lattice."""
+    pop, ghost = populations(lattice, storage, wide), ghosts(lattice, storage, wide)
+    Stored, Vector, load = pop.Stored, pop.Vector, pop.load
+    neighbours, moments = pop.neighbours, pop.moments
+    water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
+    c, Q = lattice.velocities, lattice.Q
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def mark(
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        covered: Covered,
+        middle: float,
+        pose: wp.array2d(dtype=wp.vec4),
+        length: wp.array(dtype=wp.float32),
+        half_width: wp.array(dtype=wp.vec3),
+        half_height: wp.array(dtype=wp.vec3),
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        """One column of cells: those inside a body, their depth and normal; those next to it."""
+        e, column = wp.tid()
+        count = covered.side
+        corner = covered.corner[e]
+        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+            return
+        X = corner[0] + column % count
+        Y = corner[1] + column // count
+        link, nearest = nearest_link(float(X), float(Y), e, pose, length, half_width)
+        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
+        for layer in range(covered.tall):
+            z = covered.low + layer
+            n = floor + box.nx * box.ny * z
+            flag = int(flags[n])
+            if (flag & wp.static(KIND)) == wp.static(FLUID):
+                flag = flag & wp.static(~(GHOST | BODY) & 255)
+                if nearest < wp.static(NEAR):
+                    d, o, other = surface(
+                        float(X),
+                        float(Y),
+                        float(z) - middle,
+                        pose[e, link],
+                        length[link],
+                        half_width[link],
+                        half_height[link],
+                    )
+                    slot = (e * count * count + column) * covered.tall + layer
+                    covered.share[slot] = float(link)
+                    if d <= 0.0:
+                        flag = flag | wp.static(GHOST)
+                        covered.face[slot] = wp.vec4(o[0], o[1], o[2], -d)
+                        covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, other)
+                    elif d <= 1.0:
+                        flag = flag | wp.static(BODY)
+                        covered.face[slot] = wp.vec4(o[0], o[1], o[2], 0.0)
+                flags[n] = wp.uint8(flag)
+
+    @wp.func
+    def continued(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        e: int,
+        at: wp.vec3,
+        n: wp.vec3,
+        depth: float,
+        body: wp.vec3,
+    ):
+        """Normal and density, and velocities, of the water that a ghost cell continues."""
+        reach = depth + wp.max(depth, wp.static(REACH))
+        found = water_at(
+            f, flags, box, t, e,
+            at[0] + reach * n[0], at[1] + reach * n[1], at[2] + reach * n[2],
+            wp.vec4(0.0, body[0], body[1], body[2]),
+        )  # fmt: skip
+        u = wp.vec3(found[1], found[2], found[3])
+        u -= wp.dot(u, n) * n
+        return wp.vec4(n[0], n[1], n[2], 1.0 + found[0]), wp.vec4(u[0], u[1], u[2], wp.dot(body, n))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def cover(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        covered: Covered,
+        touch: Touch,
+        rough: wp.array2d(dtype=wp.float64),
+        pose: wp.array2d(dtype=wp.vec4),
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+        length: wp.array(dtype=wp.float32),
+        half_width: wp.array(dtype=wp.vec3),
+        sums: wp.array3d(dtype=wp.int64),
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        """One column of cells."""
+        e, column = wp.tid()
+        count = covered.side
+        corner = covered.corner[e]
+        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+            return
+        X = corner[0] + column % count
+        Y = corner[1] + column // count
+        link, nearest = nearest_link(float(X), float(Y), e, pose, length, half_width)
+        if nearest > wp.static(NEAR):
+            return
+        r = wp.vec2(float(X), float(Y)) - centre[e, link]
+        v = twist[e, link]
+        body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+        lateral = wp.vec3(-pose[e, link][3], pose[e, link][2], 0.0)
+        off = wp.dot(
+            wp.vec3(float(X) - pose[e, link][0], float(Y) - pose[e, link][1], 0.0), lateral
+        )
+        touched = bool(False)
+        sends = wp.mat22()
+        keeps = wp.mat22()
+        given = wp.vec2()
+        held = wp.vec2()
+        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
+        for layer in range(covered.tall):
+            z = covered.low + layer
+            n = floor + box.nx * box.ny * z
+            flag = int(flags[n])
+            slot = (e * count * count + column) * covered.tall + layer
+            if (flag & wp.static(BODY | GHOST)) != 0:
+                touched = bool(True)
+                p = load(f, n, neighbours(n, flag, box), t, box.total)
+                m = moments(p)
+                face = covered.face[slot]
+                o = wp.vec3(face[0], face[1], face[2])
+                if (flag & wp.static(BODY)) != 0:
+                    u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+                    sliding = body - u - wp.dot(body - u, o) * o
+                    share = friction(wp.length(sliding), float(rough[e, link]), touch)
+                    covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
+                    even = share * (1.0 + m[0])
+                    sends += even * wp.mat22(
+                        1.0 - o[0] * o[0], -o[0] * o[1], -o[0] * o[1], 1.0 - o[1] * o[1]
+                    )
+                    u -= wp.dot(u, o) * o
+                    given -= even * wp.vec2(u[0], u[1])
+                else:
+                    near = int(0)
+                    far = int(0)
+                    for k in range(1, wp.static(Q)):
+                        x = wp.static(c[k][0])
+                        y = wp.static(c[k][1])
+                        beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
+                        if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
+                            across = off + float(x) * lateral[0] + float(y) * lateral[1]
+                            if covered.back[slot][3] > 0.0 and across * off < 0.0:
+                                far = far | wp.static(1 << k)
+                            else:
+                                near = near | wp.static(1 << k)
+                    covered.links[slot] = wp.vec2i(near, far)
+                    given -= wp.vec2(m[1], m[2])
+                    if near + far != 0:
+                        at = wp.vec3(float(X), float(Y), float(z))
+                        facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
+                        covered.face[slot] = facing
+                        covered.water[slot] = water
+                        still = Vector()
+                        out = emitted(p, near, facing, water, water[3])
+                        rate = emitted(still, near, facing, wp.vec4(), 1.0)
+                        s = momentum(out, near)
+                        ds = momentum(rate, near)
+                        among = wp.static(2**lattice.Q - 1) - near - far
+                        k0 = momentum(out, among)
+                        dk = momentum(rate, among)
+                        n2 = wp.vec2(o[0], o[1])
+                        sends += wp.outer(ds, n2)
+                        keeps += wp.outer(dk, n2)
+                        given += s - water[3] * ds
+                        held += k0 - water[3] * dk
+                        if far != 0:
+                            o -= 2.0 * wp.dot(o, lateral) * lateral
+                            facing, water = continued(
+                                f, flags, box, t, e, at, o, covered.back[slot][3], body
+                            )
+                            covered.back[slot] = facing
+                            covered.beyond[slot] = water
+                            s = momentum(emitted(p, far, facing, water, water[3]), far)
+                            ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0), far)
+                            sends += wp.outer(ds, wp.vec2(o[0], o[1]))
+                            given += s - water[3] * ds
+        if touched:
+            add_matrix(sums, e, link, 0, r, sends)
+            add_vector(sums, e, link, 18, r, given + held)
+            add_matrix(sums, e, link, 9, r, keeps)
+            add_vector(sums, e, link, 21, r, held)
+
+    return GhostKernels(mark, cover)

@@ -1,0 +1,64 @@
+"""Ghost cells: water that slips along a body and exchanges nothing with it along its surface."""
+
+import numpy as np
+import pytest
+
+from sim.cases import momentum, spheroid
+from sim.fluid.fluid import Fluid
+from sim.fluid.wall import Wall
+from sim.lattice.units import Units
+from sim.lattice.velocities import D2Q9
+from sim.robot.bodies import FREE, Bodies, Masses
+from sim.robot.shape import Hull, displaced
+from sim2real.errors import InputError
+
+SLIPS = Wall(slip=True, ghosts=True)
+LATTICE = Units(1.0, 1.0, 1.0, 1.0)
+
+
+def disc(fluid, radius):
+    """A disc in the middle of a box of two dimensions, as heavy as the water it displaces."""
+    hull = Hull(np.array([0.01]), np.full((1, 3), radius), np.full((1, 3), 1e6))
+    area = np.pi * radius**2
+    water = displaced(hull, 0.25, 0.0, True)
+    water[:, [0, 2]] *= area / water[:, 0]
+    masses = Masses(water[:, 0], water[:, 2], water[:, 1])
+    bodies = Bodies(fluid, hull, masses, LATTICE, wall=SLIPS)
+    bodies.place(np.array([[fluid.size[0] / 2 + 0.3, fluid.size[1] / 2 + 0.2, 0.0]]))
+    return bodies, area
+
+
+def test_a_disc_carries_as_much_water_as_it_displaces():
+    """Lamb, Hydrodynamics (1932), art. 68: the added mass of a cylinder is that of its water."""
+    fluid = Fluid(D2Q9, (48, 48), viscosity=1e-3)
+    bodies, area = disc(fluid, 3.3)
+    period = 400
+    omega = 2 * np.pi / period
+    force, speed = 0.2 * area * omega**2, np.zeros(2 * period)
+    for n in range(len(speed)):
+        bodies.push(np.array([[force * np.cos(omega * (n + 0.5)), 0.0, 0.0]]))
+        bodies.step(FREE)
+        speed[n] = bodies.motion.v.numpy()[0, 0]
+    t = omega * np.arange(period)
+    basis = np.stack([np.cos(t), np.sin(t), np.ones(period), t], axis=1)
+    fit = np.linalg.lstsq(basis, speed[-period:], rcond=None)[0]
+    assert force / (omega * area * np.hypot(fit[0], fit[1])) == pytest.approx(2.0, rel=0.04)
+
+
+def test_body_and_water_keep_their_momentum():
+    audit = momentum.audit(D2Q9, 32, 120, 120, SLIPS)
+    assert audit.bend > 0.1
+    assert np.abs(audit.linear).max() < 1e-6
+    assert np.abs(audit.angular[audit.step < 60]).max() < 1e-5
+
+
+def test_a_towed_spheroid_has_no_drag_without_friction(monkeypatch):
+    """D'Alembert's paradox, in three cells of thickness."""
+    monkeypatch.setattr(spheroid, "_LENGTHS", 0.5)
+    moved, found = spheroid.drag(18, SLIPS)
+    assert abs(found[moved > moved[-1] / 2].mean()) < 0.01
+
+
+def test_ghost_cells_need_slip():
+    with pytest.raises(InputError, match="slip=True"):
+        Wall(slip=False, ghosts=True)
