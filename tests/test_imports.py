@@ -39,6 +39,8 @@ ONLY_IN = {
     "ray": ("rl/executor/",),
     "mujoco": ("sim2real/exporters/mujoco_bench.py", "sim2real/importers/mjcf.py"),
     "pyarrow": ("sim2real/importers/lerobot.py",),
+    "rerun": ("sim2real/viewers/",),
+    "mcap": ("sim2real/viewers/",),
     "datasets": (),
     "benchmarks": (),
     "tests": (),

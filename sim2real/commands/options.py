@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim2real import verbs
-from sim2real.commands.command import Command, add_former, add_recordings
+from sim2real.commands.command import Command, add_former, add_recordings, add_views
 from sim2real.commands.verb import add_verb
 
 
@@ -25,6 +25,7 @@ def _identify(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--no-plots", action="store_true", help="do not plot the fits (MODEL.JOINT.png)"
     )
+    add_views(command)
 
 
 def _density(command: argparse.ArgumentParser) -> None:
@@ -53,6 +54,7 @@ def _predict(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="prediction to write (predicted.csv)"
     )
+    add_views(command)
 
 
 def _import(command: argparse.ArgumentParser) -> None:

@@ -1,0 +1,131 @@
+"""Scenes as MCAP files, which Foxglove and Lichtblick show."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.output import write_whole
+from sim2real.version import __version__
+from sim2real.viewers.channels import Channel, Scene, Track, viewer_library
+
+FRAME = "world"
+_NS = 1_000_000_000
+_LINE_STRIP = 0
+_COLOURS = ((0.95, 0.95, 0.95), (1.0, 0.49, 0.36), (0.36, 0.66, 1.0))
+_PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+
+Message = tuple[float, dict[str, Any]]
+
+
+def mcap_library() -> Any:  # noqa: ANN401 - a module
+    """The library that writes the file.
+
+    Raises:
+        InputError: If it is not installed.
+    """
+    return viewer_library("--mcap", "mcap.writer", "mcap")
+
+
+def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:
+    """Write a scene as JSON messages, each topic with its JSON schema.
+
+    A channel is a topic ``/RECORDING/JOINT/QUANTITY`` with one message per sample, whose fields are
+    the signals; a missing sample has no field. A line is a topic of ``foxglove.SceneUpdate``
+    (https://docs.foxglove.dev/docs/sdk/schemas/scene-update), in the frame ``world``. Times start
+    at 0 where a recording's are negative.
+
+    Raises:
+        InputError: If the file cannot be written, or the library is not installed.
+    """
+    library = mcap_library()
+    stream = io.BytesIO()
+    writer = library.Writer(stream)
+    writer.start(profile="", library=f"sim2real {__version__}")
+    for channel in scene.channels:
+        _write_topic(writer, channel.path, _signals_schema(channel), _samples(channel))
+    schema = _object("foxglove.SceneUpdate", {"deletions": _ARRAY, "entities": _ARRAY})
+    for number, track in enumerate(scene.tracks):
+        colour = _COLOURS[number % len(_COLOURS)]
+        _write_topic(writer, track.path, schema, _scene_updates(track, colour))
+    writer.finish()
+    return write_whole(path, stream.getvalue())
+
+
+_ARRAY = {"type": "array", "items": {"type": "object"}}
+
+
+def _write_topic(
+    writer: Any,  # noqa: ANN401 - of the library
+    path: tuple[str, ...],
+    schema: dict[str, Any],
+    messages: Iterator[Message],
+) -> None:
+    topic = "".join("/" + part.replace("/", "_") for part in path)
+    schema_id = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+    channel_id = writer.register_channel(topic, "json", schema_id)
+    start: float | None = None
+    for number, (time_s, message) in enumerate(messages):
+        start = min(time_s, 0.0) if start is None else start
+        time_ns = round((time_s - start) * _NS)
+        data = json.dumps(message, allow_nan=False).encode()
+        writer.add_message(channel_id, time_ns, data, time_ns, sequence=number)
+
+
+def _signals_schema(channel: Channel) -> dict[str, Any]:
+    number = {"type": "number", "description": f"unit: {channel.unit or '1'}"}
+    quantity = "sim2real." + channel.path[-1].replace(" ", "_")
+    return _object(quantity, dict.fromkeys(channel.signals, number))
+
+
+def _object(title: str, properties: dict[str, Any]) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+def _samples(channel: Channel) -> Iterator[Message]:
+    for k, time_s in enumerate(channel.t.tolist()):
+        values = {name: float(x[k]) for name, x in channel.signals.items() if np.isfinite(x[k])}
+        if values:
+            yield time_s, values
+
+
+def _scene_updates(track: Track, colour: tuple[float, float, float]) -> Iterator[Message]:
+    for time_s, points in zip(track.t.tolist(), track.points, strict=True):
+        yield time_s, {"deletions": [], "entities": [_entity(track, time_s, points, colour)]}
+
+
+def _entity(
+    track: Track, time_s: float, points: Array, colour: tuple[float, float, float]
+) -> dict[str, Any]:
+    """A ``foxglove.SceneEntity``: one line strip, which replaces that of the message before."""
+    seconds, nanoseconds = divmod(round(max(time_s, 0.0) * _NS), _NS)
+    line = {
+        "type": _LINE_STRIP,
+        "pose": {"position": _vector(0, 0, 0), "orientation": {**_vector(0, 0, 0), "w": 1.0}},
+        "thickness": 4.0,
+        "scale_invariant": True,
+        "points": [_vector(*point) for point in points.tolist()],
+        "color": dict(zip("rgba", (*colour, 1.0), strict=True)),
+        "colors": [],
+        "indices": [],
+    }
+    return {
+        "timestamp": {"sec": seconds, "nsec": nanoseconds},
+        "frame_id": FRAME,
+        "id": "/".join(track.path),
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": False,
+        "metadata": [],
+        **{name: [line] if name == "lines" else [] for name in _PRIMITIVES},
+    }
+
+
+def _vector(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": x, "y": y, "z": z}

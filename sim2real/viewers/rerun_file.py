@@ -1,0 +1,80 @@
+"""Scenes as files of the Rerun viewer (``.rrd``)."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim2real.output import write_whole
+from sim2real.viewers.channels import COMMAND, Channel, Scene, Track, viewer_library
+
+TIMELINE = "time"
+
+
+def rerun_library() -> Any:  # noqa: ANN401 - a module
+    """The library that writes the file.
+
+    Raises:
+        InputError: If it is not installed.
+    """
+    return viewer_library("--rerun", "rerun", "rerun-sdk")
+
+
+def write_rerun(scene: Scene, path: str | os.PathLike[str]) -> Path:
+    """Write a scene, with a layout of one plot per channel and one view of the moving lines.
+
+    Every signal is an entity ``/RECORDING/JOINT/QUANTITY/SIGNAL`` of scalars on the timeline
+    ``time``; a missing sample is NaN, which the viewer shows as a gap.
+
+    Raises:
+        InputError: If the file cannot be written, or Rerun is not installed.
+    """
+    rr = rerun_library()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.rrd"
+        # A stream of its own: the caller may use Rerun's global one.
+        stream = rr.RecordingStream("sim2real", recording_id=Path(path).stem)
+        stream.save(file, default_blueprint=_layout(rr, scene))
+        for channel in scene.channels:
+            _write_channel(rr, stream, channel)
+        for track in scene.tracks:
+            _write_track(rr, stream, track)
+        stream.flush()
+        stream.disconnect()
+        return write_whole(path, file.read_bytes())
+
+
+def _write_channel(rr: Any, stream: Any, channel: Channel) -> None:  # noqa: ANN401 - Rerun
+    times = [rr.TimeColumn(TIMELINE, duration=channel.t)]
+    for name, values in channel.signals.items():
+        entity = rr.new_entity_path([*channel.path, name])
+        label = f"{name}, {channel.unit}" if channel.unit else name
+        held = "StepAfter" if name == COMMAND else None
+        stream.log(entity, rr.SeriesLines(names=label, interpolation_mode=held), static=True)
+        stream.send_columns(entity, indexes=times, columns=rr.Scalars.columns(scalars=values))
+
+
+def _write_track(rr: Any, stream: Any, track: Track) -> None:  # noqa: ANN401 - Rerun
+    strips = rr.LineStrips3D.columns(strips=list(track.points.astype(np.float32)))
+    times = [rr.TimeColumn(TIMELINE, duration=track.t)]
+    stream.send_columns(rr.new_entity_path([*track.path]), indexes=times, columns=strips)
+
+
+def _layout(rr: Any, scene: Scene) -> Any:  # noqa: ANN401 - Rerun
+    """A tab for each component of each recording, with its quantities one below the other."""
+    import rerun.blueprint as layout
+
+    tabs: dict[tuple[str, ...], list[Any]] = {}
+    for channel in scene.channels:
+        name = f"{channel.path[-1]}, {channel.unit}" if channel.unit else channel.path[-1]
+        plot = layout.TimeSeriesView(origin=rr.new_entity_path([*channel.path]), name=name)
+        tabs.setdefault(channel.path[:-1], []).append(plot)
+    series = [layout.Vertical(*plots, name=" ".join(path)) for path, plots in tabs.items()]
+    contents = [rr.new_entity_path([*track.path]) for track in scene.tracks]
+    space = [layout.Spatial3DView(contents=contents, name="motion")] if contents else []
+    shown: list[Any] = [*space, *([layout.Tabs(*series)] if series else [])]
+    return layout.Blueprint(layout.Horizontal(*shown), collapse_panels=True)
