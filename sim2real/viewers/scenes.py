@@ -51,11 +51,23 @@ def with_prediction(recording: Recording, joint: str, predicted: Array) -> Scene
         joint: Name of the joint.
         predicted: Predicted angles in rad, shape (T,).
     """
-    measured = recording.position[:, recording.joints.index(joint)]
-    place, t = (recording.name, joint), recording.t
-    position = Channel((*place, "position"), "rad", t, {PREDICTED: predicted})
+    return recorded(recording) + Scene(fit_channels(recording, joint, predicted))
+
+
+def fit_channels(recording: Recording, joint: str, predicted: Array) -> tuple[Channel, ...]:
+    """Position and residual of one joint; without residual if nothing was measured.
+
+    Args:
+        recording: The recording.
+        joint: Name of the joint.
+        predicted: Predicted angles in rad, shape (T,).
+    """
+    j = recording.joints.index(joint)
+    measured, place, t = recording.position[:, j], (recording.name, joint), recording.t
+    angles = {COMMAND: recording.command[:, j], MEASURED: measured, PREDICTED: predicted}
+    position = Channel((*place, "position"), "rad", t, angles)
     residual = Channel((*place, "residual"), "rad", t, {PREDICTED: measured - predicted})
-    return recorded(recording) + Scene(tuple(x for x in (position, residual) if x.signals))
+    return (position, residual) if residual.signals else (position,)
 
 
 def diagnosed(diagnosis: Diagnosis) -> Scene:
@@ -76,13 +88,19 @@ def _evidence(series: JointSeries, torque_unit: str) -> Sequence[Channel]:
     place, t = (series.recording, series.joint), series.t
     models = {"plain": series.baseline, "enriched": series.enriched}
     angles = {COMMAND: series.command, MEASURED: series.position, **models}
-    residuals = {name: series.position - angle for name, angle in models.items()}
     torques = {"missing": series.torque, "effects": series.effects_torque}
     return (
         Channel((*place, "position"), "rad", t, angles),
-        Channel((*place, "residual"), "rad", t, residuals),
+        residual_channel(series),
         Channel((*place, "torque"), torque_unit, t, torques),
     )
+
+
+def residual_channel(series: JointSeries) -> Channel:
+    """Measured minus simulated angle of the plain servo and of the enriched model."""
+    models = {"plain": series.baseline, "enriched": series.enriched}
+    residuals = {name: series.position - angle for name, angle in models.items()}
+    return Channel((series.recording, series.joint, "residual"), "rad", series.t, residuals)
 
 
 def axis_points(recording: Recording, robot: Robot) -> tuple[Mask, Array]:
