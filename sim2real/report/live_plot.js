@@ -45,7 +45,7 @@
     label: curve.label,
     stroke: colour(curve.ink),
     width: curve.ink === "ink" ? 1.6 : 1.2,
-    points: { show: false },
+    points: curve.ink === "ink" ? { size: 4 } : { show: false },  // where there is room for them
     paths: curve.steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
     value: (_, x) => shown(x),
   });

@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -99,7 +99,7 @@ class Figure:
     svg: str
     caption: str = ""
     narrow: str = ""
-    live: Live | None = None
+    live: Live | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
