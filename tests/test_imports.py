@@ -36,7 +36,7 @@ ONLY_IN = {
     "torch": ("rl/",),
     "stable_baselines3": ("rl/",),
     "gymnasium": ("rl/",),
-    "ray": ("rl/executor/",),
+    "ray": ("sim2real/executor/",),
     "mujoco": ("sim2real/exporters/mujoco_bench.py", "sim2real/importers/mjcf.py"),
     "pyarrow": ("sim2real/importers/lerobot.py",),
     "rerun": ("sim2real/viewers/",),
