@@ -10,6 +10,16 @@ from sim2real.commands.command import Command, add_former, add_recordings, add_v
 from sim2real.commands.verb import add_verb
 
 
+def _example(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--out",
+        type=Path,
+        default=Path("example"),
+        metavar="FOLDER",
+        help="folder to write (default example)",
+    )
+
+
 def _check(command: argparse.ArgumentParser) -> None:
     add_recordings(command)
     command.add_argument(
@@ -122,6 +132,12 @@ def _completion(command: argparse.ArgumentParser) -> None:
 
 
 COMMANDS = (
+    Command(
+        "example",
+        "sim2real.commands.example",
+        _example,
+        "sim2real example --out example",
+    ),
     Command(
         "check",
         "sim2real.commands.check",
