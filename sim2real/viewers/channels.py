@@ -15,6 +15,9 @@ from sim2real.errors import InputError
 COMMAND, MEASURED, PREDICTED = "command", "measured", "predicted"
 """Names of signals; a command holds until the next one."""
 
+TRACK_COLOURS = ((90, 160, 255), (255, 125, 92), (150, 150, 150))
+"""Red, green and blue of successive tracks, 0 to 255."""
+
 
 @dataclass(frozen=True)
 class Channel:

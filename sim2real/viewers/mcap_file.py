@@ -6,6 +6,7 @@ import io
 import json
 import os
 from collections.abc import Iterator
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,11 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.output import write_whole
 from sim2real.version import __version__
-from sim2real.viewers.channels import Channel, Scene, Track, viewer_library
+from sim2real.viewers.channels import TRACK_COLOURS, Channel, Scene, Track, viewer_library
 
 FRAME = "world"
 _NS = 1_000_000_000
 _LINE_STRIP = 0
-_COLOURS = ((0.95, 0.95, 0.95), (1.0, 0.49, 0.36), (0.36, 0.66, 1.0))
 _PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
 Message = tuple[float, dict[str, Any]]
@@ -52,8 +52,7 @@ def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:
     for channel in scene.channels:
         _write_topic(writer, channel.path, _signals_schema(channel), _samples(channel))
     schema = _object("foxglove.SceneUpdate", {"deletions": _ARRAY, "entities": _ARRAY})
-    for number, track in enumerate(scene.tracks):
-        colour = _COLOURS[number % len(_COLOURS)]
+    for track, colour in zip(scene.tracks, cycle(TRACK_COLOURS), strict=False):
         _write_topic(writer, track.path, schema, _scene_updates(track, colour))
     writer.finish()
     return write_whole(path, stream.getvalue())
@@ -96,15 +95,20 @@ def _samples(channel: Channel) -> Iterator[Message]:
             yield time_s, values
 
 
-def _scene_updates(track: Track, colour: tuple[float, float, float]) -> Iterator[Message]:
+def _scene_updates(track: Track, colour: tuple[int, int, int]) -> Iterator[Message]:
+    """The moving line and, from the start, the path of its first point."""
+    name = "/".join(track.path)
+    entities = [_entity(f"{name}/path", float(track.t[0]), track.points[:, 0], colour)]
     for time_s, points in zip(track.t.tolist(), track.points, strict=True):
-        yield time_s, {"deletions": [], "entities": [_entity(track, time_s, points, colour)]}
+        entities.append(_entity(name, time_s, points, colour))
+        yield time_s, {"deletions": [], "entities": entities}
+        entities = []
 
 
 def _entity(
-    track: Track, time_s: float, points: Array, colour: tuple[float, float, float]
+    name: str, time_s: float, points: Array, colour: tuple[int, int, int]
 ) -> dict[str, Any]:
-    """A ``foxglove.SceneEntity``: one line strip, which replaces that of the message before."""
+    """A ``foxglove.SceneEntity``: a line strip, which replaces the earlier one of this name."""
     seconds, nanoseconds = divmod(round(max(time_s, 0.0) * _NS), _NS)
     line = {
         "type": _LINE_STRIP,
@@ -112,14 +116,14 @@ def _entity(
         "thickness": 4.0,
         "scale_invariant": True,
         "points": [_vector(*point) for point in points.tolist()],
-        "color": dict(zip("rgba", (*colour, 1.0), strict=True)),
+        "color": {**dict(zip("rgb", (x / 255 for x in colour), strict=True)), "a": 1.0},
         "colors": [],
         "indices": [],
     }
     return {
         "timestamp": {"sec": seconds, "nsec": nanoseconds},
         "frame_id": FRAME,
-        "id": "/".join(track.path),
+        "id": name,
         "lifetime": {"sec": 0, "nsec": 0},
         "frame_locked": False,
         "metadata": [],

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import os
 import tempfile
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim2real.output import write_whole
-from sim2real.viewers.channels import COMMAND, Channel, Scene, Track, viewer_library
+from sim2real.viewers.channels import (
+    COMMAND,
+    TRACK_COLOURS,
+    Channel,
+    Scene,
+    Track,
+    viewer_library,
+)
 
 TIMELINE = "time"
 
@@ -41,8 +49,8 @@ def write_rerun(scene: Scene, path: str | os.PathLike[str]) -> Path:
         stream.save(file, default_blueprint=_layout(rr, scene))
         for channel in scene.channels:
             _write_channel(rr, stream, channel)
-        for track in scene.tracks:
-            _write_track(rr, stream, track)
+        for track, colour in zip(scene.tracks, cycle(TRACK_COLOURS), strict=False):
+            _write_track(rr, stream, track, colour)
         stream.flush()
         stream.disconnect()
         return write_whole(path, file.read_bytes())
@@ -58,10 +66,19 @@ def _write_channel(rr: Any, stream: Any, channel: Channel) -> None:  # noqa: ANN
         stream.send_columns(entity, indexes=times, columns=rr.Scalars.columns(scalars=values))
 
 
-def _write_track(rr: Any, stream: Any, track: Track) -> None:  # noqa: ANN401 - Rerun
+def _write_track(
+    rr: Any,  # noqa: ANN401 - Rerun
+    stream: Any,  # noqa: ANN401
+    track: Track,
+    colour: tuple[int, int, int],
+) -> None:
+    """The moving line and, from the start, the path of its first point."""
+    entity, path = (rr.new_entity_path([*track.path, *more]) for more in ((), ("path",)))
+    stream.log(entity, rr.LineStrips3D.from_fields(colors=[colour]), static=True)
+    stream.log(path, rr.LineStrips3D([track.points[:, 0]], colors=[colour]), static=True)
     strips = rr.LineStrips3D.columns(strips=list(track.points.astype(np.float32)))
     times = [rr.TimeColumn(TIMELINE, duration=track.t)]
-    stream.send_columns(rr.new_entity_path([*track.path]), indexes=times, columns=strips)
+    stream.send_columns(entity, indexes=times, columns=strips)
 
 
 def _layout(rr: Any, scene: Scene) -> Any:  # noqa: ANN401 - Rerun
@@ -74,7 +91,7 @@ def _layout(rr: Any, scene: Scene) -> Any:  # noqa: ANN401 - Rerun
         plot = layout.TimeSeriesView(origin=rr.new_entity_path([*channel.path]), name=name)
         tabs.setdefault(channel.path[:-1], []).append(plot)
     series = [layout.Vertical(*plots, name=" ".join(path)) for path, plots in tabs.items()]
-    contents = [rr.new_entity_path([*track.path]) for track in scene.tracks]
+    contents = [rr.new_entity_path([*track.path]) + "/**" for track in scene.tracks]
     space = [layout.Spatial3DView(contents=contents, name="motion")] if contents else []
     shown: list[Any] = [*space, *([layout.Tabs(*series)] if series else [])]
     return layout.Blueprint(layout.Horizontal(*shown), collapse_panels=True)

@@ -49,11 +49,20 @@ def rerun_columns(file: Path) -> dict[str, tuple[np.ndarray, Any]]:
     for part in chunk.RrdReader(str(file)).stream():
         batch = part.to_record_batch()
         names = [name for name in batch.schema.names if name.endswith((":scalars", ":strips"))]
-        if names:
+        if names and not part.is_static:
             times = batch.column("time").cast("int64").to_numpy() / 1e9
             values = [row[0] for row in batch.column(names[0]).to_pylist()]
             columns[part.entity_path] = times, np.array(values)
     return columns
+
+
+def chunks_without_time(file: Path, entity: str) -> Any:
+    """The static line of an entity of a file for Rerun."""
+    chunk = pytest.importorskip("rerun.chunk", reason="the extra 'view' is not installed")
+    parts = [part for part in chunk.RrdReader(str(file)).stream() if part.entity_path == entity]
+    batches = [part.to_record_batch() for part in parts]
+    (batch,) = (b for b in batches if "LineStrips3D:strips" in b.schema.names)
+    return np.array(batch.column("LineStrips3D:strips").to_pylist()[0][0])
 
 
 def mcap_messages(file: Path) -> dict[str, list[tuple[float, dict[str, Any]]]]:
@@ -102,8 +111,11 @@ def test_a_swim_moves_in_both_files(swim: Recording, tmp_path: Path) -> None:
     times, points = columns["/p1/body/measured"]
     np.testing.assert_allclose(times, track.t)
     np.testing.assert_allclose(points, track.points, atol=1e-6)
+    static = chunks_without_time(tmp_path / "a.rrd", "/p1/body/measured/path")
+    np.testing.assert_allclose(static, track.points[:, 0], atol=1e-6)
     updates = mcap_messages(write_mcap(scene, tmp_path / "a.mcap"))["/p1/body/measured"]
     assert len(updates) == track.t.size
+    assert [entity["id"] for entity in updates[0][1]["entities"]][0].endswith("/path")
     (entity,) = updates[-1][1]["entities"]
     drawn = [[point[axis] for axis in "xyz"] for point in entity["lines"][0]["points"]]
     np.testing.assert_allclose(drawn, track.points[-1])
