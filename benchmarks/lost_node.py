@@ -19,8 +19,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from ray.cluster_utils import Cluster
-
 ROOT = Path(__file__).resolve().parents[1]
 POOL = ROOT / "datasets" / "pool"
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "include_dashboard": False}
@@ -30,6 +28,7 @@ DIFFERENT = ("provenance",)
 
 def main() -> int:
     """Run both, with and without the loss."""
+    os.environ.setdefault("RAY_raylet_start_wait_time_s", "180")  # a busy machine starts slowly
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--set", type=Path, help="a sealed set of a few cases")
     options = parser.parse_args()
@@ -50,7 +49,7 @@ def small_ablation() -> list[str]:
         "--robot", str(POOL / "robot.toml"),
         *(word for name, file in files.items() for word in (f"--{name}", file)),
         *("--arms", "all", "no-servo", "--seeds", "2", "--repeats", "2", "--task", "near"),
-        *("--envs", "8", "--steps", "24000", "--segment", "4000", "--updates-per-step", "0.05"),
+        *("--envs", "8", "--steps", "8000", "--segment", "2000", "--updates-per-step", "0.05"),
     ]  # fmt: skip
 
 
@@ -65,6 +64,8 @@ def compare(name: str, command: list[str], place: Path, *results: str) -> None:
     if started(command, whole, "--executor", "local", "--jobs", "2").wait():
         raise SystemExit(f"{name}: the local run failed")
     print(f"{name}: {time.perf_counter() - begun:.0f} s with local processes", flush=True)
+    from ray.cluster_utils import Cluster  # it reads the environment
+
     begun = time.perf_counter()
     cluster = Cluster(initialize_head=True, head_node_args=NODE)
     second = cluster.add_node(**NODE)

@@ -92,6 +92,20 @@ def _layout(rr: Any, scene: Scene) -> Any:  # noqa: ANN401 - Rerun
         tabs.setdefault(channel.path[:-1], []).append(plot)
     series = [layout.Vertical(*plots, name=" ".join(path)) for path, plots in tabs.items()]
     contents = [rr.new_entity_path([*track.path]) + "/**" for track in scene.tracks]
-    space = [layout.Spatial3DView(contents=contents, name="motion")] if contents else []
+    space = []
+    if contents:
+        above = _from_above(layout, scene)
+        space = [layout.Spatial3DView(contents=contents, name="motion", eye_controls=above)]
     shown: list[Any] = [*space, *([layout.Tabs(*series)] if series else [])]
     return layout.Blueprint(layout.Horizontal(*shown), collapse_panels=True)
+
+
+def _from_above(layout: Any, scene: Scene) -> Any:  # noqa: ANN401 - Rerun
+    """An eye above the middle of all tracks, high enough to see them; x to the right, y up."""
+    points = np.concatenate([track.points.reshape(-1, 3) for track in scene.tracks])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    height = 1.5 * float(np.linalg.norm(high - low)) or 1.0
+    return layout.EyeControls3D(
+        position=middle + [0.0, 0.0, height], look_target=middle, eye_up=(0.0, 1.0, 0.0)
+    )
