@@ -49,7 +49,7 @@ def small_ablation() -> list[str]:
         "--robot", str(POOL / "robot.toml"),
         *(word for name, file in files.items() for word in (f"--{name}", file)),
         *("--arms", "all", "no-servo", "--seeds", "2", "--repeats", "2", "--task", "near"),
-        *("--envs", "8", "--steps", "8000", "--segment", "2000", "--updates-per-step", "0.05"),
+        *("--envs", "8", "--steps", "8000", "--segment", "4000", "--updates-per-step", "0.05"),
     ]  # fmt: skip
 
 
