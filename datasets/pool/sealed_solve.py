@@ -36,7 +36,7 @@ from sim.inference.twin_search import SwimPrior
 from sim2real.body import values
 from sim2real.commands.placement import add_executor, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
-from sim2real.executor import Job, Outcome, run_jobs
+from sim2real.executor import Job, JobOutcome, run_jobs
 from sim2real.executor.job import NOT_STARTED
 from sim2real.model import read_model, write_model
 from sim2real.recording import read_recording
@@ -168,7 +168,7 @@ def main() -> int:
     return 1 if ended_badly(run_jobs(cases_left, seconds=seconds, **where)) or failed else 0
 
 
-def ended_badly(outcomes: Sequence[Outcome]) -> int:
+def ended_badly(outcomes: Sequence[JobOutcome]) -> int:
     """Print every outcome; the number of jobs that failed."""
     for outcome in outcomes:
         print(outcome)

@@ -18,8 +18,8 @@ from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Section, write_page
 from sim2real.robot import Robot, read_robot
 from sim2real.verbs import recordings_of
-from sim2real.viewers.channels import Scene
 from sim2real.viewers.scenes import diagnosed
+from sim2real.viewers.signal_group import Scene
 
 if TYPE_CHECKING:
     from sim.inference.coordinates import Swum

@@ -14,7 +14,7 @@ from sim2real.report.page import Block
 from sim2real.report.page import Figure as PageFigure
 from sim2real.report.style import ACCENT, FAINT, INK, NARROW, house_style, new_figure
 from sim2real.robot import Robot
-from sim2real.viewers.channels import MEASURED, Channel
+from sim2real.viewers.signal_group import MEASURED, SignalGroup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,8 +64,8 @@ def comparison_block(
     for k, (name, unit) in enumerate(_signals(robot)):
         values = (swim.signals[:, k], tracks[0][:, k], tracks[1][:, k])
         signals = dict(zip((MEASURED, "before", label), values, strict=True))
-        channel = Channel((swim.name, name), unit, swim.t, signals)
-        panels.append(Panel(channel, f"{name}, {unit}", shaded))
+        group = SignalGroup((swim.name, name), unit, swim.t, signals)
+        panels.append(Panel(group, f"{name}, {unit}", shaded))
     live = Live(panels, caption)
     return PageFigure(svg(drawing), caption, svg(drawing, width=NARROW), live)
 

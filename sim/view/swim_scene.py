@@ -10,8 +10,8 @@ from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis
 from sim2real.recording import Recording
 from sim2real.robot import Robot
-from sim2real.viewers.channels import Scene
 from sim2real.viewers.scenes import POSE, recorded
+from sim2real.viewers.signal_group import Scene
 
 
 def swims_scene(

@@ -15,8 +15,8 @@ from sim2real.model import Model, write_model
 from sim2real.output import check_writable
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import Replay, replay
-from sim2real.viewers.channels import Scene
 from sim2real.viewers.scenes import with_prediction
+from sim2real.viewers.signal_group import Scene
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,8 +11,8 @@ from sim2real.errors import InputError
 from sim2real.output import check_writable
 from sim2real.recording import read_commands, write_recording
 from sim2real.servo.prediction import Prediction
-from sim2real.viewers.channels import Scene
 from sim2real.viewers.scenes import with_prediction
+from sim2real.viewers.signal_group import Scene
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from sim2real.errors import InputError
 from sim2real.output import check_writable
-from sim2real.viewers.channels import Scene
 from sim2real.viewers.mcap_file import mcap_library, write_mcap
 from sim2real.viewers.rerun_file import rerun_library, write_rerun
+from sim2real.viewers.signal_group import Scene
 
 _WRITERS = {
     "rerun": (".rrd", rerun_library, write_rerun),

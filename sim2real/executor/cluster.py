@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from sim2real.errors import InputError
-from sim2real.executor.job import Job, Outcome, write_job
+from sim2real.executor.job import Job, JobOutcome, write_job
 from sim2real.executor.process import Died, failure, start, stop
 
 _LOOK_EVERY_S = 1.0
@@ -27,7 +27,7 @@ def run_on_ray(
     cpus: int,
     gpus: float,
     retries: int,
-) -> Generator[Outcome | None]:
+) -> Generator[JobOutcome | None]:
     """Run each job on a node with ``cpus`` and ``gpus`` available.
 
     A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave.
@@ -77,7 +77,7 @@ def run_on_ray(
             yield None
             for answer in ended:
                 job = pending.pop(answer)
-                yield Outcome(job, _failure(ray, answer, retries))
+                yield JobOutcome(job, _failure(ray, answer, retries))
     finally:
         for answer in pending:
             with contextlib.suppress(ray.exceptions.RayError):

@@ -53,8 +53,8 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Outcome of a job; ``failure`` is the reason in one line, None if the job is done."""
+class JobOutcome:
+    """JobOutcome of a job; ``failure`` is the reason in one line, None if the job is done."""
 
     job: Job
     failure: str | None = None

@@ -8,7 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 
-from sim2real.executor.job import Job, Outcome, write_job
+from sim2real.executor.job import Job, JobOutcome, write_job
 from sim2real.executor.process import Died, failure, start, stop
 from sim2real.executor.seats import Seat
 
@@ -17,7 +17,7 @@ _LOOK_EVERY_S = 0.05
 
 def run_local(
     jobs: Iterator[Job], seats: Sequence[Seat], variables: Mapping[str, str], *, retries: int
-) -> Generator[Outcome | None]:
+) -> Generator[JobOutcome | None]:
     """Run each job in one of the ``seats``; one that dies gets up to ``retries`` more attempts.
 
     A job is taken from ``jobs`` when a seat is free.
@@ -47,11 +47,11 @@ def run_local(
                 stop(process)
                 del running[number]
                 try:
-                    yield Outcome(job, failure(job, process.returncode))
+                    yield JobOutcome(job, failure(job, process.returncode))
                 except Died as death:
                     deaths[job.name] += 1
                     if deaths[job.name] > retries:
-                        yield Outcome(job, f"{death}, {retries + 1} times")
+                        yield JobOutcome(job, f"{death}, {retries + 1} times")
                     else:
                         died.append(job)
     finally:

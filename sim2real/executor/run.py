@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from sim2real.errors import InputError, shown
 from sim2real.executor.cluster import run_on_ray
-from sim2real.executor.job import LOG, NOT_STARTED, Job, Outcome, is_done
+from sim2real.executor.job import LOG, NOT_STARTED, Job, JobOutcome, is_done
 from sim2real.executor.local import run_local
 from sim2real.executor.process import child_environment
 from sim2real.executor.seats import seats
@@ -33,7 +33,7 @@ def run_jobs(
     gpus: float = 0,
     retries: int = 2,
     seconds: float = math.inf,
-) -> list[Outcome]:
+) -> list[JobOutcome]:
     """Run every job that is not done yet, with a progress bar on a terminal.
 
     A job whose process is killed or whose node is lost resumes in a new process; one that raises an
@@ -63,10 +63,10 @@ def run_jobs(
     jobs = [replace(job, folder=job.folder.absolute()) for job in jobs]
     _check(jobs)
     remaining = [job for job in jobs if not is_done(job)]
-    outcomes = {job.name: Outcome(job) for job in jobs}
+    outcomes = {job.name: JobOutcome(job) for job in jobs}
     if not remaining:
         return list(outcomes.values())
-    outcomes |= {job.name: Outcome(job, NOT_STARTED) for job in remaining}
+    outcomes |= {job.name: JobOutcome(job, NOT_STARTED) for job in remaining}
     started, deadline = iter(remaining), time.monotonic() + seconds
     in_time = takewhile(lambda _: time.monotonic() < deadline, started)
     variables = child_environment(cpus)

@@ -14,7 +14,7 @@ from sim2real.report.live_plot import Live, Panel, in_mrad
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
-from sim2real.viewers.scenes import residual_channel
+from sim2real.viewers.scenes import residual_group
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,11 +70,11 @@ def residual_live(
     """The content of ``residual_figure`` to zoom into; arguments as there."""
     panels = []
     for series in evidence:
-        residual = residual_channel(series)
+        residual = residual_group(series)
         kept = residual.signals if enriched else {"plain": residual.signals["plain"]}
-        channel = in_mrad(replace(residual, signals=kept))
+        group = in_mrad(replace(residual, signals=kept))
         shaded = windows_s.get(series.recording, ())
-        panels.append(Panel(channel, f"{series.recording}, mrad", shaded, 2e3 * noise_rad))
+        panels.append(Panel(group, f"{series.recording}, mrad", shaded, 2e3 * noise_rad))
     models = "the plain servo and the enriched model" if enriched else "the plain servo"
     return Live(
         panels,

@@ -10,7 +10,7 @@ from sim2real.report.live_plot import Live, Panel, in_mrad
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable, isolated_samples, largest_move, segments
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
-from sim2real.viewers.scenes import fit_channels
+from sim2real.viewers.scenes import fit_groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,7 +92,7 @@ def fit_live(
     noise_rad: float | None = None,
 ) -> Live:
     """The content of ``fit_figure`` to zoom into; arguments as there."""
-    position, *residual = fit_channels(recording, joint, predicted)
+    position, *residual = fit_groups(recording, joint, predicted)
     runs = [] if heldout is None else segments(heldout)
     shaded = [(float(recording.t[a]), float(recording.t[b])) for a, b in runs]
     band = None if noise_rad is None else 2e3 * noise_rad

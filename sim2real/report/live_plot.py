@@ -18,7 +18,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.report.series import drawable_together
-from sim2real.viewers.channels import COMMAND, MEASURED, Channel
+from sim2real.viewers.signal_group import COMMAND, MEASURED, SignalGroup
 
 _FOLDER = Path(__file__).parent
 _INKS = {COMMAND: "faint", MEASURED: "ink", "plain": "ink", "before": "faint"}
@@ -31,16 +31,16 @@ _HINT = (
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot of a channel.
+    """One plot of a group of signals.
 
     Attributes:
-        channel: The channel.
+        group: The signals.
         title: Title of the plot, with the unit.
         shaded_s: Intervals of time that are shaded.
         band: Half-width of a band about 0; None without a band.
     """
 
-    channel: Channel
+    group: SignalGroup
     title: str
     shaded_s: Sequence[tuple[float, float]] = ()
     band: float | None = None
@@ -48,11 +48,11 @@ class Panel:
     @property
     def content(self) -> dict[str, Any]:
         """What the script draws."""
-        channel = self.channel
-        t, values = drawable_together(channel.t, np.stack(list(channel.signals.values())))
+        group = self.group
+        t, values = drawable_together(group.t, np.stack(list(group.signals.values())))
         return {
             "title": self.title,
-            "recording": channel.path[0],
+            "recording": group.path[0],
             "t": _encoded(t),
             "curves": [
                 {
@@ -61,7 +61,7 @@ class Panel:
                     "steps": name == COMMAND,
                     "y": _encoded(curve),
                 }
-                for name, curve in zip(channel.signals, values, strict=True)
+                for name, curve in zip(group.signals, values, strict=True)
             ],
             "shaded": [list(ends) for ends in self.shaded_s],
             "band": self.band,
@@ -92,10 +92,10 @@ class Live:
         return content.replace("<", "\\u003c")  # it would let a name end the element
 
 
-def in_mrad(channel: Channel) -> Channel:
-    """A channel in rad, in mrad."""
-    signals = {name: 1e3 * values for name, values in channel.signals.items()}
-    return replace(channel, unit="mrad", signals=signals)
+def in_mrad(group: SignalGroup) -> SignalGroup:
+    """Signals in rad, in mrad."""
+    signals = {name: 1e3 * values for name, values in group.signals.items()}
+    return replace(group, unit="mrad", signals=signals)
 
 
 def live_style() -> str:

@@ -15,7 +15,13 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.output import write_whole
 from sim2real.version import __version__
-from sim2real.viewers.channels import TRACK_COLOURS, Channel, Scene, Track, viewer_library
+from sim2real.viewers.signal_group import (
+    TRACK_COLOURS,
+    MovingLine,
+    Scene,
+    SignalGroup,
+    viewer_library,
+)
 
 FRAME = "world"
 _NS = 1_000_000_000
@@ -37,8 +43,8 @@ def mcap_library() -> Any:  # noqa: ANN401 - a module
 def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:
     """Write a scene as JSON messages, each topic with its JSON schema.
 
-    A channel is a topic ``/RECORDING/JOINT/QUANTITY`` with one message per sample, whose fields are
-    the signals; a missing sample has no field. A line is a topic of ``foxglove.SceneUpdate``
+    A group of signals is a topic ``/RECORDING/JOINT/QUANTITY`` with one message per sample, whose
+    fields are the signals; a missing sample has no field. A line is a topic of ``foxglove.SceneUpdate``
     (https://docs.foxglove.dev/docs/sdk/schemas/scene-update), in the frame ``world``. Times start
     at 0 where a recording's are negative.
 
@@ -49,8 +55,8 @@ def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:
     stream = io.BytesIO()
     writer = library.Writer(stream)
     writer.start(profile="", library=f"sim2real {__version__}")
-    for channel in scene.channels:
-        _write_topic(writer, channel.path, _signals_schema(channel), _samples(channel))
+    for group in scene.groups:
+        _write_topic(writer, group.path, _signals_schema(group), _samples(group))
     schema = _object("foxglove.SceneUpdate", {"deletions": _ARRAY, "entities": _ARRAY})
     for track, colour in zip(scene.tracks, cycle(TRACK_COLOURS), strict=False):
         _write_topic(writer, track.path, schema, _scene_updates(track, colour))
@@ -78,24 +84,24 @@ def _write_topic(
         writer.add_message(channel_id, time_ns, data, time_ns, sequence=number)
 
 
-def _signals_schema(channel: Channel) -> dict[str, Any]:
-    number = {"type": "number", "description": f"unit: {channel.unit or '1'}"}
-    quantity = "sim2real." + channel.path[-1].replace(" ", "_")
-    return _object(quantity, dict.fromkeys(channel.signals, number))
+def _signals_schema(group: SignalGroup) -> dict[str, Any]:
+    number = {"type": "number", "description": f"unit: {group.unit or '1'}"}
+    quantity = "sim2real." + group.path[-1].replace(" ", "_")
+    return _object(quantity, dict.fromkeys(group.signals, number))
 
 
 def _object(title: str, properties: dict[str, Any]) -> dict[str, Any]:
     return {"title": title, "type": "object", "properties": properties}
 
 
-def _samples(channel: Channel) -> Iterator[Message]:
-    for k, time_s in enumerate(channel.t.tolist()):
-        values = {name: float(x[k]) for name, x in channel.signals.items() if np.isfinite(x[k])}
+def _samples(group: SignalGroup) -> Iterator[Message]:
+    for k, time_s in enumerate(group.t.tolist()):
+        values = {name: float(x[k]) for name, x in group.signals.items() if np.isfinite(x[k])}
         if values:
             yield time_s, values
 
 
-def _scene_updates(track: Track, colour: tuple[int, int, int]) -> Iterator[Message]:
+def _scene_updates(track: MovingLine, colour: tuple[int, int, int]) -> Iterator[Message]:
     """The moving line and, from the start, the path of its first point."""
     name = "/".join(track.path)
     entities = [_entity(f"{name}/path", float(track.t[0]), track.points[:, 0], colour)]

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from sim2real.output import write_whole
-from sim2real.viewers.channels import (
+from sim2real.viewers.signal_group import (
     COMMAND,
     TRACK_COLOURS,
-    Channel,
+    MovingLine,
     Scene,
-    Track,
+    SignalGroup,
     viewer_library,
 )
 
@@ -33,7 +33,7 @@ def rerun_library() -> Any:  # noqa: ANN401 - a module
 
 
 def write_rerun(scene: Scene, path: str | os.PathLike[str]) -> Path:
-    """Write a scene, with a layout of one plot per channel and one view of the moving lines.
+    """Write a scene, with a layout of one plot per group and one view of the moving lines.
 
     Every signal is an entity ``/RECORDING/JOINT/QUANTITY/SIGNAL`` of scalars on the timeline
     ``time``; a missing sample is NaN, which the viewer shows as a gap.
@@ -47,8 +47,8 @@ def write_rerun(scene: Scene, path: str | os.PathLike[str]) -> Path:
         # A stream of its own: the caller may use Rerun's global one.
         stream = rr.RecordingStream("sim2real", recording_id=Path(path).stem)
         stream.save(file, default_blueprint=_layout(rr, scene))
-        for channel in scene.channels:
-            _write_channel(rr, stream, channel)
+        for group in scene.groups:
+            _write_channel(rr, stream, group)
         for track, colour in zip(scene.tracks, cycle(TRACK_COLOURS), strict=False):
             _write_track(rr, stream, track, colour)
         stream.flush()
@@ -56,11 +56,11 @@ def write_rerun(scene: Scene, path: str | os.PathLike[str]) -> Path:
         return write_whole(path, file.read_bytes())
 
 
-def _write_channel(rr: Any, stream: Any, channel: Channel) -> None:  # noqa: ANN401 - Rerun
-    times = [rr.TimeColumn(TIMELINE, duration=channel.t)]
-    for name, values in channel.signals.items():
-        entity = rr.new_entity_path([*channel.path, name])
-        label = f"{name}, {channel.unit}" if channel.unit else name
+def _write_channel(rr: Any, stream: Any, group: SignalGroup) -> None:  # noqa: ANN401 - Rerun
+    times = [rr.TimeColumn(TIMELINE, duration=group.t)]
+    for name, values in group.signals.items():
+        entity = rr.new_entity_path([*group.path, name])
+        label = f"{name}, {group.unit}" if group.unit else name
         held = "StepAfter" if name == COMMAND else None
         stream.log(entity, rr.SeriesLines(names=label, interpolation_mode=held), static=True)
         stream.send_columns(entity, indexes=times, columns=rr.Scalars.columns(scalars=values))
@@ -69,7 +69,7 @@ def _write_channel(rr: Any, stream: Any, channel: Channel) -> None:  # noqa: ANN
 def _write_track(
     rr: Any,  # noqa: ANN401 - Rerun
     stream: Any,  # noqa: ANN401
-    track: Track,
+    track: MovingLine,
     colour: tuple[int, int, int],
 ) -> None:
     """The moving line and, from the start, the path of its first point."""
@@ -86,10 +86,10 @@ def _layout(rr: Any, scene: Scene) -> Any:  # noqa: ANN401 - Rerun
     import rerun.blueprint as layout
 
     tabs: dict[tuple[str, ...], list[Any]] = {}
-    for channel in scene.channels:
-        name = f"{channel.path[-1]}, {channel.unit}" if channel.unit else channel.path[-1]
-        plot = layout.TimeSeriesView(origin=rr.new_entity_path([*channel.path]), name=name)
-        tabs.setdefault(channel.path[:-1], []).append(plot)
+    for group in scene.groups:
+        name = f"{group.path[-1]}, {group.unit}" if group.unit else group.path[-1]
+        plot = layout.TimeSeriesView(origin=rr.new_entity_path([*group.path]), name=name)
+        tabs.setdefault(group.path[:-1], []).append(plot)
     series = [layout.Vertical(*plots, name=" ".join(path)) for path, plots in tabs.items()]
     contents = [rr.new_entity_path([*track.path]) + "/**" for track in scene.tracks]
     space = []

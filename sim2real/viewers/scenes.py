@@ -11,7 +11,14 @@ from sim2real.diagnose.result import Diagnosis, JointSeries
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.units import readable_name, unit_of
-from sim2real.viewers.channels import COMMAND, MEASURED, PREDICTED, Channel, Scene, Track
+from sim2real.viewers.signal_group import (
+    COMMAND,
+    MEASURED,
+    PREDICTED,
+    MovingLine,
+    Scene,
+    SignalGroup,
+)
 
 POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
 _OTHER_UNITS = {"_A": "A", "_V": "V", "_C": "°C"}
@@ -26,8 +33,8 @@ def recorded(recording: Recording, robot: Robot | None = None, name: str = MEASU
         robot: Its robot; a swim then shows its axis in motion too.
         name: Name of the signals that are not commands.
     """
-    channels = [
-        Channel(
+    groups = [
+        SignalGroup(
             (recording.name, joint, "position"),
             "rad",
             recording.t,
@@ -35,12 +42,12 @@ def recorded(recording: Recording, robot: Robot | None = None, name: str = MEASU
         )
         for j, joint in enumerate(recording.joints)
     ]
-    channels += [_column(recording, column, name) for column in recording.columns]
+    groups += [_column(recording, column, name) for column in recording.columns]
     tracks = []
     if robot is not None and recording.has_poses:
         present, points = axis_points(recording, robot)
-        tracks = [Track((recording.name, "body", name), recording.t[present], points)]
-    return Scene(tuple(channels), tuple(tracks))
+        tracks = [MovingLine((recording.name, "body", name), recording.t[present], points)]
+    return Scene(tuple(groups), tuple(tracks))
 
 
 def with_prediction(recording: Recording, joint: str, predicted: Array) -> Scene:
@@ -51,10 +58,10 @@ def with_prediction(recording: Recording, joint: str, predicted: Array) -> Scene
         joint: Name of the joint.
         predicted: Predicted angles in rad, shape (T,).
     """
-    return recorded(recording) + Scene(fit_channels(recording, joint, predicted))
+    return recorded(recording) + Scene(fit_groups(recording, joint, predicted))
 
 
-def fit_channels(recording: Recording, joint: str, predicted: Array) -> tuple[Channel, ...]:
+def fit_groups(recording: Recording, joint: str, predicted: Array) -> tuple[SignalGroup, ...]:
     """Position and residual of one joint; without residual if nothing was measured.
 
     Args:
@@ -65,8 +72,8 @@ def fit_channels(recording: Recording, joint: str, predicted: Array) -> tuple[Ch
     j = recording.joints.index(joint)
     measured, place, t = recording.position[:, j], (recording.name, joint), recording.t
     angles = {COMMAND: recording.command[:, j], MEASURED: measured, PREDICTED: predicted}
-    position = Channel((*place, "position"), "rad", t, angles)
-    residual = Channel((*place, "residual"), "rad", t, {PREDICTED: measured - predicted})
+    position = SignalGroup((*place, "position"), "rad", t, angles)
+    residual = SignalGroup((*place, "residual"), "rad", t, {PREDICTED: measured - predicted})
     return (position, residual) if residual.signals else (position,)
 
 
@@ -84,23 +91,23 @@ def diagnosed(diagnosis: Diagnosis) -> Scene:
     return scene
 
 
-def _evidence(series: JointSeries, torque_unit: str) -> Sequence[Channel]:
+def _evidence(series: JointSeries, torque_unit: str) -> Sequence[SignalGroup]:
     place, t = (series.recording, series.joint), series.t
     models = {"plain": series.baseline, "enriched": series.enriched}
     angles = {COMMAND: series.command, MEASURED: series.position, **models}
     torques = {"missing": series.torque, "effects": series.effects_torque}
     return (
-        Channel((*place, "position"), "rad", t, angles),
-        residual_channel(series),
-        Channel((*place, "torque"), torque_unit, t, torques),
+        SignalGroup((*place, "position"), "rad", t, angles),
+        residual_group(series),
+        SignalGroup((*place, "torque"), torque_unit, t, torques),
     )
 
 
-def residual_channel(series: JointSeries) -> Channel:
+def residual_group(series: JointSeries) -> SignalGroup:
     """Measured minus simulated angle of the plain servo and of the enriched model."""
     models = {"plain": series.baseline, "enriched": series.enriched}
     residuals = {name: series.position - angle for name, angle in models.items()}
-    return Channel((series.recording, series.joint, "residual"), "rad", series.t, residuals)
+    return SignalGroup((series.recording, series.joint, "residual"), "rad", series.t, residuals)
 
 
 def axis_points(recording: Recording, robot: Robot) -> tuple[Mask, Array]:
@@ -133,11 +140,11 @@ def axis_points(recording: Recording, robot: Robot) -> tuple[Mask, Array]:
     return present, points
 
 
-def _column(recording: Recording, column: str, name: str) -> Channel:
-    """A further column, ``J.velocity_rad_s`` or ``supply_V``, as a channel."""
+def _column(recording: Recording, column: str, name: str) -> SignalGroup:
+    """A further column, ``J.velocity_rad_s`` or ``supply_V``, as signals."""
     component, _, quantity = column.rpartition(".")
     ending = next((end for end in _OTHER_UNITS if quantity.endswith(end)), "")
     unit = _OTHER_UNITS[ending] if ending else unit_of(quantity)
     shown = readable_name(quantity.removesuffix(ending) if ending else quantity)
     path = (recording.name, *([component] if component else []), shown)
-    return Channel(path, unit, recording.t, {name: recording.columns[column]})
+    return SignalGroup(path, unit, recording.t, {name: recording.columns[column]})

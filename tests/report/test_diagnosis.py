@@ -50,18 +50,9 @@ def evidence(recording, *, samples=1500, helps=True, seed=0):
     enriched = true if helps else command
     spread = np.full(t.size, 0.004)
     return JointSeries(
-        "j2",
-        recording,
-        t,
-        command,
-        position,
-        command,
-        enriched,
-        speed,
-        torque,
-        spread,
+        "j2", recording, t, command, position, command, enriched, speed, torque, spread,
         lacking if helps else np.zeros(t.size),
-    )
+    )  # fmt: skip
 
 
 MISMATCH = Mismatch(

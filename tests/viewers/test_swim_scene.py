@@ -39,8 +39,8 @@ def test_a_diagnosis_shows_the_swims_of_both_models() -> None:
     np.testing.assert_allclose(before.t[[0, -1]], recording.t[[0, -1]], atol=0.02)
     np.testing.assert_allclose(before.points[0, 0], measured.points[0, 0], atol=0.02)
     assert np.abs(before.points - after.points).max() > 0.02
-    channels = {channel.path: channel for channel in scene.channels}
-    simulated = channels["p1, simulated", "j1", "position"].signals
+    groups = {group.path: group for group in scene.groups}
+    simulated = groups["p1, simulated", "j1", "position"].signals
     assert set(simulated) == {"command", "plain", "enriched"}
     assert np.ptp(simulated["enriched"]) < np.ptp(simulated["plain"])
     alone = swims_scene(found, [recording], [swim], None, robot)

@@ -16,7 +16,7 @@ from good_input import message
 from sim2real.cli import main
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import read_robot
-from sim2real.viewers import Channel, Scene, write_mcap, write_rerun
+from sim2real.viewers import Scene, SignalGroup, write_mcap, write_rerun
 from sim2real.viewers.scenes import POSE, axis_points, recorded, with_prediction
 
 ROOT = Path(__file__).parents[2]
@@ -144,10 +144,10 @@ def test_the_axis_of_a_swim_is_where_the_links_are() -> None:
 
 def test_scenes_add_up(bench: Recording) -> None:
     both = recorded(bench) + with_prediction(bench, "j2", bench.command[:, 1])
-    signals = {channel.path[1:]: tuple(channel.signals) for channel in both.channels}
+    signals = {group.path[1:]: tuple(group.signals) for group in both.groups}
     assert signals["j1", "position"] == ("command", "measured")
     assert signals["j2", "position"] == ("command", "measured", "predicted")
-    later = Scene((Channel(("a b/c", "j1", "position"), "rad", bench.t + 1, {"x": bench.t}),))
+    later = Scene((SignalGroup(("a b/c", "j1", "position"), "rad", bench.t + 1, {"x": bench.t}),))
     with pytest.raises(ValueError, match="two time axes"):
         recorded(bench) + later
 

@@ -20,7 +20,7 @@ TRACK_COLOURS = ((90, 160, 255), (255, 125, 92), (150, 150, 150))
 
 
 @dataclass(frozen=True)
-class Channel:
+class SignalGroup:
     """Signals of one quantity on one time axis.
 
     Attributes:
@@ -42,7 +42,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Track:
+class MovingLine:
     """A line that moves: the axis of a robot from its head to its tail.
 
     Attributes:
@@ -61,25 +61,25 @@ class Scene:
     """What a file for a viewer holds; ``a + b`` holds both, with the signals of equal paths merged.
 
     Attributes:
-        channels: Signals over time.
+        groups: Signals over time.
         tracks: Lines that move in space.
     """
 
-    channels: tuple[Channel, ...] = ()
-    tracks: tuple[Track, ...] = ()
+    groups: tuple[SignalGroup, ...] = ()
+    tracks: tuple[MovingLine, ...] = ()
 
     def __add__(self, other: Scene) -> Scene:
         """Return the contents of both; times of equal paths must be equal."""
-        channels = {channel.path: channel for channel in self.channels}
-        for channel in other.channels:
-            known = channels.get(channel.path)
+        groups = {group.path: group for group in self.groups}
+        for group in other.groups:
+            known = groups.get(group.path)
             if known is not None:
-                if not np.array_equal(known.t, channel.t):
-                    raise ValueError(f"{'/'.join(channel.path)}: two time axes")
-                signals = {**known.signals, **channel.signals}
-                channel = Channel(known.path, known.unit, known.t, signals)
-            channels[channel.path] = channel
-        return Scene(tuple(channels.values()), self.tracks + other.tracks)
+                if not np.array_equal(known.t, group.t):
+                    raise ValueError(f"{'/'.join(group.path)}: two time axes")
+                signals = {**known.signals, **group.signals}
+                group = SignalGroup(known.path, known.unit, known.t, signals)
+            groups[group.path] = group
+        return Scene(tuple(groups.values()), self.tracks + other.tracks)
 
 
 def viewer_library(option: str, module: str, distribution: str) -> Any:  # noqa: ANN401 - a module
