@@ -44,9 +44,9 @@ def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:
     """Write a scene as JSON messages, each topic with its JSON schema.
 
     A group of signals is a topic ``/RECORDING/JOINT/QUANTITY`` with one message per sample, whose
-    fields are the signals; a missing sample has no field. A line is a topic of ``foxglove.SceneUpdate``
-    (https://docs.foxglove.dev/docs/sdk/schemas/scene-update), in the frame ``world``. Times start
-    at 0 where a recording's are negative.
+    fields are the signals; a missing sample has no field. A line is a topic of
+    ``foxglove.SceneUpdate`` (https://docs.foxglove.dev/docs/sdk/schemas/scene-update), in the frame
+    ``world``. Times start at 0 where a recording's are negative.
 
     Raises:
         InputError: If the file cannot be written, or the library is not installed.
