@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from sim.inference.coordinates import Swum
 from sim.inference.swims import Swim
@@ -37,20 +40,16 @@ def swims_scene(
     for recording, swim in zip(recordings, swims, strict=True):
         tracks = simulate(list(models.values()), swim)
         for name, track in zip(models, tracks, strict=True):
-            simulated = _as_recording(swim, track, float(recording.t[0]), robot)
-            scene += recorded(simulated, robot, name)
+            scene += recorded(_as_recording(recording, swim, track, robot), robot, name)
     return scene
 
 
-def _as_recording(swim: Swim, track: Array, start_s: float, robot: Robot) -> Recording:
-    """A simulated track (T, 3 + J) of a swim as a recording, under a name of its own."""
-    return Recording(
-        name=f"{swim.name}, simulated",
-        kind="pool",
-        joints=tuple(joint.name for joint in robot.joints),
-        t=start_s + swim.t,
-        command=swim.command,
-        position=track[:, 3:],
-        medium="water",
-        columns=dict(zip(POSE, track[:, :3].T, strict=True)),
-    )
+def _as_recording(recording: Recording, swim: Swim, track: Array, robot: Robot) -> Recording:
+    """A simulated track (T, 3 + J) at the times of its recording."""
+    since_start = recording.t - recording.t[0]
+    values = np.column_stack([np.interp(since_start, swim.t, column) for column in track.T])
+    names = [joint.name for joint in robot.joints]
+    position = np.full_like(recording.position, np.nan)
+    position[:, [recording.joints.index(name) for name in names]] = values[:, 3:]
+    columns = dict(zip(POSE, values[:, :3].T, strict=True))
+    return replace(recording, position=position, columns=columns)
