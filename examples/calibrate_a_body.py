@@ -1,28 +1,31 @@
-"""A swim in a pool to a calibrated body, by the reduced-order twin."""
+# %% [markdown]
+# # Calibrate a body
+# A swim in a pool to a calibrated body, in the reduced-order twin of the fluid.
 
-import argparse
+# %% tags=["parameters"]
+OUT = "build/examples"
+SECONDS = 30.0  # of the swim
+
+# %%
 from pathlib import Path
 
 import sim2real as s2r
+from sim2real.example import POOL
 
-POOL = Path("datasets/pool")
+out = Path(OUT)
+out.mkdir(parents=True, exist_ok=True)
 
+# %% [markdown]
+# The end of the swim is held out.
 
-def main() -> None:
-    """Calibrate, print, draw, write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("build/examples"))
-    parser.add_argument("--seconds", type=float, default=30.0, help="of the swim (default 30)")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+# %%
+swim = s2r.read_recording(POOL / "p1.csv")
+swim = swim.between(0, int((swim.t <= swim.t[0] + SECONDS).sum()))
+found = s2r.calibrate(swim, POOL / "robot.toml", POOL / "model.json")
+s2r.write_model(found.model, out / "calibrated.json")
+print(found)
 
-    swim = s2r.read_recording(POOL / "p1.csv")
-    swim = swim.between(0, int((swim.t <= swim.t[0] + options.seconds).sum()))
-    found = s2r.calibrate(swim, POOL / "robot.toml", POOL / "model.json")
-    print(found)
-    s2r.write_model(found.model, options.out / "calibrated.json")
-    found.plot().savefig(options.out / "calibration.png")
-
-
-if __name__ == "__main__":
-    main()
+# %%
+figure = found.plot()
+figure.savefig(out / "calibration.png")
+figure

@@ -1,29 +1,34 @@
-"""Recordings of three servos to a model, scored on a chirp that the fit has not seen."""
+# %% [markdown]
+# # Identify a servo
+# Recordings of three servos to a model, scored on a chirp that the fit has not seen.
 
-import argparse
+# %% tags=["parameters"]
+OUT = "build/examples"
+
+# %%
 from pathlib import Path
 
 import sim2real as s2r
+from sim2real.example import BENCH
 
-DATA = Path("datasets/servo_steps")
+out = Path(OUT)
+out.mkdir(parents=True, exist_ok=True)
 
+# %% [markdown]
+# The last recording is held out. Each parameter comes with its 90 % interval.
 
-def main() -> None:
-    """Identify, print, draw."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("build/examples"))
-    out = parser.parse_args().out
-    out.mkdir(parents=True, exist_ok=True)
+# %%
+recordings = [s2r.read_recording(BENCH / f"{name}.csv") for name in ("steps", "square", "chirp")]
+model = s2r.identify(recordings, BENCH / "robot.toml")
+s2r.write_model(model, out / "model.json")
+print(model)
 
-    recordings = [s2r.read_recording(DATA / f"{name}.csv") for name in ("steps", "square", "chirp")]
-    model = s2r.identify(recordings, DATA / "robot.toml")
-    print(model)
-    s2r.write_model(model, out / "model.json")
+# %% [markdown]
+# The model on the commands of the chirp, and what was measured:
 
-    prediction = s2r.predict(recordings[-1], DATA / "robot.toml", model)
-    print(prediction)
-    prediction.plot(joint="j1").savefig(out / "chirp.png")
-
-
-if __name__ == "__main__":
-    main()
+# %%
+prediction = s2r.predict(recordings[-1], BENCH / "robot.toml", model)
+print(prediction)
+figure = prediction.plot(joint="j1")
+figure.savefig(out / "chirp.png")
+figure

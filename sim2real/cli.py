@@ -20,6 +20,7 @@ _EXCHANGE = "sim2real.commands.exchange"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
 
 COMMANDS = {
+    "example": (_SERVOS, "copy example recordings, with their robots, into a folder"),
     "check": (_SERVOS, "check recordings, and state what they can identify"),
     "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
     "diagnose": (_WATER, "find physics missing from the fitted model, and model it"),

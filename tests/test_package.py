@@ -1,5 +1,6 @@
 """What an installed package brings along."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -26,7 +27,8 @@ def test_a_wheel_has_every_file_that_the_code_reads(package):
     there = {
         path
         for path in (ROOT / package).rglob("*")
-        if path.is_file() and path.suffix in (".json", ".toml", ".html", ".css", ".typed")
+        if path.is_file()
+        and path.suffix in (".json", ".toml", ".html", ".css", ".js", ".csv", ".typed")
     }
     assert there <= shipped, sorted(str(path.relative_to(ROOT)) for path in there - shipped)
 
@@ -68,3 +70,40 @@ def test_the_version_is_read_only_when_it_is_asked_for():
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
     assert run.stdout == f"{VERSION}\n", run.stderr
+
+
+def test_the_citation_has_the_version():
+    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_the_conda_recipe_needs_what_the_wheel_needs():
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    recipe = yaml.safe_load((ROOT / ".github" / "conda" / "recipe.yaml").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["report"]]
+    wanted.append(f"python{project['requires-python']}")
+    found = {line.replace(" ", "") for line in recipe["requirements"]["run"]}
+    assert {line.replace("matplotlib>", "matplotlib-base>") for line in wanted} == found
+    assert recipe["build"]["python"]["entry_points"] == [
+        f"{name} = {home}" for name, home in project["scripts"].items()
+    ]
+
+
+def test_a_release_has_a_section_of_the_changelog_as_its_text():
+    """The program of the workflow, on the newest section that has a number."""
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "release.yml").read_text())
+    steps = workflow["jobs"]["release"]["steps"]
+    (line,) = (
+        line
+        for step in steps
+        for line in step.get("run", "").splitlines()
+        if line.startswith("awk ")
+    )
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    number = re.findall(r"^## \[(\d[^\]]*)\]", changelog, re.M)[0]
+    program = f"version={number}; {line.rpartition(' > ')[0]}"
+    run = subprocess.run(["sh", "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 0 and run.stdout.strip()
+    section = changelog.partition(f"## [{number}]")[2].partition("\n")[2].partition("\n## [")[0]
+    assert run.stdout.strip() == section.strip()

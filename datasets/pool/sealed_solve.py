@@ -1,20 +1,23 @@
 """Let ``sim2real diagnose`` answer every case of a sealed set of swims, from its inputs alone.
 
     python datasets/pool/sealed_solve.py SET VERDICTS [--processes N] [--water WATER]
+    python datasets/pool/sealed_solve.py SET VERDICTS --executor ray [--address HOST:PORT]
     python datasets/pool/sealed_solve.py SET VERDICTS --water WATER --again AGAIN
 
 What a robot's swims in which nothing is missing say of its law is worked out once and kept. Each
 case's time stands in ``cost.json``; one that has been answered is not answered again, but with
-``--again`` where the fluid has swum with what was found (``sealed_water.py --again``).
+``--again`` where the fluid has swum with what was found (``sealed_water.py --again``). What a lost
+process or node was at is done by another.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
+import os
+import sys
 import time
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +34,10 @@ from sim.inference.searched import learned, raw, searched
 from sim.inference.swims import swim_of
 from sim.inference.twin_search import SwimPrior
 from sim2real.body import values
+from sim2real.commands.placement import add_executor, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
+from sim2real.executor import Job, JobOutcome, run_jobs
+from sim2real.executor.job import NOT_STARTED
 from sim2real.model import read_model, write_model
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
@@ -40,20 +46,18 @@ BESIDE = "beside.json"
 """With what was found, the fluid swims again."""
 
 
-def law_of(folder: Path, verdicts: Path, water: Path | None) -> str:
-    """What the swims of a robot in which nothing is missing say, kept beside the verdicts."""
-    target = verdicts / f"{folder.name}.npz"
-    if target.exists():
-        return f"{folder.name} known"
+def learn_law(run: Path, *, robot_folder: str, water_folder: str | None) -> None:
+    """Job: what the swims of a robot in which nothing is missing say, kept beside the verdicts."""
+    folder, water = Path(robot_folder), None if water_folder is None else Path(water_folder)
     start = time.perf_counter()
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
     files = [water / f"{folder.name}.npz"] if water else []
     model, simulate = robot_in_water(robot, model, files, threads=1)
     references = [swim_of(read_recording(p), robot) for p in sorted(folder.glob("ref_*.csv"))]
     belief = learned(references, model, robot, simulate, known_of(water))
-    verdicts.mkdir(parents=True, exist_ok=True)
-    np.savez(target, **vars(belief))
-    return f"{folder.name} learned, {time.perf_counter() - start:.0f} s"
+    np.savez(run / "part.npz", **vars(belief))
+    os.replace(run / "part.npz", run.parent / f"{folder.name}.npz")
+    print(f"{folder.name} learned, {time.perf_counter() - start:.0f} s")
 
 
 def known_of(water: Path | None) -> LawError:
@@ -61,10 +65,11 @@ def known_of(water: Path | None) -> LawError:
     return read_law_error(IN_WATER if water else FILE)
 
 
-def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None) -> str:
-    """Diagnose one case, or diagnose it again beside what the fluid swam with what was found."""
+def answer(target: Path, *, case: str, water_folder: str | None, again_folder: str | None) -> None:
+    """Job: diagnose one case, or again beside what the fluid swam with what was found."""
     start, before = time.perf_counter(), time.process_time()
-    place, target = folder.parent, verdicts / folder.name
+    folder, place, verdicts = Path(case), Path(case).parent, target.parent
+    water, again = (None if x is None else Path(x) for x in (water_folder, again_folder))
     robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
     files = [water / f"{place.name}.npz"] if water else []
     model, simulate = robot_in_water(robot, model, files, threads=1)
@@ -82,7 +87,6 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
     found = searched(swims, model, robot, simulate, belief, simulated=begun)
     said = diagnosis_of(found, robot, known, referred=referred)
-    target.mkdir(parents=True, exist_ok=True)
     write_diagnosis(said, target / "diagnosis.json", "enriched.json")
     assert said.baseline is not None
     if not again:
@@ -101,7 +105,7 @@ def answer(folder: Path, verdicts: Path, water: Path | None, again: Path | None)
         first = json.loads((target / "cost.json").read_text())
         cost = {name: value + first[name] for name, value in cost.items()} | {"again": True}
     (target / "cost.json").write_text(json.dumps(cost) + "\n")
-    return f"{folder.name} {said.verdict}, {cost['wall_s']:.0f} s"
+    print(f"{folder.name} {said.verdict}, {cost['wall_s']:.0f} s")
 
 
 def left(folder: Path, verdicts: Path, again: Path | None) -> bool:
@@ -117,38 +121,59 @@ def mixed(path: Path) -> int:
     return (37 * int(path.parent.name.removeprefix("case_"))) % 1009
 
 
-def main() -> None:
-    """Answer the cases."""
+def main() -> int:
+    """Learn the laws, answer the cases."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("set", type=Path)
     parser.add_argument("verdicts", type=Path)
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--processes", type=int, default=2, help="--executor local --jobs N")
+    add_executor(parser, default="local")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
     parser.add_argument("--water", type=Path, help="what the fluid swam: sealed_water.py")
     parser.add_argument("--again", type=Path, help="what it swam with what was found")
     parser.add_argument("--share", default="0/1", metavar="K/N", help="every Nth case from the Kth")
     options = parser.parse_args()
     deadline = time.monotonic() + options.seconds
+    where = {**where_jobs_run(options), "at_once": options.jobs or options.processes}
     first, step = (int(x) for x in options.share.split("/"))
     robots = sorted((options.set / "inputs").glob("robot_*"))
     cases = sorted((options.set / "inputs").glob("robot_*/case_*/case.json"), key=mixed)
     cases = cases[first::step]
     todo = [p.parent for p in cases if left(p.parent, options.verdicts, options.again)]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
-        laws = [pool.submit(law_of, folder, options.verdicts, options.water) for folder in robots]
-        for done in as_completed(laws):
-            print(done.result(), flush=True)
-        running: set[Future[str]] = set()
-        for folder in [*todo, None]:
-            while running and (folder is None or len(running) >= options.processes):
-                one = next(as_completed(running))
-                running.remove(one)
-                print(one.exception() or one.result(), flush=True)
-            if folder is None or time.monotonic() > deadline:
-                continue
-            running.add(pool.submit(answer, folder, options.verdicts, options.water, options.again))
+    water, again = (
+        None if x is None else str(x.absolute()) for x in (options.water, options.again)
+    )
+    laws = [
+        Job(
+            f"{folder.name}.law",
+            "sealed_solve:learn_law",
+            {"robot_folder": str(folder.absolute()), "water_folder": water},
+            options.verdicts / f"{folder.name}.law",
+        )
+        for folder in robots
+        if not (options.verdicts / f"{folder.name}.npz").exists()
+    ]
+    call = {"water_folder": water, "again_folder": again}
+    cases_left = [
+        Job(
+            case.name,
+            "sealed_solve:answer",
+            {"case": str(case.absolute()), **call},
+            options.verdicts / case.name,
+        )
+        for case in todo
+    ]
+    failed = ended_badly(run_jobs(laws, **where))
+    seconds = deadline - time.monotonic()
+    return 1 if ended_badly(run_jobs(cases_left, seconds=seconds, **where)) or failed else 0
+
+
+def ended_badly(outcomes: Sequence[JobOutcome]) -> int:
+    """Print every outcome; the number of jobs that failed."""
+    for outcome in outcomes:
+        print(outcome)
+    return sum(outcome.failure not in (None, NOT_STARTED) for outcome in outcomes)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

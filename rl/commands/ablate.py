@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 
-from rl.executor import Job, run_jobs
 from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
@@ -20,7 +19,9 @@ from rl.randomize import noise_of
 from rl.sac import recipes
 from rl.sac.train import Arm, Plan, train
 from rl.world import Draws
+from sim2real.commands.placement import where_jobs_run
 from sim2real.errors import InputError
+from sim2real.executor import map_jobs
 from sim2real.model import Model, read_model
 from sim2real.output import provenance
 from sim2real.ranges.entry import Ranges, read_ranges
@@ -144,25 +145,19 @@ def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
         folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, note: dict[str, Any]
     ) -> list[Path]:
         del robot, note
-        jobs = []
+        calls = {}
         for arm in arms:
             for seed in plan.seeds:
-                name = f"{arm.name}-{seed}"
                 files = {
                     key: None if value is None else str(value.absolute())
                     for key in ("robot", "model", "ranges", "enriched", "reality", "truth")
                     for value in (getattr(options, key),)
                 }
                 call = {**files, "arm": arm.name, "seed": seed, "plan": plan_options(options)}
-                jobs.append(Job(name, "rl.commands.ablate:train_one", call, folder / name))
-        outcomes = run_jobs(
-            jobs, executor=options.executor, at_once=options.jobs, address=options.address,
-            gpus=0 if options.device == "cpu" else 1, retries=options.retries,
-        )  # fmt: skip
-        failed = [str(outcome) for outcome in outcomes if outcome.failure]
-        if failed:
-            raise RuntimeError("; ".join(failed))
-        return [job.folder / job.name for job in jobs]
+                calls[f"{arm.name}-{seed}"] = call
+        work = "rl.commands.ablate:train_one"
+        folders = map_jobs(work, calls, folder, **where_jobs_run(options))
+        return [folder / folder.name for folder in folders]
 
     return train_jobs
 
@@ -186,7 +181,7 @@ def train_one(
     seed: int,
     plan: dict[str, Any],
 ) -> None:
-    """Train one arm with one seed, as a job of ``rl.executor``."""
+    """Train one arm with one seed, as a job of ``sim2real.executor``."""
     torch.set_num_threads(1)
     fish = read_robot(robot)
     enriched_model = None if enriched is None else read_model(enriched)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim2real.commands.command import Command
+from sim2real.commands.placement import add_executor
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
 _ARMS = (
@@ -60,21 +61,7 @@ def _sampled(command: argparse.ArgumentParser) -> None:
 
 
 def _executor(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--executor",
-        choices=("local", "ray"),
-        help="one process per run, on this machine or on a Ray cluster (default: all runs in"
-        " one batch)",
-    )
-    command.add_argument(
-        "--jobs", type=int, metavar="N", help="runs at the same time (default: one per GPU)"
-    )
-    command.add_argument(
-        "--address", help="address of the Ray cluster, HOST:PORT (default: a local one)"
-    )
-    command.add_argument(
-        "--retries", type=int, default=2, help="times that a failed run is repeated (default 2)"
-    )
+    add_executor(command, otherwise="all runs in one batch")
 
 
 def _plan(command: argparse.ArgumentParser) -> None:

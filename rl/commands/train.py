@@ -11,13 +11,14 @@ import numpy as np
 import torch
 
 from rl.controllers import discrete_train
-from rl.executor import Job, run_jobs
 from rl.experiments.paces import choose_prices
 from rl.experiments.selection import HELD_OUT, held_out
 from rl.sac import jobs as sac
 from rl.sac.curve import draw_curves, read_progress
 from rl.sac.recipes import RECIPES
+from sim2real.commands.placement import where_jobs_run
 from sim2real.errors import InputError
+from sim2real.executor import map_jobs
 from sim2real.model import read_model
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
@@ -112,9 +113,8 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
 
 def _side_by_side(options: argparse.Namespace, arguments: dict[str, Any]) -> list[Path]:
     """Run a job for each seed, on this machine or on a cluster."""
-    jobs = []
+    calls = {}
     for seed in arguments["seeds"]:
-        name = f"seed-{seed}"
         files = {
             k: str(Path(arguments[k]).absolute())
             for k in ("robot", "model", "ranges")
@@ -124,16 +124,11 @@ def _side_by_side(options: argparse.Namespace, arguments: dict[str, Any]) -> lis
         if "first" in arguments:
             chosen = arguments["seeds"].index(seed) % len(arguments["first"])
             job_arguments["first"] = arguments["first"][chosen : chosen + 1]
-        work = f"{TRAINERS[options.controller].__name__}:train_run"
-        jobs.append(Job(name, work, job_arguments, options.out / name))
-    outcomes = run_jobs(
-        jobs, executor=options.executor, at_once=options.jobs, address=options.address,
-        gpus=0 if options.device == "cpu" else 1, retries=options.retries,
-    )  # fmt: skip
-    failed = [str(outcome) for outcome in outcomes if outcome.failure]
-    if failed:
-        raise RuntimeError("; ".join(failed))
-    return [job.folder / f"policy-{job.options['seeds'][0]}" for job in jobs]
+        calls[f"seed-{seed}"] = job_arguments
+    work = f"{TRAINERS[options.controller].__name__}:train_run"
+    folders = map_jobs(work, calls, options.out, **where_jobs_run(options))
+    seeds = arguments["seeds"]
+    return [folder / f"policy-{seed}" for folder, seed in zip(folders, seeds, strict=True)]
 
 
 def write_tensorboard(folders: list[Path]) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sim import verbs
 from sim2real.commands.verb import arguments_of
+from sim2real.commands.views import check_views, write_views
 from sim2real.diagnose.page.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.model import read_model, write_model
@@ -16,23 +18,32 @@ from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Section, write_page
 from sim2real.robot import Robot, read_robot
 from sim2real.verbs import recordings_of
+from sim2real.viewers.scenes import diagnosed
+from sim2real.viewers.signal_group import Scene
+
+if TYPE_CHECKING:
+    from sim.inference.coordinates import Swum
+    from sim.inference.swims import Swim
 
 
 def run(options: argparse.Namespace) -> int:
     """Diagnose, print the diagnosis, write it, the enriched model and a page."""
     out = check_writable(options.out)
+    check_views(options)
     robot, recordings = read_robot(options.robot), recordings_of(options.recordings)
     parsed = {"recordings": recordings, "robot": robot, "in_water": options.in_water}
     diagnosis = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))
     print(diagnosis)
     write_all(diagnosis, out)
+    swum = _swum(recordings, robot, options)
     if not options.no_page:
         page, count = out.with_suffix(".html"), len(recordings)
         counted = "1 recording" if count == 1 else f"{count} recordings"
         subtitle = f"{counted}, verdict: {diagnosis.verdict.replace('_', ' ')}"
-        section = _section(diagnosis, recordings, robot, options)
+        section = _section(diagnosis, swum, robot)
         write_page(page, f"Diagnosis of {robot.name}", subtitle, [section], diagnosis.provenance)
         print(f"\npage: {page}")
+    write_views(options, lambda: _scene(diagnosis, recordings, swum, robot))
     return 0
 
 
@@ -43,15 +54,37 @@ def write_all(diagnosis: Diagnosis, out: Path) -> None:
     write_diagnosis(write_commands(diagnosis, out), out, enriched.name)
 
 
-def _section(
-    diagnosis: Diagnosis, recordings: list[Recording], robot: Robot, options: argparse.Namespace
-) -> Section:
-    if not recordings[0].is_swim:
-        return diagnosis_section(diagnosis)
+Swims = tuple[list["Swim"], "Swum | None"]
+"""The swims, and the simulator of their diagnosis."""
+
+
+def _swum(recordings: list[Recording], robot: Robot, options: argparse.Namespace) -> Swims | None:
+    """The swims and their simulator; None for recordings of a bench, or if nothing shows them."""
+    shown = not options.no_page or options.rerun or options.mcap
+    if not (shown and recordings[0].is_swim):
+        return None
     from sim.inference.recorded_swims import simulator_of
     from sim.inference.swims import swim_of
-    from sim.view.diagnosis_page import swims_section
 
     swims = [swim_of(recording, robot) for recording in recordings]
-    simulate = simulator_of(robot, read_model(options.model), options.in_water, options.device)
+    return swims, simulator_of(robot, read_model(options.model), options.in_water, options.device)
+
+
+def _section(diagnosis: Diagnosis, swum: Swims | None, robot: Robot) -> Section:
+    if swum is None:
+        return diagnosis_section(diagnosis)
+    from sim.view.diagnosis_page import swims_section
+
+    swims, simulate = swum
     return swims_section(diagnosis, swims, simulate, robot)
+
+
+def _scene(
+    diagnosis: Diagnosis, recordings: list[Recording], swum: Swims | None, robot: Robot
+) -> Scene:
+    if swum is None:
+        return diagnosed(diagnosis)
+    from sim.view.swim_scene import swims_scene
+
+    swims, simulate = swum
+    return swims_scene(diagnosis, recordings, swims, simulate, robot)

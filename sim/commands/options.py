@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim import verbs
-from sim2real.commands.command import Command, add_former
+from sim2real.commands.command import Command, add_former, add_views
 from sim2real.commands.verb import add_verb
 
 
@@ -22,6 +22,7 @@ def _simulate(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="recording to write"
     )
+    add_views(command)
     add_former(command, "--picture", "plot")
 
 
@@ -66,6 +67,7 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
         help="diagnosis to write (diagnosis.json)",
     )
     command.add_argument("--no-page", action="store_true", help="do not write the HTML report")
+    add_views(command)
 
 
 COMMANDS = (

@@ -9,14 +9,18 @@ from sim import verbs
 from sim.robot.swimmer import CONTROL_S
 from sim.simulation import SupersonicFlow
 from sim2real.commands.verb import arguments_of
+from sim2real.commands.views import check_views, write_views
 from sim2real.errors import InputError
 from sim2real.output import check_writable, write_json
 from sim2real.recording import write_recording
+from sim2real.robot import read_robot
+from sim2real.viewers.scenes import recorded
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, and write the measurements of a camera and the servos as a recording."""
     check_writable(options.out)
+    check_views(options)
     inputs = (options.recordings, options.model, options.robot, options.plot, options.video)
     if options.out.resolve() in {path.resolve() for path in inputs if path}:
         raise InputError(options.out, "--out", "a file that is named twice", "a file of its own")
@@ -31,6 +35,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{options.plot}: the flow at the end")
     source = f"Simulated, not measured: {options.model.name} on {options.recordings.name}."
     write_recording(replace(swim, source=source), options.out)
+    write_views(options, lambda: recorded(swim, read_robot(options.robot), "simulated"))
     print(
         f"{options.out}: {swim.t.size} rows at {1 / CONTROL_S:.0f} Hz, {options.cell_m:g} m cells, "
         f"{options.dimensions} dimensions"

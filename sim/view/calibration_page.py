@@ -10,12 +10,10 @@ import numpy as np
 from sim.calibration.swim_problem import HELD_OUT_SHARE
 from sim.calibration.twin_fit import Calibrated
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
-from sim.view.calibration_plot import comparison
+from sim.view.calibration_plot import comparison_block
 from sim2real.model import Model
-from sim2real.report.drawing import svg
-from sim2real.report.page import Figure, Note, Section, Table
+from sim2real.report.page import Note, Section, Table
 from sim2real.report.quantity import change_text
-from sim2real.report.style import NARROW
 from sim2real.robot import Robot
 
 _WORSE = 0.05
@@ -135,14 +133,13 @@ def calibration_section(
         "A swim of thirty seconds in the reduced-order twin; the fit does not use its last third. "
         "The next section diagnoses errors that no parameter of the body corrects."
     )
-    figure = comparison(swim, before, calibrated.model, simulator, robot)
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
     errors = signal_errors(swim, calibrated, simulator, robot)
     return Section(
         "Calibration",
         lead,
         [
-            Figure(svg(figure), caption, svg(figure, width=NARROW)),
+            comparison_block(swim, before, calibrated.model, simulator, robot, caption),
             _table(errors),
             *(Note("info", error.comment) for error in errors if error.comment),
         ],

@@ -6,9 +6,15 @@ from typing import TYPE_CHECKING
 
 from sim.calibration.swim_problem import HELD_OUT_SHARE
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
+from sim2real.arrays import Array
 from sim2real.model import Model
-from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+from sim2real.report.drawing import svg
+from sim2real.report.live_plot import Live, Panel
+from sim2real.report.page import Block
+from sim2real.report.page import Figure as PageFigure
+from sim2real.report.style import ACCENT, FAINT, INK, NARROW, house_style, new_figure
 from sim2real.robot import Robot
+from sim2real.viewers.signal_group import MEASURED, SignalGroup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,9 +41,44 @@ def comparison(
         label: Label of the fitted model.
         held_out: Share of the swim, at its end, that the fit did not use.
     """
-    initial, fitted = simulated(swim, [before, after], simulator)
-    names = [*(f"{n} ({u})" for n, u in zip(SIGNALS, UNITS, strict=True))]
-    names.append(f"{robot.joints[0].name} (rad)")
+    return _drawn(swim, simulated(swim, [before, after], simulator), robot, label, held_out)
+
+
+def comparison_block(
+    swim: Swim,
+    before: Model,
+    after: Model,
+    simulator: Simulator,
+    robot: Robot,
+    caption: str,
+    *,
+    label: str = "calibrated",
+    held_out: float = HELD_OUT_SHARE,
+) -> Block:
+    """The same for a page, with plots to zoom into; other arguments as for ``comparison``."""
+    tracks = simulated(swim, [before, after], simulator)
+    drawing = _drawn(swim, tracks, robot, label, held_out)
+    end = float(swim.t[-1])
+    shaded = [(end * (1 - held_out), end)] if held_out else []
+    panels = []
+    for k, (name, unit) in enumerate(_signals(robot)):
+        values = (swim.signals[:, k], tracks[0][:, k], tracks[1][:, k])
+        signals = dict(zip((MEASURED, "before", label), values, strict=True))
+        group = SignalGroup((swim.name, name), unit, swim.t, signals)
+        panels.append(Panel(group, f"{name}, {unit}", shaded))
+    live = Live(panels, caption)
+    return PageFigure(svg(drawing), caption, svg(drawing, width=NARROW), live)
+
+
+def _signals(robot: Robot) -> list[tuple[str, str]]:
+    """Names and units of what is plotted."""
+    return [*zip(SIGNALS, UNITS, strict=True), (robot.joints[0].name, "rad")]
+
+
+def _drawn(swim: Swim, tracks: Array, robot: Robot, label: str, held_out: float) -> Figure:
+    """The figure of the simulated signals before and after, shape (2, T, 3 + J)."""
+    initial, fitted = tracks
+    names = [f"{name} ({unit})" for name, unit in _signals(robot)]
     with house_style():
         figure = new_figure(620, f"{swim.name}: measured and simulated")
         axes = figure.subplots(len(names), 1, sharex=True)

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from sim.inference.coordinates import Swum
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import Swim
-from sim.view.calibration_plot import comparison
+from sim.view.calibration_plot import comparison_block
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.model import Model
-from sim2real.report.drawing import svg
-from sim2real.report.page import Block, Figure, Note, Section, Table, Text
+from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import change_text
-from sim2real.report.style import NARROW
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 
@@ -83,10 +81,9 @@ def swims_section(
     return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in diagnosis.gate)])
 
 
-def _plot(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot) -> Figure:
-    figure = comparison(
-        swim, before, after, lambda models, *_: simulate(models, swim), robot,
-        label="with what is named", held_out=0.0,
-    )  # fmt: skip
+def _plot(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot) -> Block:
     caption = "measured, and simulated before and after; both models were fitted to all of it"
-    return Figure(svg(figure), f"{swim.name}: {caption}.", svg(figure, width=NARROW))
+    return comparison_block(
+        swim, before, after, lambda models, *_: simulate(models, swim), robot,
+        f"{swim.name}: {caption}.", label="with what is named", held_out=0.0,
+    )  # fmt: skip

@@ -38,6 +38,16 @@ def add_recordings(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_views(command: argparse.ArgumentParser) -> None:
+    """The files for viewers of time series that a command writes if asked to."""
+    command.add_argument(
+        "--rerun", type=Path, metavar="RRD", help="file of all signals for Rerun (FILE.rrd)"
+    )
+    command.add_argument(
+        "--mcap", type=Path, metavar="MCAP", help="file of all signals for Foxglove (FILE.mcap)"
+    )
+
+
 def add_former(command: argparse.ArgumentParser, name: str, stands_for: str) -> None:
     """Add a former name of an option, which still works and is not shown in help."""
     command.add_argument(

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
+from sim2real.commands.views import check_views, write_views
 from sim2real.model import Model, write_model
 from sim2real.output import check_writable
-from sim2real.recording import Recording
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import Replay, replay
+from sim2real.viewers.scenes import with_prediction
+from sim2real.viewers.signal_group import Scene
 
 
 def run(options: argparse.Namespace) -> int:
     """Identify, print the table, write the model and a plot of each joint."""
     check_writable(options.out)
+    check_views(options)
     robot = read_robot(options.robot)
     recordings = verbs.recordings_of(options.recordings)
     model = verbs.identify(
@@ -26,19 +30,27 @@ def run(options: argparse.Namespace) -> int:
     )
     print(model)
     write_model(model, options.out)
+    replays = cache(lambda: replay(model, recordings, options.held_out))
     if not options.no_plots:
-        _plot(model, recordings, options.held_out, options.out)
+        _plot(model, replays, options.out)
+    write_views(options, lambda: _scene(replays()))
     return 0
 
 
-def _plot(model: Model, recordings: Sequence[Recording], held_out: str | None, out: Path) -> None:
+def _scene(replays: Sequence[Replay]) -> Scene:
+    """Every joint of every recording, with its prediction."""
+    scenes = [with_prediction(r.recording, r.joint, r.predicted) for r in replays]
+    return sum(scenes, start=Scene())
+
+
+def _plot(model: Model, replays: Callable[[], Sequence[Replay]], out: Path) -> None:
     """One figure per joint: of the held-out recording, or of the first."""
     try:
         from sim2real.report import fit_figure, save_png
     except ModuleNotFoundError as error:
         print(f"no plots: {error}", file=sys.stderr)
         return
-    for joint, shown in most_held_out(replay(model, recordings, held_out)).items():
+    for joint, shown in most_held_out(replays()).items():
         noise = model.fit[f"{joint}.position_rad"].get("noise")
         figure = fit_figure(
             shown.recording, joint, shown.predicted, heldout=shown.held_out, noise_rad=noise

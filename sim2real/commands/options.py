@@ -6,8 +6,18 @@ import argparse
 from pathlib import Path
 
 from sim2real import verbs
-from sim2real.commands.command import Command, add_former, add_recordings
+from sim2real.commands.command import Command, add_former, add_recordings, add_views
 from sim2real.commands.verb import add_verb
+
+
+def _example(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--out",
+        type=Path,
+        default=Path("example"),
+        metavar="FOLDER",
+        help="folder to write (default example)",
+    )
 
 
 def _check(command: argparse.ArgumentParser) -> None:
@@ -25,6 +35,7 @@ def _identify(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--no-plots", action="store_true", help="do not plot the fits (MODEL.JOINT.png)"
     )
+    add_views(command)
 
 
 def _density(command: argparse.ArgumentParser) -> None:
@@ -53,6 +64,7 @@ def _predict(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--out", type=Path, required=True, metavar="CSV", help="prediction to write (predicted.csv)"
     )
+    add_views(command)
 
 
 def _import(command: argparse.ArgumentParser) -> None:
@@ -120,6 +132,12 @@ def _completion(command: argparse.ArgumentParser) -> None:
 
 
 COMMANDS = (
+    Command(
+        "example",
+        "sim2real.commands.example",
+        _example,
+        "sim2real example --out example",
+    ),
     Command(
         "check",
         "sim2real.commands.check",

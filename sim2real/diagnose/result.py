@@ -191,6 +191,8 @@ class JointSeries:
         torque: Residual torque of the plain servo, smoothed, in N m (per kg m2 if the load is
             unknown), shape (T,).
         torque_sd: Its standard deviation, shape (T,).
+        effects_torque: Torque by which the enriched model's motion differs from the plain servo's,
+            smoothed likewise: what the named effects account for, shape (T,).
     """
 
     joint: str
@@ -203,6 +205,7 @@ class JointSeries:
     speed: Array
     torque: Array
     torque_sd: Array
+    effects_torque: Array
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from sim2real.report.diagnosis_plots import (
     command_figure,
     mean_figure,
     residual_figure,
+    residual_live,
     torque_figure,
 )
 from sim2real.report.diagnosis_what import figure, what_blocks
@@ -166,7 +167,8 @@ def _residuals(
         details += f", in the {len(shown)} of {len(evidence)} recordings with the largest errors"
     shade = "; shaded: times with large residuals" if any(mismatch.windows_s.values()) else ""
     drawing = residual_figure(shown, mismatch.noise, mismatch.windows_s, enriched=has_findings)
-    return figure(drawing, _RESIDUAL.format(joint=joint, which=details, shade=shade))
+    live = residual_live(shown, mismatch.noise, mismatch.windows_s, enriched=has_findings)
+    return figure(drawing, _RESIDUAL.format(joint=joint, which=details, shade=shade), live)
 
 
 def _error(series: JointSeries) -> float:

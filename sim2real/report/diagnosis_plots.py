@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Experiment, JointSeries
+from sim2real.report.live_plot import Live, Panel, in_mrad
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
+from sim2real.viewers.scenes import residual_group
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,6 +58,29 @@ def residual_figure(
         handles, labels = strips[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=2)
     return figure
+
+
+def residual_live(
+    evidence: Sequence[JointSeries],
+    noise_rad: float,
+    windows_s: Mapping[str, tuple[tuple[float, float], ...]],
+    *,
+    enriched: bool,
+) -> Live:
+    """The content of ``residual_figure`` to zoom into; arguments as there."""
+    panels = []
+    for series in evidence:
+        residual = residual_group(series)
+        kept = residual.signals if enriched else {"plain": residual.signals["plain"]}
+        group = in_mrad(replace(residual, signals=kept))
+        shaded = windows_s.get(series.recording, ())
+        panels.append(Panel(group, f"{series.recording}, mrad", shaded, 2e3 * noise_rad))
+    models = "the plain servo and the enriched model" if enriched else "the plain servo"
+    return Live(
+        panels,
+        f"{evidence[0].joint}: measured minus simulated angle of {models}. Band: ±\u00a02 standard "
+        "deviations of the noise; shaded: times with large residuals.",
+    )
 
 
 def torque_figure(evidence: Sequence[JointSeries], unit: str) -> Figure:

@@ -10,6 +10,7 @@ from sim2real.model import JointModel
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.diagnosis_words import listed, per_inertia, plain, sure
 from sim2real.report.drawing import svg
+from sim2real.report.live_plot import Live
 from sim2real.report.page import Block, Figure, Table, Text
 from sim2real.report.quantity import milliradians, printable, quantities
 from sim2real.report.style import NARROW
@@ -71,9 +72,9 @@ def what_blocks(diagnosis: Diagnosis) -> list[Block]:
     return blocks + _shifts(diagnosis)
 
 
-def figure(drawing: Drawing, caption: str) -> Figure:
-    """A figure of the page, with a narrow version for phones."""
-    return Figure(svg(drawing), caption, svg(drawing, width=NARROW))
+def figure(drawing: Drawing, caption: str, live: Live | None = None) -> Figure:
+    """A figure of the page, with a narrow version for phones and perhaps one to zoom into."""
+    return Figure(svg(drawing), caption, svg(drawing, width=NARROW), live)
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Bar]:

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 from sim2real.arrays import Array, Mask
 from sim2real.recording import Recording
+from sim2real.report.live_plot import Live, Panel, in_mrad
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable, isolated_samples, largest_move, segments
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, RULE, house_style, new_figure
+from sim2real.viewers.scenes import fit_groups
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,6 +83,29 @@ def fit_figure(
     return figure
 
 
+def fit_live(
+    recording: Recording,
+    joint: str,
+    predicted: Array,
+    *,
+    heldout: Mask | None = None,
+    noise_rad: float | None = None,
+) -> Live:
+    """The content of ``fit_figure`` to zoom into; arguments as there."""
+    position, *residual = fit_groups(recording, joint, predicted)
+    runs = [] if heldout is None else segments(heldout)
+    shaded = [(float(recording.t[a]), float(recording.t[b])) for a, b in runs]
+    band = None if noise_rad is None else 2e3 * noise_rad
+    panels = [Panel(position, "rad", shaded)]
+    panels += [Panel(in_mrad(x), _residual_title(noise_rad), shaded, band) for x in residual]
+    held_out = ", held-out samples shaded" if shaded else ""
+    return Live(panels, f"{joint} in {recording.name}{held_out}, and the residual below.")
+
+
+def _residual_title(noise_rad: float | None) -> str:
+    return "measured − predicted, mrad" + ("; band: ± 2 × noise" if noise_rad is not None else "")
+
+
 def _draw_position(
     axes: Axes, t: Array, command: Array, measured: Array, predicted: Array, *, dots: bool = False
 ) -> None:
@@ -103,15 +128,13 @@ def _draw_position(
 
 
 def _draw_residual(axes: Axes, t: Array, residual: Array, noise_rad: float | None) -> None:
-    title = "measured − predicted, mrad"
     if noise_rad is not None:
         axes.axhspan(-2e3 * noise_rad, 2e3 * noise_rad, color=ACCENT, alpha=0.16, linewidth=0)
-        title += "; band: ± 2 × noise"
     times, values = drawable(t, 1e3 * residual)
     axes.plot(times, values, color=INK, linewidth=0.8)
     isolated = isolated_samples(values)
     axes.plot(times[isolated], values[isolated], "o", color=INK, markersize=1.4, markeredgewidth=0)
-    axes.set_title(title)
+    axes.set_title(_residual_title(noise_rad))
 
 
 def _shade(top: Axes, bottom: Axes, t: Array, heldout: Mask) -> None:

@@ -8,7 +8,7 @@ from sim2real.arrays import Array, Mask
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report.drawing import svg
-from sim2real.report.fit_plot import fit_figure
+from sim2real.report.fit_plot import fit_figure, fit_live
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
 from sim2real.report.parameter_plot import parameter_figure
 from sim2real.report.quantity import Quantity, effect_text, milliradians, quantities
@@ -143,6 +143,7 @@ def _fit_block(model: Model, fit: Fit) -> Figure:
     recording, joint, predicted, heldout = fit
     noise = model.fit.get(f"{joint}.position_rad", {}).get("noise")
     figure = fit_figure(recording, joint, predicted, heldout=heldout, noise_rad=noise)
+    live = fit_live(recording, joint, predicted, heldout=heldout, noise_rad=noise)
     shaded = ", held-out samples shaded" if heldout is not None and heldout.any() else ""
     caption = _FIT.format(joint=joint, recording=recording.name, shaded=shaded)
-    return Figure(svg(figure), caption, svg(figure, width=NARROW))
+    return Figure(svg(figure), caption, svg(figure, width=NARROW), live)

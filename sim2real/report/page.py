@@ -1,17 +1,21 @@
-"""A report as one self-contained HTML file, without network access, fonts or scripts."""
+"""A report as one self-contained HTML file, without network access or fonts.
+
+The only script is that of plots of time series (``live_plot``), in pages that have some.
+"""
 
 from __future__ import annotations
 
 import base64
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.output import write_whole
 from sim2real.report.cell import breakable, is_number, letters, prose
 from sim2real.report.extra import report_libraries
+from sim2real.report.live_plot import Live, live_script, live_style, script_hash
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -89,11 +93,13 @@ class Figure:
         caption: Caption.
         narrow: The same figure in a layout for phones; without it, a phone scrolls the figure
             horizontally.
+        live: The same content to zoom into, which replaces both where scripts run.
     """
 
     svg: str
     caption: str = ""
     narrow: str = ""
+    live: Live | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -163,13 +169,17 @@ def render_page(
     stages: Sequence[tuple[str, bool]] = (),
 ) -> str:
     """The report as text; arguments as for ``write_page``."""
+    live = any(isinstance(b, Figure) and b.live for s in sections for b in s.blocks)
+    script = live_script() if live else ""
     return _template().render(
         title=title,
         subtitle=subtitle,
         sections=sections,
         stages=stages,
         origin=_origin(provenance),
-        css=(_FOLDER / "page.css").read_text(encoding="utf-8"),
+        css=(_FOLDER / "page.css").read_text(encoding="utf-8") + (live_style() if live else ""),
+        script=script,
+        script_source=script_hash(script),
     )
 
 
@@ -180,7 +190,7 @@ def render_fragment(sections: Sequence[Section]) -> str:
         ModuleNotFoundError: If Jinja is not installed.
     """
     template = _template()
-    blocks = template.blocks["sections"](template.new_context({"sections": sections}))
+    blocks = template.blocks["sections"](template.new_context({"sections": sections, "script": ""}))
     style = (_FOLDER / "notebook.css").read_text(encoding="utf-8")
     return f'<div class="sim2real">\n<style>\n{style}</style>\n{"".join(blocks)}</div>\n'
 

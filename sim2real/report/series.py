@@ -25,14 +25,21 @@ def drawable(t: Array, values: Array) -> tuple[Array, Array]:
     Of every 1/1500 of a long series, the smallest, the largest and a missing value are kept, so
     that the plotted outline and the gaps do not change.
     """
+    t, (values,) = drawable_together(t, values[None])
+    return t, values
+
+
+def drawable_together(t: Array, values: Array) -> tuple[Array, Array]:
+    """Like ``drawable``, for K series on one time axis: ``values (K, T)`` over ``t (T,)``."""
     starts = gaps(t)
     if starts.size:  # a sample is valid for one interval: a step line ends there
         t = np.insert(t, starts, t[starts - 1] + np.median(np.diff(t)))
-    values = np.insert(values, starts, np.nan)
+    values = np.insert(values, starts, np.nan, axis=1)
     if t.size <= LONGEST:
         return t, values
-    indices = np.unique(np.concatenate([_extremes(i, values) for i in _bins(t.size)]))
-    return t[indices], values[indices]
+    chosen = [_extremes(i, series) for series in values for i in _bins(t.size)]
+    indices = np.unique(np.concatenate(chosen))
+    return t[indices], values[:, indices]
 
 
 def isolated_samples(values: Array) -> Mask:

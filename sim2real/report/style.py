@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from sim2real.report.extra import report_libraries
@@ -87,7 +89,21 @@ def new_figure(height: float, label: str) -> Figure:
 
     A page shows it at one pixel per point, so that text has the size in ``STYLE``.
     """
+    size = (WIDE / POINTS_PER_INCH, height / POINTS_PER_INCH)
+    return _notebook_figure()(figsize=size, layout="constrained", label=label)
+
+
+@cache
+def _notebook_figure() -> type[Figure]:
+    """Matplotlib's figure, which notebooks also show where pyplot is not imported."""
     with report_libraries():
         from matplotlib.figure import Figure
-    size = (WIDE / POINTS_PER_INCH, height / POINTS_PER_INCH)
-    return Figure(figsize=size, layout="constrained", label=label)
+
+    class NotebookFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            stream = io.BytesIO()
+            with house_style():
+                self.savefig(stream, format="png", bbox_inches="tight")
+            return stream.getvalue()
+
+    return NotebookFigure

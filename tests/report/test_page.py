@@ -1,4 +1,6 @@
 import base64
+import hashlib
+import json
 import math
 import re
 from dataclasses import replace
@@ -11,7 +13,8 @@ from scipy.signal import lti, step
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.report import Figure, Note, Section, Table, Text, identification_section, write_page
-from sim2real.report.page import Film, render_page
+from sim2real.report.fit_plot import fit_live
+from sim2real.report.page import Film, render_fragment, render_page
 from sim2real.report.quantity import change_text
 from sim2real.report.response import describe_response, step_response
 
@@ -76,11 +79,63 @@ def test_page_is_well_formed_and_has_every_part(html):
 
 def test_nothing_is_loaded_from_elsewhere(html):
     page = Page(html)
-    assert "script" not in page.tags and "img" not in page.tags
+    assert "img" not in page.tags
     for name, value in page.attributes:
         if name in ("src", "href", "xlink:href", "action", "data"):
             assert value.startswith(("#", "data:")), (name, value)
     assert not re.search(r"url\((?!#)|@import", html)
+
+
+def test_the_only_script_is_the_one_that_the_policy_names(html):
+    data, (script,) = _scripts(html)
+    assert len(data) == 3  # the fits of three joints
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = dict(Page(html).attributes)["content"]
+    assert f"script-src 'sha256-{digest}'" in policy and "unsafe-eval" not in policy
+    assert "uPlot (v" in script and "fetch(" not in script and "XMLHttpRequest" not in script
+    still = render_page("t", "", [Section("s", "", [Text("no plot")])], {})
+    assert "<script" not in still and "script-src" not in still
+
+
+def test_a_plot_has_every_sample_with_gaps(html, bench):
+    (position, residual), *_ = (json.loads(text) for text in _scripts(html)[0])
+    assert [curve["label"] for curve in position["curves"]] == ["command", "measured", "predicted"]
+    t, measured = _numbers(position["t"]), _numbers(position["curves"][1]["y"])
+    sampled = np.isin(t, bench.recording.t.astype(np.float32))
+    assert sampled.sum() == bench.recording.t.size
+    np.testing.assert_array_equal(
+        measured[sampled], bench.recording.position[:, 0].astype(np.float32)
+    )
+    assert np.isnan(measured[~sampled]).all() and (~sampled).any()
+    error = 1e3 * (bench.recording.position - bench.predicted)[:, 0]
+    np.testing.assert_allclose(_numbers(residual["curves"][0]["y"])[sampled], error, atol=1e-4)
+    held = bench.recording.t[bench.heldout]
+    assert position["shaded"] == residual["shaded"] == [[held[0], held[-1]]]
+
+
+def test_a_name_cannot_leave_the_data_of_a_plot(bench):
+    recording = replace(bench.recording, name="</script><script>alert(1)</script>")
+    live = fit_live(recording, "j1", bench.predicted[:, 0])
+    page = render_page("t", "", [Section("s", "", [Figure("<svg></svg>", "", "", live)])], {})
+    data, scripts = _scripts(page)
+    assert len(scripts) == 1 and "alert" not in scripts[0]
+    assert json.loads(data[0])[0]["recording"] == recording.name
+
+
+def test_a_notebook_shows_a_figure_without_script(bench):
+    live = fit_live(bench.recording, "j1", bench.predicted[:, 0])
+    shown = render_fragment([Section("s", "", [Figure("<svg></svg>", "seen", "", live)])])
+    assert "seen" in shown and "script" not in shown
+
+
+def _scripts(html):
+    """Data of the plots, and code."""
+    data = re.findall(r'<script type="application/json" class="panels">(.*?)</script>', html)
+    return data, re.findall(r"<script>(.*?)</script>", html, re.S)
+
+
+def _numbers(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
 
 
 def test_ids_are_unique(html):
@@ -125,13 +180,15 @@ def test_hostile_joint_names_are_escaped(bench):
     recording = replace(bench.recording, joints=(EVIL, "j2", "j3"), name=EVIL)
     fits = [(recording, EVIL, bench.predicted[:, 0], bench.heldout)]
     html = render_page("a", "", [identification_section(model, fits)], {})
-    assert "<script" not in html
+    assert EVIL not in html
     Page(html)
 
 
 def test_same_input_same_page(bench, html, section):
     again = identification_section(bench.model, bench.fits)
     assert again == section
+    data = [[b.live.data for b in s.blocks if getattr(b, "live", None)] for s in (again, section)]
+    assert data[0] == data[1] and len(data[0]) == 3
 
 
 def test_page_is_written_whole(tmp_path):

@@ -11,6 +11,8 @@ from sim.view.plane import depth, plane_of
 from sim.view.render import check_picture, picture, save_picture
 from sim.view.video import Video
 from sim2real.errors import InputError
+from sim2real.recording import Recording
+from sim2real.viewers.scenes import POSE, axis_points
 
 BOX = (0.9, 0.7, 0.4)
 
@@ -29,6 +31,18 @@ def test_the_outline_is_where_the_links_are():
     assert (depth(swimmer.hull, seen.links, places[:, 0], places[:, 1]) < 0).tolist() == [
         True, False, False,
     ]  # fmt: skip
+
+
+def test_a_viewer_shows_the_axis_where_the_links_are():
+    swimmer = fish()
+    swimmer.reset(pose=np.array([0.1, 0.05, 0.6]), joint=np.array([0.3, -0.5, 0.2]))
+    state, links = swimmer.state(), plane_of(swimmer).links
+    names = tuple(joint.name for joint in FISH.joints)
+    columns = dict(zip(POSE, state.pose[:1].T, strict=True))
+    swim = Recording("swim", "pool", names, np.zeros(1), state.joint, state.joint, columns=columns)
+    _, points = axis_points(swim, FISH)
+    joints = points[0, 1:-1, :2]  # the axis of the head starts behind its round front
+    np.testing.assert_allclose(joints, links[1:, :2], atol=1e-9)
 
 
 def test_a_current_carries_the_outline_along():

@@ -81,12 +81,10 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
     for trace, before, after in zip(joint.joint.traces, joint.before, joint.after, strict=False):
         plain, rich = (simulated_angle(residual, trace) for residual in (before, after))
         position = trace.measured
-        torque, sd = residual_torque(
-            trace.t,
-            np.where(trace.used, plain - position, np.nan),
-            (trace.load.inertia_kgm2, kd, kp + trace.load.gravity_Nm),
-            joint.joint.noise,
-        )
+        servo = (trace.load.inertia_kgm2, kd, kp + trace.load.gravity_Nm)
+        error = np.where(trace.used, plain - position, np.nan)
+        torque, sd = residual_torque(trace.t, error, servo, joint.joint.noise)
+        effects_torque, _ = residual_torque(trace.t, plain - rich, servo, joint.joint.noise)
         series.append(
             JointSeries(
                 joint=joint.name,
@@ -99,6 +97,7 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
                 speed=smooth_speed(trace.t, position),
                 torque=torque,
                 torque_sd=sd,
+                effects_torque=effects_torque,
             )
         )
     return series

@@ -6,34 +6,39 @@ import os
 import subprocess
 import time
 from collections import Counter, deque
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 
-from rl.executor.job import Job, Outcome, write_job
-from rl.executor.process import Died, failure, start, stop
-from rl.executor.seats import Seat
+from sim2real.executor.job import Job, JobOutcome, write_job
+from sim2real.executor.process import Died, failure, start, stop
+from sim2real.executor.seats import Seat
 
 _LOOK_EVERY_S = 0.05
 
 
 def run_local(
-    jobs: Sequence[Job], seats: Sequence[Seat], variables: Mapping[str, str], *, retries: int
-) -> Generator[Outcome | None]:
+    jobs: Iterator[Job], seats: Sequence[Seat], variables: Mapping[str, str], *, retries: int
+) -> Generator[JobOutcome | None]:
     """Run each job in one of the ``seats``; one that dies gets up to ``retries`` more attempts.
+
+    A job is taken from ``jobs`` when a seat is free.
 
     Yields:
         The outcome of each job as it ends, and None at every poll in between. Closing the
         iterator kills running jobs.
     """
-    waiting, deaths = deque(jobs), Counter[str]()
+    died, deaths = deque[Job](), Counter[str]()
     running: dict[int, tuple[Job, subprocess.Popen[bytes]]] = {}
     try:
-        while waiting or running:
+        while True:
             for number, gpus in enumerate(seats):
-                if waiting and number not in running:
-                    job = waiting.popleft()
+                if number in running:
+                    continue
+                if job := died.popleft() if died else next(jobs, None):
                     write_job(job)
                     environment = {**variables, "CUDA_VISIBLE_DEVICES": gpus}
                     running[number] = job, start(job.folder, os.getcwd(), environment)
+            if not running:
+                return
             yield None
             time.sleep(_LOOK_EVERY_S)
             for number, (job, process) in list(running.items()):
@@ -42,13 +47,13 @@ def run_local(
                 stop(process)
                 del running[number]
                 try:
-                    yield Outcome(job, failure(job, process.returncode))
+                    yield JobOutcome(job, failure(job, process.returncode))
                 except Died as death:
                     deaths[job.name] += 1
                     if deaths[job.name] > retries:
-                        yield Outcome(job, f"{death}, {retries + 1} times")
+                        yield JobOutcome(job, f"{death}, {retries + 1} times")
                     else:
-                        waiting.appendleft(job)
+                        died.append(job)
     finally:
         for _, process in running.values():
             stop(process)

@@ -12,6 +12,8 @@ from sim2real.output import provenance, write_json
 from sim2real.structured import Fields, read_json
 
 LOG = "log.txt"
+NOT_STARTED = "not started"
+"""Failure of a job for which the time was over; the same call starts it."""
 _JOB, _DONE = "job.json", "done.json"
 
 
@@ -51,8 +53,8 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Outcome of a job; ``failure`` is the reason in one line, None if the job is done."""
+class JobOutcome:
+    """JobOutcome of a job; ``failure`` is the reason in one line, None if the job is done."""
 
     job: Job
     failure: str | None = None
@@ -60,6 +62,8 @@ class Outcome:
     def __str__(self) -> str:
         if self.failure is None:
             return f"{self.job.name}: done"
+        if self.failure == NOT_STARTED:
+            return f"{self.job.name}: {NOT_STARTED}"
         return f"{self.job.name}: {self.failure}; see {self.job.folder / LOG}"
 
 

@@ -23,17 +23,19 @@ from watching import (
     walks,
 )
 
-import rl.executor.__main__ as worker
-from rl.executor import Job, run_jobs
-from rl.executor.seats import seats, visible_gpus
+import sim2real.executor.__main__ as worker
 from sim2real.errors import InputError
+from sim2real.executor import Job, map_jobs, run_jobs
+from sim2real.executor.job import NOT_STARTED
+from sim2real.executor.seats import seats, visible_gpus
 
 DRIVER = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 from pathlib import Path
 from watching import walks
-from rl.executor import Job, run_jobs
+from sim2real.executor import Job, map_jobs, run_jobs
+from sim2real.executor.job import NOT_STARTED
 folder = Path(sys.argv[1])
 helped = Job("h", "random_walk:start_helper", {}, folder / "h")
 run_jobs([*walks(folder, steps=60, count=1, held=[0]), helped], at_once=2)
@@ -215,3 +217,28 @@ def test_jobs_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="jobs: folder: found .* 2 times"):
         run_jobs([one, Job("other", two.function, two.options, one.folder)])
     assert run_jobs([]) == []
+
+
+def test_calls_by_name_return_their_folders(tmp_path: Path) -> None:
+    calls = {f"seed{seed}": {"seed": seed, "steps": 10, "pause_s": 0.0} for seed in (3, 4)}
+    folders = map_jobs("random_walk:walk", calls, tmp_path / "run")
+    assert folders == [tmp_path / "run" / name for name in calls]
+    jobs = [Job(n, "random_walk:walk", call, tmp_path / "one" / n) for n, call in calls.items()]
+    for job in jobs:
+        job.folder.mkdir(parents=True)
+        walk(job.folder, **job.options)
+    assert results(tmp_path / "run") == results(tmp_path / "one")
+
+
+def test_a_failed_call_is_named_after_the_others_have_ended(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match=r"^b: ValueError: a fish out of water; see [^;]+$"):
+        map_jobs("random_walk:raise_error", {"b": {}}, tmp_path)
+
+
+def test_no_job_starts_when_the_time_is_over(tmp_path: Path) -> None:
+    jobs = walks(tmp_path, steps=10, count=3)
+    outcomes = run_jobs(jobs, at_once=1, seconds=0.0)
+    assert [outcome.failure for outcome in outcomes] == [NOT_STARTED] * 3
+    assert not list(tmp_path.iterdir())
+    first = run_jobs(jobs[:1], at_once=1)
+    assert run_jobs(jobs, at_once=1, seconds=0.0)[0] == first[0], "what is done is done"

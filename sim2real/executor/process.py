@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from rl.executor.job import LOG, Job, is_done
+from sim2real.executor.job import LOG, Job, is_done
 
 
 class Died(Exception):
@@ -35,7 +35,7 @@ def start(
     """
     with (folder / LOG).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "rl.executor", str(folder), "--lifeline"],
+            [sys.executable, "-P", "-m", "sim2real.executor", str(folder), "--lifeline"],
             stdin=subprocess.PIPE,  # the lifeline: closed when this process ends
             stdout=log,
             stderr=subprocess.STDOUT,

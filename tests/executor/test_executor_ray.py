@@ -23,8 +23,8 @@ from watching import (
     walks,
 )
 
-from rl.executor import Job, run_jobs
 from sim2real.errors import InputError
+from sim2real.executor import Job, run_jobs
 
 pytest.importorskip("ray", reason="the extra 'cluster' is not installed")
 

@@ -6,27 +6,31 @@ import contextlib
 import importlib
 import os
 import socket
-from collections.abc import Generator, Mapping, Sequence
+import time
+from collections.abc import Generator, Iterator, Mapping
+from itertools import islice
 from typing import Any
 
-from rl.executor.job import Job, Outcome, write_job
-from rl.executor.process import Died, failure, start, stop
 from sim2real.errors import InputError
+from sim2real.executor.job import Job, JobOutcome, write_job
+from sim2real.executor.process import Died, failure, start, stop
 
 _LOOK_EVERY_S = 1.0
 _ANSWER_WITHIN_S = 10.0
 
 
 def run_on_ray(
-    jobs: Sequence[Job],
+    jobs: Iterator[Job],
     address: str | None,
     variables: Mapping[str, str],
     *,
     cpus: int,
     gpus: float,
     retries: int,
-) -> Generator[Outcome | None]:
+) -> Generator[JobOutcome | None]:
     """Run each job on a node with ``cpus`` and ``gpus`` available.
+
+    A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave.
 
     A job whose process dies, or whose node is lost, gets up to ``retries`` more attempts.
 
@@ -51,19 +55,29 @@ def run_on_ray(
         _join(ray, address)
     pending: dict[Any, Job] = {}
     try:
-        _check_room(ray, cpus, gpus)
+        if not _room(ray, cpus, gpus):
+            found = f"{len(_nodes(ray))} nodes too small"
+            expected = f"{cpus} CPUs and {gpus:g} GPUs on one of them"  # it would wait forever
+            raise InputError("--executor", "ray", found, expected)
         needs = {"num_cpus": cpus, "num_gpus": gpus}
         task = ray.remote(**needs, max_retries=retries, retry_exceptions=[Died])(_attempt)
         environment = dict(variables) if gpus else {**variables, "CUDA_VISIBLE_DEVICES": ""}
-        for job in jobs:
-            write_job(job)
-            pending[task.remote(job, os.getcwd(), environment)] = job
-        while pending:
+        while True:
+            room = _room(ray, cpus, gpus)
+            for job in islice(jobs, max(0, room - len(pending))):
+                write_job(job)
+                pending[task.remote(job, os.getcwd(), environment)] = job
+            if room and not pending:
+                return
+            if not pending:  # all nodes are lost: another may join
+                time.sleep(_LOOK_EVERY_S)
+                yield None
+                continue
             ended, _ = ray.wait(list(pending), num_returns=1, timeout=_LOOK_EVERY_S)
             yield None
             for answer in ended:
                 job = pending.pop(answer)
-                yield Outcome(job, _failure(ray, answer, retries))
+                yield JobOutcome(job, _failure(ray, answer, retries))
     finally:
         for answer in pending:
             with contextlib.suppress(ray.exceptions.RayError):
@@ -117,9 +131,15 @@ def _join(ray: Any, address: str | None) -> None:  # noqa: ANN401 - a module
         ) from None
 
 
-def _check_room(ray: Any, cpus: int, gpus: float) -> None:  # noqa: ANN401 - a module
-    """Check that a node is large enough for a job, which would otherwise wait forever."""
-    nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-    if not any(node.get("CPU", 0) >= cpus and node.get("GPU", 0) >= gpus for node in nodes):
-        expected = f"{cpus} CPUs and {gpus:g} GPUs on one of them"
-        raise InputError("--executor", "ray", f"{len(nodes)} nodes too small", expected)
+def _room(ray: Any, cpus: int, gpus: float) -> int:  # noqa: ANN401 - a module
+    """Number of jobs that the nodes hold at a time."""
+    room = 0
+    for node in _nodes(ray):
+        by_cpu = int(node.get("CPU", 0) / cpus)
+        room += min(by_cpu, int(node.get("GPU", 0) / gpus + 1e-9)) if gpus else by_cpu
+    return room
+
+
+def _nodes(ray: Any) -> list[dict[str, float]]:  # noqa: ANN401 - a module
+    """Resources of each node that is alive."""
+    return [node["Resources"] for node in ray.nodes() if node["Alive"]]

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from rl.executor import Job
+from sim2real.executor import Job
 
 RELEASED = "released"
 

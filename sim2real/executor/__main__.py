@@ -1,4 +1,4 @@
-"""``python -m rl.executor FOLDER``: the process of one job.
+"""``python -m sim2real.executor FOLDER``: the process of one job.
 
 Exit status: 0 if the job is done, 2 for wrong input, 1 if it raised an exception.
 """
@@ -18,15 +18,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rl.executor.job import Job, is_done, mark_begun, mark_done, read_job
 from sim2real.errors import InputError
+from sim2real.executor.job import Job, is_done, mark_begun, mark_done, read_job
 
 PATIENCE_S = 30.0  # to wait for an earlier process to release the folder
 
 
 def main() -> int:
     """Run the job of a folder, unless it is done."""
-    parser = argparse.ArgumentParser(prog="python -m rl.executor", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sim2real.executor", description=main.__doc__)
     parser.add_argument("folder", type=Path, help="a run folder with its job.json")
     ending = "end, with everything started here, when standard input is closed"
     parser.add_argument("--lifeline", action="store_true", help=ending)

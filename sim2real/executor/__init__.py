@@ -8,7 +8,7 @@ to resume after being killed. The folder has the same content wherever the job r
     folder/done.json   written last, when the job is complete
 """
 
-from rl.executor.job import Job, Outcome
-from rl.executor.run import run_jobs
+from sim2real.executor.job import Job, JobOutcome
+from sim2real.executor.run import map_jobs, run_jobs
 
-__all__ = ["Job", "Outcome", "run_jobs"]
+__all__ = ["Job", "JobOutcome", "map_jobs", "run_jobs"]

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
-from rl.executor.cluster import run_on_ray
-from rl.executor.job import LOG, Job, Outcome, is_done
-from rl.executor.local import run_local
-from rl.executor.process import child_environment
-from rl.executor.seats import seats
 from sim2real.errors import InputError, shown
+from sim2real.executor.cluster import run_on_ray
+from sim2real.executor.job import LOG, NOT_STARTED, Job, JobOutcome, is_done
+from sim2real.executor.local import run_local
+from sim2real.executor.process import child_environment
+from sim2real.executor.seats import seats
 from sim2real.output import check_writable
 
 
@@ -27,7 +32,8 @@ def run_jobs(
     cpus: int = 1,
     gpus: float = 0,
     retries: int = 2,
-) -> list[Outcome]:
+    seconds: float = math.inf,
+) -> list[JobOutcome]:
     """Run every job that is not done yet, with a progress bar on a terminal.
 
     A job whose process is killed or whose node is lost resumes in a new process; one that raises an
@@ -45,6 +51,7 @@ def run_jobs(
         gpus: GPUs of each job: a whole number, or a fraction to share one GPU. With 0 no GPU is
             visible to the job.
         retries: Maximum number of further attempts if a process is killed.
+        seconds: Time after which no further job is started; its failure is then ``NOT_STARTED``.
 
     Returns:
         The outcome of each job, in the order of ``jobs``.
@@ -56,15 +63,18 @@ def run_jobs(
     jobs = [replace(job, folder=job.folder.absolute()) for job in jobs]
     _check(jobs)
     remaining = [job for job in jobs if not is_done(job)]
-    outcomes = {job.name: Outcome(job) for job in jobs}
+    outcomes = {job.name: JobOutcome(job) for job in jobs}
     if not remaining:
         return list(outcomes.values())
+    outcomes |= {job.name: JobOutcome(job, NOT_STARTED) for job in remaining}
+    started, deadline = iter(remaining), time.monotonic() + seconds
+    in_time = takewhile(lambda _: time.monotonic() < deadline, started)
     variables = child_environment(cpus)
     if executor == "local":
         places = seats(at_once, cpus=cpus, gpus=gpus)
-        running = run_local(remaining, places, variables, retries=retries)
+        running = run_local(in_time, places, variables, retries=retries)
     elif executor == "ray":
-        running = run_on_ray(remaining, address, variables, cpus=cpus, gpus=gpus, retries=retries)
+        running = run_on_ray(in_time, address, variables, cpus=cpus, gpus=gpus, retries=retries)
     else:
         raise InputError("--executor", "", shown(executor), "local or ray")
     style = {"desc": "jobs", "unit": "job", "miniters": 0, "mininterval": 1.0, "disable": None}
@@ -75,6 +85,34 @@ def run_jobs(
             if outcome:
                 outcomes[outcome.job.name] = outcome
     return list(outcomes.values())
+
+
+def map_jobs(
+    function: str,
+    calls: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    **how: Any,  # noqa: ANN401
+) -> list[Path]:
+    """Call a function with each of many sets of options, as jobs that resume.
+
+    Args:
+        function: The function, as ``package.module:function``; called as for ``Job``.
+        calls: Options of each call, JSON values, by name.
+        folder: The call NAME has the run folder ``folder / NAME``.
+        how: Where and how, as for ``run_jobs``.
+
+    Returns:
+        The run folders, in the order of ``calls``.
+
+    Raises:
+        InputError: As ``run_jobs``.
+        RuntimeError: If calls failed, after all others have ended; it names each with its reason.
+    """
+    jobs = [Job(name, function, dict(options), folder / name) for name, options in calls.items()]
+    failed = [str(outcome) for outcome in run_jobs(jobs, **how) if outcome.failure]
+    if failed:
+        raise RuntimeError("; ".join(failed))
+    return [job.folder for job in jobs]
 
 
 def _check(jobs: Sequence[Job]) -> None:

@@ -1,0 +1,150 @@
+"""Scenes of recordings, predictions and diagnoses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim2real.arrays import Array, Mask
+from sim2real.diagnose.result import Diagnosis, JointSeries
+from sim2real.recording import Recording
+from sim2real.robot import Robot
+from sim2real.units import readable_name, unit_of
+from sim2real.viewers.signal_group import (
+    COMMAND,
+    MEASURED,
+    PREDICTED,
+    MovingLine,
+    Scene,
+    SignalGroup,
+)
+
+POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
+_OTHER_UNITS = {"_A": "A", "_V": "V", "_C": "°C"}
+"""Units of columns that no parameter has."""
+
+
+def recorded(recording: Recording, robot: Robot | None = None, name: str = MEASURED) -> Scene:
+    """Commands, angles and all further columns of a recording.
+
+    Args:
+        recording: The recording.
+        robot: Its robot; a swim then shows its axis in motion too.
+        name: Name of the signals that are not commands.
+    """
+    groups = [
+        SignalGroup(
+            (recording.name, joint, "position"),
+            "rad",
+            recording.t,
+            {COMMAND: recording.command[:, j], name: recording.position[:, j]},
+        )
+        for j, joint in enumerate(recording.joints)
+    ]
+    groups += [_column(recording, column, name) for column in recording.columns]
+    tracks = []
+    if robot is not None and recording.has_poses:
+        present, points = axis_points(recording, robot)
+        tracks = [MovingLine((recording.name, "body", name), recording.t[present], points)]
+    return Scene(tuple(groups), tuple(tracks))
+
+
+def with_prediction(recording: Recording, joint: str, predicted: Array) -> Scene:
+    """One joint of a recording with its predicted angles and the residual.
+
+    Args:
+        recording: The recording.
+        joint: Name of the joint.
+        predicted: Predicted angles in rad, shape (T,).
+    """
+    return recorded(recording) + Scene(fit_groups(recording, joint, predicted))
+
+
+def fit_groups(recording: Recording, joint: str, predicted: Array) -> tuple[SignalGroup, ...]:
+    """Position and residual of one joint; without residual if nothing was measured.
+
+    Args:
+        recording: The recording.
+        joint: Name of the joint.
+        predicted: Predicted angles in rad, shape (T,).
+    """
+    j = recording.joints.index(joint)
+    measured, place, t = recording.position[:, j], (recording.name, joint), recording.t
+    angles = {COMMAND: recording.command[:, j], MEASURED: measured, PREDICTED: predicted}
+    position = SignalGroup((*place, "position"), "rad", t, angles)
+    residual = SignalGroup((*place, "residual"), "rad", t, {PREDICTED: measured - predicted})
+    return (position, residual) if residual.signals else (position,)
+
+
+def diagnosed(diagnosis: Diagnosis) -> Scene:
+    """Angles, residuals and torques of every joint and recording that a diagnosis fitted.
+
+    ``torque`` is what the plain servo lacks: smoothed, from the recording (``missing``), and from
+    the enriched model's motion (``effects``), which the named effects account for.
+    """
+    scene = Scene()
+    for series in diagnosis.evidence:
+        joint = diagnosis.model.joints[series.joint]
+        unit = "N m/(kg m²)" if joint.per_inertia else "N m"
+        scene += Scene(tuple(_evidence(series, unit)))
+    return scene
+
+
+def _evidence(series: JointSeries, torque_unit: str) -> Sequence[SignalGroup]:
+    place, t = (series.recording, series.joint), series.t
+    models = {"plain": series.baseline, "enriched": series.enriched}
+    angles = {COMMAND: series.command, MEASURED: series.position, **models}
+    torques = {"missing": series.torque, "effects": series.effects_torque}
+    return (
+        SignalGroup((*place, "position"), "rad", t, angles),
+        residual_group(series),
+        SignalGroup((*place, "torque"), torque_unit, t, torques),
+    )
+
+
+def residual_group(series: JointSeries) -> SignalGroup:
+    """Measured minus simulated angle of the plain servo and of the enriched model."""
+    models = {"plain": series.baseline, "enriched": series.enriched}
+    residuals = {name: series.position - angle for name, angle in models.items()}
+    return SignalGroup((series.recording, series.joint, "residual"), "rad", series.t, residuals)
+
+
+def axis_points(recording: Recording, robot: Robot) -> tuple[Mask, Array]:
+    """Ends and joints of a swimming robot's links, in the plane z = 0.
+
+    The pose is that of the head's centre of mass; a joint's angle turns the link behind it.
+
+    Args:
+        recording: A recording with poses and angles of all joints.
+        robot: Its robot, with L links.
+
+    Returns:
+        Mask of the samples without a missing pose or angle, shape (T,), and the points of those,
+        shape (samples, L + 1, 3).
+    """
+    columns = [recording.joints.index(joint.name) for joint in robot.joints]
+    angles = recording.position[:, columns]
+    x, y, yaw = (recording.columns[name] for name in POSE)
+    present: Mask = np.isfinite(np.column_stack([x, y, yaw, angles]).sum(axis=1))
+    heading = np.cumsum(np.column_stack([yaw, angles])[present], axis=1)
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    length = np.array([link.length_m for link in robot.links])
+    head = robot.links[0]
+    com = head.length_m / 2 if head.com_m is None else head.com_m
+    front = np.stack([x, y], axis=-1)[present] + com * forward[:, 0]
+    behind = -np.cumsum(length[:, None] * forward, axis=1)
+    points = np.zeros((front.shape[0], len(robot.links) + 1, 3))
+    points[:, 0, :2] = front
+    points[:, 1:, :2] = front[:, None] + behind
+    return present, points
+
+
+def _column(recording: Recording, column: str, name: str) -> SignalGroup:
+    """A further column, ``J.velocity_rad_s`` or ``supply_V``, as signals."""
+    component, _, quantity = column.rpartition(".")
+    ending = next((end for end in _OTHER_UNITS if quantity.endswith(end)), "")
+    unit = _OTHER_UNITS[ending] if ending else unit_of(quantity)
+    shown = readable_name(quantity.removesuffix(ending) if ending else quantity)
+    path = (recording.name, *([component] if component else []), shown)
+    return SignalGroup(path, unit, recording.t, {name: recording.columns[column]})
