@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.arrays import Array
+from sim2real.diagnose.rival_sets import JointRivals
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.output import write_json
@@ -228,6 +229,7 @@ class Diagnosis(NotebookDisplay):
         baseline: The model without effects.
         evidence: Signals of the joints, for the report.
         unfinished: Joints whose search for sets of effects was ended by its budget.
+        rival_sets: By joint, the sets of effects that the recordings leave open.
         provenance: As returned by ``sim2real.output.provenance``.
     """
 
@@ -247,6 +249,7 @@ class Diagnosis(NotebookDisplay):
     evidence: tuple[JointSeries, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
     unfinished: tuple[str, ...] = ()
+    rival_sets: tuple[JointRivals, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def remaining(self, signal: str) -> float | None:
@@ -329,6 +332,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
         "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
+        "rival_sets": [joint.content() for joint in diagnosis.rival_sets],
         "gate": list(diagnosis.gate),
         "search": {
             "complete": not diagnosis.unfinished,

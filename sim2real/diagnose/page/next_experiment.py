@@ -47,6 +47,7 @@ def next_experiment(
     reach: float,
     *,
     finalists: int = 3,
+    contexts: Sequence[str] = tuple(_CONTEXTS),
 ) -> Experiment | None:
     """The cheapest experiment that tells the members of a group apart.
 
@@ -61,14 +62,15 @@ def next_experiment(
         component: The joint.
         reach: Largest command to either side, rad.
         finalists: Commands whose refits are continued, after a few steps have ranked all.
+        contexts: Contexts that are to be had, names of ``Experiment.context``.
     """
     if len(rivals) < 2:
         return None
-    menu = itertools.product(_CONTEXTS, _signals(reach).items())
+    menu = itertools.product(contexts, _signals(reach).items())
     plans = [_Plan(context, name, t, command) for context, (name, (t, command)) in menu]
     plain = np.array([plan.context == "none" for plan in plans])
     scores = np.full(len(plans), -1.0)
-    for some in (np.flatnonzero(plain), np.flatnonzero(~plain)):
+    for some in filter(len, (np.flatnonzero(plain), np.flatnonzero(~plain))):
         # The other contexts only where no command tells the rivals apart as things are.
         rough = _least_separations(trace, [plans[k] for k in some], rivals, iterations=3)
         top = some[np.argsort(-rough)[:finalists]]

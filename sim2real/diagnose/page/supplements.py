@@ -16,6 +16,7 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.screening import Candidate, Screen
 from sim2real.diagnose.missing.unmodelled import simulated_angle
 from sim2real.diagnose.page.next_experiment import next_experiment
+from sim2real.diagnose.rival_sets import rival_sets
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
 from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.robot import Robot
@@ -41,6 +42,9 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
+        rival_sets=tuple(
+            rival_sets(joint.joint, joint.finding) for joint in joints if joint.finding.mismatch
+        ),
         next_experiment=repeat([j.joint for j in joints]) or _for_rivals(case.robot, joints),
     )
 

@@ -1,0 +1,1 @@
+"""Recordings to make next, designed for what they will tell."""
