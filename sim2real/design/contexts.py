@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from sim2real.arrays import Array
 from sim2real.diagnose.rival_sets import JointRivals
 from sim2real.errors import InputError
-from sim2real.recording import Load
+from sim2real.recording import Load, read_load
 from sim2real.servo.parameters import BASE, COLUMNS, LINE
 from sim2real.structured import Fields, read_toml
 
 _KP = BASE.index("kp_Nm_per_rad")
-_FROM_LOAD = [BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")]
 _OF_SUPPLY = [_KP, *(COLUMNS.index(name) for name in LINE)]
 """Columns in proportion to the supply voltage: the gain, since firmware sets the duty cycle, and
 the ends of the torque-speed line."""
@@ -73,7 +72,7 @@ def _context(entry: Fields) -> Context:
     loads = entry.table("loads")
     found = Context(
         name=entry.text("name"),
-        loads={joint: _load(loads.table(joint)) for joint in loads.content},
+        loads={joint: read_load(loads.table(joint)) for joint in loads.content},
         supply=entry.number("supply_ratio", 1.0, above=0.0),
         gain=entry.number("gain_ratio", 1.0, above=0.0),
     )
@@ -81,10 +80,3 @@ def _context(entry: Fields) -> Context:
         expected = "loads, supply_ratio or gain_ratio"
         raise InputError(entry.file, entry.where, "a context that changes nothing", expected)
     return found
-
-
-def _load(entry: Fields) -> Load:
-    names = list(Load.__dataclass_fields__)
-    entry.refuse_unknown(names)
-    inertia = entry.number(names[0], above=0.0)
-    return Load(inertia, *(entry.number(name, 0.0, low=0.0) for name in names[1:]))

@@ -1,15 +1,15 @@
 """Commands that tell rival sets of effects apart: the entropy over sets that a recording leaves.
 
 Each set of effects predicts the angles of a recording, with a covariance for what its parameters,
-fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise, where
-the columns of U_i are the derivatives of the angles by the parameters times a root of their
-covariance. That is the setting of Box and Hill, Technometrics 9 (1967) 57-71. Two sets are as far
-apart as the Bhattacharyya distance of their predictions,
+fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise. The
+columns of U_i are the derivatives of the angles by the parameters times a root of their covariance.
+That is the setting of Box and Hill, Technometrics 9 (1967) 57-71. Two sets are as far apart as the
+Bhattacharyya distance of their predictions,
 
     d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j,
 
-in which refitted parameters take up what they can of the difference (Atkinson and Fedorov, Biometrika
-62 (1975) 57-70). With prior probabilities p the entropy that remains after the recording is at most
+in which refitted parameters take up what they can of the difference (Atkinson and Fedorov,
+Biometrika 62 (1975) 57-70). With prior probabilities p the entropy that remains after the recording is at most
 
     sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
 
@@ -23,11 +23,10 @@ from itertools import combinations
 
 import numpy as np
 
-from sim2real.arrays import Array, Integers
+from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import JointRivals
-from sim2real.recording import Load
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.trace import Trace
 
@@ -179,7 +178,7 @@ def _root_of_inverse(precision: Array) -> Array:
 
 
 def _quadratic(products: Array, difference: Array, spread: Array) -> tuple[Array, Array]:
-    """r' (I + V V')^-1 r and the logarithm of the determinant, for N recordings, shapes (N,)."""
+    """R' (I + V V')^-1 r and the logarithm of the determinant, for N recordings, shapes (N,)."""
     along = products @ difference
     square = along @ difference
     inner = np.eye(spread.shape[1]) + spread.T @ (products @ spread)

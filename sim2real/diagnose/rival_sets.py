@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,13 +10,12 @@ import numpy as np
 
 from sim2real.arrays import Array, Integers
 from sim2real.diagnose.case import JointCase
-from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.effect_probabilities import trusted_share
 from sim2real.diagnose.missing.investigate import Finding, is_no_finding
-from sim2real.effects import named
-from sim2real.identification.servo_problem import Hypothesis, Set
+from sim2real.identification.servo_problem import Hypothesis
 from sim2real.inference.normal import NINE_IN_TEN
-from sim2real.recording import PER_INERTIA, Load
+from sim2real.recording import PER_INERTIA, Load, read_load
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.structured import Fields
 
@@ -116,8 +115,7 @@ def _joint(entry: Fields) -> JointRivals:
     noise = entry.table("noise")
     load = PER_INERTIA
     if entry.content.get("load") is not None:
-        stated = entry.table("load")
-        load = Load(*(stated.number(name) for name in Load.__dataclass_fields__))
+        load = read_load(entry.table("load"))
     return JointRivals(
         component=entry.text("component"),
         load=load,
@@ -165,7 +163,7 @@ def _numbers(entry: Fields, name: str) -> Array:
 
 
 def rival_sets(
-    joint: JointCase, finding: Finding, *, most: int = 8, hidden: int = 4, uniform: float = 0.3
+    joint: JointCase, finding: Finding, *, most: int = 8, hidden: int = 6, uniform: float = 0.3
 ) -> JointRivals:
     """The sets of effects that may be present in a joint, given its recordings.
 
@@ -266,10 +264,13 @@ def _hidden(
     The size is one of those that the search has looked at. Its standard deviation is the size.
     """
     best = finding.best
-    known = _fitted(_names(joint, finding, best), 0.0, best, finding.tried.plain)
+    share = dict(zip(finding.posterior.sets, finding.posterior.probability, strict=True))[
+        best.members
+    ]
+    known = _fitted(_names(joint, finding, best), share, best, finding.tried.plain)
     seen, options = finding.search.seen(finding.tried, best.members)
     needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
-    found: list[tuple[float, RivalSet]] = []
+    found: list[RivalSet] = []
     for k, option in enumerate(options):
         names = tuple(sorted({*known.effects, option.effect.name}))
         mine = np.flatnonzero((seen.candidate == k) & (seen.visible < needed))
@@ -284,11 +285,8 @@ def _hidden(
         information[:size, :size] = known.information
         information[range(size, size + added), range(size, size + added)] = spread**-2.0
         columns = np.concatenate([known.columns, option.columns]).astype(np.int32)
+        # Evidence of the effect at the size that fits best, as far as these recordings show it.
         gain = float(seen.gain[seen.candidate == k].max())
-        found.append((gain, RivalSet(names, 0.0, known.gain, theta, columns, information)))
-    return [one for _, one in sorted(found, key=lambda entry: -entry[0])[:most]]
-
-
-def open_members(sets: Sequence[RivalSet]) -> Set:
-    """All effects that are in some of the sets."""
-    return frozenset(effect for one in sets for effect in one.effects if named(effect))
+        odds = float(np.exp(min(gain + LOG_PRIOR, 0.0)))
+        found.append(RivalSet(names, share * odds, known.gain, theta, columns, information))
+    return sorted(found, key=lambda one: -one.probability)[:most]

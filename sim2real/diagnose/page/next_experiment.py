@@ -116,7 +116,7 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
         t=plan.t,
         command=plan.signal[:, None],
         position=np.full((plan.t.size, 1), np.nan),
-        loads={} if load is None else {plan.component: _loaded(load, plan.context)},
+        loads={} if load is None else {plan.component: loaded(load, plan.context)},
         source="commands to record next, by sim2real diagnose",
     )
     write_recording(recording, path)
@@ -142,8 +142,8 @@ def _signals(reach: float, *, period_s: float = 0.02) -> Mapping[str, tuple[Arra
     return {name: (t, reach * shape) for name, shape in shapes.items()}
 
 
-def _loaded(load: Load, context: str) -> Load:
-    """What the shaft turns in a context."""
+def loaded(load: Load, context: str) -> Load:
+    """What the shaft turns in a context, by its name in ``Experiment.context``."""
     if context == "added_inertia":
         return replace(load, inertia_kgm2=2 * load.inertia_kgm2)
     if context == "added_weight":
@@ -161,7 +161,7 @@ def _least_separations(
     staged = []  # as if recorded, with all angles 0
     for plan in plans:
         everywhere, still = np.ones(plan.t.size, dtype=bool), np.zeros(plan.t.size)
-        load = _loaded(trace.load, plan.context)
+        load = loaded(trace.load, plan.context)
         staged.append(Trace("next", "next", plan.t, plan.command, still, load, everywhere))
     pairs = itertools.permutations(rivals, 2)
     separations = [_separations(staged, plans, *pair, iterations=iterations) for pair in pairs]

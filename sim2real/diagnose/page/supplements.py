@@ -16,8 +16,8 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.screening import Candidate, Screen
 from sim2real.diagnose.missing.unmodelled import simulated_angle
 from sim2real.diagnose.page.next_experiment import next_experiment
-from sim2real.diagnose.rival_sets import rival_sets
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
+from sim2real.diagnose.rival_sets import rival_sets
 from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed

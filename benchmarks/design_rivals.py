@@ -1,0 +1,380 @@
+"""A second recording that is designed, against a random one and the best of a menu.
+
+python benchmarks/design_rivals.py --benches 150 --processes 32 --out DIR
+
+Benches of one servo are drawn from the plants of ``datasets/foreign``, which share no dynamics with
+the library. Each has one or two hidden effects. The first recording is diagnosed; benches stay that
+it leaves ambiguous, unexplained with the truth among the sets that are open, or with one of two
+effects found. Then each arm makes a second recording of the same bench and length, with the same
+loads to choose from, and both recordings are diagnosed together:
+
+designed   ``sim2real.design``: commands and load with the least expected entropy over the open sets
+random     one command of the families that designs start from, drawn at random, the load as it is
+menu       command and load of ``diagnose``'s menu that separate the closest rivals most
+
+A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
+effects, if each has an entry of its own. What can be told is what an oracle tells from the same
+recordings: it knows the plant, its parameters and its noise (``datasets/foreign/knower.py``).
+Answers are kept, one file a bench, and a bench that has one is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import multiprocessing
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+DATASETS = Path(__file__).resolve().parents[1] / "datasets"
+# This folder has a file of the name of a package that numba imports.
+sys.path[:] = [
+    str(DATASETS / "foreign"),
+    str(DATASETS / "concealed"),
+    *(path for path in sys.path if Path(path or ".").resolve() != Path(__file__).parent.resolve()),
+]
+
+import knower  # noqa: E402
+from bench import Load as StatedLoad  # noqa: E402
+from files import answer, robot_toml, sidecar, table  # noqa: E402
+from foreign_cases import (  # noqa: E402
+    CAN,
+    ForeignCase,
+    Take,
+    _ticks,
+    acting_on,
+    draw_bus,
+    draw_case,
+    draw_packets,
+    nuisances,
+    recorded,
+)
+from foreign_servos import PLANTS  # noqa: E402
+from grade import DETECTABLE, LIKELY, _both, _entry, _named  # noqa: E402
+
+from sim2real.design.candidates import draw  # noqa: E402
+from sim2real.design.contexts import AS_IT_IS, Context  # noqa: E402
+from sim2real.design.limits import limits_of  # noqa: E402
+from sim2real.design.rivals import RivalObjective  # noqa: E402
+from sim2real.design.tell_apart import design_for_rivals, forecast  # noqa: E402
+from sim2real.diagnose.decision import DECISION  # noqa: E402
+from sim2real.diagnose.diagnose import Case, examined  # noqa: E402
+from sim2real.diagnose.joint_result import JointFindings  # noqa: E402
+from sim2real.diagnose.page.next_experiment import loaded, next_experiment  # noqa: E402
+from sim2real.diagnose.page.wording import diagnosis  # noqa: E402
+from sim2real.diagnose.result import Diagnosis, write_diagnosis  # noqa: E402
+from sim2real.diagnose.rival_sets import rival_sets  # noqa: E402
+from sim2real.recording import Load, read_recording  # noqa: E402
+from sim2real.robot import Robot, read_robot  # noqa: E402
+
+Row = dict[str, Any]
+
+ARMS = ("designed", "random", "menu")
+SECONDS = 16.0
+"""Duration of the second recording, that of the menu's commands."""
+CONTEXTS = ("none", "added_inertia", "added_weight")
+"""Loads that are to be had, as the menu names them."""
+LEFT = 0.05
+"""Probability from which an effect that was not named remains a rival."""
+UNPREDICTABLE = ("latency_jitter", "packet_loss", "encoder_quantization")
+"""Effects that a servo's set-points do not tell: of the link, and of the recorded digits."""
+JOINT = "j1"
+
+
+@dataclass
+class Bench:
+    """A bench and what its first recording says."""
+
+    case: ForeignCase
+    robot: Robot
+    folder: Path
+    first: Diagnosis
+    findings: JointFindings
+    state: str
+    seed: list[int]
+
+
+def draw_bench(seed: Sequence[int]) -> ForeignCase:
+    """A bench of one servo with one or two hidden effects."""
+    rng = np.random.default_rng([*seed, 0])
+    while True:
+        plant = PLANTS[int(rng.integers(len(PLANTS)))]
+        kind = "single" if rng.random() < 0.6 else "double"
+        names = [name for name in CAN[plant] if name not in UNPREDICTABLE]
+        case = draw_case(plant, kind, str(rng.choice(names)) if kind == "single" else "", rng)
+        of_servo = all(h.effect not in UNPREDICTABLE and h.joint == 0 for h in case.hidden)
+        if len(case.servos) == 1 and of_servo and not case.disturbed and not case.model:
+            return case
+
+
+def write_take(case: ForeignCase, name: str, folder: Path) -> Path:
+    """Write one recording of a bench with its JSON."""
+    path = folder / f"{name}.csv"
+    path.write_text(table(case.takes[name]))
+    path.with_suffix(".json").write_text(json.dumps(sidecar(case, name)))
+    return path
+
+
+def diagnosed(paths: Sequence[Path], robot: Robot) -> tuple[Diagnosis, JointFindings]:
+    """The diagnosis of a bench from its recordings, with what is known of its joint."""
+    given = Case([read_recording(path) for path in paths], robot)
+    ((case, joints),) = examined([given])
+    found = diagnosis(case, joints, DECISION.negligible, 0)
+    (joint,) = joints
+    if joint.finding.mismatch:
+        found = replace(found, rival_sets=(rival_sets(joint.joint, joint.finding),))
+    return found, joint
+
+
+def judged(case: ForeignCase, found: Diagnosis, folder: Path) -> Row:
+    """What a verdict says beside what is true."""
+    write_diagnosis(found, folder / "diagnosis.json", "enriched.json")
+    said = json.loads((folder / "diagnosis.json").read_text())
+    hidden = answer(case, "bench")["effects"]
+    there = [*hidden, *nuisances(case)]
+    entries = [_entry(given, there) for given in _named(said)]
+    likely = [entry for entry in entries if entry["probability"] >= LIKELY]
+    both = _both(hidden, likely)
+    first = entries[0] if entries else None
+    right = bool(first and _entry({**_named(said)[0]}, hidden)["right"])
+    rivals = {e for entry in likely for e in entry["group"][1:]}
+    rivals |= {r["effect"] for r in said["rivals"] if r["probability"] >= LEFT}
+    return {
+        "verdict": found.verdict,
+        "right": right if len(hidden) == 1 else both["both"],
+        "exact": right and bool(first and first["effect"] == hidden[0]["effect"]),
+        "found": both["found"],
+        "wrong": both["wrong"],
+        "rivals": len(rivals - {h["effect"] for h in hidden}),
+        "named": [(e["effect"], round(e["probability"], 3), e["group"]) for e in likely],
+    }
+
+
+def state_of(case: ForeignCase, found: Diagnosis, verdict: Row) -> str:
+    """Why a first recording asks for a second; empty where it does not."""
+    open_effects = {e for j in found.rival_sets for s in j.sets for e in s.effects}
+    open_effects |= {r.effect for r in found.rivals}
+    hidden = {h.effect for h in case.hidden}
+    if not found.rival_sets:
+        return ""
+    if len(hidden) == 2 and verdict["found"] == 1:
+        return "one of two"
+    if found.verdict == "ambiguous" and hidden & {e for x in found.effects for e in x.group}:
+        return "ambiguous"
+    unexplained = found.verdict in ("unexplained", "partly_explained")
+    if unexplained and not verdict["right"] and hidden <= open_effects:
+        return "unexplained"
+    return ""
+
+
+def looked_at(seed: list[int], folder: Path) -> Bench | str:
+    """A bench that asks for a second recording, or the verdict of one that does not."""
+    case = draw_bench(seed)
+    path = write_take(case, "a", folder)
+    (folder / "robot.toml").write_text(robot_toml(case))
+    robot = read_robot(folder / "robot.toml")
+    found, joint = diagnosed([path], robot)
+    state = state_of(case, found, judged(case, found, folder))
+    return Bench(case, robot, folder, found, joint, state, seed) if state else found.verdict
+
+
+def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
+    """Set-points of an arm's recording (T,), its context, and notes."""
+    rivals = bench.first.rival_sets[0]
+    rng = np.random.default_rng([*bench.seed, 1])
+    limits = replace(limits_of(bench.robot, None, JOINT), period_s=rivals.period_s)
+    start, note = time.perf_counter(), Row()
+    context = "none"
+    if arm == "designed":
+        contexts = [_context(name, rivals.load) for name in CONTEXTS[1:]]
+        design = design_for_rivals([rivals], bench.robot, contexts=contexts, seconds=SECONDS)
+        command, context = design.joints[0].command, design.context.name
+        context = context if context in CONTEXTS else "none"
+        note = {"remaining": design.joints[0].remaining}
+    elif arm == "random":
+        command = draw(rng, 1, limits, SECONDS)[0]
+        note = {"remaining": forecast(RivalObjective(rivals), command).remaining}
+    else:
+        command, context = _of_menu(bench, limits.reach_rad)
+        objective = RivalObjective(rivals, _context(context, rivals.load))
+        note = {"remaining": forecast(objective, command).remaining}
+    return command, context, note | {"seconds": time.perf_counter() - start}
+
+
+def _context(name: str, load: Load) -> Context:
+    return Context(name, {JOINT: loaded(load, name)}) if name != "none" else AS_IT_IS
+
+
+def _of_menu(bench: Bench, reach: float) -> tuple[np.ndarray, str]:
+    """Command and context of the menu for the members of a group, or else the likeliest sets."""
+    finding, most = bench.findings.finding, DECISION.report.experiment_rivals
+    tried = finding.tried.tried
+    for group in finding.groups:
+        others = finding.best.members - {group.members[0]}
+        rivals = [tried[others | {m}] for m in group.members if others | {m} in tried]
+        if len(rivals) > 1:
+            break
+    else:
+        rivals = [tried[members] for members in finding.posterior.sets]
+        rivals += sorted(tried.values(), key=lambda h: -h.evidence)
+        rivals = list({h.members: h for h in rivals}.values())
+    trace = bench.findings.joint.traces[0]
+    names = ["+".join(sorted(h.members)) for h in rivals[:most]]
+    plan = next_experiment(
+        trace, rivals[:most], ["backlash"] * len(names), JOINT, 0.9 * reach, contexts=CONTEXTS
+    )
+    assert plan is not None and plan.t is not None and plan.signal is not None
+    # The menu's commands are at 50 Hz; the bench records at a rate of its own.
+    t = np.arange(round(SECONDS / bench.first.rival_sets[0].period_s))
+    t = t * bench.first.rival_sets[0].period_s
+    place = np.searchsorted(plan.t, t + 1e-9, side="right") - 1
+    return plan.signal[place], plan.context
+
+
+def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) -> Row:
+    """Record a second time, diagnose both recordings, and ask the oracle."""
+    case, rng = bench.case, np.random.default_rng([*bench.seed, 2])
+    period = bench.first.rival_sets[0].period_s
+    first, servo = case.takes["a"], case.servos[0]
+    t = _ticks(1 / period, command.size * period, None, rng)[: command.size]
+    packets = draw_packets(draw_bus(rng), t.size, 1, rng)
+    case.takes["b"] = Take(t, np.round(command, 6)[:, None], packets, first.clock)
+    given = servo.loads["a"]
+    load = loaded(Load(**vars(given)), context)
+    servo.loads["b"] = StatedLoad(load.inertia_kgm2, load.pendulum_mass_kg, load.pendulum_length_m)
+    reading = case.readings("b")[:, 0]
+    if not np.isfinite(reading).all():
+        return {"right": False, "unstable": True}
+    case.takes["b"].measured = recorded(
+        case.takes["b"], reading, servo, acting_on(case.hidden, 0), rng
+    )[:, None]
+    folder = bench.folder / arm
+    folder.mkdir()
+    paths = [bench.folder / "a.csv", write_take(case, "b", folder)]
+    found, _ = diagnosed(paths, bench.robot)
+    row = judged(case, found, folder)
+    told = knower.consult(case)
+    least = min(told["llr_of_each"].values()) if "llr_of_each" in told else told["llr_total"]
+    practical = told.get("practical_of_each") or {"it": told["practical"]}
+    entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
+    return row | {
+        "llr": float(least),
+        "practical": all(practical.values()),
+        "entropy": entropy,
+    }
+
+
+def answered(seed: list[int]) -> Row:
+    """All that is to be said of one bench."""
+    with tempfile.TemporaryDirectory() as name:
+        bench = looked_at(seed, Path(name))
+        if isinstance(bench, str):
+            return {"seed": seed, "state": "", "verdict": bench}
+        case, found = bench.case, bench.first
+        row: Row = {
+            "seed": seed,
+            "state": bench.state,
+            "plant": case.plant,
+            "hidden": [(h.effect, h.strength) for h in case.hidden],
+            "first": judged(case, found, bench.folder) | {"entropy": found.rival_sets[0].entropy},
+            "sets": [(s.effects, s.probability) for s in found.rival_sets[0].sets],
+        }
+        for arm in ARMS:
+            command, context, note = second(bench, arm)
+            row[arm] = note | {"context": context} | recorded_again(bench, arm, command, context)
+    return row
+
+
+def summary(rows: Sequence[Row]) -> Row:
+    """Shares of benches by arm, of what the oracle can tell from the designed recordings."""
+    out: Row = {"benches": len(rows)}
+    groups = {
+        "all": rows,
+        "one effect": [r for r in rows if len(r["hidden"]) == 1],
+        "two effects": [r for r in rows if len(r["hidden"]) == 2],
+        **{
+            s: [r for r in rows if r["state"] == s]
+            for s in ("ambiguous", "unexplained", "one of two")
+        },
+    }
+    for name, some in groups.items():
+        out[name] = {"benches": len(some)}
+        for arm in ARMS:
+            told = [r for r in some if r[arm].get("llr", 0) >= DETECTABLE]
+            matter = [r for r in told if r[arm]["practical"]]
+            out[name][arm] = {
+                "right": _share(r[arm]["right"] for r in some),
+                "right of what the oracle tells": _share(r[arm]["right"] for r in told),
+                "right of that, of practical size": _share(r[arm]["right"] for r in matter),
+                "told by the oracle": len(told),
+                "rivals left": _mean(r[arm].get("rivals", np.nan) for r in some),
+                "wrong names": _mean(r[arm].get("wrong", np.nan) for r in some),
+                "entropy left": _mean(r[arm].get("entropy", np.nan) for r in some),
+                "seconds": _mean(r[arm]["seconds"] for r in some),
+            }
+    return out
+
+
+def _share(values: Iterable[bool]) -> float | None:
+    given = [bool(x) for x in values]
+    return round(sum(given) / len(given), 3) if given else None
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    given = np.array([float(x) for x in values])
+    return round(float(np.nanmean(given)), 3) if np.isfinite(given).any() else None
+
+
+def main() -> None:
+    """Answer benches until enough ask for a second recording, and write the shares."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--benches", type=int, default=150, metavar="N")
+    parser.add_argument("--processes", type=int, default=1, metavar="N")
+    parser.add_argument("--seed", type=int, default=1, help="development: below 1000")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--most", type=int, default=100_000, help="benches that are drawn at most")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    files = options.out / f"seed_{options.seed}"
+    files.mkdir(exist_ok=True)
+    kept = {path.stem: json.loads(path.read_text()) for path in sorted(files.glob("*.json"))}
+    rows = [row for row in kept.values() if row["state"]]
+    numbers = (k for k in itertools.count() if f"{k:05d}" not in kept)
+    spawn, start = multiprocessing.get_context("spawn"), time.perf_counter()
+    drawn = len(kept)
+    with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
+        running: dict[Future[Row], int] = {}
+        while running or (len(rows) < options.benches and drawn < options.most):
+            while (
+                len(rows) < options.benches
+                and len(running) < options.processes
+                and drawn < options.most
+            ):
+                k, drawn = next(numbers), drawn + 1
+                running[pool.submit(answered, [options.seed, k])] = k
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                k = running.pop(done)
+                row = done.result()
+                (files / f"{k:05d}.json").write_text(json.dumps(row, default=float) + "\n")
+                if row["state"]:
+                    rows.append(row)
+                    print(
+                        f"{len(rows)} of {drawn} benches, {time.perf_counter() - start:.0f} s",
+                        flush=True,
+                    )
+    found = summary(rows) | {"drawn": drawn, "seconds of a second recording": SECONDS}
+    (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,234 @@
+"""The recording that tells the rival sets of a diagnosis apart, and what it is expected to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from sim2real.arrays import Array
+from sim2real.design.contexts import AS_IT_IS, Context
+from sim2real.design.limits import CommandLimits, check_seconds, limits_of
+from sim2real.design.rivals import RivalObjective, remaining_entropy
+from sim2real.design.search import best
+from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.recording import PER_INERTIA, Recording
+from sim2real.robot import Robot
+
+Advance = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class ExpectedSeparation:
+    """Two rival sets of effects, and how surely the recording is expected to tell them apart.
+
+    Attributes:
+        component: The joint.
+        first: Effects of the more probable set.
+        second: Effects of the other.
+        weight: Product of their probabilities.
+        distance: Bhattacharyya distance of their predictions.
+        expected: Probability that the evidence will favour the true one of both,
+            Phi(sqrt(2 distance)) for predictions of equal covariance.
+    """
+
+    component: str
+    first: tuple[str, ...]
+    second: tuple[str, ...]
+    weight: float
+    distance: float
+    expected: float
+
+
+@dataclass(frozen=True)
+class JointForecast:
+    """What the recording is expected to tell of one joint.
+
+    Attributes:
+        rivals: The sets of effects that were open.
+        entropy: Entropy over the sets before, nats.
+        remaining: Upper bound of the entropy that is expected to remain, nats.
+        command: The set-points, rad, shape (T,).
+        pairs: All pairs of sets, those that matter most first.
+    """
+
+    rivals: JointRivals
+    entropy: float
+    remaining: float
+    command: Array
+    pairs: tuple[ExpectedSeparation, ...]
+
+
+@dataclass(frozen=True)
+class RivalDesign:
+    """A recording to make next.
+
+    Attributes:
+        recording: The set-points, as a recording without angles.
+        context: What to change besides the commands.
+        joints: What it is expected to tell, joint by joint.
+    """
+
+    recording: Recording
+    context: Context
+    joints: tuple[JointForecast, ...]
+
+    @property
+    def informative(self) -> bool:
+        """Whether some pair of sets is expected to be told apart that is not yet."""
+        return any(pair.expected >= SEPARATED for joint in self.joints for pair in joint.pairs)
+
+
+SEPARATED = 0.9
+"""Probability from which two sets count as told apart."""
+
+
+def design_for_rivals(
+    rivals: Sequence[JointRivals],
+    robot: Robot,
+    *,
+    contexts: Sequence[Context] = (),
+    seconds: float = 30.0,
+    seed: int = 0,
+    drawn: int = 192,
+    rounds: int = 12,
+    change_gain: float = 0.02,
+    progress: Advance = lambda share: None,
+) -> RivalDesign:
+    """The commands, and the context, that leave the least expected entropy over the rival sets.
+
+    Random commands are drawn and scored in every context; the best are varied in the best context.
+    All joints move at once, each with commands of its own.
+
+    Args:
+        rivals: The sets that are open, by joint.
+        robot: The robot, for the limits of its commands.
+        contexts: Contexts that are to be had besides the bench as it is.
+        seconds: Duration of the recording, s.
+        seed: Seed of the search.
+        drawn: Number of random commands, over all contexts.
+        rounds: Number of batches of variations.
+        change_gain: Entropy in nats that a change of context must save to be asked for.
+        progress: Called with the share that is done.
+
+    Raises:
+        InputError: If the robot lacks a joint, or its limits allow no command.
+    """
+    rng = np.random.default_rng(seed)
+    offered = [AS_IT_IS, *contexts]
+    limits = {one.component: _limits(robot, one, seconds) for one in rivals}
+    stages = len(rivals) * (len(offered) + 1)
+    done = iter(range(stages))
+
+    def stage() -> Advance:
+        k = next(done)
+        return lambda share: progress((k + share) / stages)
+
+    few = max(drawn // len(offered), 16)
+    found = [
+        [
+            best(
+                RivalObjective(one, context), limits[one.component], seconds,
+                rng=rng, drawn=few, rounds=0, progress=stage(),
+            )
+            for one in rivals
+        ]
+        for context in offered
+    ]  # fmt: skip
+    scores = np.array([sum(joint.score for joint in joints) for joints in found])
+    scores[1:] -= change_gain
+    k = int(scores.argmax())
+    joints = []
+    for one, first in zip(rivals, found[k], strict=True):
+        objective = RivalObjective(one, offered[k])
+        last = best(
+            objective, limits[one.component], seconds,
+            rng=rng, drawn=few, rounds=rounds, start=first.command[None], progress=stage(),
+        )  # fmt: skip
+        joints.append(forecast(objective, last.command))
+    return RivalDesign(_recording(joints, offered[k]), offered[k], tuple(joints))
+
+
+def forecast(objective: RivalObjective, command: Array) -> JointForecast:
+    """What a command (T,) is expected to tell of a joint."""
+    rivals, p = objective.rivals, objective.probability
+    distances = objective.distances(command[None])
+    pairs = [
+        ExpectedSeparation(
+            rivals.component,
+            rivals.sets[i].effects,
+            rivals.sets[j].effects,
+            float(p[i] * p[j]),
+            float(distances[0, i, j]),
+            float(ndtr(np.sqrt(2 * distances[0, i, j]))),
+        )
+        for i, j in combinations(range(len(rivals.sets)), 2)
+    ]
+    return JointForecast(
+        rivals,
+        rivals.entropy,
+        float(remaining_entropy(p, distances)[0]),
+        command,
+        tuple(sorted(pairs, key=lambda pair: -pair.weight)),
+    )
+
+
+def _limits(robot: Robot, rivals: JointRivals, seconds: float) -> CommandLimits:
+    """Limits of the commands of a joint, at the period of the recordings so far."""
+    limits = limits_of(robot, None, rivals.component)
+    limits = replace(limits, period_s=rivals.period_s)
+    check_seconds(seconds, limits)
+    return limits
+
+
+def _recording(joints: Sequence[JointForecast], context: Context) -> Recording:
+    """The commands of all joints; joints of unequal periods take that of the first."""
+    period = joints[0].rivals.period_s
+    t = period * np.arange(joints[0].command.size)
+    columns = [
+        np.interp(t, joint.rivals.period_s * np.arange(joint.command.size), joint.command)
+        for joint in joints
+    ]
+    loads = {joint.rivals.component: context.load(joint.rivals) for joint in joints}
+    return Recording(
+        name="next",
+        kind="servo",
+        joints=tuple(joint.rivals.component for joint in joints),
+        t=t,
+        command=np.stack(columns, axis=1),
+        position=np.full((t.size, len(joints)), np.nan),
+        loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
+        source="commands to record next, by sim2real design",
+    )
+
+
+def content(design: RivalDesign) -> dict[str, Any]:
+    """What ``next.json`` says of a design besides the fields of a recording."""
+    return {
+        "context": {
+            "name": design.context.name,
+            "supply_ratio": design.context.supply,
+            "gain_ratio": design.context.gain,
+        },
+        "expected": [
+            {
+                "component": joint.rivals.component,
+                "entropy_before_nats": joint.entropy,
+                "entropy_after_nats": joint.remaining,
+                "pairs": [
+                    {
+                        "first": list(pair.first),
+                        "second": list(pair.second),
+                        "distance": pair.distance,
+                        "expected": pair.expected,
+                    }
+                    for pair in joint.pairs
+                ],
+            }
+            for joint in design.joints
+        ],
+    }
