@@ -157,7 +157,7 @@ def _from_sheet(
     rows[:, 1] = 2 * damping * frequency * inertia
     rows[:, 2] = latency
     rows[:, 3:5] = inertia, load.gravity_Nm
-    names = GAINS
+    names: tuple[str, ...] = GAINS
     if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
         names = (*GAINS, *LINE)
         prior = motor_prior(servo, [_still(load)])

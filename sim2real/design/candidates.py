@@ -1,8 +1,8 @@
 """Random commands of several families, all within the limits of a joint.
 
-The families are those of experiments on servos and robots: sums of sines with random phases, periodic
-Fourier series (Swevers et al., IEEE Trans. Robot. Autom. 13 (1997) 730-740), chirps, steps and holds,
-binary signals and splines. Parameters of each are drawn anew for each command.
+The families are those of experiments on servos and robots: sums of sines with random phases,
+periodic Fourier series (Swevers et al., IEEE Trans. Robot. Autom. 13 (1997) 730-740), chirps,
+steps and holds, binary signals and splines. Each command draws the parameters of its family.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def multisine(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
 def fourier(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     """A periodic Fourier series with random coefficients, of several periods."""
     base = float(_log_uniform(rng, SLOWEST_HZ, 1.0, 1)[0])
-    count = int(min(rng.integers(3, 13), max(highest_hz / base, 1)))
+    count = min(int(rng.integers(3, 13)), max(int(highest_hz / base), 1))
     harmonic = np.arange(1, count + 1)
     angle = 2 * np.pi * base * np.outer(harmonic, t)
     a, b = rng.standard_normal((2, count)) / harmonic ** rng.uniform(0.0, 1.0)

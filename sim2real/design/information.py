@@ -1,14 +1,14 @@
 """Expected precision of a servo's parameters after a recording of given commands.
 
-Fisher information of the simulated angles in the noise of the fit, averaged over what is believed of
-the servo. The intervals are those of a least-squares fit whose residual is correlated: with J the
-derivatives by the logarithms of the parameters, S the covariance of the errors, s2 the variance of
-white noise and P the precision of the prior::
+Fisher information of the simulated angles in the noise of the fit, averaged over what is believed
+of the servo. The intervals are those of a least-squares fit whose residual is correlated: with J
+the derivatives by the logarithms of the parameters, S the covariance of the errors, s2 the variance
+of white noise and P the precision of the prior::
 
     H = J' J / s2 + P        C = inv(H) (J' S J / s2^2 + P) inv(H)
 
-Source: White, Econometrica 50 (1982) 1-25. Errors that repeat with the angle are a random function of
-it with a Gaussian spectrum, by random Fourier features (Rahimi and Recht, NeurIPS 2007).
+Source: White, Econometrica 50 (1982) 1-25. Errors that repeat with the angle are a random function
+of it with a Gaussian spectrum, by random Fourier features (Rahimi and Recht, NeurIPS 2007).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Information:
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
         belief = self.belief
-        t = self.limits.period_s * np.arange(commands.shape[1])
+        t = self.limits.times(commands.shape[1] * self.limits.period_s)
         still, used = np.zeros(t.size), np.ones(t.size, dtype=bool)
         traces = [Trace("next", "next", t, c, still, belief.load, used) for c in commands]
         D, F = len(belief.rows), len(belief.names)

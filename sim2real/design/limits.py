@@ -81,7 +81,7 @@ class CommandLimits:
 
     def times(self, seconds: float) -> Array:
         """Times of the set-points, s, shape (T,)."""
-        return np.arange(round(seconds / self.period_s)) * self.period_s
+        return np.asarray(np.arange(round(seconds / self.period_s)) * self.period_s)
 
 
 def limits_of(robot: Robot, model: Model | None = None, joint: str | None = None) -> CommandLimits:
