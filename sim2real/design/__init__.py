@@ -1,1 +1,1 @@
-"""Recordings to make next, designed for what they will tell."""
+"""Design of experiments: the commands to record next, so that they tell the most."""

@@ -1,0 +1,141 @@
+"""Expected precision of a servo's parameters after a recording of given commands.
+
+Fisher information of the simulated angles in the noise of the fit, averaged over what is believed
+of the servo. The intervals are those of a least-squares fit whose residual is correlated: with J
+the derivatives by the logarithms of the parameters, S the covariance of the errors, s2 the variance
+of white noise and P the precision of the prior::
+
+    H = J' J / s2 + P        C = inv(H) (J' S J / s2^2 + P) inv(H)
+
+Source: White, Econometrica 50 (1982) 1-25. Errors that repeat with the angle are a random function
+of it with a Gaussian spectrum, by random Fourier features (Rahimi and Recht, NeurIPS 2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from sim2real.arrays import Array
+from sim2real.design.belief import GAINS, Belief
+from sim2real.design.limits import CommandLimits
+from sim2real.inference.normal import Z90
+from sim2real.servo.rollout import Simulator
+from sim2real.servo.trace import Trace
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Expected precision of F parameters after each of N commands, for D servos.
+
+    Attributes:
+        covariance: Covariance of the logarithms of the parameters, shape (N, D, F, F).
+        rms_torque_Nm: Root mean square of the torque that the motion takes, shape (N, D).
+    """
+
+    covariance: Array
+    rms_torque_Nm: Array
+
+    @property
+    def half_width(self) -> Array:
+        """Half-widths of 90 % intervals, relative to the parameters, shape (N, D, F)."""
+        variance = np.diagonal(self.covariance, axis1=2, axis2=3)
+        return np.asarray(Z90 * np.sqrt(np.maximum(variance, 0.0)))
+
+
+@dataclass(frozen=True)
+class Information:
+    """Scores commands by how precisely a fit to their recording would determine a servo.
+
+    Attributes:
+        belief: What is believed of the servo.
+        limits: Limits of the commands.
+        substep_s: Longest sub-step of the rollouts, s.
+        difference: Step of the forward differences, relative to a parameter.
+        features: Number of Fourier features of the errors that repeat with the angle.
+        threads: CPU threads.
+    """
+
+    belief: Belief
+    limits: CommandLimits
+    substep_s: float = 0.004
+    difference: float = 1e-3
+    features: int = 24
+    threads: int = 2
+    _waves: tuple[Array, Array] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Draw the Fourier features once, so that commands are compared on the same ones."""
+        rng = np.random.default_rng(0)
+        number = rng.standard_normal(self.features) / self.belief.noise.angle_scale_rad
+        waves = number, rng.uniform(0, 2 * np.pi, self.features)
+        object.__setattr__(self, "_waves", waves)
+
+    def __call__(self, commands: Array) -> Array:
+        """Score of each command (N, T): minus the logarithm of the widest interval, shape (N,).
+
+        Averaged over the servos of the belief; what exceeds the torque budget is penalised.
+        """
+        precision = self.precision(commands)
+        log_width = np.log(np.maximum(precision.half_width, 1e-9))
+        gains = [k for k, name in enumerate(self.belief.names) if name in GAINS]
+        worst = log_width[:, :, gains].max(axis=2)
+        score = -(worst + 0.2 * log_width.mean(axis=2)).mean(axis=1)
+        excess = precision.rms_torque_Nm / self.limits.rms_torque_Nm - 1
+        return np.asarray(score - 10 * np.maximum(excess, 0.0).mean(axis=1))
+
+    def precision(self, commands: Array) -> Precision:
+        """Expected precision after each command (N, T)."""
+        angle, slopes = self.sensitivities(commands)
+        return Precision(self._covariance(angle, slopes), self._torque(angle))
+
+    def sensitivities(self, commands: Array) -> tuple[Array, Array]:
+        """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
+        belief = self.belief
+        t = self.limits.times(commands.shape[1] * self.limits.period_s)
+        still, used = np.zeros(t.size), np.ones(t.size, dtype=bool)
+        traces = [Trace("next", "next", t, c, still, belief.load, used) for c in commands]
+        D, F = len(belief.rows), len(belief.names)
+        rows = np.repeat(belief.rows[:, None], 1 + F, axis=1)
+        for k, column in enumerate(belief.columns):
+            rows[:, 1 + k, column] *= 1 + self.difference
+        simulator = Simulator(traces, self.threads)
+        flat = rows.reshape(D * (1 + F), -1)
+        substep = np.inf if simulator.is_linear(flat) else self.substep_s
+        angles = np.array(simulator.angles(flat, substep)).reshape(len(commands), D, 1 + F, t.size)
+        slopes = (angles[:, :, 1:] - angles[:, :, :1]) / self.difference
+        return angles[:, :, 0], np.moveaxis(slopes, 2, 3)
+
+    def _covariance(self, angle: Array, slopes: Array) -> Array:
+        noise, (number, phase) = self.belief.noise, self._waves
+        white = noise.white_rad
+        gram = np.einsum("ndtf,ndtg->ndfg", slopes, slopes)
+        prior = np.diag(1 / self.belief.prior_sd**2)
+        spread = white**2 * gram
+        if noise.angle_rad > 0:
+            wave = np.cos(angle[..., None] * number + phase)
+            size = noise.angle_rad * np.sqrt(2 / number.size)
+            part = size * np.swapaxes(slopes, 2, 3) @ wave
+            spread = spread + part @ np.swapaxes(part, 2, 3)
+        if noise.wander_rad > 0:
+            keep = float(np.exp(-self.limits.period_s / noise.wander_s))
+            gain = noise.wander_rad * np.sqrt(1 - keep**2)
+            later = lfilter([gain], [1.0, -keep], slopes[:, :, ::-1], axis=2)
+            spread = spread + np.einsum("ndtf,ndtg->ndfg", later, later)
+        precision = gram / white**2 + prior
+        ridge = 1e-9 * np.trace(precision, axis1=2, axis2=3)[..., None, None]
+        inverse = np.linalg.inv(precision + ridge * np.eye(precision.shape[-1]))
+        return np.asarray(inverse @ (spread / white**4 + prior) @ inverse)
+
+    def _torque(self, angle: Array) -> Array:
+        """Root mean square of the torque that moves the load along the angles (N, D, T)."""
+        load, period = self.belief.load, self.limits.period_s
+        acceleration = np.diff(angle, 2, axis=2) / period**2
+        torque = load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle[:, :, 1:-1])
+        return np.asarray(np.sqrt(np.mean(torque**2, axis=2)))
+
+    def of(self, belief: Belief) -> Information:
+        """The same for another belief."""
+        return replace(self, belief=belief)
