@@ -69,6 +69,7 @@ from sim2real.design.tell_apart import design_for_rivals, forecast  # noqa: E402
 from sim2real.diagnose.decision import DECISION  # noqa: E402
 from sim2real.diagnose.diagnose import Case, examined  # noqa: E402
 from sim2real.diagnose.joint_result import JointFindings  # noqa: E402
+from sim2real.diagnose.missing.investigate import ROUNDING  # noqa: E402
 from sim2real.diagnose.page.next_experiment import loaded, next_experiment  # noqa: E402
 from sim2real.diagnose.page.wording import diagnosis  # noqa: E402
 from sim2real.diagnose.result import Diagnosis, write_diagnosis  # noqa: E402
@@ -87,6 +88,8 @@ LEFT = 0.05
 """Probability from which an effect that was not named remains a rival."""
 UNPREDICTABLE = ("latency_jitter", "packet_loss", "encoder_quantization")
 """Effects that a servo's set-points do not tell: of the link, and of the recorded digits."""
+STATES = ("ambiguous", "unexplained", "one of two")
+"""What a first recording says of a bench that asks for a second."""
 JOINT = "j1"
 
 
@@ -228,10 +231,8 @@ def _of_menu(bench: Bench, reach: float) -> tuple[np.ndarray, str]:
         rivals += sorted(tried.values(), key=lambda h: -h.evidence)
         rivals = list({h.members: h for h in rivals}.values())
     trace = bench.findings.joint.traces[0]
-    names = ["+".join(sorted(h.members)) for h in rivals[:most]]
-    plan = next_experiment(
-        trace, rivals[:most], ["backlash"] * len(names), JOINT, 0.9 * reach, contexts=CONTEXTS
-    )
+    names = [min(h.members, default=ROUNDING) for h in rivals[:most]]
+    plan = next_experiment(trace, rivals[:most], names, JOINT, 0.9 * reach, contexts=CONTEXTS)
     assert plan is not None and plan.t is not None and plan.signal is not None
     # The menu's commands are at 50 Hz; the bench records at a rate of its own.
     t = np.arange(round(SECONDS / bench.first.rival_sets[0].period_s))
@@ -353,24 +354,20 @@ def main() -> None:
     drawn = len(kept)
     with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
         running: dict[Future[Row], int] = {}
-        while running or (len(rows) < options.benches and drawn < options.most):
-            while (
-                len(rows) < options.benches
-                and len(running) < options.processes
-                and drawn < options.most
-            ):
+        while True:
+            wanted = len(rows) < options.benches
+            while wanted and len(running) < options.processes and drawn < options.most:
                 k, drawn = next(numbers), drawn + 1
                 running[pool.submit(answered, [options.seed, k])] = k
+            if not running:
+                break
             for done in wait(running, return_when=FIRST_COMPLETED).done:
-                k = running.pop(done)
-                row = done.result()
+                k, row = running.pop(done), done.result()
                 (files / f"{k:05d}.json").write_text(json.dumps(row, default=float) + "\n")
                 if row["state"]:
                     rows.append(row)
-                    print(
-                        f"{len(rows)} of {drawn} benches, {time.perf_counter() - start:.0f} s",
-                        flush=True,
-                    )
+                passed = time.perf_counter() - start
+                print(f"{len(rows)} of {drawn} benches, {passed:.0f} s", flush=True)
     found = summary(rows) | {"drawn": drawn, "seconds of a second recording": SECONDS}
     (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     print(json.dumps(found, indent=1))
