@@ -70,10 +70,10 @@ from sim2real.diagnose.decision import DECISION  # noqa: E402
 from sim2real.diagnose.diagnose import Case, examined  # noqa: E402
 from sim2real.diagnose.joint_result import JointFindings  # noqa: E402
 from sim2real.diagnose.missing.investigate import ROUNDING  # noqa: E402
+from sim2real.diagnose.missing.open_sets import rival_sets  # noqa: E402
 from sim2real.diagnose.page.next_experiment import loaded, next_experiment  # noqa: E402
 from sim2real.diagnose.page.wording import diagnosis  # noqa: E402
 from sim2real.diagnose.result import Diagnosis, write_diagnosis  # noqa: E402
-from sim2real.diagnose.rival_sets import rival_sets  # noqa: E402
 from sim2real.recording import Load, read_recording  # noqa: E402
 from sim2real.robot import Robot, read_robot  # noqa: E402
 

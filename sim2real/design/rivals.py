@@ -9,7 +9,8 @@ Bhattacharyya distance of their predictions,
     d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j,
 
 in which refitted parameters take up what they can of the difference (Atkinson and Fedorov,
-Biometrika 62 (1975) 57-70). With prior probabilities p the entropy that remains after the recording is at most
+Biometrika 62 (1975) 57-70). With probabilities p the entropy that remains after the recording is at
+most
 
     sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
 
