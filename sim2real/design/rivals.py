@@ -79,6 +79,42 @@ class RivalObjective:
             out[:, i, j] = out[:, j, i] = self._distance(products, i, j)
         return out
 
+    def difference(self, command: Array, i: int, j: int) -> Array:
+        """Difference of two sets' predictions over time that refitted parameters leave, (T,).
+
+        Args:
+            command: Set-points in rad, shape (T,).
+            i: Index of the first set.
+            j: Index of the second set.
+
+        Returns:
+            S^-1 r of the module, in standard deviations of the noise.
+        """
+        theta = self.context.applied(self._expansion.theta)
+        K = len(theta)
+        batch = Batch(
+            [[trace] for trace in self._staged(command[None])],
+            self._device,
+            1,
+            period=self.rivals.period_s,
+        )
+        problems = Problems(np.zeros(K, dtype=np.int32), theta[:, None], np.zeros((K, 1)))
+        noise = np.repeat(self._noise(batch)[None], K, axis=0)
+        seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
+        assert seen is not None
+        vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
+        means, spreads = self._expansion.means, self._expansion.spreads
+        apart = vectors @ (means[:, i] - means[:, j])
+        both = vectors @ np.hstack([spreads[i], spreads[j]]) / np.sqrt(2)
+        inner = np.eye(both.shape[1]) + both.T @ both
+        return np.asarray(apart - both @ np.linalg.solve(inner, both.T @ apart))
+
+    def _noise(self, batch: Batch) -> Array:
+        """Coefficients that whiten the noise, at the lags of a batch, shape (lags,)."""
+        noise, known = np.zeros(batch.lags), self.rivals.autoregression[: batch.lags]
+        noise[: known.size] = known
+        return noise
+
     def _distance(self, products: Array, i: int, j: int) -> Array:
         """Distance of two sets, from inner products of all vectors (N, K, K), shape (N,).
 
@@ -108,9 +144,7 @@ class RivalObjective:
         problems = Problems(
             np.arange(N, dtype=np.int32), np.repeat(theta[None], N, axis=0), np.ones((N, V))
         )
-        noise = np.zeros((N, batch.lags))
-        known = self.rivals.autoregression[: batch.lags]
-        noise[:, : known.size] = known
+        noise = np.repeat(self._noise(batch)[None], N, axis=0)
         gram = batch.evaluate(problems, autoregression=noise).gram[:, 0]
         return np.asarray(gram / self.rivals.noise_rad**2)
 

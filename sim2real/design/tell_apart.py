@@ -16,6 +16,7 @@ from sim2real.design.limits import CommandLimits, check_seconds, limits_of
 from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import best
 from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.diagnose.separation import SEPARATED, task
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot
 
@@ -43,6 +44,10 @@ class ExpectedSeparation:
     distance: float
     expected: float
 
+    def __str__(self) -> str:
+        """The sets, and how surely they are expected to be told apart."""
+        return f"{self.component}: {task(self.first, self.second)} with {self.expected:.2f}"
+
 
 @dataclass(frozen=True)
 class JointForecast:
@@ -54,6 +59,9 @@ class JointForecast:
         remaining: Upper bound of the entropy that is expected to remain, nats.
         command: The set-points, rad, shape (T,).
         pairs: All pairs of sets, those that matter most first.
+        differences: For each pair the whitened difference of predictions over time that refitted
+            parameters leave, in standard deviations of the noise, shape (pairs, T); of the first
+            few pairs.
     """
 
     rivals: JointRivals
@@ -61,6 +69,7 @@ class JointForecast:
     remaining: float
     command: Array
     pairs: tuple[ExpectedSeparation, ...]
+    differences: Array
 
 
 @dataclass(frozen=True)
@@ -79,12 +88,35 @@ class RivalDesign:
 
     @property
     def informative(self) -> bool:
-        """Whether some pair of sets is expected to be told apart that is not yet."""
+        """Whether some pair of sets is expected to be told apart."""
         return any(pair.expected >= SEPARATED for joint in self.joints for pair in joint.pairs)
 
+    def __str__(self) -> str:
+        """What is expected, one line a joint and one a pair."""
+        if not self.informative:
+            return self._exhausted()
+        lines = [f"context: {self.context.name}"]
+        for joint in self.joints:
+            before, after = np.exp([joint.entropy, joint.remaining])
+            lines.append(
+                f"{joint.rivals.component}: {before:.1f} equally probable sets of effects are to "
+                f"become {after:.1f} or fewer"
+            )
+            lines += [f"  {pair}" for pair in joint.pairs[:_LISTED]]
+        return "\n".join(lines)
 
-SEPARATED = 0.9
-"""Probability from which two sets count as told apart."""
+    def _exhausted(self) -> str:
+        most = max(
+            (pair for joint in self.joints for pair in joint.pairs), key=lambda p: p.expected
+        )
+        return (
+            "Nothing more can be told apart within these limits: no command found separates two sets "
+            f"with {SEPARATED:g}. The best: {most}."
+        )
+
+
+_LISTED = 6
+"""Pairs of sets of a joint that are listed."""
 
 
 def design_for_rivals(
@@ -94,8 +126,8 @@ def design_for_rivals(
     contexts: Sequence[Context] = (),
     seconds: float = 30.0,
     seed: int = 0,
-    drawn: int = 192,
-    rounds: int = 12,
+    drawn: int = 256,
+    rounds: int = 20,
     change_gain: float = 0.02,
     progress: Advance = lambda share: None,
 ) -> RivalDesign:
@@ -150,13 +182,22 @@ def design_for_rivals(
             rng=rng, drawn=few, rounds=rounds, start=first.command[None], progress=stage(),
         )  # fmt: skip
         joints.append(forecast(objective, last.command))
-    return RivalDesign(_recording(joints, offered[k]), offered[k], tuple(joints))
+    found = RivalDesign(_recording(joints, offered[k]), offered[k], tuple(joints))
+    return replace(found, recording=replace(found.recording, metadata=content(found)))
 
 
-def forecast(objective: RivalObjective, command: Array) -> JointForecast:
-    """What a command (T,) is expected to tell of a joint."""
+def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:
+    """What a command (T,) is expected to tell of a joint.
+
+    Args:
+        objective: The rival sets and the context.
+        command: Set-points in rad, shape (T,).
+        drawn_pairs: Number of pairs whose differences over time are worked out.
+    """
     rivals, p = objective.rivals, objective.probability
     distances = objective.distances(command[None])
+    places = list(combinations(range(len(rivals.sets)), 2))
+    places.sort(key=lambda pair: -p[pair[0]] * p[pair[1]])
     pairs = [
         ExpectedSeparation(
             rivals.component,
@@ -166,14 +207,15 @@ def forecast(objective: RivalObjective, command: Array) -> JointForecast:
             float(distances[0, i, j]),
             float(ndtr(np.sqrt(2 * distances[0, i, j]))),
         )
-        for i, j in combinations(range(len(rivals.sets)), 2)
+        for i, j in places
     ]
     return JointForecast(
         rivals,
         rivals.entropy,
         float(remaining_entropy(p, distances)[0]),
         command,
-        tuple(sorted(pairs, key=lambda pair: -pair.weight)),
+        tuple(pairs),
+        np.array([objective.difference(command, i, j) for i, j in places[:drawn_pairs]]),
     )
 
 

@@ -4,7 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim2real.effects import named
+from sim2real.effects import plain
+
+SEPARATED = 0.9
+"""Probability from which one of two sets of effects is told from the other."""
+
+
+def in_words(effects: tuple[str, ...], other: tuple[str, ...] = ()) -> str:
+    """The effects of a set that another set lacks."""
+    return " and ".join(plain(effect) for effect in effects if effect not in other)
+
+
+def task(first: tuple[str, ...], second: tuple[str, ...]) -> str:
+    """What telling two sets apart means, as a clause without a subject."""
+    here, there = in_words(first, second), in_words(second, first)
+    if here and there:
+        return f"separate {here} from {there}"
+    return f"show whether there is {here or there}"
 
 
 @dataclass(frozen=True)
@@ -30,21 +46,12 @@ class Separation:
 
     def __str__(self) -> str:
         """What was expected, and what was found, in one sentence."""
-        both = f"{_words(self.first, self.second)} from {_words(self.second, self.first)}"
-        stated = f"{self.component}: expected to separate {both} with {self.expected:.2f}"
+        stated = f"{self.component}: expected to {task(self.first, self.second)}"
+        stated += f" with {self.expected:.2f}"
         if self.found is None:
             return f"{stated}; both are ruled out."
         if self.found < SEPARATED:
-            return f"{stated}; not separated, {self.found:.2f}."
+            return f"{stated}; still open, {self.found:.2f}."
         other = self.second if self.favoured == self.first else self.first
-        return f"{stated}; separated, {self.found:.2f} for {_words(self.favoured, other)}."
-
-
-SEPARATED = 0.9
-"""Probability from which one of two sets is told from the other."""
-
-
-def _words(effects: tuple[str, ...], other: tuple[str, ...]) -> str:
-    """The effects of a set that the other lacks, in words."""
-    own = [named(effect).plain for effect in effects if effect not in other]
-    return " and ".join(own) or "none of it"
+        there = in_words(self.favoured, other) or "no " + in_words(other, self.favoured)
+        return f"{stated}; found {there}, {self.found:.2f}."

@@ -1,0 +1,114 @@
+"""Distances of rival sets, and the entropy that a recording leaves, against brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rival_pair import PERIOD, RIVALS, commands
+from scipy.special import ndtr
+
+from sim2real.design.contexts import Context
+from sim2real.design.rivals import RivalObjective, remaining_entropy
+from sim2real.recording import Load
+from sim2real.servo.rollout import rollout
+
+
+@pytest.fixture(scope="module")
+def objective():
+    return RivalObjective(RIVALS)
+
+
+def predicted(one, command):
+    """Mean and covariance of a set's whitened prediction, from rollouts and dense matrices."""
+    rows = [one.theta]
+    sizes = 1e-2 / np.sqrt(np.diag(one.information))
+    for column, size in zip(one.columns, sizes, strict=True):
+        rows.append(one.theta.copy())
+        rows[-1][column] += size
+    rows = np.array(rows)
+    rows[:, 3] = RIVALS.load.inertia_kgm2
+    t = PERIOD * np.arange(command.size)
+    angle = rollout(rows, t, command) / RIVALS.noise_rad
+    lag = RIVALS.autoregression.size
+    slopes = ((angle[1:] - angle[0]) / sizes[:, None]).T[lag:]
+    spread = slopes @ np.linalg.inv(one.information) @ slopes.T
+    return angle[0, lag:], np.eye(len(slopes)) + spread
+
+
+def bhattacharyya(first, second):
+    (a, A), (b, B) = first, second
+    mean = (A + B) / 2
+    apart = (a - b) @ np.linalg.solve(mean, a - b) / 8
+    logs = [np.linalg.slogdet(x)[1] for x in (mean, A, B)]
+    return apart + 0.5 * (logs[0] - 0.5 * (logs[1] + logs[2]))
+
+
+def test_the_distance_is_that_of_two_gaussian_predictions(objective):
+    for command, found in zip(commands(), objective.distances(commands()), strict=True):
+        expected = bhattacharyya(*(predicted(one, command) for one in RIVALS.sets))
+        assert found[0, 1] == pytest.approx(expected, rel=0.1, abs=0.02)
+        assert found[0, 1] == found[1, 0]
+        assert found[0, 0] == found[1, 1] == 0
+
+
+def test_the_evidence_favours_the_true_set_as_often_as_stated(objective):
+    rng = np.random.default_rng(0)
+    distance = objective.distances(commands())[:, 0, 1]
+    command = commands()[int(np.argmin(np.abs(distance - 0.8)))]
+    sets = [predicted(one, command) for one in RIVALS.sets]
+    right = []
+    for k in np.arange(400) % 2:
+        mean, covariance = sets[k]
+        y = rng.multivariate_normal(mean, covariance)
+        scores = [
+            -0.5 * ((y - m) @ np.linalg.solve(S, y - m) + np.linalg.slogdet(S)[1]) for m, S in sets
+        ]
+        right.append(scores[k] > scores[1 - k])
+    stated = ndtr(np.sqrt(2 * bhattacharyya(*sets)))
+    assert np.mean(right) == pytest.approx(stated, abs=0.06)
+
+
+def test_a_command_at_rest_tells_nothing(objective):
+    still = np.zeros((1, 200))
+    assert objective.distances(still)[0, 0, 1] < 1e-6
+    assert -objective(still)[0] == pytest.approx(RIVALS.entropy, abs=1e-6)
+
+
+def test_the_remaining_entropy_bounds_that_of_sampled_posteriors():
+    rng = np.random.default_rng(1)
+    means = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 4.0]])
+    p = np.array([0.5, 0.3, 0.2])
+    distance = ((means[:, None] - means) ** 2).sum(axis=2) / 8
+    bound = remaining_entropy(p, distance[None])[0]
+    place = rng.choice(3, size=20_000, p=p)
+    y = means[place] + rng.normal(size=(place.size, 2))
+    log = np.log(p) - 0.5 * ((y[:, None] - means) ** 2).sum(axis=2)
+    post = np.exp(log - np.logaddexp.reduce(log, axis=1)[:, None])
+    sampled = -(post * np.log(post)).sum(axis=1).mean()
+    assert sampled <= bound <= -(p * np.log(p)).sum()
+    assert bound < sampled + 0.25
+
+
+def test_a_simulation_that_diverges_is_never_chosen():
+    assert remaining_entropy(np.array([0.5, 0.5]), np.full((1, 2, 2), np.nan))[0] == np.inf
+
+
+def test_the_difference_over_time_makes_up_the_distance(objective):
+    command = commands()[0]
+    left = objective.difference(command, 0, 1)
+    assert left.shape == command.shape
+    # Refitted parameters take up a part of the difference.
+    plain = [predicted(one, command)[0] for one in RIVALS.sets]
+    assert 0 < np.sum(left**2) < np.sum((plain[0] - plain[1]) ** 2)
+    assert np.abs(left[:25]).max() < 1e-6 * np.abs(left).max() + 1e-9, "at rest nothing differs"
+
+
+def test_a_heavier_load_changes_the_prediction():
+    heavy = Context("heavy", {"j1": Load(3 * RIVALS.load.inertia_kgm2)})
+    here, there = (RivalObjective(RIVALS, c).distances(commands()) for c in (Context(), heavy))
+    assert not np.allclose(here, there, rtol=0.05)
+
+
+def test_more_noise_leaves_more_open(objective):
+    noisy = RivalObjective(replace(RIVALS, noise_rad=10 * RIVALS.noise_rad))
+    assert (noisy(commands()) < objective(commands())).all()

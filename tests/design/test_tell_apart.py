@@ -1,0 +1,90 @@
+"""The recording that tells rivals apart: within the limits, in the context that tells most."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rival_pair import PERIOD, RIVALS
+from simulated import robot
+
+from sim2real.design.contexts import AS_IT_IS, Context
+from sim2real.design.limits import limits_of, violations
+from sim2real.design.rivals import RivalObjective
+from sim2real.design.tell_apart import content, design_for_rivals, forecast
+from sim2real.diagnose.rival_sets import read_rival_sets
+from sim2real.errors import InputError
+from sim2real.recording import read_recording, write_recording
+from sim2real.structured import Fields
+
+SECONDS = 6.0
+
+
+def designed(rivals=RIVALS, contexts=(), **given):
+    few = {"drawn": 48, "rounds": 4} | given
+    return design_for_rivals([rivals], robot("j1"), contexts=contexts, seconds=SECONDS, **few)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return designed()
+
+
+def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
+    limits = limits_of(robot("j1"))
+    command = plain.recording.command[:, 0]
+    assert violations(command[None], limits) == [[]]
+    assert command.size == round(SECONDS / PERIOD)
+    write_recording(plain.recording, tmp_path / "next.csv")
+    again = read_recording(tmp_path / "next.csv")
+    np.testing.assert_allclose(again.command[:, 0], command, atol=1e-6)
+    assert again.metadata["expected"] == content(plain)["expected"]
+    assert again.loads["j1"] == RIVALS.load
+
+
+def test_it_tells_more_than_commands_drawn_at_random(plain):
+    (joint,) = plain.joints
+    random = designed(drawn=16, rounds=0)
+    assert joint.remaining < random.joints[0].remaining < RIVALS.entropy
+
+
+def test_the_same_seed_makes_the_same_commands(plain):
+    np.testing.assert_array_equal(designed().recording.command, plain.recording.command)
+
+
+def test_what_is_stated_is_the_forecast_of_its_commands(plain):
+    (joint,) = plain.joints
+    again = forecast(RivalObjective(RIVALS), joint.command)
+    assert again.pairs == joint.pairs
+    assert 0.5 <= joint.pairs[0].expected <= 1.0
+    assert plain.informative
+    assert "separate Coulomb friction from" in str(plain)
+
+
+def test_a_context_is_asked_for_where_it_tells_more():
+    # Almost without inertia nothing but the gain shows; a hundredfold noise hides it all.
+    loud = replace(RIVALS, noise_rad=0.02)
+    soft = Context("a quarter of the gain", gain=0.25)
+    same = Context("the same once more", supply=1.0)
+    found = designed(loud, [soft])
+    assert found.context == soft
+    assert found.joints[0].remaining < designed(loud).joints[0].remaining
+    assert designed(loud, [same]).context == AS_IT_IS
+
+
+def test_where_nothing_can_be_told_it_says_so():
+    found = designed(replace(RIVALS, noise_rad=5.0), drawn=16, rounds=0)
+    assert not found.informative
+    assert str(found).startswith("Nothing more can be told apart within these limits")
+
+
+def test_another_robot_is_refused():
+    with pytest.raises(InputError, match="j1"):
+        design_for_rivals([RIVALS], robot("k1"), seconds=SECONDS)
+
+
+def test_rival_sets_survive_a_file():
+    stated = Fields("diagnosis.json", "", {"rival_sets": [RIVALS.content()]})
+    (again,) = read_rival_sets(stated)
+    assert again.content() == RIVALS.content()
+    np.testing.assert_allclose(again.sets[0].theta[:3], RIVALS.sets[0].theta[:3])
+    assert again.entropy == RIVALS.entropy
