@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -71,20 +71,78 @@ class JointForecast:
     pairs: tuple[ExpectedSeparation, ...]
     differences: Array
 
+    def content(self) -> dict[str, Any]:
+        """An entry of ``design.rivals`` in the recording's JSON."""
+        return {
+            "component": self.rivals.component,
+            "entropy_before_nats": self.entropy,
+            "entropy_after_nats": self.remaining,
+            "pairs": [
+                {
+                    "first": list(pair.first),
+                    "second": list(pair.second),
+                    "distance": pair.distance,
+                    "expected": pair.expected,
+                }
+                for pair in self.pairs
+            ],
+        }
+
 
 @dataclass(frozen=True)
 class RivalDesign:
     """A recording to make next.
 
     Attributes:
-        recording: The set-points, as a recording without angles.
         context: What to change besides the commands.
         joints: What it is expected to tell, joint by joint.
+        provenance: As returned by ``sim2real.output.provenance``.
     """
 
-    recording: Recording
     context: Context
     joints: tuple[JointForecast, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def t(self) -> Array:
+        """Times of the set-points in s, shape (T,)."""
+        first = self.joints[0]
+        return first.rivals.period_s * np.arange(first.command.size)
+
+    def recording(self, name: str = "next") -> Recording:
+        """The commands as a recording without measured angles, and what they are to tell."""
+        rivals = [joint.rivals for joint in self.joints]
+        loads = {one.component: self.context.load(one) for one in rivals}
+        return Recording(
+            name=name,
+            kind="servo",
+            joints=tuple(loads),
+            t=self.t,
+            command=np.stack([self._resampled(joint) for joint in self.joints], axis=1),
+            position=np.full((self.t.size, len(loads)), np.nan),
+            loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
+            source="Commands to record next, by 'sim2real design'.",
+            metadata={"design": self._content()},
+        )
+
+    def _resampled(self, joint: JointForecast) -> Array:
+        """Set-points of a joint at the times of the first one."""
+        t = joint.rivals.period_s * np.arange(joint.command.size)
+        place = np.searchsorted(t, self.t + 1e-9, side="right") - 1
+        return np.asarray(joint.command[place])
+
+    def _content(self) -> dict[str, Any]:
+        """What the recording's JSON says under ``design``."""
+        return {
+            "context": {
+                "name": self.context.name,
+                "supply_ratio": self.context.supply,
+                "gain_ratio": self.context.gain,
+            },
+            "informative": self.informative,
+            "rivals": [joint.content() for joint in self.joints],
+            "provenance": dict(self.provenance),
+        }
 
     @property
     def informative(self) -> bool:
@@ -182,8 +240,7 @@ def design_for_rivals(
             rng=rng, drawn=few, rounds=rounds, start=first.command[None], progress=stage(),
         )  # fmt: skip
         joints.append(forecast(objective, last.command))
-    found = RivalDesign(_recording(joints, offered[k]), offered[k], tuple(joints))
-    return replace(found, recording=replace(found.recording, metadata=content(found)))
+    return RivalDesign(offered[k], tuple(joints))
 
 
 def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:
@@ -225,52 +282,3 @@ def _limits(robot: Robot, rivals: JointRivals, seconds: float) -> CommandLimits:
     limits = replace(limits, period_s=rivals.period_s)
     check_seconds(seconds, limits)
     return limits
-
-
-def _recording(joints: Sequence[JointForecast], context: Context) -> Recording:
-    """The commands of all joints; joints of unequal periods take that of the first."""
-    period = joints[0].rivals.period_s
-    t = period * np.arange(joints[0].command.size)
-    columns = [
-        np.interp(t, joint.rivals.period_s * np.arange(joint.command.size), joint.command)
-        for joint in joints
-    ]
-    loads = {joint.rivals.component: context.load(joint.rivals) for joint in joints}
-    return Recording(
-        name="next",
-        kind="servo",
-        joints=tuple(joint.rivals.component for joint in joints),
-        t=t,
-        command=np.stack(columns, axis=1),
-        position=np.full((t.size, len(joints)), np.nan),
-        loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
-        source="commands to record next, by sim2real design",
-    )
-
-
-def content(design: RivalDesign) -> dict[str, Any]:
-    """What ``next.json`` says of a design besides the fields of a recording."""
-    return {
-        "context": {
-            "name": design.context.name,
-            "supply_ratio": design.context.supply,
-            "gain_ratio": design.context.gain,
-        },
-        "expected": [
-            {
-                "component": joint.rivals.component,
-                "entropy_before_nats": joint.entropy,
-                "entropy_after_nats": joint.remaining,
-                "pairs": [
-                    {
-                        "first": list(pair.first),
-                        "second": list(pair.second),
-                        "distance": pair.distance,
-                        "expected": pair.expected,
-                    }
-                    for pair in joint.pairs
-                ],
-            }
-            for joint in design.joints
-        ],
-    }

@@ -44,9 +44,12 @@ def bhattacharyya(first, second):
 
 
 def test_the_distance_is_that_of_two_gaussian_predictions(objective):
-    for command, found in zip(commands(), objective.distances(commands()), strict=True):
+    # Both sets share derivatives by the gains: where they differ much, these differ too.
+    close = (0.1, 0.1, 0.4)
+    found_all = objective.distances(commands())
+    for command, found, rel in zip(commands(), found_all, close, strict=True):
         expected = bhattacharyya(*(predicted(one, command) for one in RIVALS.sets))
-        assert found[0, 1] == pytest.approx(expected, rel=0.1, abs=0.02)
+        assert found[0, 1] == pytest.approx(expected, rel=rel)
         assert found[0, 1] == found[1, 0]
         assert found[0, 0] == found[1, 1] == 0
 
@@ -56,16 +59,19 @@ def test_the_evidence_favours_the_true_set_as_often_as_stated(objective):
     distance = objective.distances(commands())[:, 0, 1]
     command = commands()[int(np.argmin(np.abs(distance - 0.8)))]
     sets = [predicted(one, command) for one in RIVALS.sets]
+    roots = [np.linalg.cholesky(covariance) for _, covariance in sets]
     right = []
-    for k in np.arange(400) % 2:
-        mean, covariance = sets[k]
-        y = rng.multivariate_normal(mean, covariance)
+    for k, (mean, _) in enumerate(sets):
+        y = mean[:, None] + roots[k] @ rng.normal(size=(mean.size, 2000))
         scores = [
-            -0.5 * ((y - m) @ np.linalg.solve(S, y - m) + np.linalg.slogdet(S)[1]) for m, S in sets
+            -0.5 * (np.linalg.solve(root, y - m[:, None]) ** 2).sum(axis=0)
+            - np.log(np.diag(root)).sum()
+            for root, (m, _) in zip(roots, sets, strict=True)
         ]
-        right.append(scores[k] > scores[1 - k])
+        right.append(np.mean(scores[k] > scores[1 - k]))
     stated = ndtr(np.sqrt(2 * bhattacharyya(*sets)))
-    assert np.mean(right) == pytest.approx(stated, abs=0.06)
+    assert 0.6 < stated < 0.99
+    assert np.mean(right) == pytest.approx(stated, abs=0.03)
 
 
 def test_a_command_at_rest_tells_nothing(objective):

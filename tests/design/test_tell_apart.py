@@ -10,7 +10,7 @@ from simulated import robot
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import limits_of, violations
 from sim2real.design.rivals import RivalObjective
-from sim2real.design.tell_apart import content, design_for_rivals, forecast
+from sim2real.design.tell_apart import design_for_rivals, forecast
 from sim2real.diagnose.rival_sets import read_rival_sets
 from sim2real.errors import InputError
 from sim2real.recording import read_recording, write_recording
@@ -31,13 +31,13 @@ def plain():
 
 def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
     limits = limits_of(robot("j1"))
-    command = plain.recording.command[:, 0]
+    command = plain.recording().command[:, 0]
     assert violations(command[None], limits) == [[]]
     assert command.size == round(SECONDS / PERIOD)
-    write_recording(plain.recording, tmp_path / "next.csv")
+    write_recording(plain.recording(), tmp_path / "next.csv")
     again = read_recording(tmp_path / "next.csv")
     np.testing.assert_allclose(again.command[:, 0], command, atol=1e-6)
-    assert again.metadata["expected"] == content(plain)["expected"]
+    assert again.metadata["design"]["rivals"] == [joint.content() for joint in plain.joints]
     assert again.loads["j1"] == RIVALS.load
 
 
@@ -48,7 +48,7 @@ def test_it_tells_more_than_commands_drawn_at_random(plain):
 
 
 def test_the_same_seed_makes_the_same_commands(plain):
-    np.testing.assert_array_equal(designed().recording.command, plain.recording.command)
+    np.testing.assert_array_equal(designed().recording().command, plain.recording().command)
 
 
 def test_what_is_stated_is_the_forecast_of_its_commands(plain):

@@ -19,9 +19,6 @@ from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.recording import Recording
 from sim2real.structured import Fields
 
-EXPECTED = "expected"
-"""Field of a recording's JSON in which a design states what it is expected to tell."""
-
 
 def rival_sets(
     joint: JointCase, finding: Finding, *, most: int = 8, hidden: int = 6, uniform: float = 0.3
@@ -174,13 +171,12 @@ def separations(
     by_name = {joint.name: joint for joint in joints}
     found = []
     for recording in recordings:
-        if recording.metadata.get(EXPECTED):
-            where = recording.path.with_suffix(".json") if recording.path else recording.name
-            for entry in Fields(where, "", recording.metadata).tables(EXPECTED):
-                joint = by_name.get(entry.text("component"))
-                if joint is not None:
-                    pairs = entry.tables("pairs")[:most]
-                    found += [_separation(joint, pair, least) for pair in pairs]
+        where = recording.path.with_suffix(".json") if recording.path else recording.name
+        design = Fields(where, "", recording.metadata).table("design")
+        for entry in design.tables("rivals") if "rivals" in design else ():
+            joint = by_name.get(entry.text("component"))
+            if joint is not None:
+                found += [_separation(joint, pair, least) for pair in entry.tables("pairs")[:most]]
     return tuple(found)
 
 
