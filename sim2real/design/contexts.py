@@ -6,17 +6,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from sim2real.arrays import Array
 from sim2real.diagnose.rival_sets import JointRivals
 from sim2real.errors import InputError
 from sim2real.recording import Load, read_load
-from sim2real.servo.parameters import BASE, COLUMNS, LINE
 from sim2real.structured import Fields, read_toml
-
-_KP = BASE.index("kp_Nm_per_rad")
-_OF_SUPPLY = [_KP, *(COLUMNS.index(name) for name in LINE)]
-"""Columns in proportion to the supply voltage: the gain, since firmware sets the duty cycle, and
-the ends of the torque-speed line."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +32,10 @@ class Context:
         """Load of a joint in this context."""
         return self.loads.get(rivals.component, rivals.load)
 
-    def applied(self, theta: Array) -> Array:
-        """Parameter rows (N, P) of servos in this context."""
-        changed = theta.copy()
-        changed[:, _OF_SUPPLY] *= self.supply
-        changed[:, _KP] *= self.gain
-        return changed
+    @property
+    def ratios(self) -> dict[str, float]:
+        """The field ``context`` of a recording's JSON."""
+        return {"supply_ratio": self.supply, "gain_ratio": self.gain}
 
 
 AS_IT_IS = Context()

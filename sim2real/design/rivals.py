@@ -90,7 +90,7 @@ class RivalObjective:
         Returns:
             S^-1 r of the module, in standard deviations of the noise.
         """
-        theta = self.context.applied(self._expansion.theta)
+        theta = self._expansion.theta
         K = len(theta)
         batch = Batch(
             [[trace] for trace in self._staged(command[None])],
@@ -133,7 +133,7 @@ class RivalObjective:
     def _products(self, commands: Array) -> Array:
         """Inner products of predictions and derivatives, whitened, shape (N, K, K)."""
         N, expansion = len(commands), self._expansion
-        theta = self.context.applied(expansion.theta)
+        theta = expansion.theta
         V = len(theta)
         batch = Batch(
             [[trace] for trace in self._staged(commands)],
@@ -153,7 +153,10 @@ class RivalObjective:
         count = commands.shape[1]
         t, load = self.rivals.period_s * np.arange(count), self.context.load(self.rivals)
         still, used = np.zeros(count), np.ones(count, dtype=bool)
-        return [Trace("next", "next", t, command, still, load, used) for command in commands]
+        ratios = {"supply_ratio": self.context.supply, "gain_ratio": self.context.gain}
+        return [
+            Trace("next", "next", t, command, still, load, used, **ratios) for command in commands
+        ]
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ class RivalDesign:
             position=np.full((self.t.size, len(loads)), np.nan),
             loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
             source="Commands to record next, by 'sim2real design'.",
-            metadata={"design": self._content()},
+            metadata={"design": self._content(), "context": self.context.ratios},
         )
 
     def _resampled(self, joint: JointForecast) -> Array:
@@ -134,11 +134,7 @@ class RivalDesign:
     def _content(self) -> dict[str, Any]:
         """What the recording's JSON says under ``design``."""
         return {
-            "context": {
-                "name": self.context.name,
-                "supply_ratio": self.context.supply,
-                "gain_ratio": self.context.gain,
-            },
+            "context": self.context.name,
             "informative": self.informative,
             "rivals": [joint.content() for joint in self.joints],
             "provenance": dict(self.provenance),
@@ -164,12 +160,11 @@ class RivalDesign:
         return "\n".join(lines)
 
     def _exhausted(self) -> str:
-        most = max(
-            (pair for joint in self.joints for pair in joint.pairs), key=lambda p: p.expected
-        )
+        pairs = [pair for joint in self.joints for pair in joint.pairs]
+        best = max(pairs, key=lambda pair: pair.expected)
         return (
-            "Nothing more can be told apart within these limits: no command found separates two sets "
-            f"with {SEPARATED:g}. The best: {most}."
+            "Nothing more can be told apart within these limits: no command that was tried "
+            f"separates two sets with {SEPARATED:g}. The best: {best}."
         )
 
 

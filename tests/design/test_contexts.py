@@ -1,13 +1,11 @@
 """Contexts of an experiment: read, refused, applied to servos."""
 
-import numpy as np
 import pytest
 from good_input import message
 from rival_pair import RIVALS
 
 from sim2real.design.contexts import AS_IT_IS, read_contexts
 from sim2real.recording import Load
-from sim2real.servo.parameters import COLUMNS
 
 GOOD = """
 [[contexts]]
@@ -32,17 +30,9 @@ def test_loads_are_those_of_the_file(tmp_path):
     assert AS_IT_IS.load(RIVALS) == RIVALS.load
 
 
-def test_supply_scales_what_the_voltage_gives_and_gain_the_gain(tmp_path):
-    text = '[[contexts]]\nname = "{}"\n{} = 0.5\n'
-    (low,) = contexts(tmp_path, text.format("low", "supply_ratio"))
-    (soft,) = contexts(tmp_path, text.format("soft", "gain_ratio"))
-    row = np.zeros((1, len(COLUMNS)))
-    names = ["kp_Nm_per_rad", "kd_Nms_per_rad", "motor.stall_torque_Nm"]
-    row[0, [COLUMNS.index(name) for name in names]] = 2.0, 0.1, 3.0
-    for context, expected in ((low, (1.0, 0.1, 1.5)), (soft, (1.0, 0.1, 3.0))):
-        changed = context.applied(row)[0, [COLUMNS.index(name) for name in names]]
-        np.testing.assert_allclose(changed, expected)
-    assert row[0, 0] == 2.0, "the row that is given stays as it is"
+def test_ratios_are_those_of_the_file(tmp_path):
+    text = '[[contexts]]\nname = "low"\nsupply_ratio = 0.5\ngain_ratio = 2.0\n'
+    assert contexts(tmp_path, text)[0].ratios == {"supply_ratio": 0.5, "gain_ratio": 2.0}
 
 
 @pytest.mark.parametrize(
