@@ -260,7 +260,13 @@ def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) ->
     )[:, None]
     folder = bench.folder / arm
     folder.mkdir()
-    paths = [bench.folder / "a.csv", write_take(case, "b", folder)]
+    # All arms are diagnosed with the same sets in mind, those that the first recording left open.
+    sets = [one.content() for one in bench.first.rival_sets[0].sets]
+    stated = {"design": {"rivals": [{"component": JOINT, "sets": sets}]}}
+    path = write_take(case, "b", folder)
+    again = json.loads(path.with_suffix(".json").read_text()) | stated
+    path.with_suffix(".json").write_text(json.dumps(again))
+    paths = [bench.folder / "a.csv", path]
     found, _ = diagnosed(paths, bench.robot)
     row = judged(case, found, folder)
     told = knower.consult(case)

@@ -19,7 +19,7 @@ by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chern
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -151,12 +151,18 @@ class RivalObjective:
     def _staged(self, commands: Array) -> list[Trace]:
         """The commands as if recorded, with all angles 0."""
         count = commands.shape[1]
-        t, load = self.rivals.period_s * np.arange(count), self.context.load(self.rivals)
-        still, used = np.zeros(count), np.ones(count, dtype=bool)
-        ratios = {"supply_ratio": self.context.supply, "gain_ratio": self.context.gain}
-        return [
-            Trace("next", "next", t, command, still, load, used, **ratios) for command in commands
-        ]
+        plan = Trace(
+            name="next",
+            file="next",
+            t=self.rivals.period_s * np.arange(count, dtype=np.float64),
+            command=np.zeros(count),
+            position=np.zeros(count),
+            load=self.context.load(self.rivals),
+            used=np.ones(count, dtype=bool),
+            supply_ratio=self.context.supply,
+            gain_ratio=self.context.gain,
+        )
+        return [replace(plan, command=command) for command in commands]
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,7 @@ class JointForecast:
             "component": self.rivals.component,
             "entropy_before_nats": self.entropy,
             "entropy_after_nats": self.remaining,
+            "sets": [one.content() for one in self.rivals.sets],
             "pairs": [
                 {
                     "first": list(pair.first),
@@ -107,7 +108,7 @@ class RivalDesign:
     def t(self) -> Array:
         """Times of the set-points in s, shape (T,)."""
         first = self.joints[0]
-        return first.rivals.period_s * np.arange(first.command.size)
+        return np.asarray(first.rivals.period_s * np.arange(first.command.size, dtype=np.float64))
 
     def recording(self, name: str = "next") -> Recording:
         """The commands as a recording without measured angles, and what they are to tell."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array, Integers
-from sim2real.recording import PER_INERTIA, Load, read_load
+from sim2real.recording import PER_INERTIA, Load, Recording, read_load
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.structured import Fields
 
@@ -36,6 +37,18 @@ class RivalSet:
     theta: Array
     columns: Integers
     information: Array
+
+    def content(self) -> dict[str, Any]:
+        """Effects, probability and parameters, as files state them."""
+        return {
+            "effects": list(self.effects),
+            "probability": self.probability,
+            "parameters": {
+                COLUMNS[k]: float(self.theta[k])
+                for k in np.flatnonzero(self.theta).tolist()
+                if k not in _FROM_LOAD
+            },
+        }
 
 
 @dataclass(frozen=True)
@@ -75,21 +88,55 @@ class JointRivals:
                 "autoregression": self.autoregression.tolist(),
             },
             "sets": [
-                {
-                    "effects": list(one.effects),
-                    "probability": one.probability,
+                one.content()
+                | {
                     "gain": one.gain,
-                    "parameters": {
-                        COLUMNS[k]: float(one.theta[k])
-                        for k in np.flatnonzero(one.theta).tolist()
-                        if k not in _FROM_LOAD
-                    },
                     "free": [COLUMNS[k] for k in one.columns],
                     "information": one.information.tolist(),
                 }
                 for one in self.sets
             ],
         }
+
+
+@dataclass(frozen=True)
+class StatedSet:
+    """A set of effects that a designed recording was made to tell from others.
+
+    Attributes:
+        effects: The effects.
+        theta: Parameters of the servo with them, fitted before, shape (P,).
+    """
+
+    effects: frozenset[str]
+    theta: Array
+
+
+def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet, ...]:
+    """The sets of effects of a joint that recordings were designed to tell apart.
+
+    Raises:
+        InputError: If what a recording's JSON says under ``design`` is of another form.
+    """
+    return tuple(
+        StatedSet(frozenset(one.sentences("effects")), _theta(one))
+        for entry in design_of(recordings, joint)
+        for one in entry.tables("sets")
+    )
+
+
+def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
+    """What the JSON of recordings says of a joint under ``design.rivals``.
+
+    Raises:
+        InputError: If it is of another form.
+    """
+    found = []
+    for recording in recordings:
+        design = Fields(recording.file, "", recording.metadata).table("design")
+        entries = design.tables("rivals") if "rivals" in design else []
+        found += [entry for entry in entries if entry.text("component") == joint]
+    return found
 
 
 def read_rival_sets(top: Fields) -> tuple[JointRivals, ...]:
@@ -120,29 +167,31 @@ def _joint(entry: Fields) -> JointRivals:
 
 
 def _set(entry: Fields) -> RivalSet:
-    parameters = entry.table("parameters")
-    free = entry.content.get("free")
-    known = (*parameters.content, *(free if isinstance(free, list) else ()))
-    if unknown := [name for name in known if name not in COLUMNS]:
-        raise entry.error("parameters", f"parameters of a servo, not {unknown[0]!r}")
-    theta = np.zeros(len(COLUMNS))
-    for name in parameters.content:
-        theta[COLUMNS.index(name)] = parameters.number(name)
-    columns = np.array([COLUMNS.index(name) for name in free or ()], dtype=np.int32)
+    free = entry.sentences("free")
+    if unknown := [name for name in free if name not in COLUMNS]:
+        raise entry.error("free", f"parameters of a servo, not {unknown[0]!r}")
+    columns = np.array([COLUMNS.index(name) for name in free], dtype=np.int32)
     information = _numbers(entry, "information")
     if information.shape != (columns.size, columns.size):
         raise entry.error("information", f"{columns.size} rows of {columns.size} numbers")
-    effects = entry.content.get("effects")
-    if not isinstance(effects, list):
-        raise entry.error("effects", "a list of names of effects")
     return RivalSet(
-        effects=tuple(str(name) for name in effects),
+        effects=entry.sentences("effects"),
         probability=entry.number("probability"),
         gain=entry.number("gain"),
-        theta=theta,
+        theta=_theta(entry),
         columns=columns,
         information=information,
     )
+
+
+def _theta(entry: Fields) -> Array:
+    """The parameter row of a set, shape (P,)."""
+    parameters, theta = entry.table("parameters"), np.zeros(len(COLUMNS))
+    for name in parameters.content:
+        if name not in COLUMNS:
+            raise entry.error("parameters", f"parameters of a servo, not {name!r}")
+        theta[COLUMNS.index(name)] = parameters.number(name)
+    return theta
 
 
 def _numbers(entry: Fields, name: str) -> Array:

@@ -30,7 +30,7 @@ _SHOWN = 10
 
 def rivals_figure(joint: JointForecast) -> Figure:
     """Plot the commands and the differences of the rivals' predictions over time."""
-    t = joint.rivals.period_s * np.arange(joint.command.size)
+    t = np.asarray(joint.rivals.period_s * np.arange(joint.command.size, dtype=np.float64))
     with house_style():
         label = printable(f"{joint.rivals.component}: commands, and where rivals differ")
         figure = new_figure(300, label)

@@ -190,6 +190,7 @@ def _pass(
         bases=bases,
         best=[ledger.best for ledger in known],
         needed=not all(joint.references for joint in joints),
+        stated=[joint.stated for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     probable = posteriors(ledgers, robots, rng)

@@ -12,7 +12,7 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.effect_probabilities import trusted_share
 from sim2real.diagnose.missing.investigate import Finding, is_no_finding
-from sim2real.diagnose.rival_sets import JointRivals, RivalSet
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet, design_of
 from sim2real.diagnose.separation import Separation
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.inference.normal import NINE_IN_TEN
@@ -168,16 +168,12 @@ def separations(
     Raises:
         InputError: If the statement of a recording is of another form.
     """
-    by_name = {joint.name: joint for joint in joints}
-    found = []
-    for recording in recordings:
-        where = recording.path.with_suffix(".json") if recording.path else recording.name
-        design = Fields(where, "", recording.metadata).table("design")
-        for entry in design.tables("rivals") if "rivals" in design else ():
-            joint = by_name.get(entry.text("component"))
-            if joint is not None:
-                found += [_separation(joint, pair, least) for pair in entry.tables("pairs")[:most]]
-    return tuple(found)
+    return tuple(
+        _separation(joint, pair, least)
+        for joint in joints
+        for entry in design_of(recordings, joint.name)
+        for pair in entry.tables("pairs")[:most]
+    )
 
 
 def _separation(joint: JointFindings, pair: Fields, least: float) -> Separation:
