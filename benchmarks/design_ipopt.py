@@ -75,7 +75,7 @@ def spline_design(
     spacing_s: float,
     substeps: int = 4,
 ) -> tuple[Array, int]:
-    """The command (T,) that IPOPT reaches from a command (T,) in some seconds, and its iterations."""
+    """The command (T,) that IPOPT reaches from another in some seconds, and its iterations."""
     t = limits.times(SECONDS)
     F, D = len(belief.names), len(belief.rows)
     inner = np.arange(limits.rest_s, SECONDS - limits.rest_s + 1e-9, spacing_s)
