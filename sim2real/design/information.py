@@ -21,8 +21,12 @@ from sim2real.arrays import Array
 from sim2real.design.belief import GAINS, Belief
 from sim2real.design.limits import CommandLimits
 from sim2real.inference.normal import Z90
+from sim2real.recording import PER_INERTIA
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
+
+_LEAST = 1e-3
+"""Precision of the logarithm of a parameter of which nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,8 @@ class Information:
         gains = [k for k, name in enumerate(self.belief.names) if name in GAINS]
         worst = log_width[:, :, gains].max(axis=2)
         score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
-        excess = precision.rms_torque_Nm / self.limits.rms_torque_Nm - 1
+        known = self.belief.load is not PER_INERTIA
+        excess = precision.rms_torque_Nm / (self.limits.rms_torque_Nm if known else np.inf) - 1
         return np.asarray(score - 10 * np.maximum(excess, 0.0).mean(axis=1))
 
     def precision(self, commands: Array) -> Precision:
@@ -130,11 +135,10 @@ class Information:
         gram = each[:, :, : F * F].reshape(-1, D, F, F)
         by_angle = each[:, :, F * F : -1].reshape(-1, D, F, self.features)
         white = noise.white_rad
-        prior = np.diag(1 / self.belief.prior_sd**2)
+        prior = np.diag(1 / self.belief.prior_sd**2 + _LEAST)
         repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
         precision = gram / white**2 + prior
-        ridge = 1e-9 * np.trace(precision, axis1=2, axis2=3)[..., None, None]
-        inverse = np.linalg.inv(precision + ridge * np.eye(F))
+        inverse = np.linalg.inv(precision)
         middle = gram / white**2 + repeated / white**4 + prior
         return Precision(inverse @ middle @ inverse, np.sqrt(each[:, :, -1]))
 

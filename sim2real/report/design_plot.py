@@ -30,7 +30,7 @@ _CAPTION = (
     "that comes from each part of the recording (the square of the angle's derivative)."
 )
 _PART_S = 0.5
-_LINES = ("-", "--", "-.", ":")
+_LINES = ("-", "--", "-.", ":", (0, (6, 1)), (0, (1, 1)))
 
 
 def design_report(design: Design) -> str:
@@ -111,12 +111,14 @@ def _draw_widths(
     """Half-widths of the intervals in percent, shape (parts, F)."""
     determined = list(joint.determined.values())
     for k, name in enumerate(names):
-        color = ACCENT if determined[k] else FAINT
-        axes.plot(ends, percent[:, k], color=color, linestyle=_LINES[k % len(_LINES)], label=name)
+        color, style = ACCENT if determined[k] else FAINT, _LINES[k % len(_LINES)]
+        axes.plot(ends, percent[:, k], color=color, linestyle=style, linewidth=1.2, label=name)
     axes.set_yscale("log")
-    axes.set_ylim(0.5 * percent[-1].min(), 100.0)
-    axes.set_title("half-width of the 90 % interval, %; grey: not determined")
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1.02), ncols=min(len(names), 3))
+    axes.set_ylim(0.6 * percent[-1].min(), 150.0)
+    axes.yaxis.set_major_formatter(lambda value, _: three_digits(value))
+    axes.yaxis.set_minor_formatter(lambda value, _: "")
+    axes.set_title("half-width of the 90 % interval, % (grey: not determined)")
+    axes.legend(loc="upper right", ncols=min(len(names), 3), handlelength=2.2)
 
 
 def _shares(slopes: Array, parts: int) -> Array:
