@@ -216,5 +216,5 @@ def _check_pendulum(limits: CommandLimits, row: Array, where: tuple[str, str]) -
             "torque that the servo holds"
         )
         raise InputError(
-            where[0], f"{where[1]}.max_torque_Nm", f"{weight:.3g} N m to hold", expected
+            where[0], f"{where[1]}.max_torque_Nm", f"{weight:.3g} N m to hold the load", expected
         )

@@ -151,6 +151,8 @@ def design(
     seconds: float = 30.0,
     loads: Mapping[str, Load] | None = None,
     seed: int = 0,
+    drawn: int = 320,
+    rounds: int = 8,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Design:
     """Commands that determine the servos best, within the limits of the robot.
@@ -161,6 +163,8 @@ def design(
         seconds: Duration of the recording, s.
         loads: Load of each joint; by default that of the model.
         seed: Seed of the search.
+        drawn: Number of random commands that are compared.
+        rounds: Number of batches of variations of the best.
         progress: Called with the share that is done.
 
     Raises:
@@ -179,7 +183,9 @@ def design(
             progress((done + share) / len(names))
 
         rng = np.random.default_rng([seed, k])
-        found = best(information, joint, seconds, rng=rng, progress=report)
+        found = best(
+            information, joint, seconds, rng=rng, drawn=drawn, rounds=rounds, progress=report
+        )
         precision = information.precision(found.command[None])
         designs[name] = JointDesign(information, found, precision, MODEL if model else SHEET)
     return Design(next(iter(limits.values())).times(seconds), designs)

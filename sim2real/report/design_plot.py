@@ -114,7 +114,7 @@ def _draw_widths(
         color, style = ACCENT if determined[k] else FAINT, _LINES[k % len(_LINES)]
         axes.plot(ends, percent[:, k], color=color, linestyle=style, linewidth=1.2, label=name)
     axes.set_yscale("log")
-    axes.set_ylim(0.6 * percent[-1].min(), 150.0)
+    axes.set_ylim(0.6 * percent[-1].min(), 900.0)
     axes.yaxis.set_major_formatter(lambda value, _: three_digits(value))
     axes.yaxis.set_minor_formatter(lambda value, _: "")
     axes.set_title("half-width of the 90 % interval, % (grey: not determined)")
