@@ -20,6 +20,7 @@ from sim2real.errors import InputError, check_whole, shown
 
 if TYPE_CHECKING:
     from sim2real.density import Density
+    from sim2real.design.plan import Design
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
@@ -210,6 +211,51 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
         for recording in loaded:
             validate_commands(recording, description)
     return predict_recordings(loaded, model_of(model))
+
+
+def design(
+    robot: Robot | File,
+    model: Model | File | None = None,
+    *,
+    seconds: float = 30.0,
+    inertia: Sequence[str] | None = None,
+    pendulum: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Design:
+    """Design the commands to record next, which determine the servos best.
+
+    Args:
+        robot: The robot, with its limits and data sheets (robot.toml).
+        model: Its fitted servos (MODEL.json); without it, what the data sheets say.
+        seconds: Duration of the recording, s.
+        inertia: Load of a joint, J=KGM2: inertia of everything on its output shaft; by default
+            that of the model, or an unknown one.
+        pendulum: Load of a joint, J=KG,M: mass that hangs straight down at angle 0, and its
+            distance from the shaft.
+        seed: Seed of the search.
+
+    Returns:
+        The design: ``recording()`` has the commands, ``joints`` what is expected of them.
+
+    Raises:
+        InputError: If limits contradict each other, the duration is too short, or the robot and
+            the model do not agree.
+    """
+    from dataclasses import replace
+
+    from sim2real.design.loads import stated_loads
+    from sim2real.design.plan import design as plan
+    from sim2real.output import provenance
+    from sim2real.progress import progress_bar
+
+    check_whole("design", "seed", seed)
+    description, fitted = robot_of(robot), None if model is None else model_of(model)
+    loads = stated_loads(description, fitted, inertia, pendulum)
+    with progress_bar("design") as progress:
+        found = plan(
+            description, fitted, seconds=seconds, loads=loads, seed=seed, progress=progress
+        )
+    return replace(found, provenance=provenance([robot, model], seed))
 
 
 def recordings_of(recordings: Recorded) -> list[Recording]:

@@ -12,11 +12,12 @@ from sim2real.identification.fit import plain_row
 from sim2real.identification.motor_prior import motor_prior
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.normal import Z90
+from sim2real.inference.parameters import column
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Robot, Servo
-from sim2real.servo.parameters import BASE, COLUMNS, LINE, joint_row
-from sim2real.servo.trace import Trace
+from sim2real.servo.parameters import BASE, COLUMNS, LINE, ROTOR, ROTOR_INERTIA, joint_row
+from sim2real.servo.trace import Trace, shows_inertia
 
 GAINS = BASE[:3]
 """Gains and latency, the parameters of every servo."""
@@ -31,15 +32,11 @@ class Noise:
         angle_rad: Standard deviation of errors that repeat with the angle: an eccentric sensor, or
             cogging of motor and gears.
         angle_scale_rad: Angle over which these change.
-        wander_rad: Standard deviation of slow drift.
-        wander_s: Its correlation time.
     """
 
     white_rad: float
     angle_rad: float
     angle_scale_rad: float = 0.1
-    wander_rad: float = 0.0
-    wander_s: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -148,23 +145,28 @@ def _from_sheet(
 
     Torque and speed vary about the data sheet as in the prior of the fit.
     """
-    points = kronecker(draws, 5, rng)
+    points = kronecker(draws, 6, rng)
     low, high = np.log([frequency_rad_s, damping_ratio, latency_s]).T
     frequency, damping, latency = np.exp(low + points[:, :3] * (high - low)).T
-    inertia = load.inertia_kgm2
+    names: tuple[str, ...] = GAINS
+    motor = np.zeros((draws, 0))
+    if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+        still = _still(load)
+        line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
+        prior = motor_prior(servo, [still])
+        parameters = [prior.parameters[prior.index(name)] for name in line]
+        # of the prior's rotors the lighter ones: stated loads mostly include the rotor
+        middle = np.array([0.5, 0.5, 1.0])[: len(line)]
+        share = np.sqrt(12) * (points[:, 3 : 3 + len(line)] - middle)
+        motor = np.exp(column(parameters, "nominal") + share * column(parameters, "prior_sd"))
+        names = (*GAINS, *line)
     rows = np.tile(plain_row(0.0, 0.0, 0.0), (draws, 1))
+    rows[:, [COLUMNS.index(name) for name in names[3:]]] = motor
+    inertia = load.inertia_kgm2 + rows[:, ROTOR_INERTIA]
     rows[:, 0] = frequency**2 * inertia
     rows[:, 1] = 2 * damping * frequency * inertia
     rows[:, 2] = latency
-    rows[:, 3:5] = inertia, load.gravity_Nm
-    names: tuple[str, ...] = GAINS
-    if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
-        names = (*GAINS, *LINE)
-        prior = motor_prior(servo, [_still(load)])
-        for k, name in enumerate(LINE):
-            parameter = prior.parameters[prior.index(name)]
-            shift = parameter.prior_sd * (2 * points[:, 3 + k] - 1) * np.sqrt(3)
-            rows[:, COLUMNS.index(name)] = np.exp(parameter.nominal + shift)
+    rows[:, 3:5] = load.inertia_kgm2, load.gravity_Nm
     white = _white(limits)
     return Belief(names, rows, _prior_sd(names, servo, load), load, Noise(white, white))
 

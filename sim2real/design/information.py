@@ -16,14 +16,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from sim2real.arrays import Array
 from sim2real.design.belief import GAINS, Belief
 from sim2real.design.limits import CommandLimits
 from sim2real.inference.normal import Z90
+from sim2real.recording import PER_INERTIA
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
+
+_LEAST = 1e-3
+"""Precision of the logarithm of a parameter of which nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ class Information:
         substep_s: Longest sub-step of the rollouts, s.
         difference: Step of the forward differences, relative to a parameter.
         features: Number of Fourier features of the errors that repeat with the angle.
+        every: Number of samples per sample at which these errors are evaluated.
+        others: Weight of the mean logarithm of all widths beside that of the widest of the gains.
         threads: CPU threads.
     """
 
@@ -62,7 +67,9 @@ class Information:
     limits: CommandLimits
     substep_s: float = 0.004
     difference: float = 1e-3
-    features: int = 24
+    features: int = 16
+    every: int = 2
+    others: float = 0.3
     threads: int = 2
     _waves: tuple[Array, Array] = field(init=False)
 
@@ -74,22 +81,66 @@ class Information:
         object.__setattr__(self, "_waves", waves)
 
     def __call__(self, commands: Array) -> Array:
-        """Score of each command (N, T): minus the logarithm of the widest interval, shape (N,).
+        """Score of each command (N, T), shape (N,), see ``scores``."""
+        return self.scores(self.statistics(commands, 1)[:, 0])
 
-        Averaged over the servos of the belief; what exceeds the torque budget is penalised.
+    def scores(self, statistics: Array) -> Array:
+        """Scores of commands with these statistics (N, K), shape (N,).
+
+        Minus the logarithm of the widest interval of gains and latency, plus a share of that of all
+        parameters, averaged over the servos of the belief. What exceeds the torque budget is
+        penalised.
         """
-        precision = self.precision(commands)
+        precision = self.precision_of(statistics)
         log_width = np.log(np.maximum(precision.half_width, 1e-9))
         gains = [k for k, name in enumerate(self.belief.names) if name in GAINS]
         worst = log_width[:, :, gains].max(axis=2)
-        score = -(worst + 0.2 * log_width.mean(axis=2)).mean(axis=1)
-        excess = precision.rms_torque_Nm / self.limits.rms_torque_Nm - 1
+        score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
+        known = self.belief.load is not PER_INERTIA
+        excess = precision.rms_torque_Nm / (self.limits.rms_torque_Nm if known else np.inf) - 1
         return np.asarray(score - 10 * np.maximum(excess, 0.0).mean(axis=1))
 
     def precision(self, commands: Array) -> Precision:
         """Expected precision after each command (N, T)."""
+        return self.precision_of(self.statistics(commands, 1)[:, 0])
+
+    def statistics(self, commands: Array, parts: int) -> Array:
+        """What the scores depend on, for equal parts of commands (N, T), shape (N, parts, K).
+
+        Those of a command are the sum of those of its parts. A servo forgets in a fraction of a
+        second, so that the parts of different commands, joined, have about the sum of theirs.
+        """
         angle, slopes = self.sensitivities(commands)
-        return Precision(self._covariance(angle, slopes), self._torque(angle))
+        load, period, (number, phase) = self.belief.load, self.limits.period_s, self._waves
+        acceleration = np.diff(angle, 2, axis=2, append=0.0, prepend=0.0) / period**2
+        acceleration[:, :, [0, -1]] = 0.0
+        torque2 = (load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle)) ** 2
+        found = []
+        for part in np.array_split(np.arange(commands.shape[1]), parts):
+            slope = slopes[:, :, part]
+            some = np.s_[:, :, :: self.every]  # errors by the angle change slowly
+            wave = np.cos(angle[:, :, part][some][..., None] * number + phase)
+            sums = (
+                np.swapaxes(slope, 2, 3) @ slope,
+                self.every * np.swapaxes(slope[some], 2, 3) @ wave,
+                torque2[:, :, part].sum(axis=2)[..., None] / commands.shape[1],
+            )
+            found.append(np.concatenate([x.reshape(*x.shape[:2], -1) for x in sums], axis=2))
+        return np.stack(found, axis=1).reshape(len(commands), parts, -1)
+
+    def precision_of(self, statistics: Array) -> Precision:
+        """Expected precision after commands with these statistics (N, K)."""
+        noise, D, F = self.belief.noise, len(self.belief.rows), len(self.belief.names)
+        each = statistics.reshape(len(statistics), D, -1)
+        gram = each[:, :, : F * F].reshape(-1, D, F, F)
+        by_angle = each[:, :, F * F : -1].reshape(-1, D, F, self.features)
+        white = noise.white_rad
+        prior = np.diag(1 / self.belief.prior_sd**2 + _LEAST)
+        repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
+        precision = gram / white**2 + prior
+        inverse = np.linalg.inv(precision)
+        middle = gram / white**2 + repeated / white**4 + prior
+        return Precision(inverse @ middle @ inverse, np.sqrt(each[:, :, -1]))
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
@@ -107,34 +158,6 @@ class Information:
         angles = np.array(simulator.angles(flat, substep)).reshape(len(commands), D, 1 + F, t.size)
         slopes = (angles[:, :, 1:] - angles[:, :, :1]) / self.difference
         return angles[:, :, 0], np.moveaxis(slopes, 2, 3)
-
-    def _covariance(self, angle: Array, slopes: Array) -> Array:
-        noise, (number, phase) = self.belief.noise, self._waves
-        white = noise.white_rad
-        gram = np.einsum("ndtf,ndtg->ndfg", slopes, slopes)
-        prior = np.diag(1 / self.belief.prior_sd**2)
-        spread = white**2 * gram
-        if noise.angle_rad > 0:
-            wave = np.cos(angle[..., None] * number + phase)
-            size = noise.angle_rad * np.sqrt(2 / number.size)
-            part = size * np.swapaxes(slopes, 2, 3) @ wave
-            spread = spread + part @ np.swapaxes(part, 2, 3)
-        if noise.wander_rad > 0:
-            keep = float(np.exp(-self.limits.period_s / noise.wander_s))
-            gain = noise.wander_rad * np.sqrt(1 - keep**2)
-            later = lfilter([gain], [1.0, -keep], slopes[:, :, ::-1], axis=2)
-            spread = spread + np.einsum("ndtf,ndtg->ndfg", later, later)
-        precision = gram / white**2 + prior
-        ridge = 1e-9 * np.trace(precision, axis1=2, axis2=3)[..., None, None]
-        inverse = np.linalg.inv(precision + ridge * np.eye(precision.shape[-1]))
-        return np.asarray(inverse @ (spread / white**4 + prior) @ inverse)
-
-    def _torque(self, angle: Array) -> Array:
-        """Root mean square of the torque that moves the load along the angles (N, D, T)."""
-        load, period = self.belief.load, self.limits.period_s
-        acceleration = np.diff(angle, 2, axis=2) / period**2
-        torque = load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle[:, :, 1:-1])
-        return np.asarray(np.sqrt(np.mean(torque**2, axis=2)))
 
     def of(self, belief: Belief) -> Information:
         """The same for another belief."""

@@ -14,12 +14,13 @@ from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Joint, Robot
 from sim2real.servo.parameters import joint_row
-from sim2real.signals import REST_S
 
 PERIOD_S = 0.02
 """Sample period of the recorder, s."""
 FINEST_RAD = 1e-4
 """Resolution of the commands where the data sheet states no position step, rad."""
+REST_S = 1.0
+"""Time at rest at either end, s, in which the noise of the sensor is estimated (``noise``)."""
 CONTINUOUS_SHARE = 0.5
 """Largest root mean square of the torque, as a share of the stall torque.
 
@@ -215,5 +216,5 @@ def _check_pendulum(limits: CommandLimits, row: Array, where: tuple[str, str]) -
             "torque that the servo holds"
         )
         raise InputError(
-            where[0], f"{where[1]}.max_torque_Nm", f"{weight:.3g} N m to hold", expected
+            where[0], f"{where[1]}.max_torque_Nm", f"{weight:.3g} N m to hold the load", expected
         )
