@@ -12,6 +12,10 @@ designed   ``sim2real.design``: commands and load with the least expected entrop
 random     one command of the families that designs start from, drawn at random, the load as it is
 menu       command and load of ``diagnose``'s menu that separate the closest rivals most
 
+A designed recording states the sets that were open, and the diagnosis of both recordings tries them in
+any case. As the others state nothing, they are diagnosed once more with the same sets stated: what
+remains of the difference is due to the commands and the load alone.
+
 A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
 effects, if each has an entry of its own. What can be told is what an oracle tells from the same
 recordings: it knows the plant, its parameters and its noise (``datasets/foreign/knower.py``).
@@ -63,7 +67,7 @@ from grade import DETECTABLE, LIKELY, _both, _entry, _named  # noqa: E402
 
 from sim2real.design.candidates import draw  # noqa: E402
 from sim2real.design.contexts import AS_IT_IS, Context  # noqa: E402
-from sim2real.design.limits import limits_of  # noqa: E402
+from sim2real.design.limits import CommandLimits, limits_of, within  # noqa: E402
 from sim2real.design.rivals import RivalObjective  # noqa: E402
 from sim2real.design.tell_apart import design_for_rivals, forecast  # noqa: E402
 from sim2real.diagnose.decision import DECISION  # noqa: E402
@@ -80,6 +84,8 @@ from sim2real.robot import Robot, read_robot  # noqa: E402
 Row = dict[str, Any]
 
 ARMS = ("designed", "random", "menu")
+STATED = " + sets"
+"""Added to the name of an arm that is diagnosed with the open sets stated."""
 SECONDS = 16.0
 """Duration of the second recording, that of the menu's commands."""
 CONTEXTS = ("none", "added_inertia", "added_weight")
@@ -207,7 +213,7 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
         command = draw(rng, 1, limits, SECONDS)[0]
         note = {"remaining": forecast(RivalObjective(rivals), command).remaining}
     else:
-        command, context = _of_menu(bench, limits.reach_rad)
+        command, context = _of_menu(bench, limits)
         objective = RivalObjective(rivals, _context(context, rivals.load))
         note = {"remaining": forecast(objective, command).remaining}
     return command, context, note | {"seconds": time.perf_counter() - start}
@@ -217,7 +223,7 @@ def _context(name: str, load: Load) -> Context:
     return Context(name, {JOINT: loaded(load, name)}) if name != "none" else AS_IT_IS
 
 
-def _of_menu(bench: Bench, reach: float) -> tuple[np.ndarray, str]:
+def _of_menu(bench: Bench, limits: CommandLimits) -> tuple[np.ndarray, str]:
     """Command and context of the menu for the members of a group, or else the likeliest sets."""
     finding, most = bench.findings.finding, DECISION.report.experiment_rivals
     tried = finding.tried.tried
@@ -232,17 +238,19 @@ def _of_menu(bench: Bench, reach: float) -> tuple[np.ndarray, str]:
         rivals = list({h.members: h for h in rivals}.values())
     trace = bench.findings.joint.traces[0]
     names = [min(h.members, default=ROUNDING) for h in rivals[:most]]
-    plan = next_experiment(trace, rivals[:most], names, JOINT, 0.9 * reach, contexts=CONTEXTS)
+    plan = next_experiment(
+        trace, rivals[:most], names, JOINT, 0.9 * limits.reach_rad, contexts=CONTEXTS
+    )
     assert plan is not None and plan.t is not None and plan.signal is not None
-    # The menu's commands are at 50 Hz; the bench records at a rate of its own.
+    # The menu's commands are at 50 Hz; the bench records at a rate of its own, within limits.
     t = np.arange(round(SECONDS / bench.first.rival_sets[0].period_s))
     t = t * bench.first.rival_sets[0].period_s
     place = np.searchsorted(plan.t, t + 1e-9, side="right") - 1
-    return plan.signal[place], plan.context
+    return within(plan.signal[place][None], limits)[0], plan.context
 
 
-def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) -> Row:
-    """Record a second time, diagnose both recordings, and ask the oracle."""
+def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) -> dict[str, Row]:
+    """Record a second time, diagnose both recordings, and ask the oracle; rows by arm."""
     case, rng = bench.case, np.random.default_rng([*bench.seed, 2])
     period = bench.first.rival_sets[0].period_s
     first, servo = case.takes["a"], case.servos[0]
@@ -254,30 +262,31 @@ def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) ->
     servo.loads["b"] = StatedLoad(load.inertia_kgm2, load.pendulum_mass_kg, load.pendulum_length_m)
     reading = case.readings("b")[:, 0]
     if not np.isfinite(reading).all():
-        return {"right": False, "unstable": True}
+        unstable = {"right": False, "unstable": True}
+        return {label: unstable for label in dict.fromkeys((arm, arm + STATED))}
     case.takes["b"].measured = recorded(
         case.takes["b"], reading, servo, acting_on(case.hidden, 0), rng
     )[:, None]
-    folder = bench.folder / arm
-    folder.mkdir()
-    # All arms are diagnosed with the same sets in mind, those that the first recording left open.
-    sets = [one.content() for one in bench.first.rival_sets[0].sets]
-    stated = {"design": {"rivals": [{"component": JOINT, "sets": sets}]}}
-    path = write_take(case, "b", folder)
-    again = json.loads(path.with_suffix(".json").read_text()) | stated
-    path.with_suffix(".json").write_text(json.dumps(again))
-    paths = [bench.folder / "a.csv", path]
-    found, _ = diagnosed(paths, bench.robot)
-    row = judged(case, found, folder)
     told = knower.consult(case)
     least = min(told["llr_of_each"].values()) if "llr_of_each" in told else told["llr_total"]
     practical = told.get("practical_of_each") or {"it": told["practical"]}
-    entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
-    return row | {
-        "llr": float(least),
-        "practical": all(practical.values()),
-        "entropy": entropy,
-    }
+    oracle = {"llr": float(least), "practical": all(practical.values())}
+    folder = bench.folder / arm
+    folder.mkdir()
+    path = write_take(case, "b", folder)
+    plain = json.loads(path.with_suffix(".json").read_text())
+    sets = [one.content() for one in bench.first.rival_sets[0].sets]
+    stated = plain | {"rivals": [{"component": JOINT, "sets": sets}]}
+    rows = {}
+    for name, sidecar_of in ((arm, plain), (arm + STATED, stated)):
+        if arm == "designed" and sidecar_of is plain:
+            continue
+        path.with_suffix(".json").write_text(json.dumps(sidecar_of))
+        found, _ = diagnosed([bench.folder / "a.csv", path], bench.robot)
+        entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
+        label = arm if arm == "designed" else name
+        rows[label] = judged(case, found, folder) | oracle | {"entropy": entropy}
+    return rows
 
 
 def answered(seed: list[int]) -> Row:
@@ -286,18 +295,19 @@ def answered(seed: list[int]) -> Row:
         bench = looked_at(seed, Path(name))
         if isinstance(bench, str):
             return {"seed": seed, "state": "", "verdict": bench}
-        case, found = bench.case, bench.first
+        case, first = bench.case, bench.first
         row: Row = {
             "seed": seed,
             "state": bench.state,
             "plant": case.plant,
             "hidden": [(h.effect, h.strength) for h in case.hidden],
-            "first": judged(case, found, bench.folder) | {"entropy": found.rival_sets[0].entropy},
-            "sets": [(s.effects, s.probability) for s in found.rival_sets[0].sets],
+            "first": judged(case, first, bench.folder) | {"entropy": first.rival_sets[0].entropy},
+            "sets": [(s.effects, s.probability) for s in first.rival_sets[0].sets],
         }
         for arm in ARMS:
             command, context, note = second(bench, arm)
-            row[arm] = note | {"context": context} | recorded_again(bench, arm, command, context)
+            found = recorded_again(bench, arm, command, context)
+            row |= {label: note | {"context": context} | one for label, one in found.items()}
     return row
 
 
@@ -315,7 +325,7 @@ def summary(rows: Sequence[Row]) -> Row:
     }
     for name, some in groups.items():
         out[name] = {"benches": len(some)}
-        for arm in ARMS:
+        for arm in (*ARMS, *(arm + STATED for arm in ARMS[1:])):
             told = [r for r in some if r[arm].get("llr", 0) >= DETECTABLE]
             matter = [r for r in told if r[arm]["practical"]]
             out[name][arm] = {

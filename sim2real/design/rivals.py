@@ -20,15 +20,16 @@ by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chern
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.diagnose.missing.screening import NUISANCES
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
 
 
@@ -68,16 +69,64 @@ class RivalObjective:
         Returns:
             Shape (N,); -inf where a simulation diverges.
         """
-        return -remaining_entropy(self.probability, self.distances(commands))
+        return self.scores(self.statistics(commands, 1)[:, 0])
+
+    def statistics(self, commands: Array, parts: int) -> Array:
+        """Inner products of whitened predictions and derivatives over parts of the commands.
+
+        Args:
+            commands: Set-points in rad, shape (N, T).
+            parts: Number of equal parts.
+
+        Returns:
+            Shape (N, parts, K * K).
+        """
+        N, theta = len(commands), self._expansion.theta
+        batch = Batch(
+            [[trace] for trace in self._staged(commands)],
+            self._device,
+            self._threads,
+            period=self.rivals.period_s,
+        )
+        rows = np.repeat(theta[None], N, axis=0)
+        problems = Problems(np.arange(N, dtype=np.int32), rows, np.ones(rows.shape[:2]))
+        noise = np.repeat(self._noise(batch)[None], N, axis=0)
+        gram = batch.evaluate(problems, blocks=parts, autoregression=noise).gram
+        return np.asarray(gram.reshape(N, parts, -1) / self.rivals.noise_rad**2)
+
+    def scores(self, statistics: Array) -> Array:
+        """Scores of N commands from their inner products (N, K * K), shape (N,)."""
+        return -remaining_entropy(self.probability, self._distances(statistics))
 
     def distances(self, commands: Array) -> Array:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
-        products = self._products(commands)
-        M = len(self.rivals.sets)
-        out = np.zeros((len(commands), M, M))
-        for i, j in combinations(range(M), 2):
-            out[:, i, j] = out[:, j, i] = self._distance(products, i, j)
-        return out
+        return self._distances(self.statistics(commands, 1)[:, 0])
+
+    def _distances(self, statistics: Array) -> Array:
+        """Distances (N, M, M) from inner products (N, K * K).
+
+        The law of an effect is wrong by ``law_error`` of its own size, see
+        ``effect_probabilities.trusted_share``: that much of a difference does not count.
+        """
+        vectors = self._expansion.vectors
+        K, M = len(vectors), self.probability.size
+        F = vectors.shape[1] // M - 1
+        products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
+        i, j = np.triu_indices(M, 1)
+        of_set = M + np.arange(M * F).reshape(M, F)
+        both = np.concatenate([of_set[i], of_set[j]], axis=1)
+        square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
+        across = (products[:, both, i[:, None]] - products[:, both, j[:, None]]) / np.sqrt(2)
+        inner = np.eye(2 * F) + products[:, both[:, :, None], both[:, None, :]] / 2
+        single = np.eye(F) + products[:, of_set[:, :, None], of_set[:, None, :]]
+        taken = np.linalg.solve(inner, across[..., None])[..., 0]
+        apart = square - np.einsum("npf,npf->np", across, taken)
+        logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
+        distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
+        energy = np.maximum(self._gain[i], self._gain[j])
+        out = np.zeros((len(products), M, M))
+        out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
+        return out + out.transpose(0, 2, 1)
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
@@ -103,9 +152,11 @@ class RivalObjective:
         seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
         assert seen is not None
         vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
-        means, spreads = self._expansion.means, self._expansion.spreads
+        M = self.probability.size
+        means, spreads = np.split(self._expansion.vectors, [M], axis=1)
         apart = vectors @ (means[:, i] - means[:, j])
-        both = vectors @ np.hstack([spreads[i], spreads[j]]) / np.sqrt(2)
+        of_set = np.split(spreads, M, axis=1)
+        both = vectors @ np.hstack([of_set[i], of_set[j]]) / np.sqrt(2)
         inner = np.eye(both.shape[1]) + both.T @ both
         return np.asarray(apart - both @ np.linalg.solve(inner, both.T @ apart))
 
@@ -114,39 +165,6 @@ class RivalObjective:
         noise, known = np.zeros(batch.lags), self.rivals.autoregression[: batch.lags]
         noise[: known.size] = known
         return noise
-
-    def _distance(self, products: Array, i: int, j: int) -> Array:
-        """Distance of two sets, from inner products of all vectors (N, K, K), shape (N,).
-
-        The law of an effect is wrong by ``law_error`` of its own size, see
-        ``effect_probabilities.trusted_share``: that much of a difference does not count.
-        """
-        means, spreads = self._expansion.means, self._expansion.spreads
-        difference = means[:, i] - means[:, j]
-        both = np.hstack([spreads[i], spreads[j]]) / np.sqrt(2)
-        apart, logdet = _quadratic(products, difference, both)
-        single = [_logdet(products, spreads[k]) for k in (i, j)]
-        distance = apart / 8 + (logdet - (single[0] + single[1]) / 2) / 2
-        energy = np.maximum(self._gain[i], self._gain[j])
-        return np.asarray(np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy))
-
-    def _products(self, commands: Array) -> Array:
-        """Inner products of predictions and derivatives, whitened, shape (N, K, K)."""
-        N, expansion = len(commands), self._expansion
-        theta = expansion.theta
-        V = len(theta)
-        batch = Batch(
-            [[trace] for trace in self._staged(commands)],
-            self._device,
-            self._threads,
-            period=self.rivals.period_s,
-        )
-        problems = Problems(
-            np.arange(N, dtype=np.int32), np.repeat(theta[None], N, axis=0), np.ones((N, V))
-        )
-        noise = np.repeat(self._noise(batch)[None], N, axis=0)
-        gram = batch.evaluate(problems, autoregression=noise).gram[:, 0]
-        return np.asarray(gram / self.rivals.noise_rad**2)
 
     def _staged(self, commands: Array) -> list[Trace]:
         """The commands as if recorded, with all angles 0."""
@@ -169,72 +187,66 @@ class RivalObjective:
 class _Expansion:
     """Rows to simulate, and how predictions and their spreads follow from them.
 
-    Vectors are coefficients of the differences of the rows' angles from those of the first row.
-
     Attributes:
         theta: Parameter rows: those of the sets, then one a free parameter, shape (K, P).
-        means: Predictions of the sets, shape (K, M).
-        spreads: For each set its derivatives times a root of the covariance, shape (K, F).
+        vectors: Coefficients of the differences of the rows' angles from those of the first row:
+            the predictions of the M sets, then for each set its derivatives times a root of the
+            covariance, padded to F columns, shape (K, M + M F).
     """
 
     theta: Array
-    means: Array
-    spreads: tuple[Array, ...]
+    vectors: Array
 
 
 def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Expansion:
     """Derivatives by each free parameter, at the most probable set that has it.
 
+    Waves of the angle that every servo has stay as they are: all sets have them alike.
+
     Args:
         rivals: The sets.
-        step: Step of the differences, in conditional standard deviations of the parameter.
+        step: Step of the differences, in standard deviations of the parameter, given the others.
     """
     sets, M = rivals.sets, len(rivals.sets)
+    free = [_told(one) for one in sets]
     owner: dict[int, int] = {}
-    for i, one in enumerate(sets):
-        for column in one.columns.tolist():
+    for i, columns in enumerate(free):
+        for column in columns:
             owner.setdefault(column, i)
-    columns = list(owner)
-    K = M + len(columns)
+    K, place = M + len(owner), {column: n for n, column in enumerate(owner)}
     theta = np.array([one.theta for one in sets] + [sets[i].theta for i in owner.values()])
-    derivatives = np.zeros((K, len(columns)))
-    for n, (column, i) in enumerate(owner.items()):
-        one = sets[i]
-        place = int(np.flatnonzero(one.columns == column)[0])
-        size = step / np.sqrt(one.information[place, place])
+    derivatives = np.zeros((K, len(owner)))
+    for (column, i), n in zip(owner.items(), place.values(), strict=True):
+        at = sets[i].columns.tolist().index(column)
+        size = step / np.sqrt(sets[i].information[at, at])
         theta[M + n, column] += size
         derivatives[M + n, n], derivatives[i, n] = 1 / size, -1 / size
     derivatives[0] = 0.0  # differences from the first row
-    spreads = []
-    for one in sets:
-        of_set = derivatives[:, [columns.index(c) for c in one.columns.tolist()]]
-        spreads.append(of_set @ _root_of_inverse(one.information))
-    means = np.eye(K, M)
-    means[0] = 0.0
-    return _Expansion(theta, means, tuple(spreads))
+    F = max(len(columns) for columns in free)
+    vectors = np.zeros((K, M + M * F))
+    vectors[range(1, M), range(1, M)] = 1.0
+    for i, (one, columns) in enumerate(zip(sets, free, strict=True)):
+        kept = [one.columns.tolist().index(column) for column in columns]
+        root = _root(one.information)[kept]
+        left, size, _ = np.linalg.svd(root, full_matrices=False)
+        spread = derivatives[:, [place[column] for column in columns]] @ (left * size)
+        vectors[:, M + i * F : M + i * F + len(columns)] = spread
+    return _Expansion(theta, vectors)
 
 
-def _root_of_inverse(precision: Array) -> Array:
+def _told(one: RivalSet) -> list[int]:
+    """Columns of a set's free parameters without waves of the angle that every servo has."""
+    owners = [COLUMNS[column].partition(".")[0] for column in one.columns]
+    alike = {effect.name for effect in NUISANCES} - set(one.effects)
+    pairs = zip(one.columns.tolist(), owners, strict=True)
+    return [column for column, owner in pairs if owner not in alike]
+
+
+def _root(precision: Array) -> Array:
     """A matrix R with R R' = the inverse of a precision (F, F)."""
     scale = 1 / np.sqrt(np.diag(precision))
     value, vector = np.linalg.eigh(precision * np.outer(scale, scale))
     return np.asarray(scale[:, None] * vector / np.sqrt(np.maximum(value, 1e-10)))
-
-
-def _quadratic(products: Array, difference: Array, spread: Array) -> tuple[Array, Array]:
-    """R' (I + V V')^-1 r and the logarithm of the determinant, for N recordings, shapes (N,)."""
-    along = products @ difference
-    square = along @ difference
-    inner = np.eye(spread.shape[1]) + spread.T @ (products @ spread)
-    across = along @ spread
-    taken = np.linalg.solve(inner, across[:, :, None])[:, :, 0]
-    return square - np.einsum("nf,nf->n", across, taken), np.linalg.slogdet(inner)[1]
-
-
-def _logdet(products: Array, spread: Array) -> Array:
-    """Logarithm of the determinant of I + U U', shape (N,)."""
-    inner = np.eye(spread.shape[1]) + spread.T @ (products @ spread)
-    return np.asarray(np.linalg.slogdet(inner)[1])
 
 
 def remaining_entropy(probability: Array, distances: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -17,10 +18,13 @@ from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import best
 from sim2real.diagnose.rival_sets import JointRivals
 from sim2real.diagnose.separation import SEPARATED, task
+from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot
 
 Advance = Callable[[float], None]
+OPEN = 0.05
+"""Probability from which a set of effects is one of several that remain."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class ExpectedSeparation:
         component: The joint.
         first: Effects of the more probable set.
         second: Effects of the other.
-        weight: Product of their probabilities.
+        probability: Their probabilities.
         distance: Bhattacharyya distance of their predictions.
         expected: Probability that the evidence will favour the true one of both,
             Phi(sqrt(2 distance)) for predictions of equal covariance.
@@ -40,9 +44,14 @@ class ExpectedSeparation:
     component: str
     first: tuple[str, ...]
     second: tuple[str, ...]
-    weight: float
+    probability: tuple[float, float]
     distance: float
     expected: float
+
+    @property
+    def open(self) -> bool:
+        """Whether both sets are probable."""
+        return min(self.probability) >= OPEN
 
     def __str__(self) -> str:
         """The sets, and how surely they are expected to be told apart."""
@@ -72,7 +81,7 @@ class JointForecast:
     differences: Array
 
     def content(self) -> dict[str, Any]:
-        """An entry of ``design.rivals`` in the recording's JSON."""
+        """An entry of ``rivals`` in the recording's JSON."""
         return {
             "component": self.rivals.component,
             "entropy_before_nats": self.entropy,
@@ -123,7 +132,11 @@ class RivalDesign:
             position=np.full((self.t.size, len(loads)), np.nan),
             loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
             source="Commands to record next, by 'sim2real design'.",
-            metadata={"design": self._content(), "context": self.context.ratios},
+            metadata={
+                "rivals": [joint.content() for joint in self.joints],
+                "context": {"name": self.context.name, **self.context.ratios},
+                "provenance": dict(self.provenance),
+            },
         )
 
     def _resampled(self, joint: JointForecast) -> Array:
@@ -132,19 +145,14 @@ class RivalDesign:
         place = np.searchsorted(t, self.t + 1e-9, side="right") - 1
         return np.asarray(joint.command[place])
 
-    def _content(self) -> dict[str, Any]:
-        """What the recording's JSON says under ``design``."""
-        return {
-            "context": self.context.name,
-            "informative": self.informative,
-            "rivals": [joint.content() for joint in self.joints],
-            "provenance": dict(self.provenance),
-        }
-
     @property
     def informative(self) -> bool:
-        """Whether some pair of sets is expected to be told apart."""
-        return any(pair.expected >= SEPARATED for joint in self.joints for pair in joint.pairs)
+        """Whether some pair of probable sets is expected to be told apart."""
+        return any(
+            pair.open and pair.expected >= SEPARATED
+            for joint in self.joints
+            for pair in joint.pairs
+        )
 
     def __str__(self) -> str:
         """What is expected, one line a joint and one a pair."""
@@ -161,7 +169,7 @@ class RivalDesign:
         return "\n".join(lines)
 
     def _exhausted(self) -> str:
-        pairs = [pair for joint in self.joints for pair in joint.pairs]
+        pairs = [pair for joint in self.joints for pair in joint.pairs if pair.open]
         best = max(pairs, key=lambda pair: pair.expected)
         return (
             "Nothing more can be told apart within these limits: no command that was tried "
@@ -180,6 +188,7 @@ def design_for_rivals(
     contexts: Sequence[Context] = (),
     seconds: float = 30.0,
     seed: int = 0,
+    file: str | os.PathLike[str] = "diagnosis",
     drawn: int = 256,
     rounds: int = 20,
     change_gain: float = 0.02,
@@ -196,14 +205,26 @@ def design_for_rivals(
         contexts: Contexts that are to be had besides the bench as it is.
         seconds: Duration of the recording, s.
         seed: Seed of the search.
+        file: The file that the sets come from, for messages.
         drawn: Number of random commands, over all contexts.
         rounds: Number of batches of variations.
         change_gain: Entropy in nats that a change of context must save to be asked for.
         progress: Called with the share that is done.
 
     Raises:
-        InputError: If the robot lacks a joint, or its limits allow no command.
+        InputError: If no joint has several sets that are probable, the robot lacks one of these
+            joints, or its limits allow no command.
     """
+    rivals = [one for one in rivals if sum(x.probability >= OPEN for x in one.sets) > 1]
+    if not rivals:
+        found = "no joint with several probable sets of effects"
+        raise InputError(file, "rival_sets", found, "a diagnosis that leaves some open")
+    strangers = {joint for context in contexts for joint in context.loads}
+    for joint in (*(one.component for one in rivals), *strangers):
+        if robot.joint(joint) is None:
+            known = ", ".join(described.name for described in robot.joints)
+            where = file if joint not in strangers else "contexts"
+            raise InputError(where, "", f"joint {joint!r}", f"a joint of {robot.name}: {known}")
     rng = np.random.default_rng(seed)
     offered = [AS_IT_IS, *contexts]
     limits = {one.component: _limits(robot, one, seconds) for one in rivals}
@@ -256,7 +277,7 @@ def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3)
             rivals.component,
             rivals.sets[i].effects,
             rivals.sets[j].effects,
-            float(p[i] * p[j]),
+            (float(p[i]), float(p[j])),
             float(distances[0, i, j]),
             float(ndtr(np.sqrt(2 * distances[0, i, j]))),
         )

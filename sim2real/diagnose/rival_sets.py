@@ -116,7 +116,7 @@ def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet,
     """The sets of effects of a joint that recordings were designed to tell apart.
 
     Raises:
-        InputError: If what a recording's JSON says under ``design`` is of another form.
+        InputError: If what a recording's JSON says under ``rivals`` is of another form.
     """
     return tuple(
         StatedSet(frozenset(one.sentences("effects")), _theta(one))
@@ -126,15 +126,15 @@ def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet,
 
 
 def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
-    """What the JSON of recordings says of a joint under ``design.rivals``.
+    """What the JSON of recordings says of a joint under ``rivals``.
 
     Raises:
         InputError: If it is of another form.
     """
     found = []
     for recording in recordings:
-        design = Fields(recording.file, "", recording.metadata).table("design")
-        entries = design.tables("rivals") if "rivals" in design else []
+        top = Fields(recording.file, "", recording.metadata)
+        entries = top.tables("rivals") if "rivals" in top else []
         found += [entry for entry in entries if entry.text("component") == joint]
     return found
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from good_input import message
 from rival_pair import PERIOD, RIVALS
 from simulated import robot
 
@@ -12,7 +13,6 @@ from sim2real.design.limits import limits_of, violations
 from sim2real.design.rivals import RivalObjective
 from sim2real.design.tell_apart import design_for_rivals, forecast
 from sim2real.diagnose.rival_sets import read_rival_sets
-from sim2real.errors import InputError
 from sim2real.recording import read_recording, write_recording
 from sim2real.structured import Fields
 
@@ -37,7 +37,7 @@ def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
     write_recording(plain.recording(), tmp_path / "next.csv")
     again = read_recording(tmp_path / "next.csv")
     np.testing.assert_allclose(again.command[:, 0], command, atol=1e-6)
-    assert again.metadata["design"]["rivals"] == [joint.content() for joint in plain.joints]
+    assert again.metadata["rivals"] == [joint.content() for joint in plain.joints]
     assert again.loads["j1"] == RIVALS.load
 
 
@@ -78,8 +78,14 @@ def test_where_nothing_can_be_told_it_says_so():
 
 
 def test_another_robot_is_refused():
-    with pytest.raises(InputError, match="j1"):
-        design_for_rivals([RIVALS], robot("k1"), seconds=SECONDS)
+    message(lambda: design_for_rivals([RIVALS], robot("k1"), seconds=SECONDS), "'j1'", "k1")
+
+
+def test_no_rivals_left_is_said_in_one_line():
+    sure, other = RIVALS.sets
+    sets = (replace(sure, probability=0.98), replace(other, probability=0.02))
+    known = replace(RIVALS, sets=sets)
+    message(lambda: design_for_rivals([known], robot("j1"), file="d.json"), "d.json", "rival_sets")
 
 
 def test_rival_sets_survive_a_file():

@@ -26,8 +26,8 @@ def designed(*pairs):
     stated = [
         {"first": list(first), "second": list(second), "expected": 0.95} for first, second in pairs
     ]
-    design = {"rivals": [{"component": "j1", "pairs": stated, "sets": []}]}
-    return replace(two(**FRICTION)[0], metadata={"design": design})
+    rivals = [{"component": "j1", "pairs": stated}]
+    return replace(two(**FRICTION)[0], metadata={"rivals": rivals})
 
 
 def test_the_sets_are_likely_and_their_probabilities_add_up(rivals):
@@ -59,7 +59,7 @@ def test_they_survive_a_file_and_are_tried_again(rivals):
     content = rivals.content()
     (again,) = read_rival_sets(Fields("d.json", "", {"rival_sets": [content]}))
     assert again.content() == content
-    recording = replace(two()[0], metadata={"design": {"rivals": [{"component": "j1", **content}]}})
+    recording = replace(two()[0], metadata={"rivals": [content]})
     stated = stated_sets([recording], "j1")
     assert [one.effects for one in stated] == [frozenset(one.effects) for one in rivals.sets]
     np.testing.assert_array_equal(stated[0].theta[0], rivals.sets[0].theta[0])
@@ -78,13 +78,13 @@ def test_expectation_and_outcome_stand_side_by_side(explained_joint):
 
 
 @pytest.mark.parametrize(
-    ("design", "place"),
+    ("stated", "place"),
     [
-        ({"rivals": "no"}, "design.rivals"),
-        ({"rivals": [{"sets": []}]}, "design.rivals[0].component"),
-        ({"rivals": [{"component": "j1", "sets": [{"parameters": {"x": 1}}]}]}, "'x'"),
+        ("no", "rivals"),
+        ([{"sets": []}], "rivals[0].component"),
+        ([{"component": "j1", "sets": [{"parameters": {"x": 1}}]}], "'x'"),
     ],
 )
-def test_a_design_of_another_form_is_refused_in_one_line(design, place):
-    bad = replace(two()[0], metadata={"design": design})
+def test_rivals_of_another_form_are_refused_in_one_line(stated, place):
+    bad = replace(two()[0], metadata={"rivals": stated})
     message(lambda: stated_sets([bad], "j1"), place)
