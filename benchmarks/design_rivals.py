@@ -12,9 +12,9 @@ designed   ``sim2real.design``: commands and load with the least expected entrop
 random     one command of the families that designs start from, drawn at random, the load as it is
 menu       command and load of ``diagnose``'s menu that separate the closest rivals most
 
-A designed recording states the sets that were open, and the diagnosis of both recordings tries them in
-any case. As the others state nothing, they are diagnosed once more with the same sets stated: what
-remains of the difference is due to the commands and the load alone.
+A designed recording states the sets that were open, and the diagnosis of both recordings tries
+them in any case. As the others state nothing, they are diagnosed once more with the same sets
+stated: what remains of the difference is due to the commands and the load alone.
 
 A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
 effects, if each has an entry of its own. What can be told is what an oracle tells from the same
@@ -205,7 +205,8 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
     context = "none"
     if arm == "designed":
         contexts = [_context(name, rivals.load) for name in CONTEXTS[1:]]
-        design = design_for_rivals([rivals], bench.robot, contexts=contexts, seconds=SECONDS)
+        given = {"contexts": contexts, "seconds": SECONDS, "again": True}
+        design = design_for_rivals([rivals], bench.robot, **given)
         command, context = design.joints[0].command, design.context.name
         context = context if context in CONTEXTS else "none"
         note = {"remaining": design.joints[0].remaining}

@@ -48,11 +48,6 @@ class ExpectedSeparation:
     distance: float
     expected: float
 
-    @property
-    def open(self) -> bool:
-        """Whether both sets are probable."""
-        return min(self.probability) >= OPEN
-
     def __str__(self) -> str:
         """The sets, and how surely they are expected to be told apart."""
         return f"{self.component}: {task(self.first, self.second)} with {self.expected:.2f}"
@@ -106,11 +101,13 @@ class RivalDesign:
     Attributes:
         context: What to change besides the commands.
         joints: What it is expected to tell, joint by joint.
+        least: Probability from which a set counts as open.
         provenance: As returned by ``sim2real.output.provenance``.
     """
 
     context: Context
     joints: tuple[JointForecast, ...]
+    least: float = OPEN
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -147,12 +144,12 @@ class RivalDesign:
 
     @property
     def informative(self) -> bool:
-        """Whether some pair of probable sets is expected to be told apart."""
-        return any(
-            pair.open and pair.expected >= SEPARATED
-            for joint in self.joints
-            for pair in joint.pairs
-        )
+        """Whether some pair of open sets is expected to be told apart."""
+        return any(pair.expected >= SEPARATED for pair in self._open())
+
+    def _open(self) -> list[ExpectedSeparation]:
+        pairs = [pair for joint in self.joints for pair in joint.pairs]
+        return [pair for pair in pairs if min(pair.probability) >= self.least]
 
     def __str__(self) -> str:
         """What is expected, one line a joint and one a pair."""
@@ -169,8 +166,7 @@ class RivalDesign:
         return "\n".join(lines)
 
     def _exhausted(self) -> str:
-        pairs = [pair for joint in self.joints for pair in joint.pairs if pair.open]
-        best = max(pairs, key=lambda pair: pair.expected)
+        best = max(self._open(), key=lambda pair: pair.expected)
         return (
             "Nothing more can be told apart within these limits: no command that was tried "
             f"separates two sets with {SEPARATED:g}. The best: {best}."
@@ -187,6 +183,7 @@ def design_for_rivals(
     *,
     contexts: Sequence[Context] = (),
     seconds: float = 30.0,
+    again: bool = False,
     seed: int = 0,
     file: str | os.PathLike[str] = "diagnosis",
     drawn: int = 256,
@@ -204,6 +201,8 @@ def design_for_rivals(
         robot: The robot, for the limits of its commands.
         contexts: Contexts that are to be had besides the bench as it is.
         seconds: Duration of the recording, s.
+        again: Whether to go on where one set of effects is left: then the commands are to show
+            effects that the recordings so far would have left hidden.
         seed: Seed of the search.
         file: The file that the sets come from, for messages.
         drawn: Number of random commands, over all contexts.
@@ -215,7 +214,8 @@ def design_for_rivals(
         InputError: If no joint has several sets that are probable, the robot lacks one of these
             joints, or its limits allow no command.
     """
-    rivals = [one for one in rivals if sum(x.probability >= OPEN for x in one.sets) > 1]
+    least = 0.0 if again else OPEN
+    rivals = [one for one in rivals if sum(x.probability >= least for x in one.sets) > 1]
     if not rivals:
         found = "no joint with several probable sets of effects"
         raise InputError(file, "rival_sets", found, "a diagnosis that leaves some open")
@@ -257,7 +257,7 @@ def design_for_rivals(
             rng=rng, drawn=few, rounds=rounds, start=first.command[None], progress=stage(),
         )  # fmt: skip
         joints.append(forecast(objective, last.command))
-    return RivalDesign(offered[k], tuple(joints))
+    return RivalDesign(offered[k], tuple(joints), least)
 
 
 def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.arrays import Array
-from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.diagnose.rival_sets import SCHEMA, JointRivals
 from sim2real.diagnose.separation import Separation
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
@@ -16,8 +16,6 @@ from sim2real.output import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-SCHEMA = "sim2real.diagnosis/1"
 
 Verdict = Literal[
     "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"

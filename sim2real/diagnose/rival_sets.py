@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 from sim2real.arrays import Array, Integers
 from sim2real.recording import PER_INERTIA, Load, Recording, read_load
 from sim2real.servo.parameters import BASE, COLUMNS
-from sim2real.structured import Fields
+from sim2real.structured import Fields, read_json
+
+SCHEMA = "sim2real.diagnosis/1"
 
 _FROM_LOAD = [BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")]
 """Columns that the load of a recording sets."""
@@ -137,6 +140,16 @@ def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
         entries = top.tables("rivals") if "rivals" in top else []
         found += [entry for entry in entries if entry.text("component") == joint]
     return found
+
+
+def rivals_of_file(path: str | os.PathLike[str]) -> tuple[JointRivals, ...]:
+    """The sets of effects that a ``diagnosis.json`` leaves open; none if it lists none.
+
+    Raises:
+        InputError: If the file is no diagnosis, or was written without such sets.
+    """
+    top = Fields(path, "", read_json(path, SCHEMA))
+    return read_rival_sets(top) if top.content.get("rival_sets") != [] else ()
 
 
 def read_rival_sets(top: Fields) -> tuple[JointRivals, ...]:
