@@ -186,8 +186,7 @@ def design_for_rivals(
     again: bool = False,
     seed: int = 0,
     file: str | os.PathLike[str] = "diagnosis",
-    drawn: int = 256,
-    rounds: int = 20,
+    samples: float = 6e5,
     change_gain: float = 0.02,
     progress: Advance = lambda share: None,
 ) -> RivalDesign:
@@ -205,8 +204,8 @@ def design_for_rivals(
             effects that the recordings so far would have left hidden.
         seed: Seed of the search.
         file: The file that the sets come from, for messages.
-        drawn: Number of random commands, over all contexts.
-        rounds: Number of batches of variations.
+        samples: Number of set-points that are simulated for a joint, over all commands: a third of
+            them for random commands, in all contexts, the rest for variations of the best.
         change_gain: Entropy in nats that a change of context must save to be asked for.
         progress: Called with the share that is done.
 
@@ -235,12 +234,14 @@ def design_for_rivals(
         k = next(done)
         return lambda share: progress((k + share) / stages)
 
-    few = max(drawn // len(offered), 16)
+    count = max(limits[one.component].times(seconds).size for one in rivals)
+    commands = int(np.clip(samples / count, 64, 800))
+    few = max(commands // 3 // len(offered), 16)
     found = [
         [
             best(
                 RivalObjective(one, context), limits[one.component], seconds,
-                rng=rng, drawn=few, rounds=0, progress=stage(),
+                rng=rng, drawn=few, rounds=0, batch=min(few, 32), progress=stage(),
             )
             for one in rivals
         ]
@@ -254,7 +255,8 @@ def design_for_rivals(
         objective = RivalObjective(one, offered[k])
         last = best(
             objective, limits[one.component], seconds,
-            rng=rng, drawn=few, rounds=rounds, start=first.command[None], progress=stage(),
+            rng=rng, drawn=few, rounds=commands // 2 // 32, start=first.command[None],
+            progress=stage(),
         )  # fmt: skip
         joints.append(forecast(objective, last.command))
     return RivalDesign(offered[k], tuple(joints), least)

@@ -20,7 +20,7 @@ SECONDS = 6.0
 
 
 def designed(rivals=RIVALS, contexts=(), **given):
-    few = {"drawn": 48, "rounds": 4} | given
+    few = {"samples": 6e4} | given
     return design_for_rivals([rivals], robot("j1"), contexts=contexts, seconds=SECONDS, **few)
 
 
@@ -43,7 +43,7 @@ def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
 
 def test_it_tells_more_than_commands_drawn_at_random(plain):
     (joint,) = plain.joints
-    random = designed(drawn=16, rounds=0)
+    random = designed(samples=1.0)
     assert joint.remaining < random.joints[0].remaining < RIVALS.entropy
 
 
@@ -72,7 +72,7 @@ def test_a_context_is_asked_for_where_it_tells_more():
 
 
 def test_where_nothing_can_be_told_it_says_so():
-    found = designed(replace(RIVALS, noise_rad=5.0), drawn=16, rounds=0)
+    found = designed(replace(RIVALS, noise_rad=5.0), samples=1.0)
     assert not found.informative
     assert str(found).startswith("Nothing more can be told apart within these limits")
 
