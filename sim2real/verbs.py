@@ -260,16 +260,16 @@ def design(
 
     check_whole("design", "seed", seed)
     if diagnosis is not None:
-        for name, value in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
-            if value is not None:
-                found = f"--{name} with --diagnosis, which has the servos and their loads"
-                raise InputError("design", name, found, f"no --{name}")
+        for name, given in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
+            if given is not None:
+                both = f"--{name} with --diagnosis, which has the servos and their loads"
+                raise InputError("design", name, both, f"no --{name}")
         return _design_for_rivals(
             robot, diagnosis, contexts, again=again, seconds=seconds, seed=seed
         )
-    for name, value in (("contexts", contexts), ("again", again or None)):
-        if value is not None:
-            raise InputError("design", name, f"--{name} without a diagnosis", "--diagnosis as well")
+    if contexts is not None or again:
+        name = "again" if again else "contexts"
+        raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
     description, fitted = robot_of(robot), None if model is None else model_of(model)
     loads = stated_loads(description, fitted, inertia, pendulum)
     with progress_bar("design") as progress:

@@ -216,8 +216,8 @@ def design_for_rivals(
     least = 0.0 if again else OPEN
     rivals = [one for one in rivals if sum(x.probability >= least for x in one.sets) > 1]
     if not rivals:
-        found = "no joint with several probable sets of effects"
-        raise InputError(file, "rival_sets", found, "a diagnosis that leaves some open")
+        none = "no joint with several probable sets of effects"
+        raise InputError(file, "rival_sets", none, "a diagnosis that leaves some open")
     strangers = {joint for context in contexts for joint in context.loads}
     for joint in (*(one.component for one in rivals), *strangers):
         if robot.joint(joint) is None:
