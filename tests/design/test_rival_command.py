@@ -7,9 +7,9 @@ from good_input import ROBOT
 from rival_pair import RIVALS
 
 from sim2real.cli import main
-from sim2real.recording import read_recording
+from sim2real.recording import read_commands
 
-SHORT = ["--seconds", "4", "--no-page"]
+SHORT = ["--seconds", "3", "--no-page"]
 
 
 @pytest.fixture
@@ -38,23 +38,20 @@ def refused(capsys, *parts):
         assert part in lines[0]
 
 
-def test_commands_and_what_they_are_to_tell_are_written(files, capsys):
-    assert design() == 0
-    said = capsys.readouterr().out
-    assert "separate Coulomb friction from" in said
-    written = read_recording(files / "next.csv")
-    assert written.metadata["rivals"][0]["component"] == "j1"
-    assert 0 < written.metadata["rivals"][0]["entropy_after_nats"] < RIVALS.entropy
-
-
-def test_the_context_that_is_best_stands_in_the_file(files):
+def test_commands_context_and_what_they_are_to_tell_are_written(files, capsys):
     (files / "contexts.toml").write_text(
         '[[contexts]]\nname = "softer"\ngain_ratio = 0.2\nsupply_ratio = 0.9\n'
     )
     assert design("--contexts", "contexts.toml") == 0
-    context = read_recording(files / "next.csv").metadata["context"]
-    assert context["name"] in ("softer", "as it is")
-    assert context["gain_ratio"] == (0.2 if context["name"] == "softer" else 1.0)
+    assert "separate Coulomb friction from" in capsys.readouterr().out
+    assert read_commands(files / "next.csv").t.size == 150
+    stated = json.loads((files / "next.json").read_text())
+    (joint,) = stated["rivals"]
+    assert joint["component"] == "j1"
+    assert 0 < joint["entropy_after_nats"] < RIVALS.entropy
+    chosen = stated["context"]
+    assert chosen["name"] in ("softer", "as it is")
+    assert chosen["gain_ratio"] == (0.2 if chosen["name"] == "softer" else 1.0)
 
 
 @pytest.mark.parametrize(
