@@ -9,7 +9,7 @@ from rival_pair import RIVALS
 from sim2real.cli import main
 from sim2real.recording import read_commands
 
-SHORT = ["--seconds", "3", "--no-page"]
+SHORT = ["--seconds", "3.5", "--no-page"]
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_commands_context_and_what_they_are_to_tell_are_written(files, capsys):
     )
     assert design("--contexts", "contexts.toml") == 0
     assert "separate Coulomb friction from" in capsys.readouterr().out
-    assert read_commands(files / "next.csv").t.size == 150
+    assert read_commands(files / "next.csv").t.size == 175
     stated = json.loads((files / "next.json").read_text())
     (joint,) = stated["rivals"]
     assert joint["component"] == "j1"
