@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import resource
+import runpy
 import sys
 import time
 from pathlib import Path
@@ -30,9 +31,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 _HERE = Path(__file__).resolve().parent
-# This folder last: numba would import its coverage.py in place of the package of that name.
+# Without this folder, whose coverage.py numba would import in place of the package of that name.
 sys.path[:] = [folder for folder in sys.path if Path(folder or ".").resolve() != _HERE]
-sys.path.append(str(_HERE))
 for _folder in ("concealed", "foreign"):
     sys.path.insert(0, str(_HERE.parent / "datasets" / _folder))
 
@@ -192,7 +192,6 @@ def identified(recording: Any, others: Any, robot: Any) -> tuple[Any, Row]:  # n
 def one_servo(job: tuple[int, int, tuple[str, ...], float]) -> Row:
     """Every signal on one servo."""
     from excitation import signal
-    from machine import seconds_per_ten_million_additions
 
     from sim2real.design.plan import design
 
@@ -221,7 +220,7 @@ def one_servo(job: tuple[int, int, tuple[str, ...], float]) -> Row:
         command = plan.joints["j1"].found.command
         recording = recorded(servo, plant, command, rng, name.replace(" ", "_"))
         _, row["arms"][name] = identified(recording, held_out, robot)
-    row["A"] = seconds_per_ten_million_additions(1)
+    row["A"] = runpy.run_path(str(_HERE / "machine.py"))["seconds_per_ten_million_additions"](1)
     row["memory_MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return row
 
