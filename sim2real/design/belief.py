@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,11 +32,14 @@ class Noise:
         angle_rad: Standard deviation of errors that repeat with the angle: an eccentric sensor, or
             cogging of motor and gears.
         angle_scale_rad: Angle over which these change.
+        lost: Probability that a set-point does not arrive in its period. One that is late by a
+            share of the period counts as the square of that share: 1 ms of 20 ms, by default.
     """
 
     white_rad: float
     angle_rad: float
     angle_scale_rad: float = 0.1
+    lost: float = 0.0025
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,9 @@ def belief_of(
     white = float(figures.get("noise") or _white(limits))
     train = float(figures.get("train") or white)
     noise = Noise(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
+    for effect in (*fitted.effects, *model.effects):
+        if effect.effect == "packet_loss":
+            noise = replace(noise, lost=max(noise.lost, effect.parameters["probability"]))
     return _from_model(fitted, joint.servo, load, noise, draws, rng)
 
 

@@ -8,7 +8,8 @@ of white noise and P the precision of the prior::
     H = J' J / s2 + P        C = inv(H) (J' S J / s2^2 + P) inv(H)
 
 Source: White, Econometrica 50 (1982) 1-25. Errors that repeat with the angle are a random function
-of it with a Gaussian spectrum, by random Fourier features (Rahimi and Recht, NeurIPS 2007).
+of it with a Gaussian spectrum, by random Fourier features (Rahimi and Recht, NeurIPS 2007). A
+set-point that is lost is an error of the command by its last change.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal import cont2discrete, lfilter
 
 from sim2real.arrays import Array
 from sim2real.design.belief import GAINS, Belief
 from sim2real.design.limits import CommandLimits
 from sim2real.inference.normal import Z90
 from sim2real.recording import PER_INERTIA
+from sim2real.servo.parameters import ROTOR_INERTIA
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
@@ -115,13 +118,16 @@ class Information:
         acceleration = np.diff(angle, 2, axis=2, append=0.0, prepend=0.0) / period**2
         acceleration[:, :, [0, -1]] = 0.0
         torque2 = (load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle)) ** 2
+        by_command = self._by_command(slopes)
+        change2 = np.diff(commands, axis=1, prepend=commands[:, :1])[:, None, :, None] ** 2
         found = []
         for part in np.array_split(np.arange(commands.shape[1]), parts):
-            slope = slopes[:, :, part]
+            slope, response = slopes[:, :, part], by_command[:, :, part]
             some = np.s_[:, :, :: self.every]  # errors by the angle change slowly
             wave = np.cos(angle[:, :, part][some][..., None] * number + phase)
             sums = (
                 np.swapaxes(slope, 2, 3) @ slope,
+                np.swapaxes(response, 2, 3) @ (change2[:, :, part] * response),
                 self.every * np.swapaxes(slope[some], 2, 3) @ wave,
                 torque2[:, :, part].sum(axis=2)[..., None] / commands.shape[1],
             )
@@ -133,13 +139,14 @@ class Information:
         noise, D, F = self.belief.noise, len(self.belief.rows), len(self.belief.names)
         each = statistics.reshape(len(statistics), D, -1)
         gram = each[:, :, : F * F].reshape(-1, D, F, F)
-        by_angle = each[:, :, F * F : -1].reshape(-1, D, F, self.features)
+        by_loss = each[:, :, F * F : 2 * F * F].reshape(-1, D, F, F)
+        by_angle = each[:, :, 2 * F * F : -1].reshape(-1, D, F, self.features)
         white = noise.white_rad
         prior = np.diag(1 / self.belief.prior_sd**2 + _LEAST)
         repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
         precision = gram / white**2 + prior
         inverse = np.linalg.inv(precision)
-        middle = gram / white**2 + repeated / white**4 + prior
+        middle = gram / white**2 + (repeated + noise.lost * by_loss) / white**4 + prior
         return Precision(inverse @ middle @ inverse, np.sqrt(each[:, :, -1]))
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
@@ -158,6 +165,20 @@ class Information:
         angles = np.array(simulator.angles(flat, substep)).reshape(len(commands), D, 1 + F, t.size)
         slopes = (angles[:, :, 1:] - angles[:, :, :1]) / self.difference
         return angles[:, :, 0], np.moveaxis(slopes, 2, 3)
+
+    def _by_command(self, slopes: Array) -> Array:
+        """Sum over time of slopes (N, D, T, F) times the response to one set-point, same shape.
+
+        Of the linear servo: what a set-point that is lost adds to the gradient of the fit, per rad.
+        """
+        out = np.empty_like(slopes)
+        for d, row in enumerate(self.belief.rows):
+            inertia = row[3] + row[ROTOR_INERTIA]
+            servo = ([row[0]], [inertia, row[1], row[0] + row[4]])
+            numerator, denominator, _ = cont2discrete(servo, self.limits.period_s)
+            backwards = slopes[:, d, ::-1]
+            out[:, d] = lfilter(numerator.ravel(), denominator, backwards, axis=1)[:, ::-1]
+        return out
 
     def of(self, belief: Belief) -> Information:
         """The same for another belief."""

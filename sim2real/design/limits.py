@@ -12,8 +12,8 @@ import numpy as np
 from sim2real.arrays import Array, Integers
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.recording import Load
 from sim2real.robot import Joint, Robot
-from sim2real.servo.parameters import joint_row
 
 PERIOD_S = 0.02
 """Sample period of the recorder, s."""
@@ -119,8 +119,6 @@ def limits_of(robot: Robot, model: Model | None = None, joint: str | None = None
         least = limits.resolution_rad / limits.period_s
         expected = f"at least {least:.3g} rad/s, one step of {limits.resolution_rad:g} rad a sample"
         raise InputError(servo.where[0], f"{servo.where[1]}.no_load_speed_rad_s", found, expected)
-    if model is not None and described.name in model.joints:
-        _check_pendulum(limits, joint_row(model.joints[described.name], None), servo.where)
     return limits
 
 
@@ -136,6 +134,23 @@ def check_seconds(seconds: float, limits: CommandLimits, *, least_motion_s: floa
         joint = limits.joint
         expected = f"{shortest:.1f} s for {joint} to move and come to rest, to a day"
         raise InputError("--seconds", "", f"{seconds:g} s", expected)
+
+
+def check_load(load: Load, limits: CommandLimits, robot: Robot) -> None:
+    """Check that the servo can hold its load at the ends of the range.
+
+    Raises:
+        InputError: If the weight of its pendulum exceeds the torque budget.
+    """
+    weight = load.gravity_Nm * np.sin(min(np.abs(limits.position_rad).max(), np.pi / 2))
+    if weight > limits.rms_torque_Nm:
+        servo = _joint(robot, None, limits.joint).servo
+        found = f"{weight:.3g} N m to hold the load"
+        expected = (
+            f"at most {limits.rms_torque_Nm:.3g} N m at the ends of the range: a lighter load, or "
+            "a narrower range"
+        )
+        raise InputError(servo.where[0], f"{servo.where[1]}.max_torque_Nm", found, expected)
 
 
 def violations(commands: Array, limits: CommandLimits, *, slack: float = 1e-9) -> list[list[str]]:
@@ -205,16 +220,3 @@ def _joint(robot: Robot, model: Model | None, name: str | None) -> Joint:
             robot.path or robot.name, "joints", f"no joint {name!r}", f"one of {known}"
         )
     return joint
-
-
-def _check_pendulum(limits: CommandLimits, row: Array, where: tuple[str, str]) -> None:
-    """Check that the servo can hold its load within the range."""
-    weight = float(row[4]) * np.sin(min(np.abs(limits.position_rad).max(), np.pi / 2))
-    if weight > limits.rms_torque_Nm:
-        expected = (
-            f"a pendulum of at most {limits.rms_torque_Nm:.3g} N m at the ends of the range, the "
-            "torque that the servo holds"
-        )
-        raise InputError(
-            where[0], f"{where[1]}.max_torque_Nm", f"{weight:.3g} N m to hold the load", expected
-        )

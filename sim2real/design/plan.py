@@ -11,7 +11,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.design.belief import Belief, belief_of
 from sim2real.design.information import Information, Precision
-from sim2real.design.limits import CommandLimits, check_seconds, limits_of
+from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
 from sim2real.design.search import Found, best
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
@@ -177,6 +177,7 @@ def design(
     designs = {}
     for k, (name, joint) in enumerate(limits.items()):
         belief = belief_of(robot, model, joint, load=(loads or {}).get(name), seed=seed)
+        check_load(belief.load, joint, robot)
         information = Information(belief, joint)
 
         def report(share: float, done: int = k) -> None:

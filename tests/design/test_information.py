@@ -10,7 +10,7 @@ import pytest
 from sim2real.design.belief import Belief, Noise, belief_of
 from sim2real.design.candidates import draw
 from sim2real.design.information import Information
-from sim2real.design.limits import limits_of
+from sim2real.design.limits import limits_of, within
 from sim2real.identification.fit import plain_row, refitted
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Load
@@ -53,7 +53,7 @@ def test_derivatives_are_those_of_the_symbolic_law(commands, load):
 
 def test_expected_widths_are_those_of_fits(commands):
     noise, t = 2e-3, LIMITS.times(6.0)
-    information = Information(plain(Noise(noise, 0.0)), LIMITS)
+    information = Information(plain(Noise(noise, 0.0, lost=0.0)), LIMITS)
     sd = np.sqrt(np.diagonal(information.precision(commands[:1]).covariance[0, 0]))
     row, rng, used = information.belief.rows[0], np.random.default_rng(3), np.ones(t.size, bool)
     clean = rollout(row[None], t, commands[0])[0]
@@ -68,9 +68,38 @@ def test_expected_widths_are_those_of_fits(commands):
 
 
 def test_errors_that_repeat_with_the_angle_widen_intervals(commands):
-    alone, more = (Information(plain(Noise(1e-3, size)), LIMITS) for size in (0.0, 2e-3))
+    alone, more = (Information(plain(Noise(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3))
     ratio = more.precision(commands).half_width / alone.precision(commands).half_width
     assert (ratio > 1.05).all()
+
+
+def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
+    def ratio(command):
+        safe, lossy = (
+            Information(plain(Noise(1e-3, 0.0, lost=lost)), LIMITS).precision(command[None])
+            for lost in (0.0, 0.02)
+        )
+        return (lossy.half_width / safe.half_width).max()
+
+    steps = within(0.5 * (np.arange(300)[None] // 75 % 2), LIMITS)[0]
+    assert ratio(commands[0]) > 1.2 * ratio(steps) > 1.2
+
+
+def test_loss_widens_intervals_as_much_as_fits_spread(commands):
+    noise, lost, t, rng = 5e-4, 0.02, LIMITS.times(6.0), np.random.default_rng(8)
+    command = commands[0]
+    information = Information(plain(Noise(noise, 0.0, lost=lost)), LIMITS)
+    sd = np.sqrt(np.diagonal(information.precision(command[None]).covariance[0, 0]))
+    row, used, fits = information.belief.rows[0], np.ones(t.size, bool), []
+    for _ in range(40):
+        sent = command.copy()
+        for k in np.flatnonzero(rng.random(t.size) < lost):
+            sent[k] = sent[k - 1] if k else sent[0]
+        measured = rollout(row[None], t, sent)[0] + noise * rng.normal(size=t.size)
+        fits.append(refitted([Trace("a", "a", t, command, measured, LOAD, used)], row).values)
+    spread = np.std(np.array(fits) / GAINS, axis=0)
+    assert (spread < 1.4 * sd).all()  # the fit is robust against the few large errors
+    assert (spread > 0.25 * sd).all()
 
 
 def test_sums_over_parts_are_those_of_the_whole(commands):

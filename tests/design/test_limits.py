@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sim2real.design.candidates import FAMILIES, draw
-from sim2real.design.limits import check_seconds, limits_of, violations, within
+from sim2real.design.limits import check_load, check_seconds, limits_of, violations, within
 from sim2real.errors import InputError
-from sim2real.model import JointModel, Model
 from sim2real.recording import Load
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.signals import limited
@@ -82,9 +81,10 @@ def test_limits_that_contradict_each_other(bench, message):
 
 
 def test_a_load_that_the_servo_cannot_hold():
-    heavy = JointModel(2.0, 0.05, 0.03, 0.05, load=Load(0.05, 1.0, 0.2))
+    bench = robot()
+    check_load(Load(0.05, 0.5, 0.1), limits_of(bench), bench)
     with pytest.raises(InputError, match=r"max_torque_Nm: found 1.41 N m to hold the load"):
-        limits_of(robot(), Model({"j1": heavy}))
+        check_load(Load(0.05, 1.0, 0.2), limits_of(bench), bench)
 
 
 @pytest.mark.parametrize("seconds", [0.0, 2.0, 1e6, float("nan")])
