@@ -67,7 +67,7 @@ from grade import DETECTABLE, LIKELY, _both, _entry, _named  # noqa: E402
 
 from sim2real.design.candidates import draw  # noqa: E402
 from sim2real.design.contexts import AS_IT_IS, Context  # noqa: E402
-from sim2real.design.limits import CommandLimits, limits_of, within  # noqa: E402
+from sim2real.design.limits import CommandLimits, check_load, limits_of, within  # noqa: E402
 from sim2real.design.rivals import RivalObjective  # noqa: E402
 from sim2real.design.tell_apart import design_for_rivals, forecast  # noqa: E402
 from sim2real.diagnose.decision import DECISION  # noqa: E402
@@ -78,6 +78,7 @@ from sim2real.diagnose.missing.open_sets import rival_sets  # noqa: E402
 from sim2real.diagnose.page.next_experiment import loaded, next_experiment  # noqa: E402
 from sim2real.diagnose.page.wording import diagnosis  # noqa: E402
 from sim2real.diagnose.result import Diagnosis, write_diagnosis  # noqa: E402
+from sim2real.errors import InputError  # noqa: E402
 from sim2real.recording import Load, read_recording  # noqa: E402
 from sim2real.robot import Robot, read_robot  # noqa: E402
 
@@ -205,6 +206,7 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
     context = "none"
     if arm == "designed":
         contexts = [_context(name, rivals.load) for name in CONTEXTS[1:]]
+        contexts = [c for c in contexts if _can_hold(c, limits, bench.robot)]
         given = {"contexts": contexts, "seconds": SECONDS, "again": True}
         design = design_for_rivals([rivals], bench.robot, **given)
         command, context = design.joints[0].command, design.context.name
@@ -218,6 +220,15 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
         objective = RivalObjective(rivals, _context(context, rivals.load))
         note = {"remaining": forecast(objective, command).remaining}
     return command, context, note | {"seconds": time.perf_counter() - start}
+
+
+def _can_hold(context: Context, limits: CommandLimits, robot: Robot) -> bool:
+    """Whether the servo can hold the load of a context."""
+    try:
+        check_load(context.loads[JOINT], limits, robot)
+    except InputError:
+        return False
+    return True
 
 
 def _context(name: str, load: Load) -> Context:

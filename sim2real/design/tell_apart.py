@@ -6,21 +6,25 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import CommandLimits, check_seconds, limits_of
+from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
 from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import best
 from sim2real.diagnose.rival_sets import JointRivals
 from sim2real.diagnose.separation import SEPARATED, task
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Advance = Callable[[float], None]
 OPEN = 0.05
@@ -95,7 +99,7 @@ class JointForecast:
 
 
 @dataclass(frozen=True)
-class RivalDesign:
+class RivalDesign(NotebookDisplay):
     """A recording to make next.
 
     Attributes:
@@ -141,6 +145,13 @@ class RivalDesign:
         t = joint.rivals.period_s * np.arange(joint.command.size)
         place = np.searchsorted(t, self.t + 1e-9, side="right") - 1
         return np.asarray(joint.command[place])
+
+    def plot(self, joint: str | None = None) -> Figure:
+        """Commands of one joint, and over time the differences of what its rival sets predict."""
+        by_name = {one.rivals.component: one for one in self.joints}
+        chosen = self.joints[0] if joint is None else by_name[joint]
+        figure: Figure = from_report("rival_plots.rivals_figure")(chosen)
+        return figure
 
     @property
     def informative(self) -> bool:
@@ -227,6 +238,9 @@ def design_for_rivals(
     rng = np.random.default_rng(seed)
     offered = [AS_IT_IS, *contexts]
     limits = {one.component: _limits(robot, one, seconds) for one in rivals}
+    for context in contexts:
+        for joint in context.loads.keys() & limits.keys():
+            check_load(context.loads[joint], limits[joint], robot)
     stages = len(rivals) * (len(offered) + 1)
     done = iter(range(stages))
 
