@@ -33,6 +33,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -161,7 +162,7 @@ def judged(case: ForeignCase, found: Diagnosis, folder: Path) -> Row:
     return {
         "verdict": found.verdict,
         "right": right if len(hidden) == 1 else both["both"],
-        "exact": right and bool(first and first["effect"] == hidden[0]["effect"]),
+        "exact": right and entries[0]["effect"] == hidden[0]["effect"],
         "found": both["found"],
         "wrong": both["wrong"],
         "rivals": len(rivals - {h["effect"] for h in hidden}),
@@ -205,12 +206,12 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
     start, note = time.perf_counter(), Row()
     context = "none"
     if arm == "designed":
-        contexts = [_context(name, rivals.load) for name in CONTEXTS[1:]]
-        contexts = [c for c in contexts if _can_hold(c, limits, bench.robot)]
+        offered = [_context(name, rivals.load) for name in CONTEXTS[1:]]
+        contexts = [c for c in offered if _can_hold(c, limits, bench.robot)]
         given = {"contexts": contexts, "seconds": SECONDS, "again": True}
         design = design_for_rivals([rivals], bench.robot, **given)
-        command, context = design.joints[0].command, design.context.name
-        context = context if context in CONTEXTS else "none"
+        command = design.joints[0].command
+        context = "none" if design.context == AS_IT_IS else design.context.name
         note = {"remaining": design.joints[0].remaining}
     elif arm == "random":
         command = draw(rng, 1, limits, SECONDS)[0]
@@ -224,11 +225,10 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
 
 def _can_hold(context: Context, limits: CommandLimits, robot: Robot) -> bool:
     """Whether the servo can hold the load of a context."""
-    try:
+    with suppress(InputError):
         check_load(context.loads[JOINT], limits, robot)
-    except InputError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _context(name: str, load: Load) -> Context:
@@ -289,14 +289,12 @@ def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) ->
     plain = json.loads(path.with_suffix(".json").read_text())
     sets = [one.content() for one in bench.first.rival_sets[0].sets]
     stated = plain | {"rivals": [{"component": JOINT, "sets": sets}]}
+    contents = {arm: plain, arm + STATED: stated} if arm != "designed" else {arm: stated}
     rows = {}
-    for name, sidecar_of in ((arm, plain), (arm + STATED, stated)):
-        if arm == "designed" and sidecar_of is plain:
-            continue
-        path.with_suffix(".json").write_text(json.dumps(sidecar_of))
+    for label, content in contents.items():
+        path.with_suffix(".json").write_text(json.dumps(content))
         found, _ = diagnosed([bench.folder / "a.csv", path], bench.robot)
         entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
-        label = arm if arm == "designed" else name
         rows[label] = judged(case, found, folder) | oracle | {"entropy": entropy}
     return rows
 
@@ -325,18 +323,13 @@ def answered(seed: list[int]) -> Row:
 
 def summary(rows: Sequence[Row]) -> Row:
     """Shares of benches by arm, of what the oracle can tell from the designed recordings."""
-    out: Row = {"benches": len(rows)}
-    groups = {
-        "all": rows,
-        "one effect": [r for r in rows if len(r["hidden"]) == 1],
-        "two effects": [r for r in rows if len(r["hidden"]) == 2],
-        **{
-            s: [r for r in rows if r["state"] == s]
-            for s in ("ambiguous", "unexplained", "one of two")
-        },
-    }
+    out: Row = {}
+    groups = {"all": rows}
+    groups |= {f"{n} hidden": [r for r in rows if len(r["hidden"]) == n] for n in (1, 2)}
+    groups |= {state: [r for r in rows if r["state"] == state] for state in STATES}
     for name, some in groups.items():
         out[name] = {"benches": len(some)}
+        same = [r for r in some if r["designed"].get("llr", 0) >= DETECTABLE]
         for arm in (*ARMS, *(arm + STATED for arm in ARMS[1:])):
             told = [r for r in some if r[arm].get("llr", 0) >= DETECTABLE]
             matter = [r for r in told if r[arm]["practical"]]
@@ -344,11 +337,14 @@ def summary(rows: Sequence[Row]) -> Row:
                 "right": _share(r[arm]["right"] for r in some),
                 "right of what the oracle tells": _share(r[arm]["right"] for r in told),
                 "right of that, of practical size": _share(r[arm]["right"] for r in matter),
+                "right of what the oracle tells of the designed": _share(
+                    r[arm]["right"] for r in same
+                ),
                 "told by the oracle": len(told),
-                "rivals left": _mean(r[arm].get("rivals", np.nan) for r in some),
-                "wrong names": _mean(r[arm].get("wrong", np.nan) for r in some),
-                "entropy left": _mean(r[arm].get("entropy", np.nan) for r in some),
-                "seconds": _mean(r[arm]["seconds"] for r in some),
+                **{
+                    label: _mean(r[arm].get(label, np.nan) for r in some)
+                    for label in ("rivals", "wrong", "entropy", "seconds")
+                },
             }
     return out
 
@@ -359,12 +355,12 @@ def _share(values: Iterable[bool]) -> float | None:
 
 
 def _mean(values: Iterable[float]) -> float | None:
-    given = np.array([float(x) for x in values])
-    return round(float(np.nanmean(given)), 3) if np.isfinite(given).any() else None
+    given = [float(x) for x in values if np.isfinite(x)]
+    return round(float(np.mean(given)), 3) if given else None
 
 
 def main() -> None:
-    """Answer benches until enough ask for a second recording, and write the shares."""
+    """Answer benches until enough ask for a second recording; write the shares."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--benches", type=int, default=150, metavar="N")
     parser.add_argument("--processes", type=int, default=1, metavar="N")
@@ -384,21 +380,24 @@ def main() -> None:
         running: dict[Future[Row], int] = {}
         while True:
             wanted = len(rows) < options.benches
-            while wanted and len(running) < options.processes and drawn < options.most:
+            # The first bench compiles the kernels for all processes.
+            most = options.processes if drawn > len(running) else 1
+            while wanted and len(running) < most and drawn < options.most:
                 k, drawn = next(numbers), drawn + 1
                 running[pool.submit(answered, [options.seed, k])] = k
             if not running:
                 break
             for done in wait(running, return_when=FIRST_COMPLETED).done:
-                k, row = running.pop(done), done.result()
+                k, error = running.pop(done), done.exception()
+                row = {"state": "", "failed": repr(error)} if error else done.result()
                 (files / f"{k:05d}.json").write_text(json.dumps(row, default=float) + "\n")
                 if row["state"]:
                     rows.append(row)
                 passed = time.perf_counter() - start
                 print(f"{len(rows)} of {drawn} benches, {passed:.0f} s", flush=True)
-    found = summary(rows) | {"drawn": drawn, "seconds of a second recording": SECONDS}
-    (options.out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
-    print(json.dumps(found, indent=1))
+    found = json.dumps(summary(rows) | {"drawn": drawn}, indent=1)
+    (options.out / "summary.json").write_text(found + "\n")
+    print(found)
 
 
 if __name__ == "__main__":
