@@ -3,7 +3,7 @@
 python benchmarks/design_rivals.py --benches 150 --processes 32 --out DIR
 
 Benches of one servo are drawn from the plants of ``datasets/foreign``, which share no dynamics with
-the library. Each has one or two hidden effects. The first recording is diagnosed; benches stay that
+the library. Each has one or two hidden effects of the servo. The first recording is diagnosed; benches stay that
 it leaves ambiguous, unexplained with the truth among the sets that are open, or with one of two
 effects found. Then each arm makes a second recording of the same bench and length, with the same
 loads to choose from, and both recordings are diagnosed together:
@@ -62,7 +62,7 @@ from foreign_cases import (  # noqa: E402
     draw_packets,
     nuisances,
     recorded,
-)
+)  # fmt: skip
 from foreign_servos import PLANTS  # noqa: E402
 from grade import DETECTABLE, LIKELY, _both, _entry, _named  # noqa: E402
 
