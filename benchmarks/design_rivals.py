@@ -3,8 +3,8 @@
 python benchmarks/design_rivals.py --benches 150 --processes 32 --out DIR
 
 Benches of one servo are drawn from the plants of ``datasets/foreign``, which share no dynamics with
-the library. Each has one or two hidden effects of the servo. The first recording is diagnosed; benches stay that
-it leaves ambiguous, unexplained with the truth among the sets that are open, or with one of two
+the library; one or two effects of the servo are hidden in each. Benches stay that a first recording
+leaves ambiguous, unexplained with the truth among the sets that are open, or with one of two
 effects found. Then each arm makes a second recording of the same bench and length, with the same
 loads to choose from, and both recordings are diagnosed together:
 
@@ -203,8 +203,7 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
     rivals = bench.first.rival_sets[0]
     rng = np.random.default_rng([*bench.seed, 1])
     limits = replace(limits_of(bench.robot, None, JOINT), period_s=rivals.period_s)
-    start, note = time.perf_counter(), Row()
-    context = "none"
+    start, context = time.perf_counter(), "none"
     if arm == "designed":
         offered = [_context(name, rivals.load) for name in CONTEXTS[1:]]
         contexts = [c for c in offered if _can_hold(c, limits, bench.robot)]
@@ -212,15 +211,14 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
         design = design_for_rivals([rivals], bench.robot, **given)
         command = design.joints[0].command
         context = "none" if design.context == AS_IT_IS else design.context.name
-        note = {"remaining": design.joints[0].remaining}
     elif arm == "random":
         command = draw(rng, 1, limits, SECONDS)[0]
-        note = {"remaining": forecast(RivalObjective(rivals), command).remaining}
     else:
         command, context = _of_menu(bench, limits)
-        objective = RivalObjective(rivals, _context(context, rivals.load))
-        note = {"remaining": forecast(objective, command).remaining}
-    return command, context, note | {"seconds": time.perf_counter() - start}
+    seconds = time.perf_counter() - start
+    objective = RivalObjective(rivals, _context(context, rivals.load))
+    remaining = forecast(objective, command).remaining
+    return command, context, {"remaining": remaining, "seconds": seconds}
 
 
 def _can_hold(context: Context, limits: CommandLimits, robot: Robot) -> bool:
@@ -366,7 +364,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, metavar="N")
     parser.add_argument("--seed", type=int, default=1, help="development: below 1000")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--most", type=int, default=100_000, help="benches that are drawn at most")
+    parser.add_argument("--most", type=int, default=100_000, help="benches drawn at most")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     files = options.out / f"seed_{options.seed}"
@@ -374,8 +372,7 @@ def main() -> None:
     kept = {path.stem: json.loads(path.read_text()) for path in sorted(files.glob("*.json"))}
     rows = [row for row in kept.values() if row["state"]]
     numbers = (k for k in itertools.count() if f"{k:05d}" not in kept)
-    spawn, start = multiprocessing.get_context("spawn"), time.perf_counter()
-    drawn = len(kept)
+    spawn, start, drawn = multiprocessing.get_context("spawn"), time.perf_counter(), len(kept)
     with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
         running: dict[Future[Row], int] = {}
         while True:
