@@ -388,10 +388,9 @@ def main() -> None:
                 k, error = running.pop(done), done.exception()
                 row = {"state": "", "failed": repr(error)} if error else done.result()
                 (files / f"{k:05d}.json").write_text(json.dumps(row, default=float) + "\n")
-                if row["state"]:
-                    rows.append(row)
-                passed = time.perf_counter() - start
-                print(f"{len(rows)} of {drawn} benches, {passed:.0f} s", flush=True)
+                rows += [row] if row["state"] else []
+                took = f"{time.perf_counter() - start:.0f} s"
+                print(f"{len(rows)} of {drawn} benches, {took}", flush=True)
     found = json.dumps(summary(rows) | {"drawn": drawn}, indent=1)
     (options.out / "summary.json").write_text(found + "\n")
     print(found)
