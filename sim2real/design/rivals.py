@@ -28,6 +28,7 @@ from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import NUISANCES
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
+from sim2real.recording import PER_INERTIA
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
@@ -39,6 +40,7 @@ class RivalObjective:
     Args:
         rivals: The sets.
         context: What changes besides the commands.
+        rms_torque_Nm: Largest root mean square of the torque; what exceeds it is penalised.
         device: Warp device.
         threads: CPU threads.
 
@@ -51,17 +53,20 @@ class RivalObjective:
         rivals: JointRivals,
         context: Context = AS_IT_IS,
         *,
+        rms_torque_Nm: float = np.inf,
         device: str = "cpu",
         threads: int = 2,
     ) -> None:
         self.rivals, self.context = rivals, context
+        known = context.load(rivals) is not PER_INERTIA
+        self._torque2 = rms_torque_Nm**2 if known else np.inf
         self._device, self._threads = device, threads
         self.probability = np.array([one.probability for one in rivals.sets])
         self._expansion = _expansion(rivals)
         self._gain = np.array([one.gain for one in rivals.sets])
 
     def __call__(self, commands: Array) -> Array:
-        """Minus the entropy that remains, in nats.
+        """Minus the entropy that remains, in nats, less a penalty for too much torque.
 
         Args:
             commands: Set-points in rad, shape (N, T), at the period of the recordings so far.
@@ -72,14 +77,15 @@ class RivalObjective:
         return self.scores(self.statistics(commands, 1)[:, 0])
 
     def statistics(self, commands: Array, parts: int) -> Array:
-        """Inner products of whitened predictions and derivatives over parts of the commands.
+        """Sums over parts of the commands: inner products of whitened predictions, and torque.
 
         Args:
             commands: Set-points in rad, shape (N, T).
             parts: Number of equal parts.
 
         Returns:
-            Shape (N, parts, K * K).
+            Inner products of predictions and derivatives, then the most probable set's squared
+            torque over the number of samples, N2 m2, shape (N, parts, K * K + 1).
         """
         N, theta = len(commands), self._expansion.theta
         batch = Batch(
@@ -91,16 +97,35 @@ class RivalObjective:
         rows = np.repeat(theta[None], N, axis=0)
         problems = Problems(np.arange(N, dtype=np.int32), rows, np.ones(rows.shape[:2]))
         noise = np.repeat(self._noise(batch)[None], N, axis=0)
-        gram = batch.evaluate(problems, blocks=parts, autoregression=noise).gram
-        return np.asarray(gram.reshape(N, parts, -1) / self.rivals.noise_rad**2)
+        seen = batch.evaluate(problems, blocks=parts, autoregression=noise, keep=True)
+        assert seen.residual is not None
+        products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
+        square = self._torque(seen.residual[:, 0]) ** 2
+        torque2 = [part.sum(axis=1) for part in np.array_split(square, parts, axis=1)]
+        mean = np.stack(torque2, axis=1)[:, :, None] / commands.shape[1]
+        return np.concatenate([products, mean], axis=2)
 
-    def scores(self, statistics: Array) -> Array:
-        """Scores of N commands from their inner products (N, K * K), shape (N,)."""
-        return -remaining_entropy(self.probability, self._distances(statistics))
+    def _torque(self, angle: Array) -> Array:
+        """Torque that moves the load along angles (N, T), N m, same shape."""
+        load = self.context.load(self.rivals)
+        acceleration = np.zeros_like(angle)
+        acceleration[:, 1:-1] = np.diff(angle, 2, axis=1) / self.rivals.period_s**2
+        return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))
+
+    def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
+        """Scores of N commands from their sums (N, K * K + 1), shape (N,).
+
+        Args:
+            statistics: The sums.
+            penalty: Nats for a torque of twice what is allowed.
+        """
+        excess = np.sqrt(statistics[:, -1] / self._torque2) - 1
+        left = remaining_entropy(self.probability, self._distances(statistics[:, :-1]))
+        return np.asarray(-left - penalty * np.maximum(excess, 0.0))
 
     def distances(self, commands: Array) -> Array:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
-        return self._distances(self.statistics(commands, 1)[:, 0])
+        return self._distances(self.statistics(commands, 1)[:, 0, :-1])
 
     def _distances(self, statistics: Array) -> Array:
         """Distances (N, M, M) from inner products (N, K * K).

@@ -248,13 +248,16 @@ def design_for_rivals(
         k = next(done)
         return lambda share: progress((k + share) / stages)
 
+    def objective_of(one: JointRivals, context: Context) -> RivalObjective:
+        return RivalObjective(one, context, rms_torque_Nm=limits[one.component].rms_torque_Nm)
+
     count = max(limits[one.component].times(seconds).size for one in rivals)
     commands = int(np.clip(samples / count, 64, 800))
     few = max(commands // 3 // len(offered), 16)
     found = [
         [
             best(
-                RivalObjective(one, context), limits[one.component], seconds,
+                objective_of(one, context), limits[one.component], seconds,
                 rng=rng, drawn=few, rounds=0, batch=min(few, 32), progress=stage(),
             )
             for one in rivals
@@ -266,7 +269,7 @@ def design_for_rivals(
     k = int(scores.argmax())
     joints = []
     for one, first in zip(rivals, found[k], strict=True):
-        objective = RivalObjective(one, offered[k])
+        objective = objective_of(one, offered[k])
         last = best(
             objective, limits[one.component], seconds,
             rng=rng, drawn=few, rounds=commands // 2 // 32, start=first.command[None],
