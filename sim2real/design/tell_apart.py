@@ -229,18 +229,13 @@ def design_for_rivals(
     if not rivals:
         none = "no joint with several probable sets of effects"
         raise InputError(file, "rival_sets", none, "a diagnosis that leaves some open")
-    strangers = {joint for context in contexts for joint in context.loads}
-    for joint in (*(one.component for one in rivals), *strangers):
-        if robot.joint(joint) is None:
-            known = ", ".join(described.name for described in robot.joints)
-            where = file if joint not in strangers else "contexts"
-            raise InputError(where, "", f"joint {joint!r}", f"a joint of {robot.name}: {known}")
+    _check_joints(rivals, contexts, robot, file)
     rng = np.random.default_rng(seed)
     offered = [AS_IT_IS, *contexts]
     limits = {one.component: _limits(robot, one, seconds) for one in rivals}
     for context in contexts:
-        for joint in context.loads.keys() & limits.keys():
-            check_load(context.loads[joint], limits[joint], robot)
+        for name in context.loads.keys() & limits.keys():
+            check_load(context.loads[name], limits[name], robot)
     stages = len(rivals) * (len(offered) + 1)
     done = iter(range(stages))
 
@@ -277,6 +272,28 @@ def design_for_rivals(
         )  # fmt: skip
         joints.append(forecast(objective, last.command))
     return RivalDesign(offered[k], tuple(joints), least)
+
+
+def _check_joints(
+    rivals: Sequence[JointRivals],
+    contexts: Sequence[Context],
+    robot: Robot,
+    file: str | os.PathLike[str],
+) -> None:
+    """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known.
+
+    Raises:
+        InputError: If it lacks one, or a context states a load that the recordings did not.
+    """
+    known = ", ".join(joint.name for joint in robot.joints)
+    of_contexts = {name: "contexts" for context in contexts for name in context.loads}
+    for name, where in ({one.component: file for one in rivals} | of_contexts).items():
+        if robot.joint(name) is None:
+            raise InputError(where, "", f"joint {name!r}", f"a joint of {robot.name}: {known}")
+    for one in rivals:
+        if one.load is PER_INERTIA and one.component in of_contexts:
+            found = "a load where the recordings so far state none"
+            raise InputError("contexts", f"loads.{one.component}", found, "one in all or in none")
 
 
 def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:

@@ -13,7 +13,8 @@ from sim2real.design.limits import limits_of, violations
 from sim2real.design.rivals import RivalObjective
 from sim2real.design.tell_apart import design_for_rivals, forecast
 from sim2real.diagnose.rival_sets import read_rival_sets
-from sim2real.recording import read_recording, write_recording
+from sim2real.recording import PER_INERTIA, read_recording, write_recording
+from sim2real.report.rival_plots import rivals_section
 from sim2real.structured import Fields
 
 SECONDS = 6.0
@@ -79,6 +80,19 @@ def test_where_nothing_can_be_told_it_says_so():
 
 def test_another_robot_is_refused():
     message(lambda: design_for_rivals([RIVALS], robot("k1"), seconds=SECONDS), "'j1'", "k1")
+
+
+def test_a_load_is_known_of_all_recordings_or_of_none():
+    unknown, arm = replace(RIVALS, load=PER_INERTIA), Context("arm", {"j1": RIVALS.load})
+    message(lambda: designed(unknown, [arm]), "loads.j1", "one in all or in none")
+    elsewhere = Context("arm", {"j7": RIVALS.load})
+    message(lambda: designed(RIVALS, [elsewhere]), "'j7'")
+
+
+def test_the_page_has_figure_and_table(plain):
+    kinds = [type(block).__name__ for block in rivals_section(plain).blocks]
+    assert kinds == ["Note", "Text", "Figure", "Table"]
+    assert len(plain.plot("j1").axes) == 2
 
 
 def test_no_rivals_left_is_said_in_one_line():
