@@ -45,7 +45,6 @@ LIMITS_RAD = (-0.8, 0.8)
 USUAL = ("sine", "square", "chirp", "multisine", "swevers")
 DESIGNS = ("design", "from the data sheet")
 GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
-CLOCK = 20e-6
 DETERMINED = {"motor.stall_torque_Nm": 0.29, "motor.no_load_speed_rad_s": 0.21}
 """Half-width below which a parameter counts as above its detection limit: half that of the prior,
 or half of the parameter itself."""
@@ -90,7 +89,7 @@ def truth(servo: Any, plant: str) -> dict[str, float]:  # noqa: ANN401
 
 
 def recorded(servo: Any, plant: str, command: Array, rng: np.random.Generator, name: str) -> Any:  # noqa: ANN401
-    """A recording of the plant on commands (T,)."""
+    """A recording of the plant on commands (T,), as by ``record``: angles have the commands' clock."""
     import mujoco_plant
     import own_plant
     import voltage_plant
@@ -102,7 +101,7 @@ def recorded(servo: Any, plant: str, command: Array, rng: np.random.Generator, n
 
     t = np.arange(command.size) / RATE_HZ
     packets = draw_packets(Bus(), t.size, 1, rng)
-    take = Take(t, command[:, None], packets, float(rng.uniform(-CLOCK, CLOCK)))
+    take = Take(t, command[:, None], packets, 0.0)
     grid = np.arange(0.0, t[-1] + 0.05, GRID_S)
     when, what = arrivals(take, 0, servo.latency_s, {})
     if plant == "own":
