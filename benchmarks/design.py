@@ -89,7 +89,7 @@ def truth(servo: Any, plant: str) -> dict[str, float]:  # noqa: ANN401
 
 
 def recorded(servo: Any, plant: str, command: Array, rng: np.random.Generator, name: str) -> Any:  # noqa: ANN401
-    """A recording of the plant on commands (T,), as by ``record``: angles have the commands' clock."""
+    """A recording of the plant on commands (T,), by one clock, as ``record`` makes it."""
     import mujoco_plant
     import own_plant
     import voltage_plant
