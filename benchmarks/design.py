@@ -285,8 +285,9 @@ def summary(rows: list[Row], *, usual: bool) -> list[tuple[str, str]]:
         lines.append((f"{arm}: error over promised half-width", quantiles(np.abs(score))))
         cost = np.array([row["seconds"][arm] / row["A"] for row in rows])
         lines.append((f"{arm}: processor time, A", quantiles(cost)))
-    gain = (1 - kept[DESIGNS[1]]) / (1 - kept[DESIGNS[0]])
-    lines.append(("share of the gain from the data sheet alone", f"{100 * gain:.0f} %"))
+    if kept[DESIGNS[0]] < 1:
+        gain = (1 - kept[DESIGNS[1]]) / (1 - kept[DESIGNS[0]])
+        lines.append(("share of the gain from the data sheet alone", f"{100 * gain:.0f} %"))
     for arm in rows[0]["arms"]:
         share = np.mean([covered(row, arm) for row in rows], axis=0)
         by = ", ".join(
@@ -330,8 +331,12 @@ def figure(rows: list[Row]) -> Any:  # noqa: ANN401 - Matplotlib is loaded when 
         for bar in (0.5, 1.0):
             axes.axvline(bar, color=FAINT, linewidth=0.8)
         axes.set_xscale("log")
+        axes.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 50])
+        axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+        axes.xaxis.set_minor_formatter(lambda x, _: "")
         axes.set_yticks(range(len(arms)), arms)
         axes.set_xlabel("widest 90 % interval over that of steps (dot: median), one line a servo")
+        axes.set_title(f"red {PLANTS[0]}, black {PLANTS[1]}, grey {PLANTS[2]}")
     return drawn_figure
 
 
