@@ -14,6 +14,7 @@ from sim2real.design.information import Information, Precision
 from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
 from sim2real.design.search import Found, best
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.inference.normal import Z90
 from sim2real.model import Model
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot
@@ -64,7 +65,7 @@ class JointDesign:
 
         Before, it is that of the prior, or the parameter itself where there is none.
         """
-        before = np.minimum(1.645 * self.belief.prior_sd, 1.0)
+        before = np.minimum(Z90 * self.belief.prior_sd, 1.0)
         return {
             name: bool(width < 0.5 * most)
             for (name, width), most in zip(self.expected.items(), before, strict=True)
