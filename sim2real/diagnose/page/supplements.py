@@ -44,7 +44,9 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
         separations=separations(case.recordings, joints),
         rival_sets=tuple(
-            rival_sets(joint.joint, joint.finding) for joint in joints if joint.finding.mismatch
+            rival_sets(joint.joint, joint.finding)
+            for joint in joints
+            if joint.finding.mismatch and not joint.joint.references
         ),
         next_experiment=repeat([j.joint for j in joints]) or _for_rivals(case.robot, joints),
     )
