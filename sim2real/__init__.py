@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sim2real.robot import Robot as Robot
     from sim2real.robot import read_robot as read_robot
     from sim2real.verbs import density as density  # type: ignore[no-redef]
+    from sim2real.verbs import design as design  # type: ignore[no-redef]
     from sim2real.verbs import identify as identify
     from sim2real.verbs import posterior as posterior
     from sim2real.verbs import predict as predict
@@ -39,7 +40,7 @@ _NAMES = {
     "sim2real.model": ("Model", "read_model", "write_model"),
     "sim2real.recording": ("Recording", "read_recording", "write_recording"),
     "sim2real.robot": ("Robot", "read_robot"),
-    "sim2real.verbs": ("density", "identify", "posterior", "predict", "ranges"),
+    "sim2real.verbs": ("density", "design", "identify", "posterior", "predict", "ranges"),
     "sim2real.version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}

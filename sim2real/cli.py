@@ -25,6 +25,7 @@ COMMANDS = {
     "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
     "diagnose": (_WATER, "find physics missing from the fitted model, and model it"),
     "predict": (_SERVOS, "simulate an identified model on the commands of a CSV file"),
+    "design": (_SERVOS, "design the commands to record next, which tell most"),
     "density": (_SERVOS, "compute the normalised density of each link of a robot"),
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
     "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),
@@ -52,7 +53,7 @@ COMMANDS = {
 }
 """Module of options and summary of each command, in the order of the help."""
 
-_SMALL_MATRICES = ("check", "identify", "diagnose", "ranges", "calibrate", "demo")
+_SMALL_MATRICES = ("check", "identify", "design", "diagnose", "ranges", "calibrate", "demo")
 """Commands that multiply only small matrices, between rollouts that use all cores: threads of a
 linear algebra library would occupy cores in busy waiting."""
 

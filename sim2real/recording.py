@@ -221,8 +221,15 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
     return Recording(csv.stem, "servo", joints, t, command, unmeasured, loads, path=csv)
 
 
-def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
+def write_recording(
+    recording: Recording, path: str | os.PathLike[str], *, measured: bool = True
+) -> None:
     """Write ``NAME.csv`` and ``NAME.json``, from which ``read_recording`` restores the recording.
+
+    Args:
+        recording: The recording.
+        path: The CSV file.
+        measured: Whether to write the measured angles; without them ``read_commands`` reads it.
 
     Raises:
         InputError: If the folder cannot be written.
@@ -232,7 +239,8 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     for j, joint in enumerate(recording.joints):
         if np.isfinite(recording.command[:, j]).any():
             table[f"{joint}.command_rad"] = recording.command[:, j]
-        table[f"{joint}.position_rad"] = recording.position[:, j]
+        if measured:
+            table[f"{joint}.position_rad"] = recording.position[:, j]
     table |= recording.columns
     sidecar = {
         "schema": SCHEMA,

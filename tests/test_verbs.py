@@ -18,7 +18,8 @@ from sim2real.errors import InputError
 ROOT = Path(__file__).resolve().parents[1]
 BENCH, POOL = ROOT / "datasets" / "servo_steps", ROOT / "datasets" / "pool"
 VERBS = (
-    "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "simulate",
+    "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "design",
+    "simulate",
 )  # fmt: skip
 
 

@@ -25,8 +25,10 @@ from sim2real.output import check_writable, provenance
 from sim2real.recording import SCHEMA
 from sim2real.robot import Joint, Robot, read_robot
 from sim2real.signals import UNIT, Excitation, Shape, excitation, played
+from sim2real.structured import read_json
 
 RATE_HZ = 50.0
+_PLANNED = ("loads", "context", "rivals")
 HOTTEST_POSSIBLE_C = 85.0  # where the servos switch off by themselves
 
 
@@ -108,7 +110,8 @@ def _sidecar(
         "schema": SCHEMA,
         "kind": "servo",
         "joints": list(signal.joints),
-        "loads": _loads(options.inertia, signal.joints),
+        **_planned(options.signal),
+        **({"loads": _loads(options.inertia, signal.joints)} if options.inertia else {}),
         "medium": options.medium,
         "source": options.source or f"Recorded by 'sim2real record' on {robot.name}.",
         "signal": {"name": str(options.signal), "notes": list(signal.notes)},
@@ -199,9 +202,7 @@ def _mountings(options: argparse.Namespace, robot: Robot) -> tuple[Mounting, ...
     )
 
 
-def _loads(text: str | None, joints: Sequence[str]) -> dict[str, dict[str, float]]:
-    if text is None:
-        return {}
+def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:
     try:
         inertias = [float(number) for number in text.split(",")]
     except ValueError:
@@ -212,6 +213,15 @@ def _loads(text: str | None, joints: Sequence[str]) -> dict[str, dict[str, float
     return {
         joint: {"inertia_kgm2": inertia} for joint, inertia in zip(joints, inertias, strict=True)
     }
+
+
+def _planned(signal: str) -> dict[str, Any]:
+    """What the JSON beside commands says of the loads, the context and rivals of a design."""
+    sidecar = Path(signal).with_suffix(".json")
+    if signal in UNIT or not sidecar.exists():
+        return {"loads": {}}
+    content = read_json(sidecar, SCHEMA)
+    return {"loads": {}} | {name: content[name] for name in _PLANNED if name in content}
 
 
 def _integers(option: str, text: str) -> list[int]:

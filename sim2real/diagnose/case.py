@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
 from sim2real.identification.servo_problem import Set
 from sim2real.model import JointModel, Model
@@ -46,6 +47,7 @@ class JointCase:
         model: The model of it to start from, or None.
         references: Its recordings from before, see ``Case``.
         servo: Its data sheet, or None.
+        stated: Sets of effects that recordings were designed to tell apart; all are tried.
     """
 
     name: str
@@ -55,6 +57,7 @@ class JointCase:
     model: JointModel | None = None
     references: Sequence[Trace] = ()
     servo: Servo | None = None
+    stated: Sequence[StatedSet] = ()
 
     @property
     def stall_Nm(self) -> float | None:
@@ -88,7 +91,10 @@ def prepared(case: Case) -> list[JointCase]:
             step = coarse_step(data, joint.servo.position_step_rad)
             model = case.model.joints.get(joint.name) if case.model else None
             references = traces(case.references, joint.name)
-            joints.append(JointCase(joint.name, data, noise, step, model, references, joint.servo))
+            stated = stated_sets(case.recordings, joint.name)
+            joints.append(
+                JointCase(joint.name, data, noise, step, model, references, joint.servo, stated)
+            )
     if not joints:
         file = case.recordings[0].file
         raise InputError(file, "", "no motion", "commands and angles that change")

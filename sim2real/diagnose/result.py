@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.arrays import Array
+from sim2real.diagnose.rival_sets import SCHEMA, JointRivals
+from sim2real.diagnose.separation import Separation
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.output import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-SCHEMA = "sim2real.diagnosis/1"
 
 Verdict = Literal[
     "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"
@@ -231,6 +231,8 @@ class Diagnosis(NotebookDisplay):
         baseline: The model without effects.
         evidence: Signals of the joints, for the report.
         unfinished: Joints whose search for sets of effects was ended by its budget.
+        rival_sets: By joint, the sets of effects that the recordings leave open.
+        separations: What designed recordings were expected to tell, and what they told.
         provenance: As returned by ``sim2real.output.provenance``.
     """
 
@@ -250,6 +252,8 @@ class Diagnosis(NotebookDisplay):
     evidence: tuple[JointSeries, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
     unfinished: tuple[str, ...] = ()
+    rival_sets: tuple[JointRivals, ...] = ()
+    separations: tuple[Separation, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def remaining(self, signal: str) -> float | None:
@@ -275,6 +279,7 @@ class Diagnosis(NotebookDisplay):
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")
+        lines += [f"design: {separation}" for separation in self.separations]
         if self.next_experiment is not None:
             lines.append(f"next: {self.next_experiment.statement}")
         return "\n".join(lines)
@@ -332,6 +337,8 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
         "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
+        "separations": [asdict(pair) for pair in diagnosis.separations],
+        "rival_sets": [joint.content() for joint in diagnosis.rival_sets],
         "gate": list(diagnosis.gate),
         "search": {
             "complete": not diagnosis.unfinished,

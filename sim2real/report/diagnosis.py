@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.diagnose.result import Diagnosis, Experiment, JointSeries, Mismatch, NamedEffect
+from sim2real.diagnose.separation import SEPARATED
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.diagnosis_plots import (
     command_figure,
@@ -92,6 +93,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
         blocks += what_blocks(diagnosis)
         for mismatch in diagnosis.mismatch:
             blocks += _unexplained(diagnosis, mismatch)
+    blocks += _separations(diagnosis)
     if diagnosis.next_experiment is not None:
         blocks += _next(diagnosis.next_experiment)
     blocks += _limits(diagnosis)
@@ -99,6 +101,19 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
         text = "Remarks of the check of the recordings; they may affect the diagnosis."
         blocks += [Text(text, heading="Data"), *(Note("info", x) for x in diagnosis.gate)]
     return Section("Diagnosis", _LEAD, blocks)
+
+
+def _separations(diagnosis: Diagnosis) -> list[Block]:
+    """What designed recordings were expected to tell, beside what they told."""
+    if not diagnosis.separations:
+        return []
+    text = "What the design of a recording expected of it, and what the recordings have told."
+    told = [(pair.found or 0.0) >= SEPARATED for pair in diagnosis.separations]
+    notes = [
+        Note("good" if found else "info", str(pair))
+        for pair, found in zip(diagnosis.separations, told, strict=True)
+    ]
+    return [Text(text, heading="Expected and found"), *notes]
 
 
 def _verdict(diagnosis: Diagnosis) -> Note:

@@ -11,14 +11,18 @@ from functools import singledispatch
 
 from sim2real.check import Check, all_findings
 from sim2real.density import Density
+from sim2real.design.plan import Design
+from sim2real.design.tell_apart import RivalDesign
 from sim2real.diagnose.result import Diagnosis, percent
 from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Range, Ranges
 from sim2real.ranges.gather import Gathered
 from sim2real.recording import Recording
+from sim2real.report.design_plot import design_section
 from sim2real.report.page import Block, Note, Section, Table, render_fragment
 from sim2real.report.quantity import effect_text, milliradians, printable, quantities
+from sim2real.report.rival_plots import rivals_section
 from sim2real.report.table import span
 from sim2real.robot import Robot
 from sim2real.servo.prediction import Prediction
@@ -68,6 +72,17 @@ def _parameters(name: str, joint: JointModel) -> Iterable[tuple[str, ...]]:
         yield printable(name), quantity.name, value, quantity.unit, interval
     for effect in joint.effects:
         yield printable(name), "effect", effect_text(effect, joint.interval), "", ""
+
+
+@result_section.register
+def _design(design: Design) -> Section:
+    sections = [design_section(design, joint) for joint in design.joints]
+    return Section("Design", "", [block for section in sections for block in section.blocks])
+
+
+@result_section.register
+def _rival_design(design: RivalDesign) -> Section:
+    return rivals_section(design)
 
 
 @result_section.register

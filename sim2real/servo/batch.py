@@ -18,6 +18,7 @@ from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.servo.rollout import (
     active_effects,
     coarse_substep,
+    factors,
     longest_substep,
     padded,
     simulate,
@@ -125,6 +126,7 @@ class Batch:
         self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length, self._load = self._signals[2], to_warp(self.load, device)
+        self._factors = to_warp(factors(all_traces), device)
 
     def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""
@@ -216,7 +218,7 @@ class Batch:
         wp.launch(
             whitening.expand,
             dim=rows.size,
-            inputs=[table, table_row, signals, self._load, _INERTIA],
+            inputs=[table, table_row, signals, self._factors, self._load, _INERTIA],
             outputs=[theta],
             device=dev,
         )

@@ -133,6 +133,18 @@ def stated(row: Array, load: Load, effects: Sequence[FittedEffect] = ()) -> Join
     )
 
 
+def context_factors(supply_ratio: float, gain_ratio: float) -> Array:
+    """Factors on all columns by another supply voltage and another gain of the firmware, (P,).
+
+    The firmware sets the duty cycle of the bridge, so that gain, stall torque and no-load speed are
+    proportional to the supply voltage, and damping by back-EMF is not (the circuit of a DC motor).
+    """
+    factors = np.ones(len(COLUMNS))
+    factors[[0, *(COLUMNS.index(name) for name in LINE)]] = supply_ratio
+    factors[0] *= gain_ratio
+    return factors
+
+
 def motor_of(row: Array) -> dict[str, float]:
     """Motor parameters of a row (P,) by name, without those that have no effect."""
     values = row[FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)]

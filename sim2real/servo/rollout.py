@@ -23,6 +23,7 @@ from sim2real.servo.parameters import (
     INERTIA_LEFT_OUT,
     MOTOR,
     ROTOR_INERTIA,
+    context_factors,
 )
 from sim2real.servo.trace import Trace
 from sim2real.servo.whitening import innovation_energy
@@ -95,7 +96,7 @@ def rollout_on(
 
     ``substep_s`` and ``threads`` are those of ``rollout``.
     """
-    rows = np.array(theta)
+    rows = np.array(theta) * factors([trace])
     rows[:, _LOAD] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     return rollout(rows, trace.t, trace.command, substep_s=substep_s, threads=threads)
 
@@ -149,6 +150,11 @@ def padded(traces: Sequence[Trace]) -> tuple[tuple[Array, Array, Integers], Arra
     return (t, command, length), position, load
 
 
+def factors(traces: Sequence[Trace]) -> Array:
+    """Factors on the parameters of a servo by the contexts of S recordings, shape (S, P)."""
+    return np.array([context_factors(trace.supply_ratio, trace.gain_ratio) for trace in traces])
+
+
 class Simulator:
     """Simulates servos with any parameters on the recordings of one joint."""
 
@@ -161,6 +167,7 @@ class Simulator:
         """
         self.traces, self.threads = traces, threads
         signals, position, self._load = padded(traces)
+        self._factors = factors(traces)
         self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
         self._pool = _pool(threads)
@@ -198,7 +205,7 @@ class Simulator:
         if np.isinf(substep_s) and not self.is_linear(theta):
             raise ValueError("no exact solution of servos with effects or a pendulum")
         S = len(self.traces)
-        rows = np.repeat(theta, S, axis=0)
+        rows = np.repeat(theta, S, axis=0) * np.tile(self._factors, (theta.shape[0], 1))
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
         signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
         T = self._signals[0].shape[1]

@@ -13,6 +13,7 @@ from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.servo.reported_drive import ReportedDrive, reported_drive
+from sim2real.structured import Fields
 
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
@@ -31,6 +32,8 @@ class Trace:
         load: The stated load, or ``PER_INERTIA``.
         used: Mask of the samples that the fit may use, shape (T,).
         drive: Controller that the reported drive shows; None if the servo does not report it.
+        supply_ratio: Supply voltage, relative to that of the other recordings.
+        gain_ratio: Proportional gain of the firmware, relative to that of the other recordings.
     """
 
     name: str
@@ -41,6 +44,8 @@ class Trace:
     load: Load
     used: Mask
     drive: ReportedDrive | None = None
+    supply_ratio: float = 1.0
+    gain_ratio: float = 1.0
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -81,12 +86,17 @@ class Trace:
 
 
 def trace(recording: Recording, joint: str) -> Trace:
-    """The trace of ``joint`` in ``recording``, without samples with the torque off."""
+    """The trace of ``joint`` in ``recording``, without samples with the torque off.
+
+    Raises:
+        InputError: If the context that the recording states is of another form.
+    """
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
     t, command = recording.t[powered], recording.command[powered, j]
     load = recording.columns.get(f"{joint}.load")
+    context = Fields(recording.file, "", recording.metadata).table("context")
     return Trace(
         name=recording.name,
         file=recording.file,
@@ -96,6 +106,8 @@ def trace(recording: Recording, joint: str) -> Trace:
         load=recording.loads.get(joint, PER_INERTIA),
         used=np.isfinite(position),
         drive=None if load is None else reported_drive(t, command, position, load[powered]),
+        supply_ratio=context.number("supply_ratio", 1.0, above=0.0),
+        gain_ratio=context.number("gain_ratio", 1.0, above=0.0),
     )
 
 

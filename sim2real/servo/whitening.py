@@ -17,12 +17,18 @@ Table = wp.array2d(dtype=wp.float64)
 
 @wp.kernel(enable_backward=False)
 def expand(
-    theta: Table, variant: Rows, signal: Rows, load: Table, inertia: int, out: Table
+    theta: Table,
+    variant: Rows,
+    signal: Rows,
+    factors: Table,
+    load: Table,
+    inertia: int,
+    out: Table,
 ) -> None:
-    """Copy the parameters of its variant and the load of its recording to each row."""
+    """Copy the parameters of its variant to each row, in the context of its recording."""
     row = wp.tid()
     for k in range(out.shape[1]):
-        out[row, k] = theta[variant[row], k]
+        out[row, k] = theta[variant[row], k] * factors[signal[row], k]
     out[row, inertia] = load[signal[row], 0]
     out[row, inertia + 1] = load[signal[row], 1]
 

@@ -20,7 +20,7 @@ BENCH = ROOT / "datasets" / "servo_steps"
 VERBS = {
     name: getattr(module, name)
     for module, names in (
-        (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict")),
+        (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict", "design")),
         (sim.verbs, ("diagnose", "calibrate", "simulate")),
     )
     for name in names

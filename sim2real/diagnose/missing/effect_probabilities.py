@@ -131,7 +131,7 @@ def posterior(
     fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
     # A refit to a resampled record gains half a unit a parameter more than one to a new record.
     fixed -= 0.5 * np.array([h.fit.servos.columns.shape[1] for h in tried])
-    scores *= _trust(tried[0], found.plain)
+    scores *= trusted_share(tried[0], found.plain)
     total = scores + (fixed + extra)[:, None]
     total -= total.max(axis=0)
     share = np.exp(total)
@@ -142,7 +142,7 @@ def posterior(
     return EffectPosterior(tuple(tried[k].members for k in order), probability[order], first[order])
 
 
-def _trust(best: Hypothesis, plain: Hypothesis) -> float:
+def trusted_share(best: Hypothesis, plain: Hypothesis) -> float:
     """Share of a difference in log-likelihood that counts, given that laws are approximations.
 
     A law that is wrong by ``law_error`` of its own effect loses that squared, of the energy that

@@ -9,6 +9,7 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.nuisances import beside_rivals, first_look, with_nuisances
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
+from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
 from sim2real.inference import selection
 from sim2real.progress import Progress
@@ -25,6 +26,7 @@ def search(
     bases: Sequence[Set] | None = None,
     best: Sequence[Hypothesis] | None = None,
     needed: bool = True,
+    stated: Sequence[Sequence[StatedSet]] | None = None,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
@@ -39,6 +41,7 @@ def search(
         bases: Effects that each joint's given model has.
         best: What explained each joint best before; looked for where None.
         needed: Whether to search at all; joints that are compared with references need no search.
+        stated: Sets that are tried in any case, one sequence a joint, with where to start.
         progress: Called with the share that is done.
 
     Returns:
@@ -61,6 +64,13 @@ def search(
         ]
         for (ledger, _, _), hypothesis in zip(jobs, problem.refit(jobs), strict=True):
             ledger.keep(hypothesis)
+    jobs = [
+        (ledger, ledger.base | one.effects, one.theta)
+        for ledger, sets in zip(ledgers, stated or [()] * len(ledgers), strict=True)
+        for one in sets
+    ]
+    for (ledger, _, _), hypothesis in zip(jobs, problem.refit(jobs), strict=True):
+        ledger.keep(hypothesis)
     progress(0.15)
     selection.select(problem, ledgers, selection.Breadth(most=1))
     progress(0.3)

@@ -190,6 +190,7 @@ def _pass(
         bases=bases,
         best=[ledger.best for ledger in known],
         needed=not all(joint.references for joint in joints),
+        stated=[joint.stated for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     probable = posteriors(ledgers, robots, rng)
@@ -203,7 +204,7 @@ def _pass(
         groups = [
             _as_seen(best[j], group, joint)
             for group in probable[j].groups(tried.base)
-            if not _no_finding(best[j], group.members[0], joint)
+            if not is_no_finding(best[j], group.members[0], joint)
         ]
         if joint.step_rad is not None:
             groups.append(Group((ROUNDING,), DECISION.most_certain, 1.0))
@@ -235,7 +236,7 @@ def _as_seen(best: Hypothesis, group: Group, joint: JointCase) -> Group:
     return group if yields else replace(group, members=(*group.members, _DRY))
 
 
-def _no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
+def is_no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
     """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
     if named(effect).everywhere:
         return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size

@@ -47,6 +47,7 @@ def next_experiment(
     reach: float,
     *,
     finalists: int = 3,
+    contexts: Sequence[str] = tuple(_CONTEXTS),
 ) -> Experiment | None:
     """The cheapest experiment that tells the members of a group apart.
 
@@ -61,14 +62,15 @@ def next_experiment(
         component: The joint.
         reach: Largest command to either side, rad.
         finalists: Commands whose refits are continued, after a few steps have ranked all.
+        contexts: Contexts that are to be had, names of ``Experiment.context``.
     """
     if len(rivals) < 2:
         return None
-    menu = itertools.product(_CONTEXTS, _signals(reach).items())
+    menu = itertools.product(contexts, _signals(reach).items())
     plans = [_Plan(context, name, t, command) for context, (name, (t, command)) in menu]
     plain = np.array([plan.context == "none" for plan in plans])
     scores = np.full(len(plans), -1.0)
-    for some in (np.flatnonzero(plain), np.flatnonzero(~plain)):
+    for some in filter(len, (np.flatnonzero(plain), np.flatnonzero(~plain))):
         # The other contexts only where no command tells the rivals apart as things are.
         rough = _least_separations(trace, [plans[k] for k in some], rivals, iterations=3)
         top = some[np.argsort(-rough)[:finalists]]
@@ -114,7 +116,7 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
         t=plan.t,
         command=plan.signal[:, None],
         position=np.full((plan.t.size, 1), np.nan),
-        loads={} if load is None else {plan.component: _loaded(load, plan.context)},
+        loads={} if load is None else {plan.component: loaded(load, plan.context)},
         source="commands to record next, by sim2real diagnose",
     )
     write_recording(recording, path)
@@ -140,8 +142,8 @@ def _signals(reach: float, *, period_s: float = 0.02) -> Mapping[str, tuple[Arra
     return {name: (t, reach * shape) for name, shape in shapes.items()}
 
 
-def _loaded(load: Load, context: str) -> Load:
-    """What the shaft turns in a context."""
+def loaded(load: Load, context: str) -> Load:
+    """What the shaft turns in a context, by its name in ``Experiment.context``."""
     if context == "added_inertia":
         return replace(load, inertia_kgm2=2 * load.inertia_kgm2)
     if context == "added_weight":
@@ -159,7 +161,7 @@ def _least_separations(
     staged = []  # as if recorded, with all angles 0
     for plan in plans:
         everywhere, still = np.ones(plan.t.size, dtype=bool), np.zeros(plan.t.size)
-        load = _loaded(trace.load, plan.context)
+        load = loaded(trace.load, plan.context)
         staged.append(Trace("next", "next", plan.t, plan.command, still, load, everywhere))
     pairs = itertools.permutations(rivals, 2)
     separations = [_separations(staged, plans, *pair, iterations=iterations) for pair in pairs]

@@ -13,6 +13,7 @@ from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.missing.open_sets import rival_sets, separations
 from sim2real.diagnose.missing.screening import Candidate, Screen
 from sim2real.diagnose.missing.unmodelled import simulated_angle
 from sim2real.diagnose.page.next_experiment import next_experiment
@@ -41,6 +42,12 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
+        separations=separations(case.recordings, joints),
+        rival_sets=tuple(
+            rival_sets(joint.joint, joint.finding)
+            for joint in joints
+            if joint.finding.mismatch and not joint.joint.references
+        ),
         next_experiment=repeat([j.joint for j in joints]) or _for_rivals(case.robot, joints),
     )
 

@@ -1,0 +1,73 @@
+"""Contexts of an experiment: what a user can change besides the commands."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.errors import InputError
+from sim2real.recording import Load, read_load
+from sim2real.structured import Fields, read_toml
+
+
+@dataclass(frozen=True)
+class Context:
+    """One way to set up the bench.
+
+    Attributes:
+        name: What the user calls it.
+        loads: Loads by joint that replace those of the recordings so far.
+        supply: Supply voltage, relative to that of the recordings so far.
+        gain: Proportional gain of the firmware, relative to that of the recordings so far.
+    """
+
+    name: str = "as it is"
+    loads: Mapping[str, Load] = field(default_factory=dict)
+    supply: float = 1.0
+    gain: float = 1.0
+
+    def load(self, rivals: JointRivals) -> Load:
+        """Load of a joint in this context."""
+        return self.loads.get(rivals.component, rivals.load)
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """The field ``context`` of a recording's JSON."""
+        return {"supply_ratio": self.supply, "gain_ratio": self.gain}
+
+
+AS_IT_IS = Context()
+"""The bench of the recordings so far."""
+
+
+def read_contexts(path: str | os.PathLike[str]) -> tuple[Context, ...]:
+    """The contexts of a ``contexts.toml``.
+
+    Raises:
+        InputError: If a field is unknown or of another form, or a context changes nothing.
+    """
+    top = Fields(path, "", read_toml(path))
+    top.refuse_unknown(["contexts"])
+    contexts = tuple(_context(entry) for entry in top.tables("contexts"))
+    names = [context.name for context in contexts]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(path, "contexts", f"two contexts named {name!r}", "one of each name")
+    return contexts
+
+
+def _context(entry: Fields) -> Context:
+    entry.refuse_unknown(["name", "loads", "supply_ratio", "gain_ratio"])
+    loads = entry.table("loads")
+    found = Context(
+        name=entry.text("name"),
+        loads={joint: read_load(loads.table(joint)) for joint in loads.content},
+        supply=entry.number("supply_ratio", 1.0, above=0.0),
+        gain=entry.number("gain_ratio", 1.0, above=0.0),
+    )
+    if found == Context(found.name):
+        expected = "loads, supply_ratio or gain_ratio"
+        raise InputError(entry.file, entry.where, "a context that changes nothing", expected)
+    return found

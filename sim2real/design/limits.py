@@ -1,0 +1,222 @@
+"""What the commands of one joint may be: range, rate, acceleration, resolution, rest at both ends.
+
+Commands that keep the limits are played by ``sim2real record`` without a change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim2real.arrays import Array, Integers
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.recording import Load
+from sim2real.robot import Joint, Robot
+
+PERIOD_S = 0.02
+"""Sample period of the recorder, s."""
+FINEST_RAD = 1e-4
+"""Resolution of the commands where the data sheet states no position step, rad."""
+REST_S = 1.0
+"""Time at rest at either end, s, in which the noise of the sensor is estimated (``noise``)."""
+CONTINUOUS_SHARE = 0.5
+"""Largest root mean square of the torque, as a share of the stall torque.
+
+The windings heat with the square of the torque; at half of it they dissipate a quarter of what they
+do at stall."""
+
+
+@dataclass(frozen=True)
+class CommandLimits:
+    """Limits of the commands of one joint.
+
+    Attributes:
+        joint: Name of the joint.
+        position_rad: Smallest and largest set-point, rad.
+        rate_rad_s: Largest rate of the set-point, the servo's no-load speed, rad/s.
+        torque_Nm: The servo's stall torque, N m; infinite where the data sheet does not state it.
+        rms_torque_Nm: Largest root mean square of the torque over the recording, N m.
+        period_s: Time between set-points, s.
+        resolution_rad: Set-points are multiples of it, rad.
+        rest_s: Time at rest at the beginning and at the end, s.
+    """
+
+    joint: str
+    position_rad: tuple[float, float]
+    rate_rad_s: float
+    torque_Nm: float = np.inf
+    rms_torque_Nm: float = np.inf
+    period_s: float = PERIOD_S
+    resolution_rad: float = FINEST_RAD
+    rest_s: float = REST_S
+
+    @property
+    def ticks(self) -> tuple[int, int]:
+        """Smallest and largest set-point in units of the resolution."""
+        low, high = self.position_rad
+        return (
+            int(np.ceil(low / self.resolution_rad - 1e-9)),
+            int(np.floor(high / self.resolution_rad + 1e-9)),
+        )
+
+    @property
+    def most_ticks(self) -> int:
+        """Largest change of the set-point in one period, in units of the resolution."""
+        step = self.rate_rad_s * self.period_s / self.resolution_rad
+        low, high = self.ticks
+        return int(min(np.floor(step + 1e-9), high - low))
+
+    @property
+    def rest_rad(self) -> float:
+        """Set-point at rest: the middle of the range, rad."""
+        return round(sum(self.ticks) / 2) * self.resolution_rad
+
+    @property
+    def reach_rad(self) -> float:
+        """Largest distance of a set-point from rest, rad."""
+        low, high = self.ticks
+        rest = round((low + high) / 2)
+        return max(high - rest, rest - low) * self.resolution_rad
+
+    def times(self, seconds: float) -> Array:
+        """Times of the set-points, s, shape (T,)."""
+        return np.asarray(np.arange(round(seconds / self.period_s)) * self.period_s)
+
+
+def limits_of(robot: Robot, model: Model | None = None, joint: str | None = None) -> CommandLimits:
+    """Limits of the commands of one joint, from the robot's file.
+
+    Args:
+        robot: The robot, with limits and data sheets.
+        model: Its fitted servos, which name the joint if ``joint`` does not.
+        joint: Name of the joint; by default the first one of the model, or of the robot.
+
+    Raises:
+        InputError: If the robot lacks the joint, its limits or its speed, or if the limits
+            contradict each other.
+    """
+    described = _joint(robot, model, joint)
+    servo, where = described.servo, described.where
+    low, high = described.limits_rad
+    step = servo.position_step_rad if servo.states("position_step_rad") else 0.0
+    torque = servo.max_torque_Nm if servo.states("max_torque_Nm") else np.inf
+    limits = CommandLimits(
+        joint=described.name,
+        position_rad=(low, high),
+        rate_rad_s=servo.no_load_speed_rad_s,
+        torque_Nm=torque,
+        rms_torque_Nm=CONTINUOUS_SHARE * torque,
+        resolution_rad=step or FINEST_RAD,
+    )
+    lowest, highest = limits.ticks
+    if highest - lowest < 2:
+        found = f"{low:g} to {high:g} rad, less than two steps of {limits.resolution_rad:g} rad"
+        raise InputError(where[0], f"{where[1]}.limits_rad", found, "a wider range")
+    if limits.most_ticks < 1:
+        found = f"{servo.no_load_speed_rad_s:g} rad/s"
+        least = limits.resolution_rad / limits.period_s
+        expected = f"at least {least:.3g} rad/s, one step of {limits.resolution_rad:g} rad a sample"
+        raise InputError(servo.where[0], f"{servo.where[1]}.no_load_speed_rad_s", found, expected)
+    return limits
+
+
+def check_seconds(seconds: float, limits: CommandLimits, *, least_motion_s: float = 1.0) -> None:
+    """Check that a recording is long enough to move, and to come to rest.
+
+    Raises:
+        InputError: If it is too short, or longer than a day.
+    """
+    returning = limits.reach_rad / limits.rate_rad_s
+    shortest = 2 * (limits.rest_s + returning) + least_motion_s
+    if not shortest <= seconds <= 86_400:
+        joint = limits.joint
+        expected = f"{shortest:.1f} s for {joint} to move and come to rest, to a day"
+        raise InputError("--seconds", "", f"{seconds:g} s", expected)
+
+
+def check_load(load: Load, limits: CommandLimits, robot: Robot) -> None:
+    """Check that the servo can hold its load at the ends of the range.
+
+    Raises:
+        InputError: If the weight of its pendulum exceeds the torque budget.
+    """
+    weight = load.gravity_Nm * np.sin(min(np.abs(limits.position_rad).max(), np.pi / 2))
+    if weight > limits.rms_torque_Nm:
+        servo = _joint(robot, None, limits.joint).servo
+        found = f"{weight:.3g} N m to hold the load"
+        expected = (
+            f"at most {limits.rms_torque_Nm:.3g} N m at the ends of the range: a lighter load, or "
+            "a narrower range"
+        )
+        raise InputError(servo.where[0], f"{servo.where[1]}.max_torque_Nm", found, expected)
+
+
+def violations(commands: Array, limits: CommandLimits, *, slack: float = 1e-9) -> list[list[str]]:
+    """How each of some commands breaks the limits, one sentence each; empty where it keeps them.
+
+    Args:
+        commands: Set-points in rad, shape (N, T).
+        limits: The limits.
+        slack: Rounding that is ignored, rad.
+    """
+    low, high = limits.position_rad
+    rate = np.abs(np.diff(commands, axis=1)).max(axis=1) / limits.period_s
+    step = commands / limits.resolution_rad
+    off = np.abs(step - np.round(step)).max(axis=1) * limits.resolution_rad
+    still = round(limits.rest_s / limits.period_s)
+    ends = np.concatenate([commands[:, :still], commands[:, -still:]], axis=1)
+    away = np.abs(ends - limits.rest_rad).max(axis=1)
+    found: list[list[str]] = []
+    for n, command in enumerate(commands):
+        broken = []
+        if command.min() < low - slack or command.max() > high + slack:
+            broken.append(f"{command.min():.4g} to {command.max():.4g} rad leave the range")
+        if rate[n] > limits.rate_rad_s + slack / limits.period_s:
+            broken.append(f"{rate[n]:.4g} rad/s exceed {limits.rate_rad_s:.4g} rad/s")
+        if off[n] > slack + 1e-6 * limits.resolution_rad:
+            broken.append(f"not in steps of {limits.resolution_rad:.4g} rad")
+        if away[n] > slack:
+            broken.append(f"not at rest at {limits.rest_rad:.4g} rad at the beginning and the end")
+        found.append(broken)
+    return found
+
+
+def within(commands: Array, limits: CommandLimits) -> Array:
+    """Set-points changed as little as needed to keep the limits, shape (N, T).
+
+    They are clipped to the range, held at rest at both ends, rounded to the resolution, and their
+    rate is limited; towards the end the range narrows so that rest is reached in time.
+
+    Args:
+        commands: Set-points in rad, shape (N, T).
+        limits: The limits.
+    """
+    low, high = limits.ticks
+    rest, most = round((low + high) / 2), limits.most_ticks
+    N, T = commands.shape
+    still = round(limits.rest_s / limits.period_s)
+    until_end = np.maximum(np.arange(T)[::-1] + 1 - still, 0) * most
+    wanted: Integers = np.round(commands / limits.resolution_rad).astype(np.int32)
+    wanted = np.clip(wanted, np.maximum(low, rest - until_end), np.minimum(high, rest + until_end))
+    wanted[:, :still] = rest
+    limited = np.empty_like(wanted)
+    limited[:, 0] = now = wanted[:, 0]
+    for k in range(1, T):
+        now = now + np.clip(wanted[:, k] - now, -most, most)
+        limited[:, k] = now
+    return np.asarray(limited * limits.resolution_rad)
+
+
+def _joint(robot: Robot, model: Model | None, name: str | None) -> Joint:
+    if name is None:
+        fitted = [] if model is None else [j.name for j in robot.joints if j.name in model.joints]
+        name = fitted[0] if fitted else robot.joints[0].name
+    joint = robot.joint(name)
+    if joint is None:
+        known = ", ".join(j.name for j in robot.joints)
+        raise InputError(
+            robot.path or robot.name, "joints", f"no joint {name!r}", f"one of {known}"
+        )
+    return joint

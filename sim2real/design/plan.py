@@ -1,0 +1,203 @@
+"""The design of the next recording: commands of every joint, and what they are expected to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.design.belief import Belief, belief_of
+from sim2real.design.information import Information, Precision
+from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
+from sim2real.design.search import Found, best
+from sim2real.display import NotebookDisplay, from_report
+from sim2real.inference.normal import Z90
+from sim2real.model import Model
+from sim2real.recording import PER_INERTIA, Load, Recording
+from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MODEL, SHEET = "model", "data sheet"
+
+
+@dataclass(frozen=True)
+class JointDesign:
+    """The commands of one joint and what is expected of them.
+
+    Attributes:
+        information: The objective: what was believed of the servo, and the limits.
+        found: The result of the search.
+        precision: Expected precision of the parameters, of one command (N = 1).
+        origin: What the belief comes from, ``"model"`` or ``"data sheet"``.
+    """
+
+    information: Information
+    found: Found
+    precision: Precision
+    origin: str
+
+    @property
+    def belief(self) -> Belief:
+        """What was believed of the servo."""
+        return self.information.belief
+
+    @property
+    def limits(self) -> CommandLimits:
+        """Limits of the commands."""
+        return self.information.limits
+
+    @property
+    def expected(self) -> dict[str, float]:
+        """Half-width of the expected 90 % interval of each parameter, relative to its value.
+
+        The geometric mean over the servos of the belief.
+        """
+        return dict(zip(self.belief.names, _mean(self.precision)[0].tolist(), strict=True))
+
+    @property
+    def determined(self) -> dict[str, bool]:
+        """Whether each parameter's interval is at most half as wide as before the recording.
+
+        Before, it is that of the prior, or the parameter itself where there is none.
+        """
+        before = np.minimum(Z90 * self.belief.prior_sd, 1.0)
+        return {
+            name: bool(width < 0.5 * most)
+            for (name, width), most in zip(self.expected.items(), before, strict=True)
+        }
+
+    def over_time(self, parts: int) -> Array:
+        """Expected half-widths after each of some equal parts of the command, shape (parts, F)."""
+        sums = self.information.statistics(self.found.command[None], parts)[0]
+        return _mean(self.information.precision_of(np.cumsum(sums, axis=0)))
+
+    def content(self) -> dict[str, Any]:
+        """What is expected, for the JSON file."""
+        torque = float(self.precision.rms_torque_Nm.mean())
+        expected: dict[str, dict[str, Any]] = {}
+        for name, width in self.expected.items():
+            expected[name] = {"relative_half_width": width, "determined": self.determined[name]}
+            if self.origin == MODEL:
+                value = float(self.belief.rows[0, self.belief.columns[self._place(name)]])
+                expected[name]["interval"] = [value * (1 - width), value * (1 + width)]
+        return {
+            "belief": self.origin,
+            "expected": expected,
+            "noise_rad": self.belief.noise.white_rad,
+            "angle_error_rad": self.belief.noise.angle_rad,
+            "rms_torque_Nm": None if self.belief.load is PER_INERTIA else torque,
+            "commands_compared": self.found.evaluated,
+        }
+
+    def _place(self, name: str) -> int:
+        return self.belief.names.index(name)
+
+
+@dataclass(frozen=True)
+class Design(NotebookDisplay):
+    """Commands to record next.
+
+    Attributes:
+        t: Times in s, shape (T,).
+        joints: The design of each joint.
+        provenance: Command line, versions, seed and SHA-256 of the inputs.
+    """
+
+    t: Array
+    joints: Mapping[str, JointDesign]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def recording(self, name: str = "next") -> Recording:
+        """The commands as a recording without measured angles; ``metadata`` has what they promise.
+
+        ``metadata["design"]`` states for each joint the expected 90 % intervals.
+        """
+        command = np.stack([joint.found.command for joint in self.joints.values()], axis=1)
+        loads = {name: joint.belief.load for name, joint in self.joints.items()}
+        return Recording(
+            name=name,
+            kind="servo",
+            joints=tuple(self.joints),
+            t=self.t,
+            command=command,
+            position=np.full(command.shape, np.nan),
+            loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
+            source="Commands to record next, by 'sim2real design'.",
+            metadata={
+                "design": {name: joint.content() for name, joint in self.joints.items()},
+                "provenance": dict(self.provenance),
+            },
+        )
+
+    def __str__(self) -> str:
+        """Expected intervals of each joint, one line per parameter."""
+        return str(from_report("design_plot.design_report")(self))
+
+    def plot(self, joint: str | None = None) -> Figure:
+        """Command, intervals over time, and where the information comes from, of one joint."""
+        name = next(iter(self.joints)) if joint is None else joint
+        figure: Figure = from_report("design_plot.design_figure")(self.t, name, self.joints[name])
+        return figure
+
+
+def design(
+    robot: Robot,
+    model: Model | None = None,
+    *,
+    seconds: float = 30.0,
+    loads: Mapping[str, Load] | None = None,
+    seed: int = 0,
+    drawn: int = 320,
+    rounds: int = 8,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Design:
+    """Commands that determine the servos best, within the limits of the robot.
+
+    Args:
+        robot: The robot.
+        model: Its fitted servos; None for what the data sheets say.
+        seconds: Duration of the recording, s.
+        loads: Load of each joint; by default that of the model.
+        seed: Seed of the search.
+        drawn: Number of random commands that are compared.
+        rounds: Number of batches of variations of the best.
+        progress: Called with the share that is done.
+
+    Raises:
+        InputError: If limits contradict each other, or the duration is too short.
+    """
+    names = designed_joints(robot, model)
+    limits = {name: limits_of(robot, model, name) for name in names}
+    for joint in limits.values():
+        check_seconds(seconds, joint)
+    designs = {}
+    for k, (name, joint) in enumerate(limits.items()):
+        belief = belief_of(robot, model, joint, load=(loads or {}).get(name), seed=seed)
+        check_load(belief.load, joint, robot)
+        information = Information(belief, joint)
+
+        def report(share: float, done: int = k) -> None:
+            progress((done + share) / len(names))
+
+        rng = np.random.default_rng([seed, k])
+        found = best(
+            information, joint, seconds, rng=rng, drawn=drawn, rounds=rounds, progress=report
+        )
+        precision = information.precision(found.command[None])
+        designs[name] = JointDesign(information, found, precision, MODEL if model else SHEET)
+    return Design(next(iter(limits.values())).times(seconds), designs)
+
+
+def designed_joints(robot: Robot, model: Model | None) -> list[str]:
+    """Joints of the robot that the model has; all of them without a model."""
+    return [j.name for j in robot.joints if model is None or j.name in model.joints]
+
+
+def _mean(precision: Precision) -> Array:
+    """Geometric mean over servos of the half-widths, shape (N, F)."""
+    return np.asarray(np.exp(np.log(np.maximum(precision.half_width, 1e-9)).mean(axis=1)))

@@ -1,0 +1,288 @@
+"""Commands that tell rival sets of effects apart: the entropy over sets that a recording leaves.
+
+Each set of effects predicts the angles of a recording, with a covariance for what its parameters,
+fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise. The
+columns of U_i are the derivatives of the angles by the parameters times a root of their covariance.
+That is the setting of Box and Hill, Technometrics 9 (1967) 57-71. Two sets are as far apart as the
+Bhattacharyya distance of their predictions,
+
+    d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j,
+
+in which refitted parameters take up what they can of the difference (Atkinson and Fedorov,
+Biometrika 62 (1975) 57-70). With probabilities p the entropy that remains after the recording is at
+most
+
+    sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
+
+by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.design.contexts import AS_IT_IS, Context
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.missing.screening import NUISANCES
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet
+from sim2real.recording import PER_INERTIA
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.trace import Trace
+
+
+class RivalObjective:
+    """What commands tell of the sets of effects that are open on one joint.
+
+    Args:
+        rivals: The sets.
+        context: What changes besides the commands.
+        rms_torque_Nm: Largest root mean square of the torque; what exceeds it is penalised.
+        device: Warp device.
+        threads: CPU threads.
+
+    Attributes:
+        probability: Probabilities of the M sets, shape (M,).
+    """
+
+    def __init__(
+        self,
+        rivals: JointRivals,
+        context: Context = AS_IT_IS,
+        *,
+        rms_torque_Nm: float = np.inf,
+        device: str = "cpu",
+        threads: int = 2,
+    ) -> None:
+        self.rivals, self.context = rivals, context
+        known = context.load(rivals) is not PER_INERTIA
+        self._torque2 = rms_torque_Nm**2 if known else np.inf
+        self._device, self._threads = device, threads
+        self.probability = np.array([one.probability for one in rivals.sets])
+        self._expansion = _expansion(rivals)
+        self._gain = np.array([one.gain for one in rivals.sets])
+
+    def __call__(self, commands: Array) -> Array:
+        """Minus the entropy that remains, in nats, less a penalty for too much torque.
+
+        Args:
+            commands: Set-points in rad, shape (N, T), at the period of the recordings so far.
+
+        Returns:
+            Shape (N,); -inf where a simulation diverges.
+        """
+        return self.scores(self.statistics(commands, 1)[:, 0])
+
+    def statistics(self, commands: Array, parts: int) -> Array:
+        """Sums over parts of the commands: inner products of whitened predictions, and torque.
+
+        Args:
+            commands: Set-points in rad, shape (N, T).
+            parts: Number of equal parts.
+
+        Returns:
+            Inner products of predictions and derivatives, then the most probable set's squared
+            torque over the number of samples, N2 m2, shape (N, parts, K * K + 1).
+        """
+        N, theta = len(commands), self._expansion.theta
+        batch = Batch(
+            [[trace] for trace in self._staged(commands)],
+            self._device,
+            self._threads,
+            period=self.rivals.period_s,
+        )
+        rows = np.repeat(theta[None], N, axis=0)
+        problems = Problems(np.arange(N, dtype=np.int32), rows, np.ones(rows.shape[:2]))
+        noise = np.repeat(self._noise(batch)[None], N, axis=0)
+        seen = batch.evaluate(problems, blocks=parts, autoregression=noise, keep=True)
+        assert seen.residual is not None
+        products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
+        square = self._torque(seen.residual[:, 0]) ** 2
+        torque2 = [part.sum(axis=1) for part in np.array_split(square, parts, axis=1)]
+        mean = np.stack(torque2, axis=1)[:, :, None] / commands.shape[1]
+        return np.concatenate([products, mean], axis=2)
+
+    def _torque(self, angle: Array) -> Array:
+        """Torque that moves the load along angles (N, T), N m, same shape."""
+        load = self.context.load(self.rivals)
+        acceleration = np.zeros_like(angle)
+        acceleration[:, 1:-1] = np.diff(angle, 2, axis=1) / self.rivals.period_s**2
+        return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))
+
+    def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
+        """Scores of N commands from their sums (N, K * K + 1), shape (N,).
+
+        Args:
+            statistics: The sums.
+            penalty: Nats for a torque of twice what is allowed.
+        """
+        excess = np.sqrt(statistics[:, -1] / self._torque2) - 1
+        left = remaining_entropy(self.probability, self._distances(statistics[:, :-1]))
+        return np.asarray(-left - penalty * np.maximum(excess, 0.0))
+
+    def distances(self, commands: Array) -> Array:
+        """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
+        return self._distances(self.statistics(commands, 1)[:, 0, :-1])
+
+    def _distances(self, statistics: Array) -> Array:
+        """Distances (N, M, M) from inner products (N, K * K).
+
+        The law of an effect is wrong by ``law_error`` of its own size, see
+        ``effect_probabilities.trusted_share``: that much of a difference does not count.
+        """
+        vectors = self._expansion.vectors
+        K, M = len(vectors), self.probability.size
+        F = vectors.shape[1] // M - 1
+        products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
+        i, j = np.triu_indices(M, 1)
+        of_set = M + np.arange(M * F).reshape(M, F)
+        both = np.concatenate([of_set[i], of_set[j]], axis=1)
+        square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
+        across = (products[:, both, i[:, None]] - products[:, both, j[:, None]]) / np.sqrt(2)
+        inner = np.eye(2 * F) + products[:, both[:, :, None], both[:, None, :]] / 2
+        single = np.eye(F) + products[:, of_set[:, :, None], of_set[:, None, :]]
+        taken = np.linalg.solve(inner, across[..., None])[..., 0]
+        apart = square - np.einsum("npf,npf->np", across, taken)
+        logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
+        distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
+        energy = np.maximum(self._gain[i], self._gain[j])
+        out = np.zeros((len(products), M, M))
+        out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
+        return out + out.transpose(0, 2, 1)
+
+    def difference(self, command: Array, i: int, j: int) -> Array:
+        """Difference of two sets' predictions over time that refitted parameters leave, (T,).
+
+        Args:
+            command: Set-points in rad, shape (T,).
+            i: Index of the first set.
+            j: Index of the second set.
+
+        Returns:
+            S^-1 r of the module, in standard deviations of the noise.
+        """
+        theta = self._expansion.theta
+        K = len(theta)
+        batch = Batch(
+            [[trace] for trace in self._staged(command[None])],
+            self._device,
+            1,
+            period=self.rivals.period_s,
+        )
+        problems = Problems(np.zeros(K, dtype=np.int32), theta[:, None], np.zeros((K, 1)))
+        noise = np.repeat(self._noise(batch)[None], K, axis=0)
+        seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
+        assert seen is not None
+        vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
+        M = self.probability.size
+        means, spreads = np.split(self._expansion.vectors, [M], axis=1)
+        apart = vectors @ (means[:, i] - means[:, j])
+        of_set = np.split(spreads, M, axis=1)
+        both = vectors @ np.hstack([of_set[i], of_set[j]]) / np.sqrt(2)
+        inner = np.eye(both.shape[1]) + both.T @ both
+        return np.asarray(apart - both @ np.linalg.solve(inner, both.T @ apart))
+
+    def _noise(self, batch: Batch) -> Array:
+        """Coefficients that whiten the noise, at the lags of a batch, shape (lags,)."""
+        noise, known = np.zeros(batch.lags), self.rivals.autoregression[: batch.lags]
+        noise[: known.size] = known
+        return noise
+
+    def _staged(self, commands: Array) -> list[Trace]:
+        """The commands as if recorded, with all angles 0."""
+        count = commands.shape[1]
+        plan = Trace(
+            name="next",
+            file="next",
+            t=self.rivals.period_s * np.arange(count, dtype=np.float64),
+            command=np.zeros(count),
+            position=np.zeros(count),
+            load=self.context.load(self.rivals),
+            used=np.ones(count, dtype=bool),
+            supply_ratio=self.context.supply,
+            gain_ratio=self.context.gain,
+        )
+        return [replace(plan, command=command) for command in commands]
+
+
+@dataclass(frozen=True)
+class _Expansion:
+    """Rows to simulate, and how predictions and their spreads follow from them.
+
+    Attributes:
+        theta: Parameter rows: those of the sets, then one a free parameter, shape (K, P).
+        vectors: Coefficients of the differences of the rows' angles from those of the first row:
+            the predictions of the M sets, then for each set its derivatives times a root of the
+            covariance, padded to F columns, shape (K, M + M F).
+    """
+
+    theta: Array
+    vectors: Array
+
+
+def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Expansion:
+    """Derivatives by each free parameter, at the most probable set that has it.
+
+    Waves of the angle that every servo has stay as they are: all sets have them alike.
+
+    Args:
+        rivals: The sets.
+        step: Step of the differences, in standard deviations of the parameter, given the others.
+    """
+    sets, M = rivals.sets, len(rivals.sets)
+    free = [_told(one) for one in sets]
+    owner: dict[int, int] = {}
+    for i, columns in enumerate(free):
+        for column in columns:
+            owner.setdefault(column, i)
+    K, place = M + len(owner), {column: n for n, column in enumerate(owner)}
+    theta = np.array([one.theta for one in sets] + [sets[i].theta for i in owner.values()])
+    derivatives = np.zeros((K, len(owner)))
+    for (column, i), n in zip(owner.items(), place.values(), strict=True):
+        at = sets[i].columns.tolist().index(column)
+        size = step / np.sqrt(sets[i].information[at, at])
+        theta[M + n, column] += size
+        derivatives[M + n, n], derivatives[i, n] = 1 / size, -1 / size
+    derivatives[0] = 0.0  # differences from the first row
+    F = max(len(columns) for columns in free)
+    vectors = np.zeros((K, M + M * F))
+    vectors[range(1, M), range(1, M)] = 1.0
+    for i, (one, columns) in enumerate(zip(sets, free, strict=True)):
+        kept = [one.columns.tolist().index(column) for column in columns]
+        root = _root(one.information)[kept]
+        left, size, _ = np.linalg.svd(root, full_matrices=False)
+        spread = derivatives[:, [place[column] for column in columns]] @ (left * size)
+        vectors[:, M + i * F : M + i * F + len(columns)] = spread
+    return _Expansion(theta, vectors)
+
+
+def _told(one: RivalSet) -> list[int]:
+    """Columns of a set's free parameters without waves of the angle that every servo has."""
+    owners = [COLUMNS[column].partition(".")[0] for column in one.columns]
+    alike = {effect.name for effect in NUISANCES} - set(one.effects)
+    pairs = zip(one.columns.tolist(), owners, strict=True)
+    return [column for column, owner in pairs if owner not in alike]
+
+
+def _root(precision: Array) -> Array:
+    """A matrix R with R R' = the inverse of a precision (F, F)."""
+    scale = 1 / np.sqrt(np.diag(precision))
+    value, vector = np.linalg.eigh(precision * np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vector / np.sqrt(np.maximum(value, 1e-10)))
+
+
+def remaining_entropy(probability: Array, distances: Array) -> Array:
+    """Upper bound of the entropy over M sets after a recording, in nats, shape (N,).
+
+    Args:
+        probability: Probabilities of the sets before it, shape (M,).
+        distances: Bhattacharyya distances of their predictions, shape (N, M, M); infinite entropy
+            where one is NaN.
+    """
+    with np.errstate(invalid="ignore"):
+        overlap = np.exp(-distances) @ probability
+        entropy = np.log(overlap / probability) @ probability
+    return np.where(np.isfinite(entropy), entropy, np.inf)

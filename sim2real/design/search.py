@@ -1,0 +1,226 @@
+"""Search for the best command: random ones, the best assembly of their parts, local refinement.
+
+Where the score depends on sums over time, as information does, the parts of all random commands are
+exchanged one at a time as long as the score rises, without further simulation (the exchange
+algorithm of optimal design: Fedorov, Theory of Optimal Experiments, Academic Press, 1972, ch. 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from sim2real.arrays import Array
+from sim2real.design.candidates import draw
+from sim2real.design.limits import CommandLimits, within
+
+Objective = Callable[[Array], Array]
+"""A function of commands (N, T) in rad that returns their scores (N,); larger is better, and
+-inf excludes a command."""
+
+
+@runtime_checkable
+class Additive(Protocol):
+    """An objective that depends on sums over time."""
+
+    def statistics(self, commands: Array, parts: int) -> Array:
+        """Sums over equal parts of commands (N, T), shape (N, parts, K)."""
+
+    def scores(self, statistics: Array) -> Array:
+        """Scores (N,) of commands whose parts have these sums (N, K) together."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search.
+
+    Attributes:
+        command: The best command in rad, shape (T,).
+        score: Its score.
+        scores: Best score after each batch.
+        evaluated: Number of commands that were evaluated.
+    """
+
+    command: Array
+    score: float
+    scores: tuple[float, ...]
+    evaluated: int
+
+
+def best(
+    objective: Objective,
+    limits: CommandLimits,
+    seconds: float,
+    *,
+    rng: np.random.Generator,
+    drawn: int = 256,
+    rounds: int = 8,
+    batch: int = 32,
+    elite: int = 8,
+    part_s: float = 2.0,
+    start: Array | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Found:
+    """The command with the highest score among random ones, assemblies of their parts, variations.
+
+    Args:
+        objective: Scores of commands (N, T); if it is ``Additive``, parts are exchanged.
+        limits: Limits of the commands.
+        seconds: Duration, s.
+        rng: Random number generator.
+        drawn: Number of random commands of the first stage.
+        rounds: Number of batches of variations.
+        batch: Number of commands that are evaluated together.
+        elite: Number of the best commands that are varied.
+        part_s: Length of the parts that are exchanged, s.
+        start: Commands (M, T) that are evaluated in addition to the random ones.
+        progress: Called with the share that is done.
+    """
+    pool = draw(rng, drawn, limits, seconds)
+    if start is not None:
+        pool = np.vstack([within(start, limits), pool])
+    batches = np.array_split(pool, max(1, -(-len(pool) // batch)))
+    total, evaluated = len(batches) + rounds + 1, len(pool)
+    additive = objective if isinstance(objective, Additive) else None
+    parts = max(round(seconds / part_s), 1)
+    scores: list[Array] = []
+    sums: list[Array] = []
+    for k, some in enumerate(batches):
+        if additive is None:
+            scores.append(objective(some))
+        else:
+            sums.append(additive.statistics(some, parts))
+            scores.append(additive.scores(sums[-1].sum(axis=1)))
+        progress((k + 1) / total)
+    score = np.concatenate(scores)
+    history = [float(score.max())]
+    if additive is not None:
+        assembled = within(_assembled(additive, pool, np.concatenate(sums), score, rng), limits)
+        pool, score = np.vstack([pool, assembled]), np.append(score, objective(assembled))
+        evaluated += len(assembled)
+        history.append(float(score.max()))
+    for k in range(rounds):
+        order = np.argsort(-score)[:elite]
+        pool, score = pool[order], score[order]
+        varied = within(_variations(pool, batch, limits, rng), limits)
+        pool, score = np.vstack([pool, varied]), np.append(score, objective(varied))
+        evaluated += batch
+        history.append(float(score.max()))
+        progress((len(batches) + 2 + k) / total)
+    first = int(np.argmax(score))
+    return Found(pool[first], float(score[first]), tuple(history), evaluated)
+
+
+def _assembled(
+    objective: Additive,
+    pool: Array,
+    sums: Array,
+    score: Array,
+    rng: np.random.Generator,
+    *,
+    copies: int = 8,
+    tried: int = 160,
+    passes: int = 2,
+) -> Array:
+    """Commands (copies, T) made of parts of those of a pool (N, T), from their sums (N, parts, K).
+
+    Each starts from one of the best commands. Every part is replaced in turn by the one of some
+    random parts of the pool with the highest score, all else as it is.
+    """
+    N, parts, _ = sums.shape
+    edges = [int(part[0]) for part in np.array_split(np.arange(pool.shape[1]), parts)]
+    edges.append(pool.shape[1])
+    good = np.argsort(-score)[: max(N // 2, 1)]
+    out = pool[np.argsort(-score)[:copies]].copy()
+    for n, first in enumerate(np.argsort(-score)[:copies]):
+        mine = sums[first].copy()
+        total = mine.sum(axis=0)
+        for place in rng.permutation(np.tile(np.arange(parts), passes)):
+            source, other = rng.choice(good, tried), rng.integers(0, parts, tried)
+            candidates = total - mine[place] + np.vstack([mine[None, place], sums[source, other]])
+            k = int(np.argmax(objective.scores(candidates))) - 1
+            if k < 0:
+                continue
+            total, mine[place] = candidates[k + 1], sums[source[k], other[k]]
+            length = edges[place + 1] - edges[place]
+            begin = min(edges[other[k]], pool.shape[1] - length)
+            out[n, edges[place] : edges[place + 1]] = pool[source[k], begin : begin + length]
+    return out
+
+
+def _variations(elite: Array, count: int, limits: CommandLimits, rng: np.random.Generator) -> Array:
+    """Variations (count, T) of the best commands (M, T), which are sorted."""
+    parent = np.minimum(rng.geometric(0.35, count) - 1, len(elite) - 1)
+    out = np.empty((count, elite.shape[1]))
+    for n, p in enumerate(parent):
+        vary = _VARIATIONS[int(rng.integers(len(_VARIATIONS)))]
+        out[n] = vary(elite[p], elite, limits, rng)
+    return out
+
+
+def _window(T: int, rng: np.random.Generator) -> slice:
+    """A random part of the recording, of about a thirtieth to a half of it."""
+    length = int(T * np.exp(rng.uniform(np.log(0.03), np.log(0.5))))
+    start = int(rng.integers(0, T - length))
+    return slice(start, start + length)
+
+
+def _crossed(
+    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+) -> Array:
+    """A part replaced by a part of another command, from anywhere in it."""
+    out, part = command.copy(), _window(command.size, rng)
+    length = part.stop - part.start
+    start = int(rng.integers(0, command.size - length))
+    out[part] = elite[int(rng.integers(len(elite)))][start : start + length]
+    return out
+
+
+def _redrawn(
+    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+) -> Array:
+    """A part replaced by a new random command."""
+    out, part = command.copy(), _window(command.size, rng)
+    seconds = (part.stop - part.start) * limits.period_s + 4 * limits.rest_s
+    new = draw(rng, 1, limits, seconds)[0][round(2 * limits.rest_s / limits.period_s) :]
+    out[part] = new[: part.stop - part.start]
+    return out
+
+
+def _rescaled(
+    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+) -> Array:
+    """A part made larger or smaller about rest."""
+    out, part = command.copy(), _window(command.size, rng)
+    out[part] = limits.rest_rad + (out[part] - limits.rest_rad) * np.exp(0.3 * rng.normal())
+    return out
+
+
+def _stretched(
+    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+) -> Array:
+    """A part played faster or slower."""
+    out, part = command.copy(), _window(command.size, rng)
+    length, rate = part.stop - part.start, float(np.exp(0.25 * rng.normal()))
+    source = part.start + rate * np.arange(length)
+    out[part] = np.interp(source, np.arange(command.size), command)
+    return out
+
+
+def _disturbed(
+    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+) -> Array:
+    """Smooth random changes of a part."""
+    out, part = command.copy(), _window(command.size, rng)
+    width = float(np.exp(rng.uniform(np.log(1.0), np.log(12.0))))
+    noise = gaussian_filter1d(rng.normal(size=part.stop - part.start), width)
+    size = limits.reach_rad * np.exp(rng.uniform(np.log(0.03), np.log(0.4)))
+    out[part] += size * noise / max(float(noise.std()), 1e-12)
+    return out
+
+
+_VARIATIONS = (_crossed, _redrawn, _rescaled, _stretched, _disturbed)

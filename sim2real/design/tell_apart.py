@@ -1,0 +1,337 @@
+"""The recording that tells the rival sets of a diagnosis apart, and what it is expected to tell."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from sim2real.arrays import Array
+from sim2real.design.contexts import AS_IT_IS, Context
+from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
+from sim2real.design.rivals import RivalObjective, remaining_entropy
+from sim2real.design.search import best
+from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.diagnose.separation import SEPARATED, task
+from sim2real.display import NotebookDisplay, from_report
+from sim2real.errors import InputError
+from sim2real.recording import PER_INERTIA, Recording
+from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Advance = Callable[[float], None]
+OPEN = 0.05
+"""Probability from which a set of effects is one of several that remain."""
+
+
+@dataclass(frozen=True)
+class ExpectedSeparation:
+    """Two rival sets of effects, and how surely the recording is expected to tell them apart.
+
+    Attributes:
+        component: The joint.
+        first: Effects of the more probable set.
+        second: Effects of the other.
+        probability: Their probabilities.
+        distance: Bhattacharyya distance of their predictions.
+        expected: Probability that the evidence will favour the true one of both,
+            Phi(sqrt(2 distance)) for predictions of equal covariance.
+    """
+
+    component: str
+    first: tuple[str, ...]
+    second: tuple[str, ...]
+    probability: tuple[float, float]
+    distance: float
+    expected: float
+
+    def __str__(self) -> str:
+        """The sets, and how surely they are expected to be told apart."""
+        return f"{self.component}: {task(self.first, self.second)} with {self.expected:.2f}"
+
+
+@dataclass(frozen=True)
+class JointForecast:
+    """What the recording is expected to tell of one joint.
+
+    Attributes:
+        rivals: The sets of effects that were open.
+        entropy: Entropy over the sets before, nats.
+        remaining: Upper bound of the entropy that is expected to remain, nats.
+        command: The set-points, rad, shape (T,).
+        pairs: All pairs of sets, those that matter most first.
+        differences: For each pair the whitened difference of predictions over time that refitted
+            parameters leave, in standard deviations of the noise, shape (pairs, T); of the first
+            few pairs.
+    """
+
+    rivals: JointRivals
+    entropy: float
+    remaining: float
+    command: Array
+    pairs: tuple[ExpectedSeparation, ...]
+    differences: Array
+
+    def content(self) -> dict[str, Any]:
+        """An entry of ``rivals`` in the recording's JSON."""
+        return {
+            "component": self.rivals.component,
+            "entropy_before_nats": self.entropy,
+            "entropy_after_nats": self.remaining,
+            "sets": [one.content() for one in self.rivals.sets],
+            "pairs": [
+                {
+                    "first": list(pair.first),
+                    "second": list(pair.second),
+                    "distance": pair.distance,
+                    "expected": pair.expected,
+                }
+                for pair in self.pairs
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class RivalDesign(NotebookDisplay):
+    """A recording to make next.
+
+    Attributes:
+        context: What to change besides the commands.
+        joints: What it is expected to tell, joint by joint.
+        least: Probability from which a set counts as open.
+        provenance: As returned by ``sim2real.output.provenance``.
+    """
+
+    context: Context
+    joints: tuple[JointForecast, ...]
+    least: float = OPEN
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def t(self) -> Array:
+        """Times of the set-points in s, shape (T,)."""
+        first = self.joints[0]
+        return np.asarray(first.rivals.period_s * np.arange(first.command.size, dtype=np.float64))
+
+    def recording(self, name: str = "next") -> Recording:
+        """The commands as a recording without measured angles, and what they are to tell."""
+        rivals = [joint.rivals for joint in self.joints]
+        loads = {one.component: self.context.load(one) for one in rivals}
+        return Recording(
+            name=name,
+            kind="servo",
+            joints=tuple(loads),
+            t=self.t,
+            command=np.stack([self._resampled(joint) for joint in self.joints], axis=1),
+            position=np.full((self.t.size, len(loads)), np.nan),
+            loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
+            source="Commands to record next, by 'sim2real design'.",
+            metadata={
+                "rivals": [joint.content() for joint in self.joints],
+                "context": {"name": self.context.name, **self.context.ratios},
+                "provenance": dict(self.provenance),
+            },
+        )
+
+    def _resampled(self, joint: JointForecast) -> Array:
+        """Set-points of a joint at the times of the first one."""
+        t = joint.rivals.period_s * np.arange(joint.command.size)
+        place = np.searchsorted(t, self.t + 1e-9, side="right") - 1
+        return np.asarray(joint.command[place])
+
+    def plot(self, joint: str | None = None) -> Figure:
+        """Commands of one joint, and over time the differences of what its rival sets predict."""
+        by_name = {one.rivals.component: one for one in self.joints}
+        chosen = self.joints[0] if joint is None else by_name[joint]
+        figure: Figure = from_report("rival_plots.rivals_figure")(chosen)
+        return figure
+
+    @property
+    def informative(self) -> bool:
+        """Whether some pair of open sets is expected to be told apart."""
+        return any(pair.expected >= SEPARATED for pair in self._open())
+
+    def _open(self) -> list[ExpectedSeparation]:
+        pairs = [pair for joint in self.joints for pair in joint.pairs]
+        return [pair for pair in pairs if min(pair.probability) >= self.least]
+
+    def __str__(self) -> str:
+        """What is expected, one line a joint and one a pair."""
+        if not self.informative:
+            return self._exhausted()
+        lines = [f"context: {self.context.name}"]
+        for joint in self.joints:
+            before, after = np.exp([joint.entropy, joint.remaining])
+            lines.append(
+                f"{joint.rivals.component}: {before:.1f} equally probable sets of effects are to "
+                f"become {after:.1f} or fewer"
+            )
+            lines += [f"  {pair}" for pair in joint.pairs[:_LISTED]]
+        return "\n".join(lines)
+
+    def _exhausted(self) -> str:
+        best = max(self._open(), key=lambda pair: pair.expected)
+        return (
+            "Nothing more can be told apart within these limits: no command that was tried "
+            f"separates two sets with {SEPARATED:g}. The best: {best}."
+        )
+
+
+_LISTED = 6
+"""Pairs of sets of a joint that are listed."""
+
+
+def design_for_rivals(
+    rivals: Sequence[JointRivals],
+    robot: Robot,
+    *,
+    contexts: Sequence[Context] = (),
+    seconds: float = 30.0,
+    again: bool = False,
+    seed: int = 0,
+    file: str | os.PathLike[str] = "diagnosis",
+    samples: float = 6e5,
+    change_gain: float = 0.02,
+    progress: Advance = lambda share: None,
+) -> RivalDesign:
+    """The commands, and the context, that leave the least expected entropy over the rival sets.
+
+    Random commands are drawn and scored in every context; the best are varied in the best context.
+    All joints move at once, each with commands of its own.
+
+    Args:
+        rivals: The sets that are open, by joint.
+        robot: The robot, for the limits of its commands.
+        contexts: Contexts that are to be had besides the bench as it is.
+        seconds: Duration of the recording, s.
+        again: Whether to go on where one set of effects is left: then the commands are to show
+            effects that the recordings so far would have left hidden.
+        seed: Seed of the search.
+        file: The file that the sets come from, for messages.
+        samples: Number of set-points that are simulated for a joint, over all commands: a third of
+            them for random commands, in all contexts, the rest for variations of the best.
+        change_gain: Entropy in nats that a change of context must save to be asked for.
+        progress: Called with the share that is done.
+
+    Raises:
+        InputError: If no joint has several sets that are probable, the robot lacks one of these
+            joints, or its limits allow no command.
+    """
+    least = 0.0 if again else OPEN
+    rivals = [one for one in rivals if sum(x.probability >= least for x in one.sets) > 1]
+    if not rivals:
+        none = "no joint with several probable sets of effects"
+        raise InputError(file, "rival_sets", none, "a diagnosis that leaves some open")
+    _check_joints(rivals, contexts, robot, file)
+    rng = np.random.default_rng(seed)
+    offered = [AS_IT_IS, *contexts]
+    limits = {one.component: _limits(robot, one, seconds) for one in rivals}
+    for context in contexts:
+        for name in context.loads.keys() & limits.keys():
+            check_load(context.loads[name], limits[name], robot)
+    stages = len(rivals) * (len(offered) + 1)
+    done = iter(range(stages))
+
+    def stage() -> Advance:
+        k = next(done)
+        return lambda share: progress((k + share) / stages)
+
+    def objective_of(one: JointRivals, context: Context) -> RivalObjective:
+        return RivalObjective(one, context, rms_torque_Nm=limits[one.component].rms_torque_Nm)
+
+    count = max(limits[one.component].times(seconds).size for one in rivals)
+    commands = int(np.clip(samples / count, 64, 800))
+    few = max(commands // 3 // len(offered), 16)
+    found = [
+        [
+            best(
+                objective_of(one, context), limits[one.component], seconds,
+                rng=rng, drawn=few, rounds=0, batch=min(few, 32), progress=stage(),
+            )
+            for one in rivals
+        ]
+        for context in offered
+    ]  # fmt: skip
+    scores = np.array([sum(joint.score for joint in joints) for joints in found])
+    scores[1:] -= change_gain
+    k = int(scores.argmax())
+    joints = []
+    for one, first in zip(rivals, found[k], strict=True):
+        objective = objective_of(one, offered[k])
+        last = best(
+            objective, limits[one.component], seconds,
+            rng=rng, drawn=few, rounds=commands // 2 // 32, start=first.command[None],
+            progress=stage(),
+        )  # fmt: skip
+        joints.append(forecast(objective, last.command))
+    return RivalDesign(offered[k], tuple(joints), least)
+
+
+def _check_joints(
+    rivals: Sequence[JointRivals],
+    contexts: Sequence[Context],
+    robot: Robot,
+    file: str | os.PathLike[str],
+) -> None:
+    """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known.
+
+    Raises:
+        InputError: If it lacks one, or a context states a load that the recordings did not.
+    """
+    known = ", ".join(joint.name for joint in robot.joints)
+    of_contexts = {name: "contexts" for context in contexts for name in context.loads}
+    for name, where in ({one.component: file for one in rivals} | of_contexts).items():
+        if robot.joint(name) is None:
+            raise InputError(where, "", f"joint {name!r}", f"a joint of {robot.name}: {known}")
+    for one in rivals:
+        if one.load is PER_INERTIA and one.component in of_contexts:
+            found = "a load where the recordings so far state none"
+            raise InputError("contexts", f"loads.{one.component}", found, "one in all or in none")
+
+
+def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:
+    """What a command (T,) is expected to tell of a joint.
+
+    Args:
+        objective: The rival sets and the context.
+        command: Set-points in rad, shape (T,).
+        drawn_pairs: Number of pairs whose differences over time are worked out.
+    """
+    rivals, p = objective.rivals, objective.probability
+    distances = objective.distances(command[None])
+    places = list(combinations(range(len(rivals.sets)), 2))
+    places.sort(key=lambda pair: -p[pair[0]] * p[pair[1]])
+    pairs = [
+        ExpectedSeparation(
+            rivals.component,
+            rivals.sets[i].effects,
+            rivals.sets[j].effects,
+            (float(p[i]), float(p[j])),
+            float(distances[0, i, j]),
+            float(ndtr(np.sqrt(2 * distances[0, i, j]))),
+        )
+        for i, j in places
+    ]
+    return JointForecast(
+        rivals,
+        rivals.entropy,
+        float(remaining_entropy(p, distances)[0]),
+        command,
+        tuple(pairs),
+        np.array([objective.difference(command, i, j) for i, j in places[:drawn_pairs]]),
+    )
+
+
+def _limits(robot: Robot, rivals: JointRivals, seconds: float) -> CommandLimits:
+    """Limits of the commands of a joint, at the period of the recordings so far."""
+    limits = limits_of(robot, None, rivals.component)
+    limits = replace(limits, period_s=rivals.period_s)
+    check_seconds(seconds, limits)
+    return limits

@@ -1,0 +1,202 @@
+"""Which sets of effects recordings leave open, and what a designed recording has told of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.missing.effect_probabilities import trusted_share
+from sim2real.diagnose.missing.investigate import Finding, is_no_finding
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet, design_of
+from sim2real.diagnose.separation import Separation
+from sim2real.identification.servo_problem import Hypothesis
+from sim2real.inference.normal import NINE_IN_TEN
+from sim2real.recording import Recording
+from sim2real.structured import Fields
+
+
+def rival_sets(
+    joint: JointCase, finding: Finding, *, most: int = 8, hidden: int = 6, uniform: float = 0.3
+) -> JointRivals:
+    """The sets of effects that may be present in a joint, given its recordings.
+
+    Three kinds of sets: the most probable ones; for every further effect that was considered, the
+    most probable set that has it; and the most probable set together with one more effect of the
+    largest size that the recordings would not have shown.
+
+    Args:
+        joint: The joint.
+        finding: What was found on it.
+        most: Largest number of sets of the first two kinds.
+        hidden: Largest number of the third.
+        uniform: Share of the probability that is distributed evenly among all sets: the laws of the
+            effects are approximations, so that no probability of a set is certain.
+    """
+    best, plain = finding.best, finding.tried.plain
+    likely = list(_representatives(joint, finding, most))
+    sets = [_fitted(effects, p, h, plain) for effects, p, h in likely]
+    sets += _hidden(joint, finding, {one.effects for one in sets}, hidden)
+    total = sum(one.probability for one in sets)
+    sets = [
+        replace(one, probability=(1 - uniform) * one.probability / total + uniform / len(sets))
+        for one in sets
+    ]
+    return JointRivals(
+        component=joint.name,
+        load=joint.traces[0].load,
+        period_s=finding.search.batch.period,
+        noise_rad=_innovation(best),
+        autoregression=best.fit.autoregression[0],
+        sets=tuple(sorted(sets, key=lambda one: -one.probability)),
+    )
+
+
+def _innovation(hypothesis: Hypothesis) -> float:
+    """Standard deviation of the innovations of a fit, rad."""
+    return float(np.sqrt(hypothesis.fit.error2[0] / hypothesis.fit.count[0]))
+
+
+def _representatives(
+    joint: JointCase, finding: Finding, most: int, *, behind: float = 15.0
+) -> Iterator[tuple[tuple[str, ...], float, Hypothesis]]:
+    """Names, probability and the likeliest fit of the sets; sets of the same names are one.
+
+    Sets whose evidence is more than ``behind`` below the best are listed only if probable.
+    """
+    tried, weight = finding.tried.tried, dict[tuple[str, ...], float]()
+    trust = trusted_share(finding.best, finding.tried.plain)
+    chosen: dict[tuple[str, ...], Hypothesis] = {}
+    for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
+        names = stated_effects(joint, finding, tried[members])
+        weight[names] = weight.get(names, 0.0) + float(p)
+        chosen.setdefault(names, tried[members])
+    ranked = sorted(weight, key=lambda names: -weight[names])
+    first = [names for names in ranked if weight[names] > DECISION.report.rival_min_probability]
+    first = first[:most] or ranked[:1]
+    covered = {effect for names in first for effect in names}
+    for hypothesis in sorted(tried.values(), key=lambda h: -h.evidence):
+        names = stated_effects(joint, finding, hypothesis)
+        if trust * (finding.best.evidence - hypothesis.evidence) > behind:
+            break
+        if len(first) < most and names not in first and not covered.issuperset(names):
+            first.append(names)
+            covered.update(names)
+            chosen.setdefault(names, hypothesis)
+    for names in first:
+        yield names, weight.get(names, 0.0), chosen[names]
+
+
+def stated_effects(joint: JointCase, finding: Finding, hypothesis: Hypothesis) -> tuple[str, ...]:
+    """Effects of a set that a verdict would state."""
+    added = hypothesis.members - finding.tried.base
+    return tuple(sorted(e for e in added if not is_no_finding(hypothesis, e, joint)))
+
+
+def _fitted(
+    effects: tuple[str, ...], probability: float, hypothesis: Hypothesis, plain: Hypothesis
+) -> RivalSet:
+    fit, servos = hypothesis.fit, hypothesis.fit.servos
+    unit = servos.unit[0]
+    normal = fit.gram[0].sum(axis=0)[1:, 1:] * float(fit.count[0] / fit.error2[0])
+    information = normal + np.eye(unit.size) / DECISION.prior_sd**2
+    return RivalSet(
+        effects=effects,
+        probability=probability,
+        gain=float(fit.loglikelihood[0] - plain.fit.loglikelihood[0]),
+        theta=servos.theta[0],
+        columns=servos.columns[0].astype(np.int32),
+        information=np.asarray(information / np.outer(unit, unit)),
+    )
+
+
+def _hidden(
+    joint: JointCase, finding: Finding, taken: set[tuple[str, ...]], most: int
+) -> list[RivalSet]:
+    """The likeliest set with one more effect, of the largest size that would not have been seen.
+
+    The size is one of those that the search has looked at. Its standard deviation is the size.
+    """
+    best = finding.best
+    share = dict(zip(finding.posterior.sets, finding.posterior.probability, strict=True))[
+        best.members
+    ]
+    known = _fitted(stated_effects(joint, finding, best), share, best, finding.tried.plain)
+    seen, options = finding.search.seen(finding.tried, best.members)
+    needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
+    found: list[RivalSet] = []
+    for k, option in enumerate(options):
+        names = tuple(sorted({*known.effects, option.effect.name}))
+        mine = np.flatnonzero((seen.candidate == k) & (seen.visible < needed))
+        if names in taken or option.effect.everywhere or not mine.size:
+            continue
+        start = int(mine[seen.visible[mine].argmax()])
+        theta = known.theta.copy()
+        theta[option.columns] = option.starts[seen.start[start]]
+        spread = np.maximum(np.abs(theta[option.columns]), 1e-3 * option.unit)
+        size, added = known.columns.size, option.columns.size
+        information = np.zeros((size + added, size + added))
+        information[:size, :size] = known.information
+        information[range(size, size + added), range(size, size + added)] = spread**-2.0
+        columns = np.concatenate([known.columns, option.columns]).astype(np.int32)
+        # Evidence of the effect at the size that fits best, as far as these recordings show it.
+        gain = float(seen.gain[seen.candidate == k].max())
+        odds = float(np.exp(min(gain + LOG_PRIOR, 0.0)))
+        found.append(RivalSet(names, share * odds, known.gain, theta, columns, information))
+    return sorted(found, key=lambda one: -one.probability)[:most]
+
+
+def separations(
+    recordings: Sequence[Recording],
+    joints: Sequence[JointFindings],
+    *,
+    most: int = 6,
+    least: float = 1e-3,
+) -> tuple[Separation, ...]:
+    """Expectation beside outcome, for recordings that state what they were designed to tell.
+
+    Args:
+        recordings: The recordings of the diagnosis.
+        joints: What it found.
+        most: Largest number of pairs of a joint, those that mattered most.
+        least: Probability of both sets below which they are ruled out.
+
+    Raises:
+        InputError: If the statement of a recording is of another form.
+    """
+    return tuple(
+        _separation(joint, pair, least)
+        for joint in joints
+        for entry in design_of(recordings, joint.name)
+        for pair in entry.tables("pairs")[:most]
+    )
+
+
+def _separation(joint: JointFindings, pair: Fields, least: float) -> Separation:
+    first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
+    weights = _weight(joint, first, second), _weight(joint, second, first)
+    total = sum(weights)
+    return Separation(
+        joint.name,
+        first,
+        second,
+        pair.number("expected"),
+        max(weights) / total if total > least else None,
+        first if weights[0] >= weights[1] else second,
+    )
+
+
+def _weight(joint: JointFindings, own: tuple[str, ...], other: tuple[str, ...]) -> float:
+    """Probability of the sets that have what ``own`` has more than ``other``, and no converse."""
+    finding = joint.finding
+    needed, excluded = set(own) - set(other), set(other) - set(own)
+    total = 0.0
+    for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
+        effects = set(stated_effects(joint.joint, finding, finding.tried.tried[members]))
+        if needed <= effects and not excluded & effects:
+            total += float(p)
+    return total

@@ -1,0 +1,217 @@
+"""Sets of effects that recordings leave open, with what is needed to predict another recording."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim2real.arrays import Array, Integers
+from sim2real.recording import PER_INERTIA, Load, Recording, read_load
+from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.structured import Fields, read_json
+
+SCHEMA = "sim2real.diagnosis/1"
+
+_FROM_LOAD = [BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")]
+"""Columns that the load of a recording sets."""
+
+
+@dataclass(frozen=True)
+class RivalSet:
+    """One set of effects, fitted to the recordings.
+
+    Attributes:
+        effects: The effects, without those that every servo has a little of; sorted.
+        probability: Probability of the set among all sets that are listed.
+        gain: Log-likelihood above that of the plain servo.
+        theta: Its parameters, shape (P,), as ``servo.parameters.COLUMNS``.
+        columns: Columns of its free parameters, shape (F,).
+        information: Precision of the free parameters, given the recordings and the prior, in the
+            inverse of the product of their units, shape (F, F).
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+    gain: float
+    theta: Array
+    columns: Integers
+    information: Array
+
+    def content(self) -> dict[str, Any]:
+        """Effects, probability and parameters, as files state them."""
+        return {
+            "effects": list(self.effects),
+            "probability": self.probability,
+            "parameters": {
+                COLUMNS[k]: float(self.theta[k])
+                for k in np.flatnonzero(self.theta).tolist()
+                if k not in _FROM_LOAD
+            },
+        }
+
+
+@dataclass(frozen=True)
+class JointRivals:
+    """The sets of effects that recordings of one joint leave open.
+
+    Attributes:
+        component: The joint.
+        load: Load of its first recording.
+        period_s: Time between samples.
+        noise_rad: Standard deviation of the innovations.
+        autoregression: Coefficients that whiten the noise, shape (lags,).
+        sets: The sets, most probable first.
+    """
+
+    component: str
+    load: Load
+    period_s: float
+    noise_rad: float
+    autoregression: Array
+    sets: tuple[RivalSet, ...]
+
+    @property
+    def entropy(self) -> float:
+        """Entropy of the probabilities, in nats."""
+        p = np.array([one.probability for one in self.sets])
+        return float(-np.sum(p * np.log(np.maximum(p, 1e-300))))
+
+    def content(self) -> dict[str, Any]:
+        """The entry of ``rival_sets`` in ``diagnosis.json``."""
+        return {
+            "component": self.component,
+            "load": None if self.load is PER_INERTIA else vars(self.load),
+            "noise": {
+                "innovation_sd_rad": self.noise_rad,
+                "period_s": self.period_s,
+                "autoregression": self.autoregression.tolist(),
+            },
+            "sets": [
+                one.content()
+                | {
+                    "gain": one.gain,
+                    "free": [COLUMNS[k] for k in one.columns],
+                    "information": one.information.tolist(),
+                }
+                for one in self.sets
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class StatedSet:
+    """A set of effects that a designed recording was made to tell from others.
+
+    Attributes:
+        effects: The effects.
+        theta: Parameters of the servo with them, fitted before, shape (P,).
+    """
+
+    effects: frozenset[str]
+    theta: Array
+
+
+def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet, ...]:
+    """The sets of effects of a joint that recordings were designed to tell apart.
+
+    Raises:
+        InputError: If what a recording's JSON says under ``rivals`` is of another form.
+    """
+    return tuple(
+        StatedSet(frozenset(one.sentences("effects")), _theta(one))
+        for entry in design_of(recordings, joint)
+        for one in entry.tables("sets")
+    )
+
+
+def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
+    """What the JSON of recordings says of a joint under ``rivals``.
+
+    Raises:
+        InputError: If it is of another form.
+    """
+    found = []
+    for recording in recordings:
+        top = Fields(recording.file, "", recording.metadata)
+        entries = top.tables("rivals") if "rivals" in top else []
+        found += [entry for entry in entries if entry.text("component") == joint]
+    return found
+
+
+def rivals_of_file(path: str | os.PathLike[str]) -> tuple[JointRivals, ...]:
+    """The sets of effects that a ``diagnosis.json`` leaves open; none if it lists none.
+
+    Raises:
+        InputError: If the file is no diagnosis, or was written without such sets.
+    """
+    top = Fields(path, "", read_json(path, SCHEMA))
+    return read_rival_sets(top) if top.content.get("rival_sets") != [] else ()
+
+
+def read_rival_sets(top: Fields) -> tuple[JointRivals, ...]:
+    """The entries of ``rival_sets`` in ``diagnosis.json``.
+
+    Args:
+        top: The content of the file.
+
+    Raises:
+        InputError: If a field is missing or of another form.
+    """
+    return tuple(_joint(entry) for entry in top.tables("rival_sets"))
+
+
+def _joint(entry: Fields) -> JointRivals:
+    noise = entry.table("noise")
+    load = PER_INERTIA
+    if entry.content.get("load") is not None:
+        load = read_load(entry.table("load"))
+    return JointRivals(
+        component=entry.text("component"),
+        load=load,
+        period_s=noise.number("period_s"),
+        noise_rad=noise.number("innovation_sd_rad"),
+        autoregression=_numbers(noise, "autoregression"),
+        sets=tuple(_set(one) for one in entry.tables("sets")),
+    )
+
+
+def _set(entry: Fields) -> RivalSet:
+    free = entry.sentences("free")
+    if unknown := [name for name in free if name not in COLUMNS]:
+        raise entry.error("free", f"parameters of a servo, not {unknown[0]!r}")
+    columns = np.array([COLUMNS.index(name) for name in free], dtype=np.int32)
+    information = _numbers(entry, "information")
+    if information.shape != (columns.size, columns.size):
+        raise entry.error("information", f"{columns.size} rows of {columns.size} numbers")
+    return RivalSet(
+        effects=entry.sentences("effects"),
+        probability=entry.number("probability"),
+        gain=entry.number("gain"),
+        theta=_theta(entry),
+        columns=columns,
+        information=information,
+    )
+
+
+def _theta(entry: Fields) -> Array:
+    """The parameter row of a set, shape (P,)."""
+    parameters, theta = entry.table("parameters"), np.zeros(len(COLUMNS))
+    for name in parameters.content:
+        if name not in COLUMNS:
+            raise entry.error("parameters", f"parameters of a servo, not {name!r}")
+        theta[COLUMNS.index(name)] = parameters.number(name)
+    return theta
+
+
+def _numbers(entry: Fields, name: str) -> Array:
+    try:
+        values = np.array(entry.content.get(name), dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.array(np.nan)
+    if not np.isfinite(values).all():
+        raise entry.error(name, "finite numbers")
+    return values

@@ -1,0 +1,74 @@
+"""Section of a page: a designed recording, and how the predictions of rival sets differ on it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim2real.design.tell_apart import ExpectedSeparation, JointForecast, RivalDesign
+from sim2real.diagnose.separation import task
+from sim2real.report.diagnosis_what import figure
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import printable
+from sim2real.report.series import drawable
+from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LEAD = (
+    "A recording to make next, with the commands that leave the least expected uncertainty over "
+    "the sets of effects that the diagnosis left open."
+)
+_CAPTION = (
+    "Above: the set-points of {joint}. Below: what refitted parameters leave of the differences of "
+    "the predictions of pairs of sets, whitened, in standard deviations of a sample's noise."
+)
+_SHOWN = 10
+
+
+def rivals_figure(joint: JointForecast) -> Figure:
+    """Plot the commands and the differences of the rivals' predictions over time."""
+    t = np.asarray(joint.rivals.period_s * np.arange(joint.command.size, dtype=np.float64))
+    with house_style():
+        label = printable(f"{joint.rivals.component}: commands, and where rivals differ")
+        figure = new_figure(300, label)
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.plot(*drawable(t, joint.command), color=INK, drawstyle="steps-post")
+        above.set_title("set-point, rad")
+        colours = (ACCENT, INK, FAINT)
+        for pair, difference, colour in zip(joint.pairs, joint.differences, colours, strict=False):
+            below.plot(*drawable(t, difference), color=colour, label=printable(_task(pair)))
+        below.set_title("difference of predictions, standard deviations of the noise")
+        below.set_xlabel("time, s")
+        figure.legend(loc="outside upper left", ncols=1)
+    return figure
+
+
+def rivals_section(design: RivalDesign) -> Section:
+    """Text, tables and figures of a recording that tells rivals apart."""
+    blocks: list[Block] = [Note("info", str(design))]
+    for joint in design.joints:
+        name = joint.rivals.component
+        drawing = rivals_figure(joint)
+        blocks.append(Text(_entropy(joint), heading=f"What {name} will tell"))
+        blocks.append(figure(drawing, _CAPTION.format(joint=name)))
+        rows = [
+            [_task(pair), f"{pair.distance:.2g}", f"{pair.expected:.2f}"]
+            for pair in joint.pairs[:_SHOWN]
+        ]
+        blocks.append(Table(["to", "distance", "expected"], rows))
+    return Section("Next recording", _LEAD, blocks)
+
+
+def _entropy(joint: JointForecast) -> str:
+    before, after = (np.exp(x) for x in (joint.entropy, joint.remaining))
+    return (
+        f"{len(joint.rivals.sets)} sets of effects are open, as uncertain as {before:.1f} equally "
+        f"probable ones. After the recording at most {after:.1f} are expected to remain."
+    )
+
+
+def _task(pair: ExpectedSeparation) -> str:
+    return task(pair.first, pair.second)

@@ -1,0 +1,131 @@
+"""``sim2real design``: what it writes, that the recorder plays it, and what it refuses."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sim2real.cli import main
+from sim2real.identification.identify import identify
+from sim2real.model import JointModel, Model, write_model
+from sim2real.recording import read_commands, read_recording
+from sim2real.robot import read_robot
+
+ROBOT = """
+name = "bench"
+[[joints]]
+name = "j1"
+servo = "lx824"
+limits_rad = {limits}
+
+[servos.lx824]
+max_torque_Nm = 1.67
+no_load_speed_rad_s = {speed}
+position_step_rad = 0.00419
+"""
+TRUTH = {"kp_Nm_per_rad": 2.2, "kd_Nms_per_rad": 0.06, "latency_s": 0.05}
+INERTIA = 0.002
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_robot(tmp_path)
+    return tmp_path
+
+
+def write_robot(folder, limits="[-0.8, 0.8]", speed="5.24"):
+    (folder / "robot.toml").write_text(ROBOT.format(limits=limits, speed=speed))
+
+
+def design(*more):
+    return main(["design", "--robot", "robot.toml", "--out", "next.csv", *more])
+
+
+def test_what_is_written_is_played_and_predicted(folder, capsys):
+    assert design("--inertia", f"j1={INERTIA}", "--seconds", "4") == 0
+    said = capsys.readouterr()
+    assert "latency" in said.out and said.err == ""
+    assert list(pd.read_csv("next.csv")) == ["t_s", "j1.command_rad"]
+    commands = read_commands("next.csv")
+    assert commands.duration_s == pytest.approx(4 - 0.02)
+    assert commands.loads["j1"].inertia_kgm2 == INERTIA
+    promised = json.loads((folder / "next.json").read_text())["design"]["j1"]
+    assert promised["belief"] == "data sheet"
+    assert 0 < promised["expected"]["kp_Nm_per_rad"]["relative_half_width"] < 0.1
+    assert "next.csv" in said.out and "<svg" in (folder / "next.html").read_text()
+
+    assert main(["record", "next.csv", "--robot", "robot.toml", "--dry-run"]) == 0
+    assert "changed by its limits" not in capsys.readouterr().out
+    model = Model({"j1": JointModel(*TRUTH.values(), INERTIA)})
+    write_model(model, "model.json")
+    assert main(["predict", "model.json", "next.csv", "--out", "predicted.csv"]) == 0
+    assert np.ptp(read_recording("predicted.csv").position) > 0.3
+
+
+@pytest.mark.parametrize(
+    ("limits", "speed", "more", "parts"),
+    [
+        ("[-0.8, 0.8]", "5.24", ["--seconds", "2"], ["--seconds: found 2 s, expected 3.3 s"]),
+        ("[0.0, 0.004]", "5.24", [], ["limits_rad", "less than two steps"]),
+        ("[-0.8, 0.8]", "0.1", [], ["no_load_speed_rad_s", "expected at least 0.209 rad/s"]),
+        ("[-0.8, 0.8]", "5.24", ["--inertia", "j2=0.1"], ["--inertia", "j1"]),
+        ("[-0.8, 0.8]", "5.24", ["--model", "none.json"], ["none.json", "no such file"]),
+        ("[-0.8, 0.8]", "5.24", ["--out", "next.txt"], ["next.txt", ".csv"]),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(folder, capsys, limits, speed, more, parts):
+    write_robot(folder, limits, speed)
+    assert design(*more) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1
+    for part in parts:
+        assert part in said.err
+    assert not list(folder.glob("next*"))
+
+
+def test_a_model_of_other_joints_is_refused(folder, capsys):
+    write_model(Model({"tail": JointModel(*TRUTH.values(), INERTIA)}), "model.json")
+    assert design("--model", "model.json") == 2
+    assert "tail" in capsys.readouterr().err
+
+
+def start(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "sim2real", *arguments], stdout=subprocess.PIPE, text=True
+    )
+
+
+@pytest.mark.slow  # what is played takes its time; test_search and above watch the same code
+def test_promise_and_outcome_over_a_bus_that_loses_packets(folder):
+    seconds = "16"
+    assert design("--inertia", f"j1={INERTIA}", "--seconds", seconds, "--no-page") == 0
+    law = ["--kp", "2.2", "--kd", "0.06", "--latency", "0.05", "--inertia", str(INERTIA)]
+    widths = {}
+    for name, signal in (("steps", "steps"), ("design", "next.csv")):
+        servo = start("virtual-servo", *law, "--loss", "0.005", "--noise", "0.0005")
+        try:
+            port = servo.stdout.readline().removeprefix("port: ").strip()
+            out = f"{name}.csv"
+            run = start(
+                "record", signal, "--seconds", seconds, "--robot", "robot.toml", "--port", port,
+                "--ids", "1", f"--inertia={INERTIA}", "--out", out,
+            )  # fmt: skip
+            run.communicate(timeout=120)
+            assert run.returncode == 0
+        finally:
+            servo.terminate()
+            servo.communicate(timeout=10)
+        joint = identify([read_recording(out)], read_robot("robot.toml"), law="pd").joints["j1"]
+        widths[name] = {n: np.ptp(joint.interval[n]) / 2 / TRUTH[n] for n in TRUTH}
+        estimates = {n: getattr(joint, n) / TRUTH[n] - 1 for n in TRUTH}
+    expected = json.loads((folder / "next.json").read_text())["design"]["j1"]["expected"]
+    print(widths, estimates)
+    assert max(widths["design"].values()) < 0.8 * max(widths["steps"].values())
+    for name, error in estimates.items():
+        promised = expected[name]["relative_half_width"]
+        assert 0.2 < widths["design"][name] / promised < 5
+        assert abs(error) < 3 * max(widths["design"][name], promised)

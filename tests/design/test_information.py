@@ -1,0 +1,149 @@
+"""Expected precision: against exact derivatives, and against the spread of fits."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim2real.design.belief import Belief, Noise, belief_of
+from sim2real.design.candidates import draw
+from sim2real.design.information import Information
+from sim2real.design.limits import limits_of, within
+from sim2real.identification.fit import plain_row, refitted
+from sim2real.model import JointModel, Model
+from sim2real.recording import PER_INERTIA, Load
+from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.servo.rollout import rollout
+from sim2real.servo.trace import Trace
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "servo"))
+import symbolic  # noqa: E402
+
+LOAD, GAINS = Load(0.002), (2.2, 0.06, 0.05)
+_LINK = Link("link")
+ROBOT = Robot("b", (_LINK, _LINK), (Joint("j1", Servo("s", 1.67, 5.24, 0.00153), (-0.8, 0.8)),))
+LIMITS = limits_of(ROBOT)
+
+
+def plain(noise, load=LOAD):
+    """A belief of one linear servo."""
+    row = plain_row(*GAINS)
+    row[3:5] = load.inertia_kgm2, load.gravity_Nm
+    names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+    return Belief(names, row[None], np.full(3, np.inf), load, noise)
+
+
+@pytest.fixture(scope="module")
+def commands():
+    return draw(np.random.default_rng(0), 4, LIMITS, 6.0)
+
+
+@pytest.mark.parametrize("load", [LOAD, Load(0.004, 0.4, 0.1)])
+def test_derivatives_are_those_of_the_symbolic_law(commands, load):
+    information = Information(plain(Noise(1e-3, 0.0), load), LIMITS, substep_s=0.001)
+    _, slopes = information.sensitivities(commands[:2])
+    t = LIMITS.times(6.0)
+    for command, found in zip(commands[:2], slopes[:, 0], strict=True):
+        _, exact = symbolic.simulate(np.array([*GAINS, 0.0]), load, t, command)
+        exact = exact[:, :3] * GAINS
+        assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
+
+
+def test_expected_widths_are_those_of_fits(commands):
+    noise, t = 2e-3, LIMITS.times(6.0)
+    information = Information(plain(Noise(noise, 0.0, lost=0.0)), LIMITS)
+    sd = np.sqrt(np.diagonal(information.precision(commands[:1]).covariance[0, 0]))
+    row, rng, used = information.belief.rows[0], np.random.default_rng(3), np.ones(t.size, bool)
+    clean = rollout(row[None], t, commands[0])[0]
+    fits = []
+    for _ in range(40):
+        measured = clean + noise * rng.normal(size=t.size)
+        trace = Trace("a", "a", t, commands[0], measured, LOAD, used)
+        fits.append(refitted([trace], row).values / GAINS)
+    spread = np.std(fits, axis=0)
+    assert np.abs(np.mean(fits, axis=0) - 1).max() < 1e-2
+    np.testing.assert_allclose(spread, sd, rtol=0.35)  # 40 fits: 11 %, one standard deviation
+
+
+def test_errors_that_repeat_with_the_angle_widen_intervals(commands):
+    alone, more = (Information(plain(Noise(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3))
+    ratio = more.precision(commands).half_width / alone.precision(commands).half_width
+    assert (ratio > 1.05).all()
+
+
+def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
+    def ratio(command):
+        safe, lossy = (
+            Information(plain(Noise(1e-3, 0.0, lost=lost)), LIMITS).precision(command[None])
+            for lost in (0.0, 0.02)
+        )
+        return (lossy.half_width / safe.half_width).max()
+
+    steps = within(0.5 * (np.arange(300)[None] // 75 % 2), LIMITS)[0]
+    assert ratio(commands[0]) > 1.2 * ratio(steps) > 1.2
+
+
+def test_loss_widens_intervals_as_much_as_fits_spread(commands):
+    noise, lost, t, rng = 5e-4, 0.02, LIMITS.times(6.0), np.random.default_rng(8)
+    command = commands[0]
+    information = Information(plain(Noise(noise, 0.0, lost=lost)), LIMITS)
+    sd = np.sqrt(np.diagonal(information.precision(command[None]).covariance[0, 0]))
+    row, used, fits = information.belief.rows[0], np.ones(t.size, bool), []
+    for _ in range(40):
+        sent = command.copy()
+        for k in np.flatnonzero(rng.random(t.size) < lost):
+            sent[k] = sent[k - 1] if k else sent[0]
+        measured = rollout(row[None], t, sent)[0] + noise * rng.normal(size=t.size)
+        fits.append(refitted([Trace("a", "a", t, command, measured, LOAD, used)], row).values)
+    spread = np.std(np.array(fits) / GAINS, axis=0)
+    assert (spread < 1.4 * sd).all()  # the fit is robust against the few large errors
+    assert (spread > 0.25 * sd).all()
+
+
+def test_sums_over_parts_are_those_of_the_whole(commands):
+    information = Information(belief_of(ROBOT, None, LIMITS, load=LOAD, draws=2), LIMITS)
+    parts = information.statistics(commands, 5)
+    assert parts.shape[:2] == (4, 5)
+    np.testing.assert_allclose(
+        information.scores(parts.sum(axis=1)), information(commands), atol=0.02
+    )
+
+
+def test_longer_recordings_and_more_motion_tell_more(commands):
+    information = Information(belief_of(ROBOT, None, LIMITS, load=LOAD, draws=2), LIMITS)
+    still = np.zeros_like(commands[:1])
+    twice = np.hstack([commands[:1], commands[1:2]])
+    scores = [information(x)[0] for x in (still, 0.3 * commands[:1], commands[:1], twice)]
+    assert np.diff(scores).min() > 0.2
+
+
+def test_torque_beyond_the_budget_is_penalised():
+    shake = 0.8 * np.sign(np.sin(2 * np.pi * 3 * LIMITS.times(6.0)))[None]
+    belief = plain(Noise(1e-3, 0.0), Load(0.02))
+    free = Information(belief, replace(LIMITS, rms_torque_Nm=np.inf))
+    rms = free.precision(shake).rms_torque_Nm[0, 0]
+    strict = Information(belief, replace(LIMITS, rms_torque_Nm=rms / 2))
+    assert free(shake)[0] - strict(shake)[0] == pytest.approx(10 * (2 - 1), rel=0.1)
+
+
+def test_a_model_is_believed_within_its_intervals():
+    interval = {
+        "kp_Nm_per_rad": (2.0, 2.4), "kd_Nms_per_rad": (0.05, 0.07), "latency_s": (0.04, 0.06)
+    }  # fmt: skip
+    correlation = {"kp_Nm_per_rad, kd_Nms_per_rad": 0.9}
+    joint = JointModel(*GAINS, 0.002, load=LOAD, interval=interval, correlation=correlation)
+    belief = belief_of(ROBOT, Model({"j1": joint}), LIMITS, draws=400)
+    logs = np.log(belief.rows[1:, :3])
+    expected = np.array([0.2 / 2.2, 0.01 / 0.06, 0.01 / 0.05]) / 1.645
+    np.testing.assert_allclose(logs.std(axis=0), expected, rtol=0.15)
+    assert np.corrcoef(logs.T)[0, 1] == pytest.approx(0.9, abs=0.05)
+    assert belief.load == LOAD
+
+
+def test_an_unknown_load_is_believed_per_unit_of_inertia():
+    belief = belief_of(ROBOT, None, LIMITS, draws=16)
+    assert belief.load is PER_INERTIA
+    frequency = np.sqrt(belief.rows[:, 0])
+    assert 10 < frequency.min() < frequency.max() < 60

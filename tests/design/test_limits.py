@@ -1,0 +1,94 @@
+"""Commands within the limits of a joint, and limits that contradict each other."""
+
+import re
+
+import numpy as np
+import pytest
+
+from sim2real.design.candidates import FAMILIES, draw
+from sim2real.design.limits import check_load, check_seconds, limits_of, violations, within
+from sim2real.errors import InputError
+from sim2real.recording import Load
+from sim2real.robot import Joint, Link, Robot, Servo
+from sim2real.signals import limited
+
+
+def robot(speed=5.24, limits=(-0.8, 0.8), step=0.00419, torque=1.67):
+    link = Link("link")
+    return Robot("bench", (link, link), (Joint("j1", Servo("s", torque, speed, step), limits),))
+
+
+@pytest.mark.parametrize("limits", [(-0.8, 0.8), (0.1, 0.9), (-0.3, 1.2)])
+def test_any_signal_is_brought_within_the_limits_and_then_left_alone(limits):
+    bounds = limits_of(robot(limits=limits))
+    wild = 3 * np.random.default_rng(0).normal(size=(6, 400))
+    commands = within(wild, bounds)
+    assert any(violations(wild, bounds))
+    assert violations(commands, bounds) == [[]] * 6
+    np.testing.assert_array_equal(within(commands, bounds), commands)
+
+
+def test_the_recorder_plays_the_commands_unchanged():
+    bench = robot()
+    commands = draw(np.random.default_rng(1), 12, limits_of(bench), 8.0)
+    for command in commands:
+        np.testing.assert_array_equal(limited(command, bench.joints[0], 50.0), command)
+
+
+def test_each_kind_of_violation_is_found():
+    bounds = limits_of(robot())
+    rest = np.zeros(400)
+    jump, fine, beyond, moving = rest.copy(), rest.copy(), rest.copy(), rest.copy()
+    jump[200:220] = 20 * bounds.resolution_rad * 4
+    fine[200:220] = 0.3 * bounds.resolution_rad
+    beyond[100:300] = np.interp(np.arange(200), [0, 100, 199], [0, 1.0, 0])
+    moving[-5:] = bounds.resolution_rad
+    found = violations(np.array([rest, jump, fine, beyond, moving]), bounds)
+    assert found[0] == []
+    for broken, word in zip(found[1:], ["exceed", "steps", "leave", "rest"], strict=True):
+        assert any(word in sentence for sentence in broken)
+
+
+def test_random_commands_are_within_the_limits_and_differ():
+    bounds = limits_of(robot(limits=(-0.2, 0.9)))
+    commands = draw(np.random.default_rng(2), 4 * len(FAMILIES), bounds, 10.0)
+    assert violations(commands, bounds) == [[]] * len(commands)
+    assert np.linalg.matrix_rank(commands - bounds.rest_rad) == len(commands)
+    assert (np.ptp(commands, axis=1) > 0.2 * np.ptp(bounds.position_rad)).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_families_stay_below_the_highest_frequency(family):
+    t = np.arange(1500) * 0.02
+    power = np.zeros(751)
+    for seed in range(8):
+        wave = family(np.random.default_rng(seed), t, 4.0)
+        power += np.abs(np.fft.rfft(wave - wave.mean())) ** 2 / np.sum(wave**2)
+    frequency = np.fft.rfftfreq(t.size, 0.02)
+    assert power[frequency > 4.2].sum() < 0.35 * power.sum()  # edges of steps have more
+
+
+@pytest.mark.parametrize(
+    ("bench", "message"),
+    [
+        (robot(limits=(0.0, 0.005)), r"limits_rad: found .* less than two steps"),
+        (robot(speed=0.1), r"no_load_speed_rad_s: found 0.1 rad/s, expected at least 0.209"),
+    ],
+)
+def test_limits_that_contradict_each_other(bench, message):
+    with pytest.raises(InputError, match=message):
+        limits_of(bench)
+
+
+def test_a_load_that_the_servo_cannot_hold():
+    bench = robot()
+    check_load(Load(0.05, 0.5, 0.1), limits_of(bench), bench)
+    with pytest.raises(InputError, match=r"max_torque_Nm: found 1.41 N m to hold the load"):
+        check_load(Load(0.05, 1.0, 0.2), limits_of(bench), bench)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 2.0, 1e6, float("nan")])
+def test_too_few_seconds(seconds):
+    expected = re.escape(f"--seconds: found {seconds:g} s, expected 3.3 s for j1 to move")
+    with pytest.raises(InputError, match=expected):
+        check_seconds(seconds, limits_of(robot()))

@@ -1,0 +1,138 @@
+"""Distances of rival sets, and the entropy that a recording leaves, against brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rival_pair import PERIOD, RIVALS, commands
+from scipy.special import ndtr
+
+from sim2real.design.contexts import Context
+from sim2real.design.rivals import RivalObjective, remaining_entropy
+from sim2real.recording import Load
+from sim2real.servo.rollout import rollout
+
+
+@pytest.fixture(scope="module")
+def objective():
+    return RivalObjective(RIVALS)
+
+
+def predicted(one, command):
+    """Mean and covariance of a set's whitened prediction, from rollouts and dense matrices."""
+    rows = [one.theta]
+    sizes = 1e-2 / np.sqrt(np.diag(one.information))
+    for column, size in zip(one.columns, sizes, strict=True):
+        rows.append(one.theta.copy())
+        rows[-1][column] += size
+    rows = np.array(rows)
+    rows[:, 3] = RIVALS.load.inertia_kgm2
+    t = PERIOD * np.arange(command.size)
+    angle = rollout(rows, t, command) / RIVALS.noise_rad
+    lag = RIVALS.autoregression.size
+    slopes = ((angle[1:] - angle[0]) / sizes[:, None]).T[lag:]
+    spread = slopes @ np.linalg.inv(one.information) @ slopes.T
+    return angle[0, lag:], np.eye(len(slopes)) + spread
+
+
+def bhattacharyya(first, second):
+    (a, A), (b, B) = first, second
+    mean = (A + B) / 2
+    apart = (a - b) @ np.linalg.solve(mean, a - b) / 8
+    logs = [np.linalg.slogdet(x)[1] for x in (mean, A, B)]
+    return apart + 0.5 * (logs[0] - 0.5 * (logs[1] + logs[2]))
+
+
+def test_the_distance_is_that_of_two_gaussian_predictions(objective):
+    # Both sets share derivatives by the gains: where they differ much, these differ too.
+    close = (0.1, 0.1, 0.4)
+    found_all = objective.distances(commands())
+    for command, found, rel in zip(commands(), found_all, close, strict=True):
+        expected = bhattacharyya(*(predicted(one, command) for one in RIVALS.sets))
+        assert found[0, 1] == pytest.approx(expected, rel=rel)
+        assert found[0, 1] == found[1, 0]
+        assert found[0, 0] == found[1, 1] == 0
+
+
+def test_the_evidence_favours_the_true_set_as_often_as_stated(objective):
+    rng = np.random.default_rng(0)
+    distance = objective.distances(commands())[:, 0, 1]
+    command = commands()[int(np.argmin(np.abs(distance - 0.8)))]
+    sets = [predicted(one, command) for one in RIVALS.sets]
+    roots = [np.linalg.cholesky(covariance) for _, covariance in sets]
+    right = []
+    for k, (mean, _) in enumerate(sets):
+        y = mean[:, None] + roots[k] @ rng.normal(size=(mean.size, 2000))
+        scores = [
+            -0.5 * (np.linalg.solve(root, y - m[:, None]) ** 2).sum(axis=0)
+            - np.log(np.diag(root)).sum()
+            for root, (m, _) in zip(roots, sets, strict=True)
+        ]
+        right.append(np.mean(scores[k] > scores[1 - k]))
+    stated = ndtr(np.sqrt(2 * bhattacharyya(*sets)))
+    assert 0.6 < stated < 0.99
+    assert np.mean(right) == pytest.approx(stated, abs=0.03)
+
+
+def test_a_command_at_rest_tells_nothing(objective):
+    still = np.zeros((1, 200))
+    assert objective.distances(still)[0, 0, 1] < 1e-6
+    assert -objective(still)[0] == pytest.approx(RIVALS.entropy, abs=1e-6)
+
+
+def test_the_remaining_entropy_bounds_that_of_sampled_posteriors():
+    rng = np.random.default_rng(1)
+    means = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 4.0]])
+    p = np.array([0.5, 0.3, 0.2])
+    distance = ((means[:, None] - means) ** 2).sum(axis=2) / 8
+    bound = remaining_entropy(p, distance[None])[0]
+    place = rng.choice(3, size=20_000, p=p)
+    y = means[place] + rng.normal(size=(place.size, 2))
+    log = np.log(p) - 0.5 * ((y[:, None] - means) ** 2).sum(axis=2)
+    post = np.exp(log - np.logaddexp.reduce(log, axis=1)[:, None])
+    sampled = -(post * np.log(post)).sum(axis=1).mean()
+    assert sampled <= bound <= -(p * np.log(p)).sum()
+    assert bound < sampled + 0.25
+
+
+def test_a_simulation_that_diverges_is_never_chosen():
+    assert remaining_entropy(np.array([0.5, 0.5]), np.full((1, 2, 2), np.nan))[0] == np.inf
+
+
+def test_the_difference_over_time_makes_up_the_distance(objective):
+    command = commands()[0]
+    left = objective.difference(command, 0, 1)
+    assert left.shape == command.shape
+    # Refitted parameters take up a part of the difference.
+    plain = [predicted(one, command)[0] for one in RIVALS.sets]
+    assert 0 < np.sum(left**2) < np.sum((plain[0] - plain[1]) ** 2)
+    assert np.abs(left[:25]).max() < 1e-6 * np.abs(left).max() + 1e-9, "at rest nothing differs"
+
+
+def test_a_heavier_load_changes_the_prediction():
+    heavy = Context("heavy", {"j1": Load(3 * RIVALS.load.inertia_kgm2)})
+    here, there = (RivalObjective(RIVALS, c).distances(commands()) for c in (Context(), heavy))
+    assert not np.allclose(here, there, rtol=0.05)
+
+
+def test_more_noise_leaves_more_open(objective):
+    noisy = RivalObjective(replace(RIVALS, noise_rad=10 * RIVALS.noise_rad))
+    assert (noisy(commands()) < objective(commands())).all()
+
+
+def test_too_much_torque_is_penalised(objective):
+    strong = commands()[2:]
+    angle = predicted(RIVALS.sets[0], strong[0])[0] * RIVALS.noise_rad
+    torque = RIVALS.load.inertia_kgm2 * np.diff(angle, 2) / PERIOD**2
+    rms = np.sqrt(np.sum(torque**2) / strong.shape[1])
+    allowed = RivalObjective(RIVALS, rms_torque_Nm=1.05 * rms)
+    limited = RivalObjective(RIVALS, rms_torque_Nm=rms / 2)
+    assert allowed(strong)[0] == objective(strong)[0]
+    assert limited(strong)[0] == pytest.approx(objective(strong)[0] - 10, rel=0.05)
+
+
+def test_parts_add_up_to_the_whole(objective):
+    whole = objective.statistics(commands(), 1)[:, 0]
+    parts = objective.statistics(commands(), 4)
+    assert parts.shape[1] == 4
+    np.testing.assert_allclose(parts.sum(axis=1), whole, rtol=1e-9, atol=1e-9)

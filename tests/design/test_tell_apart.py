@@ -1,0 +1,110 @@
+"""The recording that tells rivals apart: within the limits, in the context that tells most."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from good_input import message
+from rival_pair import PERIOD, RIVALS
+from simulated import robot
+
+from sim2real.design.contexts import AS_IT_IS, Context
+from sim2real.design.limits import limits_of, violations
+from sim2real.design.rivals import RivalObjective
+from sim2real.design.tell_apart import design_for_rivals, forecast
+from sim2real.diagnose.rival_sets import read_rival_sets
+from sim2real.recording import PER_INERTIA, read_recording, write_recording
+from sim2real.report.rival_plots import rivals_section
+from sim2real.structured import Fields
+
+SECONDS = 6.0
+
+
+def designed(rivals=RIVALS, contexts=(), **given):
+    few = {"samples": 6e4} | given
+    return design_for_rivals([rivals], robot("j1"), contexts=contexts, seconds=SECONDS, **few)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return designed()
+
+
+def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
+    limits = limits_of(robot("j1"))
+    command = plain.recording().command[:, 0]
+    assert violations(command[None], limits) == [[]]
+    assert command.size == round(SECONDS / PERIOD)
+    write_recording(plain.recording(), tmp_path / "next.csv")
+    again = read_recording(tmp_path / "next.csv")
+    np.testing.assert_allclose(again.command[:, 0], command, atol=1e-6)
+    assert again.metadata["rivals"] == [joint.content() for joint in plain.joints]
+    assert again.loads["j1"] == RIVALS.load
+
+
+def test_it_tells_more_than_commands_drawn_at_random(plain):
+    (joint,) = plain.joints
+    random = designed(samples=1.0)
+    assert joint.remaining < random.joints[0].remaining < RIVALS.entropy
+
+
+def test_the_same_seed_makes_the_same_commands(plain):
+    np.testing.assert_array_equal(designed().recording().command, plain.recording().command)
+
+
+def test_what_is_stated_is_the_forecast_of_its_commands(plain):
+    (joint,) = plain.joints
+    again = forecast(RivalObjective(RIVALS), joint.command)
+    assert again.pairs == joint.pairs
+    assert 0.5 <= joint.pairs[0].expected <= 1.0
+    assert plain.informative
+    assert "separate Coulomb friction from" in str(plain)
+
+
+def test_a_context_is_asked_for_where_it_tells_more():
+    # Almost without inertia nothing but the gain shows; a hundredfold noise hides it all.
+    loud = replace(RIVALS, noise_rad=0.02)
+    soft = Context("a quarter of the gain", gain=0.25)
+    same = Context("the same once more", supply=1.0)
+    found = designed(loud, [soft])
+    assert found.context == soft
+    assert found.joints[0].remaining < designed(loud).joints[0].remaining
+    assert designed(loud, [same]).context == AS_IT_IS
+
+
+def test_where_nothing_can_be_told_it_says_so():
+    found = designed(replace(RIVALS, noise_rad=5.0), samples=1.0)
+    assert not found.informative
+    assert str(found).startswith("Nothing more can be told apart within these limits")
+
+
+def test_another_robot_is_refused():
+    message(lambda: design_for_rivals([RIVALS], robot("k1"), seconds=SECONDS), "'j1'", "k1")
+
+
+def test_a_load_is_known_of_all_recordings_or_of_none():
+    unknown, arm = replace(RIVALS, load=PER_INERTIA), Context("arm", {"j1": RIVALS.load})
+    message(lambda: designed(unknown, [arm]), "loads.j1", "one in all or in none")
+    elsewhere = Context("arm", {"j7": RIVALS.load})
+    message(lambda: designed(RIVALS, [elsewhere]), "'j7'")
+
+
+def test_the_page_has_figure_and_table(plain):
+    kinds = [type(block).__name__ for block in rivals_section(plain).blocks]
+    assert kinds == ["Note", "Text", "Figure", "Table"]
+    assert len(plain.plot("j1").axes) == 2
+
+
+def test_no_rivals_left_is_said_in_one_line():
+    sure, other = RIVALS.sets
+    sets = (replace(sure, probability=0.98), replace(other, probability=0.02))
+    known = replace(RIVALS, sets=sets)
+    message(lambda: design_for_rivals([known], robot("j1"), file="d.json"), "d.json", "rival_sets")
+
+
+def test_rival_sets_survive_a_file():
+    stated = Fields("diagnosis.json", "", {"rival_sets": [RIVALS.content()]})
+    (again,) = read_rival_sets(stated)
+    assert again.content() == RIVALS.content()
+    np.testing.assert_allclose(again.sets[0].theta[:3], RIVALS.sets[0].theta[:3])
+    assert again.entropy == RIVALS.entropy

@@ -1,0 +1,90 @@
+"""Sets of effects that stay open, and what a designed recording says of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from good_input import message
+from simulated import FRICTION, two
+
+from sim2real.diagnose.missing.open_sets import rival_sets, separations
+from sim2real.diagnose.rival_sets import read_rival_sets, stated_sets
+from sim2real.servo.parameters import COLUMNS
+from sim2real.structured import Fields
+
+DRY = "coulomb_friction"
+
+
+@pytest.fixture(scope="module")
+def rivals(explained_joint):
+    _, (joint,) = explained_joint
+    return rival_sets(joint.joint, joint.finding)
+
+
+def designed(*pairs):
+    """A recording that was to tell pairs of sets apart."""
+    stated = [
+        {"first": list(first), "second": list(second), "expected": 0.95} for first, second in pairs
+    ]
+    rivals = [{"component": "j1", "pairs": stated}]
+    return replace(two(**FRICTION)[0], metadata={"rivals": rivals})
+
+
+def test_the_sets_are_likely_and_their_probabilities_add_up(rivals):
+    p = [one.probability for one in rivals.sets]
+    assert sum(p) == pytest.approx(1.0)
+    assert p == sorted(p, reverse=True)
+    assert DRY in rivals.sets[0].effects
+    assert 1 < len(rivals.sets) <= 14
+    assert len({one.effects for one in rivals.sets}) == len(rivals.sets)
+
+
+def test_what_is_known_of_parameters_is_what_the_fit_says(rivals):
+    best = rivals.sets[0]
+    sd = np.sqrt(np.diag(np.linalg.inv(best.information)))
+    at = best.columns.tolist().index(COLUMNS.index(f"{DRY}.torque_Nm"))
+    value = best.theta[best.columns[at]]
+    assert value == pytest.approx(0.05, rel=0.2)
+    assert abs(value - 0.05) < 4 * sd[at] < 0.05
+
+
+def test_some_sets_have_an_effect_that_would_have_stayed_hidden(rivals):
+    more = [one for one in rivals.sets if set(one.effects) > set(rivals.sets[0].effects)]
+    assert more
+    for one in more:
+        assert np.linalg.eigvalsh(one.information)[0] > 0
+
+
+def test_they_survive_a_file_and_are_tried_again(rivals):
+    content = rivals.content()
+    (again,) = read_rival_sets(Fields("d.json", "", {"rival_sets": [content]}))
+    assert again.content() == content
+    recording = replace(two()[0], metadata={"rivals": [content]})
+    stated = stated_sets([recording], "j1")
+    assert [one.effects for one in stated] == [frozenset(one.effects) for one in rivals.sets]
+    np.testing.assert_array_equal(stated[0].theta[0], rivals.sets[0].theta[0])
+
+
+def test_expectation_and_outcome_stand_side_by_side(explained_joint):
+    _, joints = explained_joint
+    recording = designed([(DRY,), ("deadband",)], [("deadband",), ("rate_limit",)])
+    first, second = separations([recording], joints)
+    assert first.favoured == (DRY,)
+    assert first.found > 0.9
+    assert str(first).startswith("j1: expected to separate Coulomb friction from")
+    assert "with 0.95; found Coulomb friction" in str(first)
+    assert second.found is None
+    assert str(second).endswith("both are ruled out.")
+
+
+@pytest.mark.parametrize(
+    ("stated", "place"),
+    [
+        ("no", "rivals"),
+        ([{"sets": []}], "rivals[0].component"),
+        ([{"component": "j1", "sets": [{"parameters": {"x": 1}}]}], "'x'"),
+    ],
+)
+def test_rivals_of_another_form_are_refused_in_one_line(stated, place):
+    bad = replace(two()[0], metadata={"rivals": stated})
+    message(lambda: stated_sets([bad], "j1"), place)

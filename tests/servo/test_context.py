@@ -1,0 +1,64 @@
+"""Recordings in another context: the same servo with another supply voltage or firmware gain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from good_input import message
+from simulated import INERTIA, KP, recording, row, steps, traced
+
+from sim2real.identification.fit import fit, gains
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import COLUMNS, context_factors
+from sim2real.servo.rollout import rollout, rollout_on
+from sim2real.servo.trace import trace
+
+
+def column(values, name):
+    return values[COLUMNS.index(name)]
+
+
+def test_supply_scales_what_the_voltage_gives_and_gain_the_gain():
+    factors = context_factors(0.5, 3.0)
+    assert column(factors, "kp_Nm_per_rad") == 1.5
+    assert column(factors, "motor.stall_torque_Nm") == 0.5
+    assert column(factors, "motor.no_load_speed_rad_s") == 0.5
+    assert np.count_nonzero(factors != 1) == 3
+
+
+def test_every_simulation_heeds_the_context():
+    plain = traced()
+    soft = replace(plain, gain_ratio=0.25)
+    weak = row()
+    weak[0] *= 0.25
+    expected = rollout(weak[None], plain.t, plain.command)[0]
+    np.testing.assert_allclose(rollout_on(soft, row()[None])[0], expected, atol=1e-9)
+    still = replace(soft, position=np.zeros_like(plain.t))
+    batch = Batch([[still, replace(still, gain_ratio=1.0)]])
+    problems = Problems(np.zeros(1, dtype=np.int32), row()[None, None], np.zeros((1, 1)))
+    angle = batch.evaluate(problems, keep=True).residual[0]
+    np.testing.assert_allclose(angle[0], expected, atol=2e-4)
+    assert np.abs(angle[1] - expected).max() > 0.01
+
+
+def test_recordings_of_two_gains_are_fitted_together():
+    def soft(t):
+        return steps(t, np.random.default_rng(5))
+
+    weak = row()
+    weak[0] *= 0.5
+    first = recording(1, "a", seconds=6.0)
+    second = recording(2, "b", seconds=6.0, command=soft)
+    noise = np.random.default_rng(3).normal(0, 0.0015, second.t.size)
+    angle = rollout(weak[None], second.t, second.command[:, 0])[0] + noise
+    second = replace(second, position=angle[:, None], metadata={"context": {"gain_ratio": 0.5}})
+    both = [trace(each, "j1") for each in (first, second)]
+    start = row()
+    start[0] *= 1.3
+    found = fit(both, start, gains(start, INERTIA))
+    assert found.row[0] == pytest.approx(KP, rel=0.02)
+
+
+def test_a_context_that_is_none_is_refused_in_one_line():
+    bad = replace(recording(), metadata={"context": {"supply_ratio": -1}})
+    message(lambda: trace(bad, "j1"), "context.supply_ratio", "-1", "above 0")
