@@ -22,7 +22,7 @@ from sim.fluid.coupling import SUMS
 from sim.robot.chain import Chain, Motion, OnGrid
 from sim.robot.joints import drive, stop_joints
 from sim.robot.linear import factorise, solve
-from sim.robot.outside import carried, pull, resist, skin
+from sim.robot.outside import appendages, carried, held, hold, pull, resist, skin
 from sim2real.effects import SIGNATURE
 from sim2real.servo.effect_chain import SENSOR_BITS, measured_angle
 
@@ -169,6 +169,7 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     for k in range(chain.length.shape[0]):
         grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
+        hold(e, k, chain, s)
         s.inner[e, k] = wp.vec3d()
         for i in range(wp.static(SUMS)):
             grid.sums[e, k, i] = wp.int64(0)
@@ -201,7 +202,7 @@ def advance(
     unit = grid.mass / grid.scale
     c = grid.cell
     for k in range(L):
-        K = matrix(e, k, 0, unit, grid)
+        K = matrix(e, k, 0, unit, grid) + appendages(e, k, h, chain, s)
         p = vector(e, k, 15, unit, grid) - vector(e, k, 12, unit, grid)
         if s.fresh[e] == 0:
             p -= about(s.inner[e, k], s.link[e, k], wp.float64(-1.0))
@@ -221,7 +222,7 @@ def advance(
         if k == 0:
             r += pull(e, h, chain, s)
             tether = h * h * chain.tether[e][0]
-        r += carried(e, k, chain, s)
+        r += carried(e, k, chain, s) + held(e, k, h, s)
         for i in range(3 + k):
             a = column(e, k, i, chain, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, r)
@@ -262,6 +263,7 @@ def advance(
     move_links(e, chain, s)
     for k in range(L):
         V = s.twist[e, k]
+        hold(e, k, chain, s)
         s.force[e, k] = (s.force[e, k] - matrix(e, k, 0, unit, grid) * V) / h
         inner = vector(e, k, 15, unit, grid) + matrix(e, k, 6, unit, grid) * V
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
