@@ -97,18 +97,19 @@ def progress(x: Array, y: Array, yaw: Array, t: Array) -> float:
 
 
 def floating(robot: s2r.Robot) -> s2r.Robot:
-    """The robot with a head as wide as makes it float with its back at the surface.
+    """The robot with a head as wide as makes it float with its highest part at the surface.
 
-    The file has the widest block under water, and not the box on it: Archimedes' principle says
-    what both displace.
+    The volumes in the file are those of the blocks that were measured, and do not add up to the
+    fish's mass: Archimedes' principle says what the hull displaces besides them.
     """
     mass = sum(link.mass_kg for link in robot.links)
+    tops = [one.at_m[2] + one.size_m[2] / 2 for one in robot.appendages]
+    top = max(robot.links[0].height_m / 2, *tops, 0.0)
 
     def above(width: float) -> float:
         wide = replace(robot.links[0], width_m=width)
         hull = hull_of(replace(robot, links=(wide, *robot.links[1:])))
-        found = draught(hull, mass)
-        top = robot.links[0].height_m / 2
+        found = draught(hull, mass, robot.appendages)
         return (0.2 if found is None else found) - top
 
     width = brentq(above, 0.03, 0.15, xtol=1e-4)

@@ -117,7 +117,7 @@ class Sides:
             plate = pi / 4 * shorter**2 * longer * _at(_MASS_PLATE, longer / shorter)
             return behind * plate
         if self.axis == direction:  # a disc: Lamb, Hydrodynamics (1932), art. 102
-            return behind * (8 / 3) * (longer * shorter) ** 1.5 / 8
+            return float(behind * (longer * shorter) ** 1.5 / 3)
         long = self.size_m[self.axis]
         wide = self.size_m[3 - direction - self.axis]
         return pi / 4 * wide**2 * long * _at(_MASS_CYLINDER, long / wide)

@@ -68,9 +68,7 @@ def _profile(size: Array, nose: float, tip: float) -> Array:
     return np.stack([front, middle, back], axis=1)
 
 
-def draught(
-    hull: Hull, mass_kg: float, appendages: tuple[Appendage, ...] = ()
-) -> float | None:
+def draught(hull: Hull, mass_kg: float, appendages: tuple[Appendage, ...] = ()) -> float | None:
     """Height in m of the surface above the middle of the floating robot; None where it sinks.
 
     A floating robot displaces its own mass of water, with hull and appendages: Archimedes'
