@@ -124,8 +124,12 @@ def area_error(wetted: Sequence[Wetted]) -> float:
     return sum(one.area_sd_m2[0] for one in wetted) / total if total > 0 else 0.0
 
 
-def read_appendage(fields: Fields) -> Appendage:
+def read_appendage(fields: Fields, length_m: float | None) -> Appendage:
     """Read one ``[[links.appendages]]`` table.
+
+    Args:
+        fields: The table.
+        length_m: Length of the link, in whose middle an appendage without ``at_m`` is.
 
     Raises:
         InputError: If a field does not conform to the format.
@@ -139,7 +143,9 @@ def read_appendage(fields: Fields) -> Appendage:
     if shape == "cylinder":
         length, diameter = size
         size = [length if name == axis else diameter for name in AXES]
-    at = _lengths(fields, "at_m", 3)
+    at = [(length_m or 0.0) / 2, 0.0, 0.0]
+    if "at_m" in fields:
+        at = _lengths(fields, "at_m", 3)
     share = fields.optional_number("submerged", low=0)
     if share is not None and share > 1:
         raise fields.error("submerged", "a share from 0 to 1")

@@ -231,12 +231,13 @@ def _link(fields: Fields) -> Link:
     fields.refuse_unknown(_keys(Link))
     tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
+    length = number("length_m", above=0)
     measures = ("mass_kg", "length_m", "width_m", "height_m")
     optional = ("com_m", "inertia_kgm2", "mass_sd_kg", "length_sd_m")
     return Link(
         name=fields.text("name"),
         material=fields.text("material") if "material" in fields else None,
-        appendages=tuple(read_appendage(table) for table in tables),
+        appendages=tuple(read_appendage(table, length) for table in tables),
         where=(str(fields.file), fields.where),
         **{name: number(name, above=0) for name in measures},
         **{name: number(name, low=0) for name in optional},
