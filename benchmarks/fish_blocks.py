@@ -42,6 +42,19 @@ def with_blocks(robot: s2r.Robot, blocks: Path) -> s2r.Robot:
     )
 
 
+def open_tail(robot: s2r.Robot, blocks: Path) -> s2r.Robot:
+    """The robot with a tail as solid as its plates, which stand apart: the height is their share.
+
+    The hull has them as one surface. Water passes between them; how much is not known, so this is a
+    bound beside ``with_blocks`` and no part of it.
+    """
+    content = read_toml(blocks)["tail"]
+    head, tail, *rest = robot.links
+    share = len(content["plates_high_m"]) * content["plate_m"][0] / tail.length_m
+    low = replace(tail, height_m=share * tail.height_m)
+    return replace(robot, links=(head, low, *rest))
+
+
 def head_blocks(blocks: Sequence[Mapping[str, Any]], head: Any) -> list[Appendage]:  # noqa: ANN401
     """The head's blocks: the line within the hull, then those outside."""
     boxes = [_box(block["name"], block["size_m"], block["at_m"]) for block in blocks]
