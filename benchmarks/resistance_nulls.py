@@ -88,9 +88,9 @@ def main() -> None:
         found = np.array(list(pool.map(odds, seeds, [options.swims] * options.robots)))
     print("evidence of an area: smallest, median, 90 %, largest; share beyond the threshold")
     for share, column in zip(SHARES, found.T, strict=True):
-        low, half, most, high = np.quantile(column, (0, 0.5, 0.9, 1))
+        figures = " ".join(f"{v:7.1f}" for v in np.quantile(column, (0, 0.5, 0.9, 1)))
         named = np.mean(column > LAW_ERROR.decisions["resistance"])
-        print(f"  {share:4.2f} of the side: {low:7.1f} {half:7.1f} {most:7.1f} {high:7.1f} {named:.2f}")
+        print(f"  {share:4.2f} of the side: {figures} {named:.2f}")
 
 
 if __name__ == "__main__":

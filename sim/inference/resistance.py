@@ -24,8 +24,8 @@ from sim2real.units import readable
 
 AREA, PLACE = "appendage_drag.area_m2", "appendage_drag.x_m"
 COMMON, OWN = 0.2, 0.13
-"""Relative standard deviations of a simulator's speed and yaw: between robots, where thrust and drag
-are off together, and between swims of one (``reports/twin``: 3 to 13 %)."""
+"""Relative standard deviations of a simulator's speed and yaw: between robots, where thrust and
+drag are off together, and between swims of one (``reports/twin``: 3 to 13 %)."""
 _LEAST_M_S, _LEAST_RAD_S = 0.01, 0.02
 """Least figures, as their logarithms are compared: a robot that stands still has none."""
 

@@ -1,4 +1,4 @@
-"""What appendages do to a robot: exact motions without water, and the same drag in fluid and twin."""
+"""What appendages do to a robot: exact motions without water, one drag in fluid and twin."""
 
 from dataclasses import replace
 
@@ -88,16 +88,16 @@ def test_added_mass_keeps_momentum_and_energy():
         return turn, state.velocity[0]
 
     energy, momenta = [], []
-    com = np.array([link for link in twin.chain.com.numpy()[0]])
+    com = twin.chain.com.numpy()[0]
     behind = np.cumsum([0.0, *twin.hull.length[:-1]])
     ahead = com[0] - behind - com
     for state in states:
         turn, v = of(state)
         inertia = laden.copy()
-        for (m, I), x in zip(mass, ahead, strict=True):
+        for (m, own), x in zip(mass, ahead, strict=True):
             row = np.array([0.0, 1.0, x])
             inertia += m * (np.outer([1, 0, 0], [1, 0, 0]) + np.outer(row, row))
-            inertia[2, 2] += I
+            inertia[2, 2] += own
         energy.append(0.5 * v @ inertia @ v)
         momenta.append(turn @ inertia @ v)
     momenta = np.array(momenta)
@@ -121,7 +121,9 @@ def test_area_that_the_file_lacks_is_where_it_is_said_to_be():
     twin = Twin(FISH, with_values(STIFF, lacking))
     point = twin.chain.point.numpy()[0]
     assert np.count_nonzero(point[:, :, 2]) == 1
-    assert point[1, -1] == pytest.approx([twin.chain.com.numpy()[0, 1] - 0.03, 0, *2 * [WATER * 0.0015]])
+    assert point[1, -1] == pytest.approx(
+        [twin.chain.com.numpy()[0, 1] - 0.03, 0, *2 * [WATER * 0.0015]]
+    )
 
 
 def test_the_fluid_has_the_drag_of_the_twin():
