@@ -194,8 +194,8 @@ def lacking(runs: list[Found]) -> list[str]:
     """What the file without the appendages seems to lack."""
     lines = [
         "\n### Without the appendages in the file: does anything resist?\n",
-        "| | drag area (cm2) | 90 % | behind the front (cm) | evidence (nats) | errors of clips left"
-        " out, before and after (m/s) |",
+        "| | drag area (cm2) | 90 % | behind the front (cm) | evidence (nats) | errors of clips"
+        " left out, before and after (m/s) |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     for run in runs:
