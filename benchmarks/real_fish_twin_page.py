@@ -164,6 +164,7 @@ def _named(found: Found) -> list[str]:
         held = [f"{k.replace('_', ' ')} ({100 * p:.0f} %)" for k, p in tool["named"].items()]
         out[-1] += f" Suspected, and not more: {', '.join(held)}." if held else ""
         out[-1] += " Its reasons: " + " ".join(tool["told"][1:])
+    out[-1] += "".join(f" {statement}" for statement in tool.get("statements", ()))
     if not likely and tool["verdict"] == "consistent":
         out[-1] += (
             " Read: nothing of its catalogue would help. That the twin is complete is not so, with"

@@ -7,8 +7,9 @@ import pytest
 from swimming_robots import FISH, servos
 
 from sim.calibration.swim_parameters import appendage_parameters, candidates
+from sim.calibration.twin_fit import calibrate
 from sim.inference.coordinates import Coordinates
-from sim.inference.swims import with_values
+from sim.inference.swims import Swim, by_twin, simulated, with_values
 from sim.lattice.units import WATER_KG_M3 as WATER
 from sim.robot.shape import displaced, draught, hull_of
 from sim.robot.swimmer import Swimmer
@@ -18,6 +19,7 @@ from sim2real.appendages import Appendage
 from sim2real.body import listed
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
+from sim2real.ranges.sources import body_ranges
 
 NO_WATER = Coefficients(across=0.0, along=0.0, added_mass=0.0, thrust=0.0)
 """A law without forces."""
@@ -169,6 +171,26 @@ def test_a_calibration_fits_the_areas_and_a_diagnosis_does_not():
     names = {candidate.name for candidate in candidates(robot)}
     assert "appendage_drag" in names
     assert "appendage_area" not in names
+
+
+def test_the_error_of_the_areas_is_fitted_and_reaches_the_ranges():
+    robot = carrying(replace(BOX, drag=(1.0, 0.3)))
+    plain = replace(servos(), body={})
+    t = 0.02 * np.arange(200)
+    command = 0.4 * np.sin(2 * np.pi * 1.2 * t[:, None] - np.array([0.0, 1.0, 2.0]))
+    blank = Swim("made", t, command, np.zeros(3), np.empty((t.size, 0)))
+    simulator = by_twin(robot, threads=1)
+    truth = with_values(plain, {"appendage_area.ratio": 0.4})
+    (seen,) = simulated(blank, [truth], simulator)
+    seen[:, :3] += np.random.default_rng(3).normal(0, [0.005, 0.005, 0.03], (t.size, 3))
+    swim = replace(blank, signals=seen)
+    fit = calibrate([swim], plain, appendage_parameters(robot), simulator)
+    assert fit.best[0] == pytest.approx(0.4, abs=0.1)
+    (low, high) = fit.interval()[0]
+    assert low < 0.4 < high
+    interval = {"appendage_area.ratio": [float(low), float(high)]}
+    (drawn,) = body_ranges(replace(fit.model, body={**fit.model.body, "interval": interval}))
+    assert (drawn.parameter, drawn.low) == ("body.appendage_area.ratio", pytest.approx(low))
 
 
 def test_coordinates_of_an_area_are_it_and_its_moment():
