@@ -61,11 +61,16 @@ def appendages(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.mat
     The drag of a point that moves with velocity (u, w) along and across the link is
     - speed (a u, b w): the vector form of Morison's equation, with a coefficient in each direction.
     """
-    R = turned(s.link[e, k])
-    V = wp.transpose(R) * s.twist[e, k]
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     inside = chain.laden[e, k]
+    some = inside[2, 2] != zero
+    for i in range(chain.point.shape[2]):
+        some = some or chain.point[e, k, i][2] != zero or chain.point[e, k, i][3] != zero
+    if not some:
+        return inside
+    R = turned(s.link[e, k])
+    V = wp.transpose(R) * s.twist[e, k]
     for i in range(chain.point.shape[2]):
         p = chain.point[e, k, i]
         if p[2] != zero or p[3] != zero:
@@ -82,8 +87,12 @@ def appendages(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.mat
 @wp.func
 def hold(e: int, k: int, chain: Chain, s: Motion) -> int:
     """Store the momentum of the added mass of link k's appendages, before it moves."""
+    laden = chain.laden[e, k]
+    if laden[2, 2] == wp.float64(0.0):
+        s.held[e, k] = wp.vec3d()
+        return 0
     R = turned(s.link[e, k])
-    s.held[e, k] = R * (chain.laden[e, k] * (wp.transpose(R) * s.twist[e, k]))
+    s.held[e, k] = R * (laden * (wp.transpose(R) * s.twist[e, k]))
     return 0
 
 

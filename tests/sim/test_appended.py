@@ -190,7 +190,7 @@ def test_the_error_of_the_areas_is_fitted_and_reaches_the_ranges():
     assert low < 0.4 < high
     interval = {"appendage_area.ratio": [float(low), float(high)]}
     (drawn,) = body_ranges(replace(fit.model, body={**fit.model.body, "interval": interval}))
-    assert (drawn.parameter, drawn.low) == ("body.appendage_area.ratio", pytest.approx(low))
+    assert (drawn.parameter, drawn.first) == ("body.appendage_area.ratio", pytest.approx(low))
 
 
 def test_coordinates_of_an_area_are_it_and_its_moment():
