@@ -28,6 +28,9 @@ the head's centre of mass are compared over 5 s, after 12 s of the same motion t
 Whatever is fitted, chosen or named has seen three clips and is scored on the fourth. Root mean
 square errors, means over the four clips; in brackets the 90 % bootstrap interval over clips.
 
+The fish of this part has its hull alone. All figures but what `diagnose` says are older than those
+above: of the twin's law as it was fitted to a wall that held the water's whole velocity.
+
 | | surge (m/s) | sway (m/s) | yaw rate (rad/s) | mean speed (m/s) |
 |---|---:|---:|---:|---:|
 """
