@@ -85,6 +85,7 @@ def tool(place: Pool, films: Sequence[Film], robot: s2r.Robot) -> dict[str, Any]
         "verdict": found.verdict,
         "named": {one.effect: one.probability for one in found.effects},
         "told": list(found.gate),
+        "statements": [one.statement for one in found.effects if one.probability >= 0.5],
         "considered": {one.effect: one.probability for one in found.rivals},
     }
 

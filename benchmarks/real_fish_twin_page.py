@@ -28,6 +28,9 @@ the head's centre of mass are compared over 5 s, after 12 s of the same motion t
 Whatever is fitted, chosen or named has seen three clips and is scored on the fourth. Root mean
 square errors, means over the four clips; in brackets the 90 % bootstrap interval over clips.
 
+The fish of this part has its hull alone. All figures but what `diagnose` says are older than those
+above: of the twin's law as it was fitted to a wall that held the water's whole velocity.
+
 | | surge (m/s) | sway (m/s) | yaw rate (rad/s) | mean speed (m/s) |
 |---|---:|---:|---:|---:|
 """
@@ -164,6 +167,7 @@ def _named(found: Found) -> list[str]:
         held = [f"{k.replace('_', ' ')} ({100 * p:.0f} %)" for k, p in tool["named"].items()]
         out[-1] += f" Suspected, and not more: {', '.join(held)}." if held else ""
         out[-1] += " Its reasons: " + " ".join(tool["told"][1:])
+    out[-1] += "".join(f" {statement}" for statement in tool.get("statements", ()))
     if not likely and tool["verdict"] == "consistent":
         out[-1] += (
             " Read: nothing of its catalogue would help. That the twin is complete is not so, with"

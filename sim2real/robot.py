@@ -12,6 +12,7 @@ from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, overload
 
+from sim2real.appendages import Appendage, read_appendage
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
@@ -22,7 +23,6 @@ Place = tuple[str, str]
 """A file and a table in it, for messages."""
 
 LIMITS = "two angles in rad, the smaller first"
-_APPENDAGE_KEYS = ("name", "shape", "size_m", "at_m", "submerged", "drag_coefficient")
 
 
 T = TypeVar("T")
@@ -70,7 +70,7 @@ class Sheet:
         return all(vars(self)[name] is not None for name in names)
 
     def _stated(self) -> dict[str, Any]:
-        return {n: v for n, v in vars(self).items() if n != "where" and v is not None}
+        return {n: v for n, v in vars(self).items() if n != "where" and v not in (None, ())}
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and self._stated() == other._stated()
@@ -88,6 +88,7 @@ class Link(Sheet):
     """One rigid link in SI units; ``com_m`` is measured from its front end.
 
     ``mass_sd_kg`` and ``length_sd_m`` are standard deviations of the measured mass and length.
+    ``mass_kg``, ``com_m`` and ``inertia_kgm2`` include the ``appendages``, the hull does not.
     Using a mass, length, width or height that was not stated raises an InputError.
     """
 
@@ -101,6 +102,7 @@ class Link(Sheet):
     inertia_kgm2: float | None = None
     mass_sd_kg: float | None = None
     length_sd_m: float | None = None
+    appendages: tuple[Appendage, ...] = ()
     where: Place = ("robot", "link")
 
 
@@ -144,6 +146,11 @@ class Robot(NotebookDisplay):
         """Whether every link states its mass and its length."""
         stated = [vars(link)[name] for link in self.links for name in ("mass_kg", "length_m")]
         return None not in stated
+
+    @property
+    def appendages(self) -> tuple[Appendage, ...]:
+        """What all links carry outside their hulls, from head to tail."""
+        return tuple(appendage for link in self.links for appendage in link.appendages)
 
     def joint(self, name: str) -> Joint | None:
         """The joint with this name, or None."""
@@ -221,16 +228,16 @@ def _servo(name: str, fields: Fields) -> Servo:
 
 
 def _link(fields: Fields) -> Link:
-    fields.refuse_unknown(dict.fromkeys((*_keys(Link), "appendages")))
-    if "appendages" in fields:
-        for appendage in fields.tables("appendages"):
-            appendage.refuse_unknown(_APPENDAGE_KEYS)
+    fields.refuse_unknown(_keys(Link))
+    tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
+    length = number("length_m", above=0)
     measures = ("mass_kg", "length_m", "width_m", "height_m")
     optional = ("com_m", "inertia_kgm2", "mass_sd_kg", "length_sd_m")
     return Link(
         name=fields.text("name"),
         material=fields.text("material") if "material" in fields else None,
+        appendages=tuple(read_appendage(table, length) for table in tables),
         where=(str(fields.file), fields.where),
         **{name: number(name, above=0) for name in measures},
         **{name: number(name, low=0) for name in optional},

@@ -21,6 +21,7 @@ _UNITS = (
     ("_Nm", "N m", " N m", 1.0),
     ("_kgm2", "kg m²", " kg m²", 1.0),
     ("_m2_s", "m²/s", " m²/s", 1.0),
+    ("_m2", "m²", " cm²", 1e4),
     ("_m_s", "m/s", " m/s", 1.0),
     ("s_per_s", "s/s", " ppm", 1e6),
     ("_per_min", "1/min", " % per minute", 100.0),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
+from sim.robot.appended import area_sd
 from sim.robot.swimmer import least_viscosity
 from sim.twin.twin import FITTED
 from sim2real.body import body_effect
@@ -28,6 +30,8 @@ class Candidate(NamedTuple):
     free: tuple[Parameter, ...]
 
 
+AREAS = "appendage_area"
+"""Error of what the robot file states, which a calibration fits: no physics that it leaves out."""
 _LEAST = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
 """Least usual values of coefficients, for those whose fitted values are smaller."""
 
@@ -77,7 +81,19 @@ def body_parameters(robot: Robot) -> list[Parameter]:
     out = effect_parameters("form_drag") + effect_parameters("linear_drag")
     for material in sorted({link.material or "" for link in robot.links}):
         out += effect_parameters("surface_friction", material)
+    out += appendage_parameters(robot)
     return out + effect_parameters("added_mass") + effect_parameters("com_offset")
+
+
+def appendage_parameters(robot: Robot) -> list[Parameter]:
+    """The error of the drag areas of the appendages in the robot file; none without appendages.
+
+    Its prior has the standard deviation of the drag coefficients.
+    """
+    if not robot.appendages:
+        return []
+    (ratio,) = effect_parameters(AREAS)
+    return [replace(ratio, prior_sd=max(area_sd(robot), ratio.typical / 10))]
 
 
 def effect_parameters(effect: str, material: str | None = None) -> list[Parameter]:
@@ -106,6 +122,8 @@ def candidates(robot: Robot) -> list[Candidate]:
     out = []
     effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
     for effect in effects:
+        if effect.name == AREAS:
+            continue
         if effect.by_material:
             for material in sorted({link.material or "" for link in robot.links}):
                 free = tuple(effect_parameters(effect.name, material))

@@ -1,15 +1,17 @@
 """Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
 
 One column for each number: gains and latencies, the twin's law, every effect of the body and the
-camera. The coordinates of a tether are its stiffness and stiffness times anchor, those of a
-viscoelastic skin a fast and a slow stiffness. A current is added to a simulation in still water,
-with the measured heading: a uniform current carries the body with it.
+camera. The coordinates of a tether are its stiffness and stiffness times anchor, those of an
+appendage its area and area times place, those of a viscoelastic skin a fast and a slow stiffness.
+A current is added to a simulation in still water, with the measured heading: a uniform current
+carries the body with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from sim.inference.swims import Swim, with_values
 from sim.twin.law import Coefficients
 from sim2real.arrays import Array, Mask
 from sim2real.body import observed, values
+from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
@@ -32,7 +35,7 @@ ERROR = "error"
 """Prefix of columns that are shapes of the simulator's error (``discrepancy``)."""
 DOUBT = "error.doubt"
 """Prefix of columns that are shapes of the error in the changes that effects make."""
-WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass")
+WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass", "appendage_drag")
 """Effects of drag and added mass. They are not negative: negative friction would drive a robot, and
 too much drag of a law is corrected by its own coefficients. Other errors of a law can look like
 them."""
@@ -40,10 +43,23 @@ QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times of the fast and the slow part of a viscoelastic skin."""
 _FOLLOWS = 1e4
 """Gain from which a servo prescribes the joint's angle (``sim.twin.prescribed``)."""
-_TETHER_STEP = 0.05
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
 _PULL = ("tether.stiffness_N_per_m", "tether.x_m", "tether.y_m")
+_AREA = ("appendage_drag.area_m2", "appendage_drag.x_m")
+
+
+class Products(NamedTuple):
+    """Limits of the products of an effect's size with its places, which are their coordinates."""
+
+    bound: float
+    step: float
+    prior_sd: float
+    least_size: float
+
+
+_PLACED = {_PULL: Products(10.0, 0.05, 0.4, 1e-4), _AREA: Products(0.2, 1e-4, 2e-3, 1e-5)}
+"""Effects with a place: names of their size and places, and limits of the products."""
 
 
 @dataclass(frozen=True)
@@ -127,16 +143,8 @@ class Coordinates:
         listed = tuple(candidates(robot))
         for effect in listed:
             for p in effect.free:
-                low, high = 0.0 if effect.name in WATER_FORCES else p.low, p.high
-                if p.name in (*_PULL[1:], _RELAX):
-                    low, high = (0.0, 10.0) if p.name == _RELAX else (-10.0, 10.0)
-                sd = p.prior_sd if p.name != _RELAX else 4 * effect.free[0].typical
-                step = _TETHER_STEP if p.name in _PULL else 0.5 * p.typical
-                step = effect.free[0].typical / 2 if p.name == _RELAX else step
-                sd = 0.4 if p.name in _PULL else sd
-                columns.append(
-                    Column(p.name, (effect.name, effect.component), 0.0, low, high, step, sd)
-                )
+                limits = _limits(effect, p)
+                columns.append(Column(p.name, (effect.name, effect.component), 0.0, *limits))
         for name in discrepancy.names(len(robot.joints)):
             columns.append(Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0))
         place = {column.name: k for k, column in enumerate(columns)}
@@ -183,10 +191,10 @@ class Coordinates:
             out[_STIFF] = quick + slow
             share = slow / (quick + slow) if quick + slow > 0 else 0.5
             out[_RELAX] = float(np.exp((1 - share) * np.log(QUICK_S) + share * np.log(SLOW_S)))
-        if _PULL[0] in out:
-            k = out[_PULL[0]]
-            for name in _PULL[1:]:
-                out[name] = float(np.clip(out[name] / k, -10.0, 10.0)) if k > 1e-4 else 0.0
+        for (size, *places), products in _PLACED.items():
+            for name in places if size in out else ():
+                place = out[name] / out[size] if out[size] > products.least_size else 0.0
+                out[name] = float(np.clip(place, -10.0, 10.0))
         off = {
             e.free[0].name.rpartition(".")[0]
             for e in self.effects
@@ -214,19 +222,34 @@ class Coordinates:
     def about(self, x: Array) -> tuple[Array, Array]:
         """Points (F + 1, F) for one-sided derivatives about x, and the base row of each, (F,).
 
-        Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The anchor of a
-        tether without stiffness has no influence: its base is the row with a step in the stiffness.
+        Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The place of an
+        effect of size 0, e.g. the anchor of a tether without stiffness, has no influence: its base
+        is the row with a step in the size.
         """
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
         base = np.zeros(x.size, dtype=np.intp)
-        if _PULL[0] in self.place and x[self.place[_PULL[0]]] < 1e-3:
-            stiffness = self.place[_PULL[0]]
-            for name in _PULL[1:]:
-                k = self.place[name]
-                points[k + 1, stiffness] = points[stiffness + 1, stiffness]
-                base[k] = stiffness + 1
+        for (name, *places), products in _PLACED.items():
+            if name in self.place and x[self.place[name]] < 10 * products.least_size:
+                size = self.place[name]
+                for k in (self.place[place] for place in places):
+                    points[k + 1, size] = points[size + 1, size]
+                    base[k] = size + 1
         return points, np.asarray(base, dtype=np.float64)
+
+
+def _limits(effect: Candidate, p: Parameter) -> tuple[float, float, float, float]:
+    """Bounds, step and prior standard deviation of the column of an effect's parameter."""
+    if p.name == _RELAX:
+        return 0.0, 10.0, effect.free[0].typical / 2, 4 * effect.free[0].typical
+    for (_, *places), products in _PLACED.items():
+        if p.name in places:
+            low = 0.0 if p.low == 0.0 else -products.bound
+            return low, products.bound, products.step, products.prior_sd
+    low = 0.0 if effect.name in WATER_FORCES else p.low
+    if p.name == _PULL[0]:
+        return low, p.high, _PLACED[_PULL].step, _PLACED[_PULL].prior_sd
+    return low, p.high, 0.5 * p.typical, p.prior_sd
 
 
 Swum = Callable[[Sequence[Model], Swim], Array]

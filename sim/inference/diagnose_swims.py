@@ -4,7 +4,8 @@ The search (``searched``) fits every effect of the catalogue together with servo
 the error of the twin counts as noise. An effect is reported if it predicts the end of each swim
 better when fitted to the beginning. Effects that imitate one another form a group. Where an unnamed
 shape (``unlisted``) fits better than all effects, the diagnosis abstains. Thresholds are in
-``law_error.json``.
+``law_error.json``. Where the search names nothing, without references, the mean speeds alone may
+say that something resists (``resistance``).
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
-from sim.inference.coordinates import Swum, swum
+from sim.inference.coordinates import Swum, seen_as, swum
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
+from sim.inference.resistance import resistance, with_resistance
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
 from sim.inference.swim_decision import Decided, decide
 from sim.inference.swim_findings import findings
@@ -79,7 +81,11 @@ def diagnose_swims(
     resimulated = resimulate(likely_model(result, law_error, referred=bool(references)))
     if resimulated is not None:
         result = searched(swims, model, robot, resimulated[0], prior, simulated=resimulated[1])
-    return diagnosis_of(result, robot, law_error, referred=bool(references))
+    diagnosis = diagnosis_of(result, robot, law_error, referred=bool(references))
+    if references or any(e.probability >= law_error.decisions["likely"] for e in diagnosis.effects):
+        return diagnosis
+    lacking = resistance(swims, model, robot, lambda models, swim: seen_as(models, swim, simulate))
+    return with_resistance(diagnosis, lacking, law_error.decisions)
 
 
 def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Model:

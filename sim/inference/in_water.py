@@ -56,7 +56,7 @@ the first, and the friction line of a laminar boundary layer: the place of trans
 
 SWUM = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
-    "trim_asymmetry",
+    "trim_asymmetry", "appendage_",
 )  # fmt: skip
 """Effects with which the fluid is simulated again: those that do not depend on the position."""
 

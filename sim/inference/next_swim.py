@@ -27,7 +27,14 @@ CONTEXTS: Mapping[str, str] = {
 _FAMILIES: Mapping[str, tuple[str, ...]] = {
     "skin": ("skin_elasticity", "skin_damping", "skin_viscoelasticity", "skin_coupling"),
     "camera": ("camera_latency", "pose_filter", "dropped_frames"),
-    "drag": ("linear_drag", "form_drag", "surface_friction", "added_mass", "wall_effect"),
+    "drag": (
+        "linear_drag",
+        "form_drag",
+        "surface_friction",
+        "appendage_drag",
+        "added_mass",
+        "wall_effect",
+    ),
     "mass": ("com_offset", "marker_offset", "trim_asymmetry"),
     "water": ("pool_current", "tether", "camera_rotation", "camera_scale"),
 }

@@ -131,6 +131,7 @@ class Bodies:
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force, s.inner = (room((E, L), wp.vec3d) for _ in range(5))
+        s.held = room((E, L), wp.vec3d)
         s.fresh = room((E,), wp.int32)
         s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
         s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))

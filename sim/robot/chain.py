@@ -25,6 +25,10 @@ class Chain:
         rough: Additional friction coefficient of each link's surface, (E, L).
         resist: For each link: drag in N s/m, drag along its axis in N s2/m2, added mass across it
             in kg, added inertia in kg m2, (E, L).
+        point: Points of each link's appendages: distance ahead of the centre of mass and to the
+            left of it, drag along and across the link in N s2/m2, (E, L, P).
+        laden: Added mass of each link's appendages about its centre of mass, in its frame: from
+            velocity along, across and of the heading to momentum, (E, L).
         skin: For each joint: stiffness in N m/rad, damping in N m s/rad, relaxing stiffness in
             N m/rad, relaxation time in s, (E, J).
         coupling: Stiffness of the skin between neighbouring joints in N m/rad, (E,).
@@ -47,6 +51,8 @@ class Chain:
     push: wp.array2d(dtype=wp.float64)
     rough: wp.array2d(dtype=wp.float64)
     resist: wp.array2d(dtype=wp.vec4d)
+    point: wp.array3d(dtype=wp.vec4d)
+    laden: wp.array2d(dtype=wp.mat33d)
     skin: wp.array2d(dtype=wp.vec4d)
     coupling: wp.array(dtype=wp.float64)
     tether: wp.array(dtype=wp.vec3d)
@@ -67,6 +73,7 @@ class Motion:
         before: Its velocity a step earlier, (E, L).
         force: Force and torque of the fluid on each link in the last step, (E, L).
         inner: Momentum of the water inside it, with the moment about the origin, (E, L).
+        held: Momentum of the added mass of its appendages in the last step, (E, L).
         fresh: 1 before the first step, when that momentum is not known, (E,).
         torque: Torque of each servo, (E, J).
         impulse, stop: Impulses of dry friction and of the limit at each joint, (E, J).
@@ -85,6 +92,7 @@ class Motion:
     before: wp.array2d(dtype=wp.vec3d)
     force: wp.array2d(dtype=wp.vec3d)
     inner: wp.array2d(dtype=wp.vec3d)
+    held: wp.array2d(dtype=wp.vec3d)
     fresh: wp.array(dtype=wp.int32)
     torque: wp.array2d(dtype=wp.float64)
     impulse: wp.array2d(dtype=wp.float64)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from sim.lattice.units import WATER_KG_M3
+from sim.robot.appended import added_mass_of, points_of
 from sim.robot.shape import Hull
 from sim2real.arrays import Array
 from sim2real.body import values
@@ -22,13 +23,15 @@ class Outside:
     """Effects on E robots in addition to the fluid's forces; shapes may be broadcast.
 
     The fields are those of ``body_effect.Forces`` with E as first dimension; ``com``, ``side`` and
-    ``trim`` have the shape (E, 1).
+    ``trim`` have the shape (E, 1), ``point`` and ``laden`` those of ``sim.robot.appended``.
     """
 
     com: Array
     side: Array
     rough: Array
     resist: Array
+    point: Array
+    laden: Array
     skin: Array
     coupling: Array
     tether: Array
@@ -37,18 +40,29 @@ class Outside:
     wall: Array
 
 
-def outside(robot: Robot, models: Sequence[Model], hull: Hull) -> Outside:
-    """The arrays for robots with these models: the sums of their effects.
+def outside(
+    robot: Robot, models: Sequence[Model], hull: Hull, surface_m: float = np.inf
+) -> Outside:
+    """The arrays for robots with these models: the sums of their effects, and their appendages.
+
+    Args:
+        robot: The robot.
+        models: The models.
+        hull: The robot's hull.
+        surface_m: Height of the water's surface above its middle.
 
     Raises:
         InputError: If a model's effect does not exist.
     """
     forces = [_forces(robot, model, hull) for model in models]
-
+    points = points_of(robot, hull, surface_m)
     stacked = {
         field.name: np.array([getattr(robot, field.name) for robot in forces], dtype=np.float64)
         for field in fields(Outside)
+        if field.name not in ("point", "laden")
     }
+    stacked["point"] = np.array([_with_drag(points, one, hull) for one in forces])
+    stacked["laden"] = added_mass_of(robot, hull, surface_m)[None]
     for name in ("com", "side", "trim"):
         stacked[name] = stacked[name][:, None]
     return Outside(**stacked)
@@ -71,6 +85,17 @@ def _forces(robot: Robot, model: Model, hull: Hull) -> Forces:
     return forces
 
 
+def _with_drag(points: Array, forces: Forces, hull: Hull) -> Array:
+    """The points of the appendages with the errors of their areas, and the area that they lack."""
+    out = points.copy()
+    out[:, :, 2:] *= 1 + forces.areas
+    start = np.concatenate([[-hull.half_width[0, 0]], np.cumsum(hull.length)[:-1]])
+    behind = forces.lacking_at - hull.half_width[0, 0]
+    k = int(np.searchsorted(start[1:], behind, side="right"))
+    out[k, -1] = behind - max(start[k], 0.0), 0.0, *(2 * [0.5 * WATER_KG_M3 * forces.lacking])
+    return out
+
+
 def _named(parameters: Mapping[str, float], effect: BodyEffect, prefix: str) -> dict[str, float]:
     return {p.name: parameters.get(f"{prefix}.{p.name}", 0.0) for p in effect.parameters}
 
@@ -86,6 +111,7 @@ def surface_drag(outside: Outside, hull: Hull) -> Array:
 
 _ZERO = np.zeros(1)
 OFF = Outside(
-    _ZERO, _ZERO, _ZERO, np.zeros(4), np.zeros(4), _ZERO, np.zeros(3), _ZERO, np.zeros(2), _ZERO
-)
+    _ZERO, _ZERO, _ZERO, np.zeros(4), np.zeros((1, 4)), np.zeros((3, 3)), np.zeros(4), _ZERO,
+    np.zeros(3), _ZERO, np.zeros(2), _ZERO,
+)  # fmt: skip
 """No effects."""

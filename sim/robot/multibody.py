@@ -25,7 +25,7 @@ from sim.fluid.coupling import SUMS
 from sim.robot.chain import Chain, Motion, OnGrid
 from sim.robot.joints import drive, stop_joints
 from sim.robot.linear import factorise, solve
-from sim.robot.outside import carried, pull, resist, skin
+from sim.robot.outside import appendages, carried, held, hold, pull, resist, skin
 from sim2real.effects import SIGNATURE
 from sim2real.servo.effect_chain import SENSOR_BITS, measured_angle
 
@@ -175,6 +175,7 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     for k in range(chain.length.shape[0]):
         grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
+        hold(e, k, chain, s)
         s.inner[e, k] = wp.vec3d()
         for i in range(wp.static(SUMS)):
             grid.sums[e, k, i] = wp.int64(0)
@@ -219,6 +220,7 @@ def advance(
             p -= vector(e, k, 21, unit, grid)
         p += (K - full) * V
         s.force[e, k] = p
+        K += appendages(e, k, h, chain, s)
         dV = V - s.before[e, k]
         M = m[0] + w[0]
         inertia = m[1] + w[1]
@@ -229,7 +231,7 @@ def advance(
         if k == 0:
             r += pull(e, h, chain, s)
             tether = h * h * chain.tether[e][0]
-        r += carried(e, k, chain, s)
+        r += carried(e, k, chain, s) + held(e, k, h, s)
         for i in range(3 + k):
             a = column(e, k, i, chain, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, r)
@@ -270,6 +272,7 @@ def advance(
     move_links(e, chain, s)
     for k in range(L):
         V = s.twist[e, k]
+        hold(e, k, chain, s)
         full = matrix(e, k, 0, unit, grid)
         K = wp.float64(0.5) * (full + wp.transpose(full))
         s.force[e, k] = (s.force[e, k] - K * V) / h

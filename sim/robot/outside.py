@@ -1,7 +1,9 @@
-"""Further forces on a robot: a skin over its joints, additional drag and added mass, a tether.
+"""Further forces on a robot: its appendages, a skin over its joints, more drag and mass, a tether.
 
 The body's effects of the catalogue (``sim2real.effects.body``) set their parameters, for the fluid
-and the reduced-order twin alike. Each force is 0 where its parameters are.
+and the reduced-order twin alike. Each force is 0 where its parameters are. Appendages move through
+the undisturbed water, at rest or in the pool's current: what the hull does to the water around it
+is left out, and the water of the fluid does not receive their momentum.
 """
 
 import warp as wp
@@ -41,6 +43,65 @@ def carried(e: int, k: int, chain: Chain, s: Motion) -> wp.vec3d:
     V = s.twist[e, k]
     zero = wp.float64(0.0)
     return p[2] * wp.dot(V, normal) * normal + wp.vec3d(zero, zero, p[3] * V[2])
+
+
+@wp.func
+def turned(at: wp.vec3d) -> wp.mat33d:
+    """Rotation from a link's frame to the world's, of velocities and momenta."""
+    zero = wp.float64(0.0)
+    c = wp.cos(at[2])
+    d = wp.sin(at[2])
+    return wp.mat33d(c, -d, zero, d, c, zero, zero, zero, wp.float64(1.0))
+
+
+@wp.func
+def appendages(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.mat33d:
+    """Implicit impulse of the appendages of link k by its velocity: added mass, and drag.
+
+    The drag of a point that moves with velocity (u, w) along and across the link is
+    - speed (a u, b w): the vector form of Morison's equation, with a coefficient in each direction.
+    """
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    inside = chain.laden[e, k]
+    some = inside[2, 2] != zero
+    for i in range(chain.point.shape[2]):
+        some = some or chain.point[e, k, i][2] != zero or chain.point[e, k, i][3] != zero
+    if not some:
+        return inside
+    R = turned(s.link[e, k])
+    V = wp.transpose(R) * s.twist[e, k]
+    for i in range(chain.point.shape[2]):
+        p = chain.point[e, k, i]
+        if p[2] != zero or p[3] != zero:
+            along = wp.vec3d(one, zero, -p[1])
+            across = wp.vec3d(zero, one, p[0])
+            u = wp.dot(along, V)
+            w = wp.dot(across, V)
+            speed = h * wp.sqrt(u * u + w * w)
+            inside += speed * p[2] * wp.outer(along, along)
+            inside += speed * p[3] * wp.outer(across, across)
+    return R * inside * wp.transpose(R)
+
+
+@wp.func
+def hold(e: int, k: int, chain: Chain, s: Motion) -> int:
+    """Store the momentum of the added mass of link k's appendages, before it moves."""
+    laden = chain.laden[e, k]
+    if laden[2, 2] == wp.float64(0.0):
+        s.held[e, k] = wp.vec3d()
+        return 0
+    R = turned(s.link[e, k])
+    s.held[e, k] = R * (laden * (wp.transpose(R) * s.twist[e, k]))
+    return 0
+
+
+@wp.func
+def held(e: int, k: int, h: wp.float64, s: Motion) -> wp.vec3d:
+    """That momentum about the centre of mass of link k, which has moved meanwhile."""
+    P = s.held[e, k]
+    V = s.twist[e, k]
+    return wp.vec3d(P[0], P[1], P[2] - h * (V[0] * P[1] - V[1] * P[0]))
 
 
 @wp.func

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.robot.appended import about
 from sim.robot.effects import Outside
 from sim.robot.shape import Hull
 from sim2real.arrays import Array, Index
@@ -39,6 +40,8 @@ _KINDS: Mapping[str, Any] = {
     "mass": wp.vec2d,
     "water": wp.vec2d,
     "resist": wp.vec4d,
+    "point": wp.vec4d,
+    "laden": wp.mat33d,
     "skin": wp.vec4d,
     "tether": wp.vec3d,
     "current": wp.vec2d,
@@ -60,9 +63,16 @@ def chain_rows(masses: Masses, servos: Array, outside: Outside, E: int) -> dict[
     """
     J, L = servos.shape[1], servos.shape[1] + 1
     flat = np.ascontiguousarray(servos).reshape(E * J, len(COLUMNS))
+    com = np.broadcast_to(masses.com + outside.com, (E, L))
+    side = np.broadcast_to(outside.side, (E, L))
+    point = np.array(np.broadcast_to(outside.point, (E, L, *outside.point.shape[-2:])))
+    point[..., 0] = com[..., None] - point[..., 0]
+    point[..., 1] -= side[..., None]
     return {
-        "com": np.broadcast_to(masses.com + outside.com, (E, L)),
-        "side": np.broadcast_to(outside.side, (E, L)),
+        "com": com,
+        "side": side,
+        "point": point,
+        "laden": about(np.broadcast_to(outside.laden, (E, L, 3, 3)), -com, side),
         "rough": np.broadcast_to(outside.rough, (E, L)),
         "skin": np.broadcast_to(outside.skin, (E, J, 4)),
         "coupling": np.broadcast_to(outside.coupling, (E,)),

@@ -15,7 +15,9 @@ from scipy.optimize import brentq
 
 from sim.fluid.section import RAMP
 from sim.lattice.units import WATER_KG_M3
+from sim2real.appendages import Appendage
 from sim2real.arrays import Array
+from sim2real.errors import InputError
 from sim2real.robot import Robot
 
 _NOSE, _TIP = 0.6, 0.3
@@ -66,40 +68,51 @@ def _profile(size: Array, nose: float, tip: float) -> Array:
     return np.stack([front, middle, back], axis=1)
 
 
-def draught(hull: Hull, mass_kg: float) -> float | None:
+def draught(hull: Hull, mass_kg: float, appendages: tuple[Appendage, ...] = ()) -> float | None:
     """Height in m of the surface above the middle of the floating robot; None where it sinks.
 
-    A floating robot displaces its own mass of water: Archimedes' principle.
+    A floating robot displaces its own mass of water, with hull and appendages: Archimedes'
+    principle.
     """
     parts = (hull.length, hull.half_width, hull.half_height)
-    return _draught(tuple(part.tobytes() for part in parts), hull.length.size, mass_kg)
+    return _draught(tuple(p.tobytes() for p in parts), hull.length.size, mass_kg, appendages)
 
 
 @lru_cache(maxsize=64)
-def _draught(parts: tuple[bytes, ...], links: int, mass_kg: float) -> float | None:
+def _draught(
+    parts: tuple[bytes, ...], links: int, mass_kg: float, appendages: tuple[Appendage, ...]
+) -> float | None:
     length, wide, high = (np.frombuffer(part) for part in parts)
     hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
     step = hull.body_length / 60
 
     def excess_mass(surface: float) -> float:
         volume = displaced(hull, step, 0.0, False, surface)[:, 0].sum()
+        volume += sum(appendage.displaced_m3(surface) for appendage in appendages)
         return float(WATER_KG_M3 * volume) - mass_kg
 
-    highest = float(hull.half_height.max())
+    reach = [appendage.at_m[2] + appendage.size_m[2] / 2 for appendage in appendages]
+    highest = max(float(hull.half_height.max()), *reach, 0.0)
     if excess_mass(highest) <= 0:
         return None
     return float(brentq(excess_mass, -highest, highest, xtol=1e-4))
 
 
-def afloat(hull: Hull, mass_kg: float, flat: bool) -> tuple[Hull, float]:
-    """The hull with its heights scaled so that it displaces its own mass, wholly under water.
+def afloat(
+    hull: Hull, mass_kg: float, flat: bool, appendages: tuple[Appendage, ...] = ()
+) -> tuple[Hull, float]:
+    """The hull with its heights scaled so that the robot displaces its own mass, under water.
 
     Returns:
         The hull, and the depth in m that replaces its heights in two dimensions.
     """
     fine = float(hull.half_width.min()) / 2
     volume = displaced(hull, max(fine, hull.body_length / 150), 0.0, flat)[:, 0].sum()
-    share = mass_kg / (WATER_KG_M3 * float(volume))
+    carried = sum(appendage.displaced_m3(np.inf) for appendage in appendages)
+    share = (mass_kg / WATER_KG_M3 - carried) / float(volume)
+    if share <= 0:
+        found = f"appendages that displace {WATER_KG_M3 * carried:.3g} kg of water"
+        raise InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
     return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
 
 

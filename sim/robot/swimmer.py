@@ -85,6 +85,7 @@ class Swimmer:
         n_envs: Number of boxes E.
         units: Size of a cell and of a time step.
         substeps: Time steps of the fluid per control period.
+        surface_m: Height of the water's surface above the robot's middle.
         fluid, bodies: Fluid and robots; their Warp arrays are the current state.
         step_count: Control periods since the start.
     """
@@ -144,8 +145,7 @@ class Swimmer:
         flat = dimensions == 2
         self.hull = hull if hull is not None else hull_of(robot)
         _check(robot, self.hull, box_m, cell_m)
-        mass = sum(link.mass_kg for link in robot.links)
-        self.hull, depth, immersion_m = _submerged(self.hull, mass, flat, depth_m, box_m[2])
+        self.hull, depth, self.surface_m = _submerged(robot, self.hull, flat, depth_m, box_m[2])
         if substeps is None:
             substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:
@@ -171,11 +171,11 @@ class Swimmer:
             threads=threads,
         )
         nx, ny, nz = self.tank.size
-        self.outside = outside(robot, models, self.hull)
+        self.outside = outside(robot, models, self.hull, self.surface_m)
         if self.outside.wall.any() or (walls and self.outside.current.any()):
             name = "wall_effect" if self.outside.wall.any() else "pool_current with walls"
             raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
-        middle = nz - 0.5 - immersion_m / cell_m
+        middle = nz - 0.5 - self.surface_m / cell_m
         self.bodies = Bodies(
             self.fluid,
             self.hull,
@@ -241,7 +241,7 @@ class Swimmer:
             which: Indices of the boxes, shape (n,).
             models: Their models.
         """
-        effects = outside(self.robot, models, self.hull)
+        effects = outside(self.robot, models, self.hull, self.surface_m)
         inertial = masses(self.robot, models, self.hull)
         self.bodies.adopt(which, inertial, servo_rows(self.robot, models), effects)
         self.outside = changed(self.outside, effects, which, self.n_envs)
@@ -372,14 +372,15 @@ def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
 
 
 def _submerged(
-    hull: Hull, mass_kg: float, flat: bool, depth_m: float | None, water_m: float
+    robot: Robot, hull: Hull, flat: bool, depth_m: float | None, water_m: float
 ) -> tuple[Hull, float, float]:
     """The hull, the depth that replaces its heights in 2D, and the depth of its middle."""
+    mass = sum(link.mass_kg for link in robot.links)
     if depth_m is None and not flat:
-        depth_m = draught(hull, mass_kg)
+        depth_m = draught(hull, mass, robot.appendages)
         if depth_m is not None:
             return hull, 0.0, depth_m
-    hull, depth = afloat(hull, mass_kg, flat)
+    hull, depth = afloat(hull, mass, flat, robot.appendages)
     return hull, depth, water_m / 2 if depth_m is None else depth_m
 
 

@@ -20,7 +20,7 @@ from sim.robot.chain import RING, Chain, Motion
 from sim.robot.joints import drive, stop_joints
 from sim.robot.linear import factorise, solve
 from sim.robot.multibody import column, move_links, pose_links
-from sim.robot.outside import pull, resist, skin
+from sim.robot.outside import appendages, held, hold, pull, resist, skin
 from sim.twin import law as twin_law
 from sim2real.effects import SIGNATURE
 from sim2real.servo.effect_chain import SENSOR_BITS, arrival_time, measured_angle
@@ -170,6 +170,8 @@ def advance_twin(
             across * (before[0] * c + before[1] * d) - ahead * (before[1] * c - before[0] * d)
         )
         R = wp.vec3d(m[0] * V[0] + before[0], m[0] * V[1] + before[1], m[1] * V[2] + before[2])
+        R += held(e, k, h, s)
+        laden = appendages(e, k, h, chain, s)
         tether = zero
         if k == 0:
             R += pull(e, h, chain, s)
@@ -192,7 +194,7 @@ def advance_twin(
                 (m[0] + tether) * a[1] + f_t * d + f_n * c,
                 m[1] * a[2] + a1 * at_n + a2 * a[2],
             )
-            Ka += resist(e, k, h, a, chain, s)
+            Ka += resist(e, k, h, a, chain, s) + laden * a
             for j in range(i + 1):
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
     for k in range(J):
@@ -209,6 +211,7 @@ def advance_twin(
     move_links(e, chain, s)
     for k in range(L):
         water.carried[e, k] = impulse(e, k, chain, s, water)
+        hold(e, k, chain, s)
         stir(e, k, h, s, water)
     s.clock[e] = s.clock[e] + h
     return 0
@@ -279,6 +282,7 @@ def start_twin(chain: Chain, s: Motion, water: Water, mask: wp.array(dtype=wp.in
     move_links(e, chain, s)
     for k in range(chain.length.shape[0]):
         water.carried[e, k] = impulse(e, k, chain, s, water)
+        hold(e, k, chain, s)
 
 
 @wp.kernel(enable_backward=False)

@@ -15,6 +15,7 @@ import numpy as np
 from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull, afloat, draught
 from sim2real.arrays import Array
+from sim2real.robot import Robot
 
 POINTS = 3
 """Points of Gaussian quadrature on a link."""
@@ -111,13 +112,16 @@ class Sections:
     share: Array
 
 
-def hull_in_water(hull: Hull, mass_kg: float) -> tuple[Hull, float]:
-    """The floating hull, and the height of the water's surface above its middle in m.
+def hull_in_water(robot: Robot, hull: Hull) -> tuple[Hull, float]:
+    """The hull of the floating robot, and the height of the water's surface above it in m.
 
-    A hull that would sink is scaled to displace its own mass; the height is then infinite.
+    The hull of a robot that would sink is scaled to displace its own mass; the height is infinite.
     """
-    above = draught(hull, mass_kg)
-    return (hull, above) if above is not None else (afloat(hull, mass_kg, False)[0], np.inf)
+    mass = sum(link.mass_kg for link in robot.links)
+    above = draught(hull, mass, robot.appendages)
+    if above is not None:
+        return hull, above
+    return afloat(hull, mass, False, robot.appendages)[0], np.inf
 
 
 def sections(hull: Hull, above: float) -> Sections:

@@ -44,6 +44,7 @@ class Twin:
         robot: The robot.
         n_envs: Number of robots E.
         period_s: Control period in s.
+        surface_m: Height of the water's surface above the robot's middle; infinite under water.
         step_count: Control periods since the start.
     """
 
@@ -84,9 +85,9 @@ class Twin:
             raise InputError("twin", "model", f"{len(models)} models", f"{n_envs}, one a robot")
         self.device: Any = wp.get_device(device)
         shape = hull if hull is not None else hull_of(robot)
-        self.hull, above = hull_in_water(shape, sum(link.mass_kg for link in robot.links))
-        self._sections = sections(self.hull, above)
-        self.outside = outside(robot, models, self.hull)
+        self.hull, self.surface_m = hull_in_water(robot, shape)
+        self._sections = sections(self.hull, self.surface_m)
+        self.outside = outside(robot, models, self.hull, self.surface_m)
         if coefficients is None:
             laws = [Coefficients.of(body_model.body) for body_model in models]
         elif isinstance(coefficients, Coefficients):
@@ -136,6 +137,7 @@ class Twin:
         s = self.motion = Motion()
         s.q, s.v, s.b = (zeros((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force = (zeros((E, L), wp.vec3d) for _ in range(4))
+        s.held = zeros((E, L), wp.vec3d)
         s.torque, s.impulse, s.stop = (zeros((E, J), wp.float64) for _ in range(3))
         s.measured, s.strain = (zeros((E, J), wp.float64) for _ in range(2))
         s.clock = zeros((E,), wp.float64)
@@ -155,7 +157,7 @@ class Twin:
     def adopt(self, which: Index, models: Sequence[Model]) -> None:
         """Assign other models to some robots, before their ``reset``; as ``Swimmer.adopt``."""
         laws = [Coefficients.of(model.body) for model in models]
-        effects = outside(self.robot, models, self.hull)
+        effects = outside(self.robot, models, self.hull, self.surface_m)
         chain, water = self._rows(models, laws, effects)
         change_rows(self.chain, chain, which)
         change_rows(self.water, water, which)

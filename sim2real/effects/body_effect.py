@@ -28,6 +28,9 @@ class Forces:
         rough: Additional friction coefficient of each link's surface, (L,).
         resist: For each link, linear drag in N s/m, quadratic drag along its axis in N s2/m2, and
             added mass normal to it and in rotation as shares of the displaced water, (L, 4).
+        areas: Relative error of the drag areas of the robot file's appendages.
+        lacking: Drag area in m2 that the file lacks, along and across its link.
+        lacking_at: Its distance in m behind the front of the straight robot.
         skin: For the skin over each joint, stiffness in N m/rad, damping in N m s/rad, stiffness
             that relaxes in N m/rad and its relaxation time in s, (L - 1, 4).
         coupling: Stiffness in N m/rad between neighbouring joints.
@@ -46,6 +49,9 @@ class Forces:
     rough: Array = field(init=False)
     resist: Array = field(init=False)
     skin: Array = field(init=False)
+    areas: float = 0.0
+    lacking: float = 0.0
+    lacking_at: float = 0.0
     coupling: float = 0.0
     tether: Array = field(default_factory=lambda: np.zeros(3))
     trim: float = 0.0
