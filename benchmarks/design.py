@@ -53,12 +53,15 @@ or half of the parameter itself."""
 def drawn(plant: str, rng: np.random.Generator, nuisances: float) -> Any:  # noqa: ANN401
     """A servo of a plant, alone on its bus, on a pendulum or on a plain inertia.
 
-    ``nuisances`` scales its cogging and the eccentricity of its sensor.
+    ``nuisances`` scales its cogging and the eccentricity of its sensor. Servos limited in current
+    are left out: the no-load speed that their data sheets state is arbitrary.
     """
     from bench import Load
     from foreign_servos import draw_servos
 
     servo = draw_servos(plant, rng)[0]
+    while servo.current_limited:
+        servo = draw_servos(plant, rng)[0]
     if rng.random() < 0.5:
         servo.loads["a"] = Load(servo.loads["a"].inertia_kgm2)
     servo.nuisances["ripple_Nm"] *= nuisances
