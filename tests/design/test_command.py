@@ -120,7 +120,9 @@ def test_promise_and_outcome_over_a_bus_that_loses_packets(folder):
             servo.terminate()
             servo.communicate(timeout=10)
         recording = read_recording(out)
-        if recording.metadata["outcome"]["late_999_s"] > 0.004:
+        late = recording.metadata["outcome"]["late_999_s"]
+        answered = np.nanquantile(recording.columns["round_trip_s"], 0.99)
+        if max(late, answered / 2) > 0.004 or np.isnan(recording.position).mean() > 0.04:
             pytest.skip("this machine is too busy to keep the schedule of a bus")
         joint = identify([recording], read_robot("robot.toml"), law="pd").joints["j1"]
         widths[name] = {n: np.ptp(joint.interval[n]) / 2 / TRUTH[n] for n in TRUTH}
