@@ -119,11 +119,15 @@ def test_promise_and_outcome_over_a_bus_that_loses_packets(folder):
         finally:
             servo.terminate()
             servo.communicate(timeout=10)
-        joint = identify([read_recording(out)], read_robot("robot.toml"), law="pd").joints["j1"]
+        recording = read_recording(out)
+        late = recording.metadata["outcome"]["late_999_s"]
+        answered = np.nanquantile(recording.columns["round_trip_s"], 0.99)
+        if max(late, answered / 2) > 0.004 or np.isnan(recording.position).mean() > 0.04:
+            pytest.skip("this machine is too busy to keep the schedule of a bus")
+        joint = identify([recording], read_robot("robot.toml"), law="pd").joints["j1"]
         widths[name] = {n: np.ptp(joint.interval[n]) / 2 / TRUTH[n] for n in TRUTH}
         estimates = {n: getattr(joint, n) / TRUTH[n] - 1 for n in TRUTH}
     expected = json.loads((folder / "next.json").read_text())["design"]["j1"]["expected"]
-    print(widths, estimates)
     assert max(widths["design"].values()) < 0.8 * max(widths["steps"].values())
     for name, error in estimates.items():
         promised = expected[name]["relative_half_width"]
