@@ -7,7 +7,28 @@ from pathlib import Path
 
 from sim2real.commands.command import Command
 
-_BUS = "bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
+_PORT = "port: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
+
+
+def _add_bus(command: argparse.ArgumentParser, *, port_required: bool = False) -> None:
+    """The bus, its port and its rate."""
+    command.add_argument("--port", required=port_required, metavar="URL", help=_PORT)
+    _add_protocol(command)
+
+
+def _add_protocol(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--bus",
+        default="lx",
+        metavar="NAME",
+        help="protocol of the servos: lx, dynamixel (2.0) or feetech (default lx)",
+    )
+    command.add_argument(
+        "--baud",
+        type=int,
+        metavar="N",
+        help="bits per second (default 115200 for lx, 1000000 for the others)",
+    )
 
 
 def _record(command: argparse.ArgumentParser) -> None:
@@ -22,7 +43,7 @@ def _record(command: argparse.ArgumentParser) -> None:
         required=True,
         help="the robot, for the limits of its joints (robot.toml)",
     )
-    command.add_argument("--port", metavar="URL", help=_BUS)
+    _add_bus(command)
     command.add_argument(
         "--ids", metavar="LIST", help="id of the servo of each joint, such as 1,2,3"
     )
@@ -33,7 +54,8 @@ def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--trim",
         metavar="LIST",
-        help="offset of each servo in ticks: position at angle 0 minus 500, such as 4,0,-2",
+        help="offset of each servo in ticks, such as 4,0,-2: position at angle 0 minus that at the "
+        "centre of the servo",
     )
     command.add_argument(
         "--reverse",
@@ -86,12 +108,7 @@ def _record(command: argparse.ArgumentParser) -> None:
 
 
 def _scan(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--port",
-        required=True,
-        metavar="URL",
-        help=_BUS,
-    )
+    _add_bus(command, port_required=True)
     command.add_argument(
         "--ids",
         default="0-253",
@@ -101,6 +118,12 @@ def _scan(command: argparse.ArgumentParser) -> None:
 
 
 def _virtual_servo(command: argparse.ArgumentParser) -> None:
+    _add_protocol(command)
+    command.add_argument(
+        "--servo",
+        metavar="NAME",
+        help="model of the servos (default XL330-M288 or STS3215)",
+    )
     command.add_argument(
         "--ids", default="1", metavar="LIST", help="ids of the servos, such as 1,2,3 (default 1)"
     )

@@ -1,32 +1,35 @@
-"""A bus of LX servos: requests and replies with deadlines."""
+"""Packets over a transport: requests and replies with deadlines."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
+from typing import Generic, TypeVar
 
-from sim2real.hardware.lx import Decoder, Packet, encode, expects_reply, is_reply
+from sim2real.hardware.frames import FrameDecoder
 from sim2real.hardware.transport import Transport
 
+P = TypeVar("P")
 
-class Bus:
+
+class Wire(Generic[P]):
     """Requests and replies over one transport. A missing reply is None and counted.
 
-    On one wire the host receives an echo of what it sends; an echo lacks the parameters of a reply
-    and is ignored, as is any other unexpected packet.
+    Unexpected packets are ignored, such as the echo of a request on a single wire.
 
     Args:
-        transport: The transport, which the bus closes.
+        transport: The transport, which the wire closes.
+        decoder: Decoder of what arrives.
 
     Attributes:
         asked: Number of expected replies.
         missed: Number of expected replies that did not arrive in time.
     """
 
-    def __init__(self, transport: Transport) -> None:
+    def __init__(self, transport: Transport, decoder: FrameDecoder[P]) -> None:
         self._transport = transport
-        self._decoder = Decoder()
+        self._decoder = decoder
         self.asked = 0
         self.missed = 0
 
@@ -45,29 +48,32 @@ class Bus:
         """Number of corrupted packets."""
         return self._decoder.garbled
 
-    def exchange(self, packets: Sequence[Packet], deadline: float) -> list[Packet | None]:
-        """Send packets together and wait for the replies.
+    def exchange(
+        self, data: bytes, expected: Sequence[Callable[[P], bool]], deadline: float
+    ) -> list[P | None]:
+        """Send bytes and wait for the replies.
 
         Args:
-            packets: Packets in order; if not ``together``, only the last may be a request.
+            data: Encoded requests.
+            expected: For each expected reply whether a packet is that reply.
             deadline: Time limit, by ``time.monotonic``.
 
         Returns:
-            The reply to each packet; None if it is missing or none was expected.
+            The expected replies in order; None for those that are missing.
 
         Raises:
             OSError: If the port is lost.
         """
-        replies: list[Packet | None] = [None] * len(packets)
-        due = [k for k, packet in enumerate(packets) if expects_reply(packet)]
+        replies: list[P | None] = [None] * len(expected)
+        due = list(range(len(expected)))
         self.asked += len(due)
-        self._transport.write(b"".join(encode(packet) for packet in packets))
+        self._transport.write(data)
         while due:
-            data = self._transport.read(deadline)
-            if not data:
+            arrived = self._transport.read(deadline)
+            if not arrived:
                 break
-            for packet in self._decoder.feed(data):
-                k = next((k for k in due if is_reply(packets[k], packet)), None)
+            for packet in self._decoder.feed(arrived):
+                k = next((k for k in due if expected[k](packet)), None)
                 if k is not None:
                     replies[k] = packet
                     due.remove(k)
@@ -76,10 +82,6 @@ class Bus:
         self.missed += len(due)
         return replies
 
-    def ask(self, servo_id: int, command: int, within_s: float) -> Packet | None:
-        """The reply of one servo to one request, or None."""
-        return self.exchange([Packet(servo_id, command)], time.monotonic() + within_s)[0]
-
     def drain(self) -> None:
         """Discard late replies, so that they are not taken for replies to later requests."""
         deadline = time.monotonic() + 0.001
@@ -87,7 +89,7 @@ class Bus:
             pass
         self._decoder.clear()
 
-    def __enter__(self) -> Bus:
+    def __enter__(self) -> Wire[P]:
         return self
 
     def __exit__(

@@ -1,0 +1,379 @@
+"""Buses whose servos are controlled by reading and writing registers."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import TracebackType
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+from sim2real.errors import InputError
+from sim2real.hardware import servo_models
+from sim2real.hardware.frames import FrameDecoder
+from sim2real.hardware.registers import TORQUE, Layout, Register
+from sim2real.hardware.servo_bus import (
+    INSISTENCE,
+    PATIENCE_S,
+    Cycle,
+    Found,
+    Reading,
+    Scale,
+    Servo,
+    Stopped,
+)
+from sim2real.hardware.servo_models import ServoModel
+from sim2real.hardware.transport import Transport
+from sim2real.hardware.wire import Wire
+
+P = TypeVar("P")
+T = TypeVar("T")
+_SCAN = ("present_position", "present_voltage", "present_temperature")
+
+
+class RegisterBus(ABC, Generic[P]):
+    """A bus of servos with registers, which are set and read together.
+
+    A write is confirmed by reading the register, so that it does not matter whether the servo
+    answers to writes, and which answers are lost.
+
+    Args:
+        transport: The transport, which the bus closes.
+        baud: Bits per second.
+    """
+
+    name: ClassVar[str]
+    baud_rates: ClassVar[tuple[int, ...]]
+    largest_id: ClassVar[int]
+
+    def __init__(self, transport: Transport, baud: int) -> None:
+        self.wire: Wire[P] = Wire(transport, self._decoder())
+        self._baud = baud
+        self._models: dict[int, ServoModel] = {}
+
+    @abstractmethod
+    def _decoder(self) -> FrameDecoder[P]:
+        """A decoder of status packets."""
+
+    @abstractmethod
+    def _read(self, servo_id: int, address: int, count: int) -> bytes:
+        """The instruction to read ``count`` bytes."""
+
+    @abstractmethod
+    def _write(self, servo_id: int, address: int, data: bytes) -> bytes:
+        """The instruction to write bytes."""
+
+    @abstractmethod
+    def _sync_read(self, ids: Sequence[int], address: int, count: int) -> bytes:
+        """The instruction to read ``count`` bytes of several servos."""
+
+    @abstractmethod
+    def _sync_write(self, address: int, data: Mapping[int, bytes]) -> bytes:
+        """The instruction to write bytes, as many for each servo."""
+
+    @abstractmethod
+    def _data(self, packet: P, servo_id: int) -> bytes | None:
+        """The data of a status packet of this servo without an error; None for any other packet."""
+
+    @abstractmethod
+    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
+        """The number of the servo's model, or None if it does not answer; one request."""
+
+    @abstractmethod
+    def _status_bytes(self, count: int) -> int:
+        """Length of a status packet with ``count`` bytes of data."""
+
+    @property
+    def garbled(self) -> int:
+        """Number of corrupted packets until now."""
+        return self.wire.garbled
+
+    def answers(self, servo_id: int, patience_s: float) -> bool:
+        """Whether a servo has this identity; one request."""
+        return self._ask_number(servo_id, patience_s) is not None
+
+    def look(self, servo_id: int, patience_s: float) -> Found:
+        """The state of a servo that answers; nothing is written to it."""
+        number = self._insisted(lambda: self._ask_number(servo_id, patience_s))
+        model = None if number is None else servo_models.model_of(self.name, number)
+        if model is None:
+            name = "-" if number is None else f"model {number}"
+            return Found(servo_id, name, None, None, None, None, None, (f"unknown {name}",))
+        layout, values = model.layout, dict[str, int]()
+        for names in (_SCAN, (TORQUE,), ("errors",), ("min_voltage",), ("max_voltage",)):
+            ask = partial(self.ask, servo_id, *layout.span(names), patience_s)
+            data = self._insisted(ask)
+            values |= {} if data is None else layout.decode(names, data)
+        return _found(servo_id, model, values)
+
+    def servo(self, servo_id: int) -> Servo:
+        """Model and scale of a servo, which must control its position."""
+        model = self._model(servo_id)
+        layout = model.layout
+        if layout.position_modes:
+            mode = self._value(servo_id, "operating_mode")
+            if mode not in layout.position_modes:
+                modes = layout.position_modes.items()
+                known = ", ".join(f"{number} ({what})" for number, what in modes)
+                raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
+        return Servo(servo_id, model.name, self._scale(servo_id, model), _quantities(model))
+
+    def settings(self, servo_id: int) -> dict[str, Any]:
+        """Settings of a servo: registers by name, and its gains in the manual's units."""
+        model = self._model(servo_id)
+        registers = {name: self._value(servo_id, name) for name in model.layout.settings}
+        gains = {name: registers[name] / divisor for name, divisor in model.gains.items()}
+        settings = {"model": model.name, "baud": self._baud, "registers": registers}
+        return settings | ({"gains": gains} if gains else {})
+
+    def saved(self, servo_id: int) -> dict[str, int]:
+        """Values that ``begin`` changes and ``restore`` restores, as they are now."""
+        layout = self._model(servo_id).layout
+        # a Bus Watchdog that has expired reads -1, and is cleared by writing 0
+        return {name: max(self._value(servo_id, name), 0) for name in layout.changed}
+
+    def reading(self, servo_id: int) -> Reading:
+        """Present values of a servo that must answer."""
+        model = self._model(servo_id)
+        start, count = model.layout.span(model.layout.reported)
+        data = self._insist(servo_id, lambda: self.ask(servo_id, start, count, PATIENCE_S))
+        return _reading(model, data)
+
+    def begin(self, goals: Mapping[int, int]) -> None:
+        """Hold these set-points (ticks by identity) with the torque on, without motion profile."""
+        for servo_id, ticks in goals.items():
+            changed = self._model(servo_id).layout.changed
+            self._must_set(servo_id, dict.fromkeys(changed, 0))
+            self._must_set(servo_id, {"goal_position": ticks, TORQUE: 1})
+        for servo_id in goals:  # last, as a watchdog runs from then on
+            changed = self._model(servo_id).layout.changed
+            self._must_set(servo_id, {name: value for name, value in changed.items() if value})
+
+    def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
+        """Send set-points (ticks by identity) and read every servo."""
+        self.wire.drain()
+        models = {servo_id: self._model(servo_id) for servo_id in goals}
+        data = {k: self._goal(models[k].layout, ticks) for k, ticks in goals.items()}
+        address = next(iter(models.values())).layout["goal_position"].address
+        write = self._sync_write(address, data)
+        begin = time.monotonic()
+        sent_s = begin + self._wire_s(len(write))
+        blocks: dict[int, bytes | None] = {}
+        for after, group in self._groups(models):
+            remaining = deadline - time.monotonic()
+            limit = time.monotonic() + remaining / (after + 1)
+            blocks |= self._ask_group(write, group, limit)
+            write = b""
+        answered = any(block is not None for block in blocks.values())
+        device_s = self.wire.device_s
+        readings = (
+            Reading() if (block := blocks[servo_id]) is None else _reading(models[servo_id], block)
+            for servo_id in goals
+        )
+        return Cycle(
+            sent_s=sent_s,
+            readings=tuple(readings),
+            round_trip_s=time.monotonic() - begin if answered else math.nan,
+            device_s=device_s if answered and device_s is not None else math.nan,
+        )
+
+    def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
+        """Switch the torque of a servo off and restore what ``begin`` changed."""
+        try:
+            self._model(servo_id)
+        except (Stopped, InputError):
+            return False
+        released = self.set(servo_id, TORQUE, 0)
+        return all([self.set(servo_id, name, value) for name, value in saved.items()]) and released
+
+    def cycle_s(self, count: int) -> float:
+        """Time on the wire of a cycle with so many servos."""
+        model = next(iter(self._models.values()))
+        _, size = model.layout.span(model.layout.reported)
+        request = self._sync_read(range(count), 0, size)
+        write = self._sync_write(0, dict.fromkeys(range(count), bytes(4)))
+        return self._wire_s(len(write) + len(request) + count * self._status_bytes(size))
+
+    def ask(self, servo_id: int, address: int, count: int, within_s: float) -> bytes | None:
+        """Bytes of the memory of a servo, or None; one request."""
+        request = self._read(servo_id, address, count)
+        return self._exchange(request, servo_id, count, within_s)
+
+    def set(self, servo_id: int, name: str, value: int) -> bool:
+        """Write a register until it reads so; returns whether it does.
+
+        Raises:
+            ValueError: If the register is kept without supply (EEPROM), where nothing is written.
+        """
+        layout = self._model(servo_id).layout
+        register = layout[name]
+        if register.address < layout.volatile_from:
+            raise ValueError(f"{name} is in the EEPROM")
+        data = register.encode(value, layout.order)
+        for _ in range(INSISTENCE):
+            self._exchange(self._write(servo_id, register.address, data), servo_id, 0, PATIENCE_S)
+            if self.ask(servo_id, register.address, register.size, PATIENCE_S) == data:
+                return True
+        return False
+
+    def _must_set(self, servo_id: int, values: Mapping[str, int]) -> None:
+        for name, value in values.items():
+            if not self.set(servo_id, name, value):
+                raise Stopped(f"servo {servo_id} does not accept {value} as its {name}")
+
+    def _ask_group(
+        self, write: bytes, ids: Sequence[int], deadline: float
+    ) -> dict[int, bytes | None]:
+        """Present values of servos that are read by one instruction, after a write."""
+        layout = self._models[ids[0]].layout
+        start, count = layout.span(layout.reported)
+        request = (
+            self._sync_read(ids, start, count)
+            if layout.sync_read
+            else self._read(ids[0], start, count)
+        )
+        echoes = self._decoder().feed(request)
+        expected = [self._expected(servo_id, count, echoes) for servo_id in ids]
+        replies = self.wire.exchange(write + request, expected, deadline)
+        return {
+            servo_id: None if reply is None else self._data(reply, servo_id)
+            for servo_id, reply in zip(ids, replies, strict=True)
+        }
+
+    def _groups(self, models: Mapping[int, ServoModel]) -> list[tuple[int, list[int]]]:
+        """Servos that are read together, each with the number of groups after it."""
+        together = [k for k, model in models.items() if model.layout.sync_read]
+        groups = [together] if together else []
+        groups += [[k] for k, model in models.items() if not model.layout.sync_read]
+        return list(zip(reversed(range(len(groups))), groups, strict=True))
+
+    def _exchange(self, request: bytes, servo_id: int, count: int, within_s: float) -> bytes | None:
+        self.wire.drain()
+        expected = [self._expected(servo_id, count, self._decoder().feed(request))]
+        deadline = time.monotonic() + within_s + self._wire_s(len(request))
+        (reply,) = self.wire.exchange(request, expected, deadline)
+        return None if reply is None else self._data(reply, servo_id)
+
+    def _expected(self, servo_id: int, count: int, echoes: Sequence[P]) -> Callable[[P], bool]:
+        """Whether a packet is the answer with ``count`` bytes, and not the request's echo."""
+
+        def expected(packet: P) -> bool:
+            data = self._data(packet, servo_id)
+            return data is not None and len(data) == count and packet not in echoes
+
+        return expected
+
+    def _model(self, servo_id: int) -> ServoModel:
+        if servo_id not in self._models:
+            number = self._agreed(servo_id, lambda: self._ask_number(servo_id, PATIENCE_S))
+            model = servo_models.model_of(self.name, number)
+            if model is None:
+                known = "one of " + ", ".join(servo_models.names(self.name))
+                raise InputError(f"servo {servo_id}", "model", f"number {number}", known)
+            self._models[servo_id] = model
+        return self._models[servo_id]
+
+    def _scale(self, servo_id: int, model: ServoModel) -> Scale:
+        low, high = (self._value(servo_id, f"{end}_position") for end in ("min", "max"))
+        if low == high:  # several turns
+            low, high = 0, math.floor(model.ticks_per_turn) - 1
+        return model.scale(low, high)
+
+    def _value(self, servo_id: int, name: str) -> int:
+        """A register of a servo that must answer."""
+        layout = self._model(servo_id).layout
+        register: Register = layout[name]
+        data = self._agreed(
+            servo_id, lambda: self.ask(servo_id, register.address, register.size, PATIENCE_S)
+        )
+        return register.decode(data, layout.order)
+
+    def _agreed(self, servo_id: int, ask: Callable[[], T | None]) -> T:
+        """The first of two successive answers that agree: a checksum of one byte may err."""
+        answer = self._insist(servo_id, ask)
+        for _ in range(INSISTENCE):
+            again = self._insist(servo_id, ask)
+            if again == answer:
+                break
+            answer = again
+        return answer
+
+    def _insist(self, servo_id: int, ask: Callable[[], T | None]) -> T:
+        answer = self._insisted(ask)
+        if answer is None:
+            raise Stopped(f"no reply from servo {servo_id} ({self.name}, {self._baud} baud)")
+        return answer
+
+    @staticmethod
+    def _insisted(ask: Callable[[], T | None]) -> T | None:
+        answers = (ask() for _ in range(INSISTENCE))
+        return next((answer for answer in answers if answer is not None), None)
+
+    def _goal(self, layout: Layout, ticks: int) -> bytes:
+        return layout["goal_position"].encode(ticks, layout.order)
+
+    def _wire_s(self, count: int) -> float:
+        return 10 * count / self._baud
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.wire.__exit__(kind, error, trace)
+
+
+def _quantities(model: ServoModel) -> tuple[str, ...]:
+    drive = [] if model.current_unit_A is None else ["current_A"]
+    if "present_current" in model.layout.registers or not drive:
+        drive.append("load")
+    return ("velocity_rad_s", *drive, "temperature_C")
+
+
+def _reading(model: ServoModel, data: bytes) -> Reading:
+    """Present values in physical units."""
+    values = model.layout.decode(model.layout.reported, data)
+    tick_rad = model.scale(0, 0).tick_rad
+    velocity_unit = model.layout.velocity_unit_rad_s or tick_rad
+    current = load = math.nan
+    if "present_current" in values and model.current_unit_A is not None:
+        current = values["present_current"] * model.current_unit_A
+    elif model.current_unit_A is not None:  # one register for either
+        current = values["present_load"] * model.current_unit_A
+    if "load" in _quantities(model):
+        load = values["present_load"] / 1000
+    return Reading(
+        position_ticks=values["present_position"],
+        goal_ticks=values["goal_position"],
+        velocity_rad_s=values["present_velocity"] * velocity_unit,
+        current_A=current,
+        load=load,
+        supply_V=values["present_voltage"] / 10,
+        temperature_C=float(values["present_temperature"]),
+    )
+
+
+def _found(servo_id: int, model: ServoModel, values: Mapping[str, int]) -> Found:
+    ticks, tenths = values.get("present_position"), values.get("present_voltage")
+    bits = values.get("errors", 0)
+    errors = [what for bit, what in model.layout.errors.items() if bits >> bit & 1]
+    low, high = values.get("min_voltage"), values.get("max_voltage")
+    if tenths is not None and low is not None and high is not None and not low <= tenths <= high:
+        errors.append(f"supply outside {low / 10:.1f} to {high / 10:.1f} V")
+    powered = values.get(TORQUE)
+    return Found(
+        servo_id,
+        model=model.name,
+        ticks=ticks,
+        angle_rad=None if ticks is None else model.scale(0, 0).angle(ticks),
+        supply_V=None if tenths is None else tenths / 10,
+        temperature_C=values.get("present_temperature"),
+        powered=None if powered is None else powered != 0,
+        errors=tuple(errors),
+    )
