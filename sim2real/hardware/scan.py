@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from sim2real.hardware.servo_bus import Found, ServoBus
 
-ATTEMPTS = 2  # to find a servo
+ATTEMPTS = 3  # to find a servo
 
 
 def scan(bus: ServoBus, ids: Iterable[int], patience_s: float) -> tuple[list[Found], list[int]]:

@@ -98,6 +98,7 @@ class VirtualBus(Generic[P]):
         self._rng, self._noise, self._loss = rng, noise, loss
         self._echo, self._fast = echo, fast
         self._heard = 0.0
+        self._free = 0.0  # time at which the last byte has passed the wire
 
     def advance(self) -> None:
         """Advance all servos to the present time."""
@@ -107,20 +108,21 @@ class VirtualBus(Generic[P]):
     def receive(self, data: bytes) -> Iterator[bytes]:
         """Process bytes of the host; yields each reply after its transmission time.
 
-        A servo acts on a packet when its last byte has arrived.
+        A servo acts on a packet when its last byte has arrived, by the time of the wire: delays of
+        this program do not add up.
         """
         now = time.monotonic()
         if now - self._heard > QUIET_S:
             self._decoder.clear()
         self._heard = now
+        self._free = max(self._free, now)
         if self._echo:
             yield data
         for packet in self._decoder.feed(self.spoil(data)):
             self._wait(len(packet.parameters) + self._speech.overhead)
             if self.lost():
                 continue
-            now = time.monotonic()
-            replies = [(servo, servo.handle(packet, now)) for servo in self._ordered(packet)]
+            replies = [(servo, servo.handle(packet, self._free)) for servo in self._ordered(packet)]
             for servo, reply in replies:
                 if reply is not None and not self.lost():
                     answer = self._speech.encode(reply)
@@ -153,4 +155,5 @@ class VirtualBus(Generic[P]):
 
     def _wait(self, count: int, delay_s: float = 0.0) -> None:
         if not self._fast:
-            time.sleep(10 * count / self.baud + delay_s)
+            self._free += 10 * count / self.baud + delay_s
+            time.sleep(max(self._free - time.monotonic(), 0.0))
