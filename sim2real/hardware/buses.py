@@ -54,7 +54,7 @@ def bus_class(name: str) -> type[ServoBus]:
 def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connection]:
     """Context manager of an open bus.
 
-    If a command on this port was killed, its servos are restored first.
+    If an earlier command on this port could not restore its servos, this is done first.
 
     Args:
         name: Name of the bus.
@@ -91,7 +91,7 @@ def _on(transport: Transport, name: str, baud: int) -> ServoBus:
 
 
 def _restore(port: str, changed: Changed, journal: Journal) -> None:
-    """Restore the servos that a killed command left changed, and say so in one line."""
+    """Restore the servos that an earlier command left changed, and say so in one line."""
     with _on(open_transport(port, baud=changed.baud), changed.bus, changed.baud) as bus:
         left = {k: saved for k, saved in changed.servos.items() if not bus.restore(k, saved)}
     listed = ", ".join(str(k) for k in changed.servos)
@@ -101,5 +101,5 @@ def _restore(port: str, changed: Changed, journal: Journal) -> None:
         outcome = f"no confirmation from {silent} (if they are gone, delete {journal.path})"
     else:
         journal.clear()
-        outcome = "torque off, limits as before"
-    print(f"{port}: an earlier command was killed; servos {listed}: {outcome}", file=sys.stderr)
+        outcome = "torque off, limits restored"
+    print(f"{port}: servos {listed}, left on by an earlier command: {outcome}", file=sys.stderr)

@@ -119,7 +119,8 @@ class LxBus:
         return {}
 
     def saved(self, servo_id: int) -> dict[str, int]:
-        """Nothing: only the torque changes, which is off in the end."""
+        """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
+        self._insist(servo_id, BusCommand.LOAD_READ)
         return {}
 
     def reading(self, servo_id: int) -> Reading:

@@ -10,7 +10,7 @@ from sim2real.cli import main
 from sim2real.hardware.priority import priority
 from sim2real.hardware.virtual_bus import VirtualBus
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_servo import VirtualServo
+from sim2real.hardware.virtual_lx import LX, VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 
 LAW = Law()
@@ -60,7 +60,8 @@ class Served:
             self.port = port
             announced.set()
 
-        bus = VirtualBus(self.servos, np.random.default_rng(0), echo=echo, byte_s=0.0)
+        rng = np.random.default_rng(0)
+        bus = VirtualBus(self.servos, LX, rng, echo=echo, baud=115_200, fast=True)
         stop = self._pulled.is_set
         if udp:
             where = ("127.0.0.1", 0)
