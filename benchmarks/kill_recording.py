@@ -36,8 +36,8 @@ from sim2real.hardware.virtual_shaft import Law
 
 LIMITS = {"profile_velocity": 60, "profile_acceleration": 9}
 LOSS, NOISE = 0.02, 0.001
-SECONDS = 0.8  # of a recording
-LATEST_S = 2.2  # of a kill, after the start of the program
+SECONDS = 1.0  # of a recording
+LATEST_S = 2.6  # of a kill, after the start of the program
 ROBOT = """
 name = "bench"
 [servos.s]

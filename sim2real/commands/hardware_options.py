@@ -107,6 +107,63 @@ def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument("--plot", type=Path, metavar="PNG", help="plot of the signal to write")
 
 
+def _bench(command: argparse.ArgumentParser) -> None:
+    _add_bus(command, port_required=True)
+    command.add_argument(
+        "--ids", required=True, metavar="LIST", help="ids of the servos, such as 1 or 1,2,3"
+    )
+    command.add_argument(
+        "--out",
+        type=Path,
+        default=Path("bench"),
+        metavar="FOLDER",
+        help="folder for recording, robot, model and page (default bench)",
+    )
+    command.add_argument(
+        "--mass", metavar="LIST", help="mass of the load on each servo, kg (asked for by default)"
+    )
+    command.add_argument(
+        "--arm", metavar="LIST", help="distance of that mass from each shaft, m (with --mass)"
+    )
+    command.add_argument(
+        "--inertia",
+        metavar="LIST",
+        help="inertia of the load on each servo, kg m2, instead of --mass and --arm",
+    )
+    command.add_argument(
+        "--unknown-load", action="store_true", help="identify per unit of inertia, ask nothing"
+    )
+    command.add_argument(
+        "--shaft",
+        choices=("horizontal", "vertical"),
+        default="horizontal",
+        help="horizontal (default): the mass hangs straight down at the centre of the servo; "
+        "vertical: no gravity",
+    )
+    command.add_argument(
+        "--reach",
+        type=float,
+        default=0.6,
+        metavar="RAD",
+        help="largest deviation from the centre, rad (default 0.6)",
+    )
+    command.add_argument(
+        "--robot",
+        type=Path,
+        help="limits and data sheet, one joint per servo (robot.toml); by default those of the "
+        "servo's model are written to the folder",
+    )
+    command.add_argument("--seconds", type=float, default=30.0, help="duration, s (default 30)")
+    command.add_argument(
+        "--max-temperature",
+        type=float,
+        default=65.0,
+        metavar="C",
+        help="stop when a servo is hotter, degrees Celsius (default 65)",
+    )
+    command.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+
+
 def _scan(command: argparse.ArgumentParser) -> None:
     _add_bus(command, port_required=True)
     command.add_argument(
@@ -280,6 +337,12 @@ COMMANDS = (
         "sim2real.commands.record",
         _record,
         "sim2real record steps --robot robot.toml --port /dev/ttyUSB0 --ids 1,2,3 --out steps.csv",
+    ),
+    Command(
+        "bench",
+        "sim2real.commands.bench",
+        _bench,
+        "sim2real bench --bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
     ),
     Command(
         "scan",

@@ -9,8 +9,7 @@ from tqdm import tqdm
 
 from sim2real.errors import InputError
 from sim2real.hardware.buses import bus_class, connection
-from sim2real.hardware.scan import scan
-from sim2real.hardware.servo_bus import Found
+from sim2real.hardware.scan import scan, table
 
 LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 32 * 10  # a request and its reply on the wire
@@ -40,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"id {servo_id}: a corrupted answer, possibly of two servos with this id")
         if servos:
             options.result = servos
-            print(_table(servos))
+            print(table(servos))
             if baud != kind.baud_rates[0] and options.baud is None:
                 print(f"They answer at {baud} baud{_ADVICE[options.bus]}.")
             return 0
@@ -58,25 +57,6 @@ _ADVICE = {
     "dynamixel": ": pass it as --baud to other commands",
     "feetech": ": pass it as --baud to other commands",
 }
-
-
-def _table(servos: list[Found]) -> str:
-    width = max(len(servo.model) for servo in servos)
-    model = f" {'model':<{max(width, 5)}}" if width else ""
-    lines = [f"{'id':>3}{model} {'ticks':>6} {'rad':>7} {'supply':>8} {'temp':>5}  torque  errors"]
-    for servo in servos:
-        ticks = "-" if servo.ticks is None else f"{servo.ticks}"
-        angle = "-" if servo.angle_rad is None else f"{servo.angle_rad:+.3f}"
-        supply = "-" if servo.supply_V is None else f"{servo.supply_V:.2f} V"
-        temperature = "-" if servo.temperature_C is None else f"{servo.temperature_C} C"
-        torque = "-" if servo.powered is None else "on" if servo.powered else "off"
-        errors = ", ".join(servo.errors) or "none"
-        model = f" {servo.model:<{max(width, 5)}}" if width else ""
-        lines.append(
-            f"{servo.servo_id:>3}{model} {ticks:>6} {angle:>7} {supply:>8} {temperature:>5}  "
-            f"{torque:<6}  {errors}"
-        )
-    return "\n".join(lines)
 
 
 def _ids(text: str, largest: int) -> list[int]:
