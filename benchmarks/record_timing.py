@@ -82,7 +82,7 @@ def recorded(port: str, seconds: float, *, plain: bool) -> Array:
             progress=bar.update,
         )
         took = time.monotonic() - begin
-        held = [mounting.joint.name for mounting in release(bus, mountings, {})]
+        held = [str(k) for k in release(bus, {servo_id: {} for servo_id in IDS})]
         rows = read_recording(Path(folder) / "run.csv").t.size
     print(
         f"{rows} rows in {took:.2f} s (planned {signal.t.size} in {seconds:.2f} s), "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,6 +12,7 @@ from importlib import import_module
 from sim2real.errors import InputError, check_choice
 from sim2real.hardware.journal import Changed, Journal
 from sim2real.hardware.latency_timer import latency_advice
+from sim2real.hardware.motion import release
 from sim2real.hardware.servo_bus import ServoBus
 from sim2real.hardware.transport import Transport, open_transport
 
@@ -77,9 +78,9 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
         transport.close()
         raise
     with contextlib.closing(journal):
-        if changed := journal.pending():
+        if pending := journal.pending():
             transport.close()
-            _restore(port, changed, journal)
+            _restore(port, pending, journal)
             transport = open_transport(port, baud=rate)
         with _on(transport, name, rate) as bus:
             yield Connection(bus, journal, rate)
@@ -90,16 +91,18 @@ def _on(transport: Transport, name: str, baud: int) -> ServoBus:
     return bus
 
 
-def _restore(port: str, changed: Changed, journal: Journal) -> None:
+def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
     """Restore the servos that an earlier command left changed, and say so in one line."""
-    with _on(open_transport(port, baud=changed.baud), changed.bus, changed.baud) as bus:
-        left = {k: saved for k, saved in changed.servos.items() if not bus.restore(k, saved)}
-    listed = ", ".join(str(k) for k in changed.servos)
-    if left:
-        journal.write(Changed(changed.bus, changed.baud, left))
-        silent = ", ".join(str(k) for k in left)
-        outcome = f"no confirmation from {silent} (if they are gone, delete {journal.path})"
-    else:
-        journal.clear()
-        outcome = "torque off, limits restored"
+    silent = list[int]()
+    for name, baud in {(entry.bus, entry.baud): None for entry in pending}:
+        entries = {e.servo_id: e for e in pending if (e.bus, e.baud) == (name, baud)}
+        with _on(open_transport(port, baud=baud), name, baud) as bus:
+            left = release(bus, {servo_id: entry.values for servo_id, entry in entries.items()})
+        journal.forget([entry for servo_id, entry in entries.items() if servo_id not in left])
+        silent += left
+    listed = ", ".join(str(entry.servo_id) for entry in pending)
+    outcome = "torque off, limits restored"
+    if silent:
+        names = ", ".join(str(servo_id) for servo_id in silent)
+        outcome = f"no confirmation from {names} (if they are gone, delete {journal.path})"
     print(f"{port}: servos {listed}, left on by an earlier command: {outcome}", file=sys.stderr)

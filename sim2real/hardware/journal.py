@@ -7,28 +7,29 @@ import json
 import os
 import re
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
-from io import BufferedRandom
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
 
 from sim2real.errors import InputError
 
 
 @dataclass(frozen=True)
 class Changed:
-    """Servos that a command has changed.
+    """A servo that a command has changed.
 
     Attributes:
-        bus: Name of the bus.
+        bus: Name of its bus.
         baud: Bits per second.
-        servos: For each identity the values to restore, by name.
+        servo_id: Its identity.
+        values: Values to restore, by name.
     """
 
     bus: str
     baud: int
-    servos: Mapping[int, Mapping[str, int]]
+    servo_id: int
+    values: Mapping[str, int]
 
 
 def state_folder() -> Path:
@@ -43,8 +44,8 @@ def state_folder() -> Path:
 class Journal:
     """The journal of one port, which is locked: one command at a time uses a port.
 
-    It is written, and forced to the disk, before the first change; a command that is killed leaves
-    it behind, and the next one on the port restores the servos.
+    It is on the disk before the first change; a command that is killed leaves it behind, and the
+    next one on the port restores the servos.
 
     Args:
         port: The port, as given to ``--port``.
@@ -55,65 +56,70 @@ class Journal:
 
     def __init__(self, port: str) -> None:
         name = port if "://" in port else os.path.realpath(port)
-        self.path = state_folder() / "ports" / (re.sub(r"[^\w.-]+", "_", name).strip("_") + ".json")
-        self._file = self._opened()
-        if self._file is not None and not _locked(self._file):
-            self._file.close()
+        name = re.sub(r"[^\w.-]+", "_", name).strip("_")
+        self.path = state_folder() / "ports" / f"{name}.json"
+        self._lock: BinaryIO | None = None
+        with contextlib.suppress(OSError):  # reading the servos needs no journal
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = self.path.with_suffix(".lock").open("wb")
+        if self._lock is not None and not _locked(self._lock):
+            self._lock.close()
             raise InputError("--port", "", f"{port} in use by another command", "a free port")
 
-    def pending(self) -> Changed | None:
-        """What a command that was killed has left changed, or None."""
-        if self._file is None:
-            return None
-        self._file.seek(0)
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            content = json.loads(self._file.read())
-            servos = {int(k): dict(values) for k, values in content["servos"].items()}
-            return Changed(content["bus"], content["baud"], servos) if servos else None
-        return None  # empty, or cut off before anything was changed
+    def pending(self) -> list[Changed]:
+        """Servos that are changed, or that a command which was killed has left changed."""
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            entries = json.loads(self.path.read_bytes())["servos"]
+            return [Changed(e["bus"], e["baud"], e["servo_id"], e["values"]) for e in entries]
+        return []
 
-    def write(self, changed: Changed) -> None:
-        """Note what is about to be changed.
+    def note(self, about_to_change: Sequence[Changed]) -> list[Changed]:
+        """Note servos before they are changed.
+
+        Those that are noted already stay as they are: what they have now is not what they had
+        before the first change.
+
+        Returns:
+            The given servos, as they are noted.
 
         Raises:
-            InputError: If it cannot be written.
+            InputError: If the journal cannot be written.
         """
-        content: dict[str, Any] = {
-            "bus": changed.bus,
-            "baud": changed.baud,
-            "servos": {str(k): dict(values) for k, values in changed.servos.items()},
-        }
-        self._replace(json.dumps(content).encode())
+        noted = {(entry.bus, entry.servo_id): entry for entry in self.pending()}
+        for entry in about_to_change:
+            noted.setdefault((entry.bus, entry.servo_id), entry)
+        self._replace(list(noted.values()))
+        return [noted[entry.bus, entry.servo_id] for entry in about_to_change]
 
-    def clear(self) -> None:
-        """Forget the changes, which are restored."""
-        if self._file is not None:
-            self._replace(b"")
+    def forget(self, restored: Sequence[Changed]) -> None:
+        """Forget servos that are restored."""
+        gone = {(entry.bus, entry.servo_id) for entry in restored}
+        self._replace([e for e in self.pending() if (e.bus, e.servo_id) not in gone])
 
     def close(self) -> None:
         """Unlock the port."""
-        if self._file is not None:
-            self._file.close()
+        if self._lock is not None:
+            self._lock.close()
 
-    def _replace(self, content: bytes) -> None:
-        if self._file is None:
-            raise InputError(self.path, "", "a folder that can't be written", "one that can")
-        self._file.seek(0)
-        self._file.truncate()
-        self._file.write(content)
-        self._file.flush()
-        os.fsync(self._file.fileno())
-
-    def _opened(self) -> BufferedRandom | None:
+    def _replace(self, entries: Sequence[Changed]) -> None:
+        """Write the entries whole or not at all, to the disk; without entries, remove the file."""
+        if not entries:
+            self.path.unlink(missing_ok=True)
+            return
+        content = json.dumps({"servos": [asdict(entry) for entry in entries]}, indent=2)
+        temporary = self.path.with_suffix(".new")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.touch()
-            return self.path.open("r+b")
-        except OSError:
-            return None  # reading the servos needs no journal
+            with temporary.open("w", encoding="utf-8") as file:
+                file.write(content + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(self.path)
+        except OSError as error:
+            problem = f"a folder that can't be written ({error.strerror})"
+            raise InputError(self.path, "", problem, "one that can") from None
 
 
-def _locked(file: BufferedRandom) -> bool:
+def _locked(file: BinaryIO) -> bool:
     """Whether the file could be locked; a killed process loses its lock."""
     try:
         import fcntl

@@ -12,6 +12,8 @@ from sim2real.hardware.servo_bus import ServoBus, Stopped
 SPEED_RAD_S = 0.5
 SETTLE_S = 0.5
 PERIOD_S = 0.02
+ATTEMPTS = 2
+"""Attempts to release a servo, each of which insists."""
 
 
 def approach(
@@ -58,25 +60,22 @@ def approach(
         time.sleep(max(begin + now + PERIOD_S - time.monotonic(), 0.0))
 
 
-def release(
-    bus: ServoBus, mountings: Sequence[Mounting], saved: Mapping[int, Mapping[str, int]]
-) -> list[Mounting]:
+def release(bus: ServoBus, changed: Mapping[int, Mapping[str, int]]) -> list[int]:
     """Stop every servo, switch its torque off and restore its limits.
 
     Args:
         bus: The bus.
-        mountings: The servos.
-        saved: For each identity the values to restore; without an entry, nothing was changed.
+        changed: For each identity the values to restore.
 
     Returns:
-        Those that did not confirm it; their torque may still be on.
+        Identities of those that did not confirm it; their torque may still be on.
     """
     unconfirmed = []
-    for mounting in mountings:
+    for servo_id, values in changed.items():
         with contextlib.suppress(OSError):
-            if bus.restore(mounting.servo_id, saved.get(mounting.servo_id, {})):
+            if any(bus.restore(servo_id, values) for _ in range(ATTEMPTS)):
                 continue
-        unconfirmed.append(mounting)
+        unconfirmed.append(servo_id)
     return unconfirmed
 
 

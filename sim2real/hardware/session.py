@@ -143,12 +143,12 @@ def drive(
         hottest_C: Temperature at which to stop.
     """
     bus, outcome, rows = connection.bus, Outcome.of(mountings), 0
-    saved: dict[int, Mapping[str, int]] = {}
+    changed: list[Changed] = []
     with interruption() as interrupted:
         try:
-            for mounting in mountings:
-                saved[mounting.servo_id] = bus.saved(mounting.servo_id)
-            connection.journal.write(Changed(bus.name, connection.baud, saved))
+            ids = [mounting.servo_id for mounting in mountings]
+            before = [Changed(bus.name, connection.baud, k, bus.saved(k)) for k in ids]
+            changed = connection.journal.note(before)
             start = [float(angle) for angle in signal.command[0]]
             approach(bus, mountings, start, hottest_C=hottest_C, interrupted=interrupted)
             sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -173,21 +173,19 @@ def drive(
         except OSError as error:
             outcome = replace(outcome, stopped=f"the port was lost ({error.strerror or error})")
         finally:
-            unreleased = _release(connection, mountings, saved)
+            unreleased = _release(connection, mountings, changed)
     return Run(outcome, rows, tuple(unreleased), len(mountings))
 
 
 def _release(
-    connection: Connection, mountings: Sequence[Mounting], saved: Mapping[int, Mapping[str, int]]
+    connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
 ) -> list[Mounting]:
-    """Release the servos; those that do not confirm it stay in the journal."""
-    unreleased = release(connection.bus, mountings, saved)
-    left = {m.servo_id: saved[m.servo_id] for m in unreleased if m.servo_id in saved}
-    if left:
-        connection.journal.write(Changed(connection.bus.name, connection.baud, left))
-    else:
-        connection.journal.clear()
-    return unreleased
+    """Release all servos; those that are changed and do not confirm it stay in the journal."""
+    values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
+    values |= {entry.servo_id: entry.values for entry in changed}
+    left = release(connection.bus, values)
+    connection.journal.forget([entry for entry in changed if entry.servo_id not in left])
+    return [mounting for mounting in mountings if mounting.servo_id in left]
 
 
 def _summary(outcome: Outcome, rows: int) -> dict[str, Any]:

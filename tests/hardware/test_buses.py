@@ -155,8 +155,8 @@ def test_the_user_stops_it_and_limits_are_restored(tmp_path, capsys, bus, state)
         assert not servo.powered
         if bus != "lx":
             assert {name: servo.get(name) for name in LIMITS} == LIMITS
-    (journal,) = state.glob("sim2real/ports/*.json")
-    assert journal.read_bytes() == b""
+    assert list(state.glob("sim2real/ports/*.lock"))
+    assert not list(state.glob("sim2real/ports/*.json"))
 
 
 def test_limits_are_restored_by_the_next_command(capsys):
@@ -165,9 +165,9 @@ def test_limits_are_restored_by_the_next_command(capsys):
         (servo,) = bench.servos
         limit(servo, {**LIMITS, "bus_watchdog": -1})
         with connection("dynamixel", bench.port) as link:
-            saved = {1: link.bus.saved(1)}
-            assert saved == {1: {"bus_watchdog": 0, **LIMITS}}
-            link.journal.write(Changed("dynamixel", 1_000_000, saved))
+            saved = link.bus.saved(1)
+            assert saved == {"bus_watchdog": 0, **LIMITS}
+            link.journal.note([Changed("dynamixel", 1_000_000, 1, saved)])
             link.bus.begin({1: 2048})
             assert servo.powered and servo.get("profile_velocity") == 0
             with pytest.raises(InputError, match="in use by another command"):
@@ -184,21 +184,34 @@ def test_limits_are_restored_by_the_next_command(capsys):
         assert "left on" not in capsys.readouterr().err
 
 
-def test_a_servo_that_is_gone_stays_in_the_journal(capsys):
+def test_a_servo_that_did_not_answer_is_restored_later_to_what_it_had(tmp_path, capsys):
+    """Even if it is recorded again in between, when its limits are those of the first recording."""
     with served(1, bus="feetech") as bench:
+        (servo,) = bench.servos
+        before = Changed("feetech", 1_000_000, 1, LIMITS)
         journal = Journal(bench.port)
-        journal.write(Changed("feetech", 1_000_000, {1: {}, 2: {"profile_velocity": 5}}))
+        assert journal.note([before]) == [before]
         journal.close()
+        servo.connected = False
         main(["scan", "--bus", "feetech", "--port", bench.port, "--ids", "1"])
-        assert f"no confirmation from 2 (if they are gone, delete {journal.path})" in (
-            capsys.readouterr().err
-        )
+        gone = f"no confirmation from 1 (if they are gone, delete {journal.path})"
+        assert gone in capsys.readouterr().err
+        servo.connected = True
         journal = Journal(bench.port)
-        assert journal.pending() == Changed("feetech", 1_000_000, {2: {"profile_velocity": 5}})
-        for content in (b"", b"{", b'{"bus": "lx"}', b"\x00\xff", b"[]"):
-            journal.path.write_bytes(content)
-            assert journal.pending() is None, "cut off before anything was changed"
+        now = Changed("feetech", 1_000_000, 1, dict.fromkeys(LIMITS, 0))
+        assert journal.note([now]) == [before], "what it had first"
         journal.close()
+        assert record(tmp_path, bench.port, "--bus", "feetech", "--seconds", "1") == 0
+        assert {name: servo.get(name) for name in LIMITS} == LIMITS
+        assert not journal.path.exists()
+
+
+def test_a_journal_that_is_cut_off_means_nothing_was_changed(state):
+    journal = Journal("udp://127.0.0.1:9")
+    for content in (b"", b"{", b'{"bus": "lx"}', b"\x00\xff", b"[]", b'{"servos": [{}]}'):
+        journal.path.write_bytes(content)
+        assert journal.pending() == []
+    journal.close()
 
 
 @pytest.mark.parametrize("bus", REGISTERS)
