@@ -8,7 +8,7 @@ from virtual_bench import served
 
 @pytest.fixture
 def dynamixels():
-    sdk = pytest.importorskip("dynamixel_sdk", reason="no extra 'hardware': dynamixel-sdk")
+    sdk = pytest.importorskip("dynamixel_sdk", reason="no extra 'dev': dynamixel-sdk")
     with served(3, bus="dynamixel") as bench:
         port = sdk.PortHandler(bench.port)
         assert port.openPort() and port.setBaudRate(1_000_000)
@@ -18,7 +18,7 @@ def dynamixels():
 
 @pytest.fixture(params=["STS3215", "SCS0009"])
 def feetechs(request):
-    sdk = pytest.importorskip("scservo_sdk", reason="no extra 'hardware': feetech-servo-sdk")
+    sdk = pytest.importorskip("scservo_sdk", reason="no extra 'dev': feetech-servo-sdk")
     with served(3, bus="feetech", model=request.param) as bench:
         port = sdk.PortHandler(bench.port)
         assert port.openPort() and port.setBaudRate(1_000_000)
