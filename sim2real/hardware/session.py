@@ -146,9 +146,7 @@ def drive(
     changed: list[Changed] = []
     with interruption() as interrupted:
         try:
-            ids = [mounting.servo_id for mounting in mountings]
-            before = [Changed(bus.name, connection.baud, k, bus.saved(k)) for k in ids]
-            changed = connection.journal.note(before)
+            changed = note_changes(connection, mountings)
             start = [float(angle) for angle in signal.command[0]]
             approach(bus, mountings, start, hottest_C=hottest_C, interrupted=interrupted)
             sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -173,14 +171,30 @@ def drive(
         except OSError as error:
             outcome = replace(outcome, stopped=f"the port was lost ({error.strerror or error})")
         finally:
-            unreleased = _release(connection, mountings, changed)
+            unreleased = let_go(connection, mountings, changed)
     return Run(outcome, rows, tuple(unreleased), len(mountings))
 
 
-def _release(
+def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[Changed]:
+    """Note in the port's journal what is about to be changed in the servos.
+
+    Raises:
+        Stopped: If a servo does not answer.
+        InputError: If the journal cannot be written.
+    """
+    bus, ids = connection.bus, [mounting.servo_id for mounting in mountings]
+    before = [Changed(bus.name, connection.baud, k, bus.saved(k)) for k in ids]
+    return connection.journal.note(before)
+
+
+def let_go(
     connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
 ) -> list[Mounting]:
-    """Release all servos; those that are changed and do not confirm it stay in the journal."""
+    """Release all servos; those that are changed and do not confirm it stay in the journal.
+
+    Returns:
+        Servos whose torque may still be on.
+    """
     values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
     values |= {entry.servo_id: entry.values for entry in changed}
     left = release(connection.bus, values)
