@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 from sim2real.errors import InputError
 from sim2real.hardware import servo_models
 from sim2real.hardware.frames import FrameDecoder
+from sim2real.hardware.register_values import found_servo, quantities, reading_of
 from sim2real.hardware.registers import TORQUE, Layout, Register
 from sim2real.hardware.servo_bus import (
     INSISTENCE,
@@ -30,6 +31,8 @@ from sim2real.hardware.wire import Wire
 
 P = TypeVar("P")
 T = TypeVar("T")
+FIRST_SHARE = 0.5
+"""Share of a cycle's time after which an answer counts as missing."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
 
 
@@ -106,7 +109,7 @@ class RegisterBus(ABC, Generic[P]):
             ask = partial(self.ask, servo_id, *layout.span(names), patience_s)
             data = self._insisted(ask)
             values |= {} if data is None else layout.decode(names, data)
-        return _found(servo_id, model, values)
+        return found_servo(servo_id, model, values)
 
     def servo(self, servo_id: int) -> Servo:
         """Model and scale of a servo, which must control its position."""
@@ -118,7 +121,7 @@ class RegisterBus(ABC, Generic[P]):
                 modes = layout.position_modes.items()
                 known = ", ".join(f"{number} ({what})" for number, what in modes)
                 raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
-        return Servo(servo_id, model.name, self._scale(servo_id, model), _quantities(model))
+        return Servo(servo_id, model.name, self._scale(servo_id, model), quantities(model))
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""
@@ -139,7 +142,7 @@ class RegisterBus(ABC, Generic[P]):
         model = self._model(servo_id)
         start, count = model.layout.span(model.layout.reported)
         data = self._insist(servo_id, lambda: self.ask(servo_id, start, count, PATIENCE_S))
-        return _reading(model, data)
+        return reading_of(model, data)
 
     def begin(self, goals: Mapping[int, int]) -> None:
         """Hold these set-points (ticks by identity) with the torque on, without motion profile."""
@@ -161,21 +164,26 @@ class RegisterBus(ABC, Generic[P]):
         begin = time.monotonic()
         sent_s = begin + self._wire_s(len(write))
         blocks: dict[int, bytes | None] = {}
+        until = begin + FIRST_SHARE * (deadline - begin)
         for after, group in self._groups(models):
-            remaining = deadline - time.monotonic()
+            remaining = until - time.monotonic()
             limit = time.monotonic() + remaining / (after + 1)
             blocks |= self._ask_group(write, group, limit)
             write = b""
+        answered_s = time.monotonic()
+        goals_held = self._goals_held([k for k, block in blocks.items() if block is None], deadline)
         answered = any(block is not None for block in blocks.values())
         device_s = self.wire.device_s
         readings = (
-            Reading() if (block := blocks[servo_id]) is None else _reading(models[servo_id], block)
+            Reading(goal_ticks=goals_held.get(servo_id))
+            if (block := blocks[servo_id]) is None
+            else reading_of(models[servo_id], block)
             for servo_id in goals
         )
         return Cycle(
             sent_s=sent_s,
             readings=tuple(readings),
-            round_trip_s=time.monotonic() - begin if answered else math.nan,
+            round_trip_s=answered_s - begin if answered else math.nan,
             device_s=device_s if answered and device_s is not None else math.nan,
         )
 
@@ -241,6 +249,22 @@ class RegisterBus(ABC, Generic[P]):
             servo_id: None if reply is None else self._data(reply, servo_id)
             for servo_id, reply in zip(ids, replies, strict=True)
         }
+
+    def _goals_held(self, ids: Sequence[int], deadline: float) -> dict[int, int]:
+        """Set-points in effect of servos whose answer is missing, as far as the time allows.
+
+        Their positions are not asked for again: they would be later than those of the others.
+        """
+        held = {}
+        for after, servo_id in zip(reversed(range(len(ids))), ids, strict=True):
+            register = self._models[servo_id].layout["goal_position"]
+            patience = (deadline - time.monotonic()) / (after + 1)
+            if patience <= self._wire_s(3 * self._status_bytes(register.size)):
+                continue
+            data = self.ask(servo_id, register.address, register.size, patience)
+            if data is not None:
+                held[servo_id] = register.decode(data, self._models[servo_id].layout.order)
+        return held
 
     def _groups(self, models: Mapping[int, ServoModel]) -> list[tuple[int, list[int]]]:
         """Servos that are read together, each with the number of groups after it."""
@@ -327,53 +351,3 @@ class RegisterBus(ABC, Generic[P]):
         trace: TracebackType | None,
     ) -> None:
         self.wire.__exit__(kind, error, trace)
-
-
-def _quantities(model: ServoModel) -> tuple[str, ...]:
-    drive = [] if model.current_unit_A is None else ["current_A"]
-    if "present_current" in model.layout.registers or not drive:
-        drive.append("load")
-    return ("velocity_rad_s", *drive, "temperature_C")
-
-
-def _reading(model: ServoModel, data: bytes) -> Reading:
-    """Present values in physical units."""
-    values = model.layout.decode(model.layout.reported, data)
-    tick_rad = model.scale(0, 0).tick_rad
-    velocity_unit = model.layout.velocity_unit_rad_s or tick_rad
-    current = load = math.nan
-    if "present_current" in values and model.current_unit_A is not None:
-        current = values["present_current"] * model.current_unit_A
-    elif model.current_unit_A is not None:  # one register for either
-        current = values["present_load"] * model.current_unit_A
-    if "load" in _quantities(model):
-        load = values["present_load"] / 1000
-    return Reading(
-        position_ticks=values["present_position"],
-        goal_ticks=values["goal_position"],
-        velocity_rad_s=values["present_velocity"] * velocity_unit,
-        current_A=current,
-        load=load,
-        supply_V=values["present_voltage"] / 10,
-        temperature_C=float(values["present_temperature"]),
-    )
-
-
-def _found(servo_id: int, model: ServoModel, values: Mapping[str, int]) -> Found:
-    ticks, tenths = values.get("present_position"), values.get("present_voltage")
-    bits = values.get("errors", 0)
-    errors = [what for bit, what in model.layout.errors.items() if bits >> bit & 1]
-    low, high = values.get("min_voltage"), values.get("max_voltage")
-    if tenths is not None and low is not None and high is not None and not low <= tenths <= high:
-        errors.append(f"supply outside {low / 10:.1f} to {high / 10:.1f} V")
-    powered = values.get(TORQUE)
-    return Found(
-        servo_id,
-        model=model.name,
-        ticks=ticks,
-        angle_rad=None if ticks is None else model.scale(0, 0).angle(ticks),
-        supply_V=None if tenths is None else tenths / 10,
-        temperature_C=values.get("present_temperature"),
-        powered=None if powered is None else powered != 0,
-        errors=tuple(errors),
-    )
