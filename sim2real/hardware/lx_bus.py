@@ -186,6 +186,10 @@ class LxBus:
         """Time on the wire of a cycle with so many servos."""
         return (24 * count + 14) * 10 / self._baud
 
+    def sample_delay_s(self, count: int) -> float:
+        """Time on the wire of the request for a position, which follows each set-point."""
+        return 6 * 10 / self._baud
+
     def _set_load(self, servo_id: int, *, on: bool) -> bool:
         for _ in range(INSISTENCE):
             request = [load(servo_id, on), Packet(servo_id, BusCommand.LOAD_READ)]

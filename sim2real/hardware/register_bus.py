@@ -31,8 +31,10 @@ from sim2real.hardware.wire import Wire
 
 P = TypeVar("P")
 T = TypeVar("T")
-FIRST_SHARE = 0.5
+FIRST_SHARE = 0.7
 """Share of a cycle's time after which an answer counts as missing."""
+ADAPTER_S = 0.003
+"""Longest usual time of adapter and servo besides the time on the wire."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
 
 
@@ -164,7 +166,8 @@ class RegisterBus(ABC, Generic[P]):
         begin = time.monotonic()
         sent_s = begin + self._wire_s(len(write))
         blocks: dict[int, bytes | None] = {}
-        until = begin + FIRST_SHARE * (deadline - begin)
+        least = self.cycle_s(len(goals)) + ADAPTER_S
+        until = min(begin + max(FIRST_SHARE * (deadline - begin), least), deadline)
         for after, group in self._groups(models):
             remaining = until - time.monotonic()
             limit = time.monotonic() + remaining / (after + 1)
@@ -203,6 +206,10 @@ class RegisterBus(ABC, Generic[P]):
         request = self._sync_read(range(count), 0, size)
         write = self._sync_write(0, dict.fromkeys(range(count), bytes(4)))
         return self._wire_s(len(write) + len(request) + count * self._status_bytes(size))
+
+    def sample_delay_s(self, count: int) -> float:
+        """Time on the wire of the request for the positions, which follows the set-points."""
+        return self._wire_s(len(self._sync_read(range(count), 0, 1)))
 
     def ask(self, servo_id: int, address: int, count: int, within_s: float) -> bytes | None:
         """Bytes of the memory of a servo, or None; one request."""

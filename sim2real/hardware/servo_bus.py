@@ -197,6 +197,9 @@ class ServoBus(Protocol):
     def cycle_s(self, count: int) -> float:
         """Time on the wire of a cycle with so many servos."""
 
+    def sample_delay_s(self, count: int) -> float:
+        """Time from the arrival of set-points to the sampling of positions, of so many servos."""
+
     def __enter__(self) -> Self: ...
 
     def __exit__(
