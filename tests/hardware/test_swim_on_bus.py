@@ -67,14 +67,13 @@ def swim(policy, folder, port, tracker, *more, bus="dynamixel"):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("bus", ["dynamixel", "feetech"])
-def test_servos_follow_the_policy_and_are_released(policy, tmp_path, tracker, bus):
+def test_servos_follow_the_policy_and_are_released(policy, tmp_path, tracker):
     limits = {"profile_velocity": 44, "profile_acceleration": 7}
-    with served(3, bus=bus) as bench:
+    with served(3, bus="dynamixel") as bench:
         for servo in bench.servos:
             for name, value in limits.items():
                 servo.put(name, value)
-        assert swim(policy, tmp_path, bench.port, tracker, bus=bus) == 0
+        assert swim(policy, tmp_path, bench.port, tracker) == 0
         for servo in bench.servos:
             assert not servo.powered
             assert {name: servo.get(name) for name in limits} == limits
