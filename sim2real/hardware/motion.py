@@ -12,6 +12,7 @@ from sim2real.hardware.servo_bus import ServoBus, Stopped
 SPEED_RAD_S = 0.5
 SETTLE_S = 0.5
 PERIOD_S = 0.02
+LARGEST_JUMP_RAD = 0.1
 ATTEMPTS = 2
 """Attempts to release a servo, each of which insists."""
 
@@ -34,7 +35,8 @@ def approach(
         interrupted: Whether the user has asked to stop.
 
     Raises:
-        Stopped: If a servo does not answer or is too hot, or the user has asked to stop.
+        Stopped: If a servo does not answer, is too hot or outside of its range, or the user has
+            asked to stop.
         OSError: If the port is lost.
     """
     start, ways = {}, {}
@@ -42,6 +44,7 @@ def approach(
         reading = bus.reading(mounting.servo_id)
         check_temperature(mounting, reading.temperature_C, hottest_C)
         assert reading.position_ticks is not None
+        _check_range(mounting, reading.position_ticks)
         start[mounting.servo_id] = reading.position_ticks
         ways[mounting.servo_id] = mounting.ticks(angle) - reading.position_ticks
     bus.begin({m.servo_id: m.within(start[m.servo_id]) for m in mountings})
@@ -88,4 +91,14 @@ def check_temperature(mounting: Mounting, temperature_C: float, hottest_C: float
     if temperature_C > hottest_C:
         raise Stopped(
             f"{mounting.joint.name}'s servo is at {temperature_C:.0f} C, above {hottest_C:.0f} C"
+        )
+
+
+def _check_range(mounting: Mounting, ticks: int) -> None:
+    """Check that a servo can be held where it is: outside its range it would jump to the end."""
+    if abs(mounting.within(ticks) - ticks) * mounting.scale.tick_rad > LARGEST_JUMP_RAD:
+        ends = f"{mounting.scale.lowest_ticks} to {mounting.scale.largest_ticks} ticks"
+        raise Stopped(
+            f"{mounting.joint.name}'s servo is at {ticks} ticks, outside its range of {ends}: turn "
+            "it by hand"
         )

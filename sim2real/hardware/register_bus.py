@@ -33,6 +33,8 @@ P = TypeVar("P")
 T = TypeVar("T")
 FIRST_SHARE = 0.7
 """Share of a cycle's time after which an answer counts as missing."""
+TURNS = 7
+"""Turns to each side that are used of servos that do several."""
 ADAPTER_S = 0.003
 """Longest usual time of adapter and servo besides the time on the wire."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
@@ -116,14 +118,13 @@ class RegisterBus(ABC, Generic[P]):
     def servo(self, servo_id: int) -> Servo:
         """Model and scale of a servo, which must control its position."""
         model = self._model(servo_id)
-        layout = model.layout
-        if layout.position_modes:
-            mode = self._value(servo_id, "operating_mode")
-            if mode not in layout.position_modes:
-                modes = layout.position_modes.items()
-                known = ", ".join(f"{number} ({what})" for number, what in modes)
-                raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
-        return Servo(servo_id, model.name, self._scale(servo_id, model), quantities(model))
+        modes = model.layout.position_modes
+        mode = self._value(servo_id, "operating_mode") if modes else None
+        if mode is not None and mode not in modes:
+            known = ", ".join(f"{number} ({what})" for number, what in modes.items())
+            raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
+        scale = self._scale(servo_id, model, several_turns=mode in model.layout.multi_turn_modes)
+        return Servo(servo_id, model.name, scale, quantities(model))
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""
@@ -306,10 +307,11 @@ class RegisterBus(ABC, Generic[P]):
             self._models[servo_id] = model
         return self._models[servo_id]
 
-    def _scale(self, servo_id: int, model: ServoModel) -> Scale:
+    def _scale(self, servo_id: int, model: ServoModel, *, several_turns: bool) -> Scale:
         low, high = (self._value(servo_id, f"{end}_position") for end in ("min", "max"))
-        if low == high:  # several turns
-            low, high = 0, math.floor(model.ticks_per_turn) - 1
+        if several_turns or low == high:  # equal limits: several turns of a Feetech servo
+            turns = TURNS * math.floor(model.ticks_per_turn)
+            low, high = model.centre_ticks - turns, model.centre_ticks + turns
         return model.scale(low, high)
 
     def _value(self, servo_id: int, name: str) -> int:

@@ -63,8 +63,9 @@ class Layout:
         changed: Registers that a recording changes, with their values while it runs, in the order
             in which they are restored.
         position_modes: Operating modes in which a set-point is an angle, with their names.
+        multi_turn_modes: Those of them in which the stored range of positions does not apply.
         errors: Names of the bits of the register ``errors``.
-        velocity_unit: Unit of velocities in rad/s; None for ticks per second.
+        velocity_unit_rad_s: Unit of velocities in rad/s; None for ticks per second.
     """
 
     registers: Mapping[str, Register]
@@ -76,6 +77,7 @@ class Layout:
     changed: Mapping[str, int]
     position_modes: Mapping[int, str]
     errors: Mapping[int, str]
+    multi_turn_modes: tuple[int, ...] = ()
     velocity_unit_rad_s: float | None = None
 
     def __getitem__(self, name: str) -> Register:
@@ -214,6 +216,7 @@ LAYOUTS: Mapping[str, Layout] = {
         changed={"bus_watchdog": 25, "profile_velocity": 0, "profile_acceleration": 0},
         position_modes={3: "position", 4: "extended position", 5: "current-based position"},
         errors={0: "voltage", 2: "temperature", 3: "encoder", 4: "electrical", 5: "overload"},
+        multi_turn_modes=(4, 5),
         velocity_unit_rad_s=0.229 * 0.10471975511965977,  # 0.229 rev/min
     ),
     # Feetech STS and SMS, memory table of the STS series

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from virtual_bench import record, served, virtual, when_rows
+from virtual_bench import LAW, record, served, virtual, when_rows
 
 from sim2real.cli import main
 from sim2real.errors import InputError
@@ -19,6 +19,7 @@ from sim2real.hardware.journal import Changed, Journal
 from sim2real.hardware.latency_timer import latency_advice
 from sim2real.hardware.servo_bus import Stopped
 from sim2real.hardware.servo_models import model_of, servo_models
+from sim2real.hardware.virtual_shaft import Shaft
 from sim2real.recording import read_recording
 
 REGISTERS = ("dynamixel", "feetech")
@@ -139,6 +140,22 @@ def test_a_rate_that_is_too_slow_is_refused(tmp_path, capsys):
         options = ["--bus", "dynamixel", "--baud", "38400"]  # a terminal's own rate
         status = record(tmp_path, bench.port, *options, joints=3)
         refused(capsys, status, 2, "--baud: found 38400 baud", "a faster rate")
+
+
+def test_a_servo_outside_its_range_is_not_driven(tmp_path, capsys):
+    """It would jump to the end of the range; in an operating mode of several turns it is inside."""
+    with served(1, bus="dynamixel") as bench:
+        (servo,) = bench.servos
+        servo.put("max_position", 2600)
+        servo.put("min_position", 1500)
+        servo._shaft = Shaft(LAW, time.monotonic(), 1.2)  # 2830 ticks
+        status = record(tmp_path, bench.port, "--bus", "dynamixel", "--trim=0")
+        refused(capsys, status, 1, "2830 ticks, outside its range of 1500 to 2600", "torque off")
+        servo.put("operating_mode", 4)
+        servo.put("max_position", 4095)
+        more = ["--bus", "dynamixel", "--seconds", "1"]
+        assert record(tmp_path, bench.port, *more) == 0
+    assert np.nanmax(np.abs(read_recording(tmp_path / "run.csv").command)) <= 0.8
 
 
 @pytest.mark.parametrize("bus", BUSES)
