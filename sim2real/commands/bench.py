@@ -46,16 +46,21 @@ def run(options: argparse.Namespace) -> int:
         try:
             servos = _found(link, ids)
             print(table(servos))
+            text = None
             if options.robot is None:
                 text = robot_text(options.bus, servos, options.reach)
-                write_whole(folder / "robot.toml", text)
             if given is None:
                 given = [_asked(servo_id) for servo_id in ids]
+            if text is not None:
+                write_whole(folder / "robot.toml", text)
             robot = read_robot(options.robot or folder / "robot.toml")
             status = _record(options, link, robot, ids, given)
         except (Stopped, OSError) as error:
             print(f"sim2real bench: {error}", file=sys.stderr)
             return 1
+        finally:
+            if options.robot is None and not (folder / "steps.csv").exists():
+                (folder / "robot.toml").unlink(missing_ok=True)
     if status:
         return status
     recording = read_recording(folder / "steps.csv")
