@@ -35,6 +35,8 @@ FIRST_SHARE = 0.7
 """Share of a cycle's time after which an answer counts as missing."""
 TURNS = 7
 """Turns to each side that are used of servos that do several."""
+QUIET_S = 0.02
+"""Silence after a missing answer before the next request."""
 ADAPTER_S = 0.003
 """Longest usual time of adapter and servo besides the time on the wire."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
@@ -137,8 +139,10 @@ class RegisterBus(ABC, Generic[P]):
     def saved(self, servo_id: int) -> dict[str, int]:
         """Values that ``begin`` changes and ``restore`` restores, as they are now."""
         layout = self._model(servo_id).layout
+        names = _restored(layout)
+        block = self._agreed(servo_id, lambda: self._block(servo_id, names))
         # a Bus Watchdog that has expired reads -1, and is cleared by writing 0
-        return {name: max(self._value(servo_id, name), 0) for name in layout.changed}
+        return {name: max(layout.decode(names, block)[name], 0) for name in layout.changed}
 
     def reading(self, servo_id: int) -> Reading:
         """Present values of a servo that must answer."""
@@ -230,9 +234,16 @@ class RegisterBus(ABC, Generic[P]):
         data = register.encode(value, layout.order)
         for _ in range(INSISTENCE):
             self._exchange(self._write(servo_id, register.address, data), servo_id, 0, PATIENCE_S)
-            if self.ask(servo_id, register.address, register.size, PATIENCE_S) == data:
+            names = _restored(layout) if name in _restored(layout) else (name,)
+            block = self._block(servo_id, names)
+            if block is not None and layout.decode(names, block)[name] == value:
                 return True
+            self.wire.drain(QUIET_S)
         return False
+
+    def _block(self, servo_id: int, names: Sequence[str]) -> bytes | None:
+        """The smallest block of the memory with these registers; one request."""
+        return self.ask(servo_id, *self._models[servo_id].layout.span(names), PATIENCE_S)
 
     def _must_set(self, servo_id: int, values: Mapping[str, int]) -> None:
         for name, value in values.items():
@@ -339,10 +350,13 @@ class RegisterBus(ABC, Generic[P]):
             raise Stopped(f"no reply from servo {servo_id} ({self.name}, {self._baud} baud)")
         return answer
 
-    @staticmethod
-    def _insisted(ask: Callable[[], T | None]) -> T | None:
-        answers = (ask() for _ in range(INSISTENCE))
-        return next((answer for answer in answers if answer is not None), None)
+    def _insisted(self, ask: Callable[[], T | None]) -> T | None:
+        for _ in range(INSISTENCE):
+            answer = ask()
+            if answer is not None:
+                return answer
+            self.wire.drain(QUIET_S)  # a late answer would pass for that to another request
+        return None
 
     def _goal(self, layout: Layout, ticks: int) -> bytes:
         return layout["goal_position"].encode(ticks, layout.order)
@@ -360,3 +374,12 @@ class RegisterBus(ABC, Generic[P]):
         trace: TracebackType | None,
     ) -> None:
         self.wire.__exit__(kind, error, trace)
+
+
+def _restored(layout: Layout) -> tuple[str, ...]:
+    """Registers that are restored, which are read in one block.
+
+    An answer does not tell which address was read. No other block has the length of this one, so
+    that no late answer to another request passes for it.
+    """
+    return (TORQUE, *layout.changed)

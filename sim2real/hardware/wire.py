@@ -82,10 +82,14 @@ class Wire(Generic[P]):
         self.missed += len(due)
         return replies
 
-    def drain(self) -> None:
-        """Discard late replies, so that they are not taken for replies to later requests."""
-        deadline = time.monotonic() + 0.001
-        while self._transport.read(0.0) and time.monotonic() < deadline:
+    def drain(self, quiet_s: float = 0.0) -> None:
+        """Discard late replies, so that they are not taken for replies to later requests.
+
+        Args:
+            quiet_s: Silence to wait for.
+        """
+        deadline = time.monotonic() + 0.001 + 5 * quiet_s
+        while self._transport.read(time.monotonic() + quiet_s) and time.monotonic() < deadline:
             pass
         self._decoder.clear()
 

@@ -17,6 +17,7 @@ from sim2real.hardware.dynamixel_bus import DynamixelBus
 from sim2real.hardware.feetech_bus import FeetechBus
 from sim2real.hardware.journal import Changed, Journal
 from sim2real.hardware.latency_timer import latency_advice
+from sim2real.hardware.registers import LAYOUTS
 from sim2real.hardware.servo_bus import Stopped
 from sim2real.hardware.servo_models import model_of, servo_models
 from sim2real.hardware.virtual_shaft import Shaft
@@ -241,6 +242,15 @@ def test_nothing_is_written_to_the_eeprom(bus):
             link.bus.set(1, "min_position", 0)
         with pytest.raises(Stopped, match="no reply from servo 4"):
             link.bus.servo(4)
+
+
+@pytest.mark.parametrize("family", LAYOUTS)
+def test_what_is_restored_is_read_in_a_block_of_a_length_of_its_own(family):
+    """A late answer to another request, which does not tell its address, can't pass for it."""
+    layout = LAYOUTS[family]
+    _, own = layout.span(("torque_enable", *layout.changed))
+    single = {register.size for register in layout.registers.values()}
+    assert own not in single | {3, layout.span(layout.reported)[1]}, "3: the answer to a ping"
 
 
 class Noise:
