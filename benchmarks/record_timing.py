@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sim2real.arrays import Array
-from sim2real.hardware.bus import Bus
+from sim2real.hardware.lx_bus import LxBus, lx_servo
 from sim2real.hardware.motion import approach, release
 from sim2real.hardware.mounting import mount
 from sim2real.hardware.priority import priority
@@ -59,14 +59,14 @@ def main() -> None:
 def recorded(port: str, seconds: float, *, plain: bool) -> Array:
     """How late each cycle began, in s."""
     robot = read_robot(ROBOT)
-    mountings = mount(robot, IDS)
+    mountings = mount(robot, [lx_servo(servo_id) for servo_id in IDS])
     rng = np.random.default_rng(0)
     signal = excitation("steps", robot.joints, seconds=seconds, rate_hz=RATE_HZ, rng=rng)
     sidecar = {"schema": SCHEMA, "kind": "servo", "joints": list(signal.joints)}
     with (
         TemporaryDirectory() as folder,
         nullcontext(False) if plain else priority() as granted,
-        Bus(open_transport(port)) as bus,
+        LxBus(open_transport(port)) as bus,
         RowStream(Path(folder) / "run.csv", columns(mountings), sidecar) as stream,
         tqdm(total=signal.t.size, unit="row", disable=None) as bar,
     ):
@@ -82,7 +82,7 @@ def recorded(port: str, seconds: float, *, plain: bool) -> Array:
             progress=bar.update,
         )
         took = time.monotonic() - begin
-        held = release(bus, mountings)
+        held = [str(k) for k in release(bus, {servo_id: {} for servo_id in IDS})]
         rows = read_recording(Path(folder) / "run.csv").t.size
     print(
         f"{rows} rows in {took:.2f} s (planned {signal.t.size} in {seconds:.2f} s), "

@@ -43,6 +43,7 @@ COMMANDS = {
     "robot": (_EXCHANGE, "write a robot.toml from a URDF or MJCF, and list missing fields"),
     "export-servo": (_EXCHANGE, "export identified actuators to another simulator"),
     "export-ranges": (_EXCHANGE, "export randomization ranges to another simulator"),
+    "bench": (_HARDWARE, "scan, record and identify servos on a bench, and write a page"),
     "record": (_HARDWARE, "play a signal on servos and record their positions"),
     "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
     "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),
@@ -53,7 +54,9 @@ COMMANDS = {
 }
 """Module of options and summary of each command, in the order of the help."""
 
-_SMALL_MATRICES = ("check", "identify", "design", "diagnose", "ranges", "calibrate", "demo")
+_SMALL_MATRICES = (
+    "bench", "check", "identify", "design", "diagnose", "ranges", "calibrate", "demo",
+)  # fmt: skip
 """Commands that multiply only small matrices, between rollouts that use all cores: threads of a
 linear algebra library would occupy cores in busy waiting."""
 

@@ -268,11 +268,42 @@ def _swim(command: argparse.ArgumentParser) -> None:
         metavar="X,Y",
         help="target in the frame of the pool, m; write negative values as --target=-1,0.5",
     )
-    command.add_argument("--port", metavar="URL", help="radio of the robot: udp://HOST:PORT")
+    command.add_argument(
+        "--port",
+        metavar="URL",
+        help="radio of the robot: udp://HOST:PORT; with --bus the port of its servos",
+    )
+    command.add_argument(
+        "--bus",
+        metavar="NAME",
+        help="drive servos on a bus of this computer: lx, dynamixel or feetech",
+    )
+    command.add_argument("--baud", type=int, metavar="N", help="bits per second, with --bus")
+    command.add_argument("--ids", metavar="LIST", help="ids of the servos, with --bus: 1,2,3")
+    command.add_argument(
+        "--reverse",
+        nargs="+",
+        metavar="JOINT",
+        help="joints whose servo turns in the opposite direction, with --bus",
+    )
+    command.add_argument(
+        "--pose",
+        metavar="URL",
+        help="address of this computer to which a tracker sends poses, with --bus: udp://HOST:PORT",
+    )
+    command.add_argument(
+        "--max-temperature",
+        type=float,
+        default=65.0,
+        metavar="C",
+        help="stop when a servo is hotter, with --bus, degrees Celsius (default 65)",
+    )
     command.add_argument(
         "--virtual", action="store_true", help="drive a virtual robot, simulated in the twin"
     )
-    command.add_argument("--robot", type=Path, help="the virtual robot (robot.toml)")
+    command.add_argument(
+        "--robot", type=Path, help="the robot, with --virtual or --bus (robot.toml)"
+    )
     command.add_argument(
         "--model", type=Path, help="servos and body of the virtual robot (MODEL.json)"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +21,7 @@ from sim2real.errors import InputError
 from sim2real.hardware.interruption import interruption
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
+from sim2real.robot import Robot, read_robot
 
 LONGEST_S = 3600.0
 FEWEST_ROWS = 2
@@ -42,9 +43,9 @@ def run(options: argparse.Namespace) -> int:
     policy = _policy(options.policy)
     pilot = Pilot(policy, target, options.seconds)
     with (
-        _robot(options, policy) as url,
-        Link(url, len(policy.joints)) as link,
         interruption() as stop,
+        _robot(options, policy, stop) as url,
+        Link(url, len(policy.joints)) as link,
         tqdm(total=options.seconds, desc="swim", bar_format=_BAR, disable=None) as bar,
     ):
         track = swim(link, pilot, interrupted=stop, progress=bar.update)
@@ -85,28 +86,79 @@ def _policy(path: Path) -> Policy:
 
 
 @contextmanager
-def _robot(options: argparse.Namespace, policy: Policy) -> Iterator[str]:
-    """URL of the robot; a virtual one runs until the block ends."""
+def _robot(options: argparse.Namespace, policy: Policy, stop: Callable[[], bool]) -> Iterator[str]:
+    """URL of the robot; a virtual one, or one on a bus, runs until the block ends."""
+    if options.bus is not None:
+        with _on_bus(options, policy, stop) as url:
+            yield url
+        return
     if not options.virtual:
         if options.port is None:
-            raise InputError("--port", "", "nothing", "udp://HOST:PORT, or --virtual")
+            raise InputError("--port", "", "nothing", "udp://HOST:PORT, --bus or --virtual")
         yield options.port
         return
-    for name in ("robot", "model"):
-        if getattr(options, name) is None:
-            raise InputError(f"--{name}", "", "nothing", "it, for --virtual")
     from rl.deploy.virtual_robot import virtual_robot
     from sim.twin.twin import Twin
     from sim2real.model import read_model
-    from sim2real.robot import read_robot
 
+    _needs(options, "robot", "model", why="--virtual")
+    robot = _described(options, policy)
+    with virtual_robot(Twin(robot, read_model(options.model), threads=1)) as url:
+        yield url
+
+
+@contextmanager
+def _on_bus(options: argparse.Namespace, policy: Policy, stop: Callable[[], bool]) -> Iterator[str]:
+    """URL of a robot whose servos are on a bus of this computer."""
+    from rl.deploy.bus_robot import bus_robot
+    from sim2real.hardware.buses import bus_class, connection
+    from sim2real.hardware.priority import priority
+    from sim2real.hardware.servo_bus import Stopped
+    from sim2real.hardware.session import Wiring, mounted
+
+    _needs(options, "port", "ids", "robot", "pose", why="--bus")
+    robot = _described(options, policy)
+    try:
+        ids = [int(number) for number in options.ids.split(",")]
+    except ValueError:
+        raise InputError("--ids", "", repr(options.ids), "whole numbers, as 1,2,3") from None
+    wiring = Wiring(ids, reverse=options.reverse)
+    wiring.check(robot, bus_class(options.bus).largest_id)
+    rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
+    try:
+        with (
+            priority(),
+            connection(options.bus, options.port, options.baud) as link,
+            bus_robot(
+                link,
+                mounted(link, robot, wiring),
+                rest,
+                options.pose,
+                hottest_C=options.max_temperature,
+                interrupted=stop,
+            ) as (url, driven),
+        ):
+            yield url
+            if driven.stopped:
+                print(f"sim2real swim: {driven.stopped}", file=sys.stderr)
+    except Stopped as error:
+        raise InputError("--port", "", str(error), "servos that answer") from None
+
+
+def _needs(options: argparse.Namespace, *names: str, why: str) -> None:
+    for name in names:
+        if getattr(options, name) is None:
+            raise InputError(f"--{name}", "", "nothing", f"it, for {why}")
+
+
+def _described(options: argparse.Namespace, policy: Policy) -> Robot:
+    """The robot, whose joints are those of the policy."""
     robot = read_robot(options.robot)
     names = tuple(joint.name for joint in robot.joints)
     if names != policy.joints:
         expected = f"those of the policy, {', '.join(policy.joints)}"
         raise InputError(options.robot, "joints", ", ".join(names), expected)
-    with virtual_robot(Twin(robot, read_model(options.model), threads=1)) as url:
-        yield url
+    return robot
 
 
 def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Recording:

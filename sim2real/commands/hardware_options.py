@@ -7,7 +7,28 @@ from pathlib import Path
 
 from sim2real.commands.command import Command
 
-_BUS = "bus: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
+_PORT = "port: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
+
+
+def _add_bus(command: argparse.ArgumentParser, *, port_required: bool = False) -> None:
+    """The bus, its port and its rate."""
+    command.add_argument("--port", required=port_required, metavar="URL", help=_PORT)
+    _add_protocol(command)
+
+
+def _add_protocol(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--bus",
+        default="lx",
+        metavar="NAME",
+        help="protocol of the servos: lx, dynamixel (2.0) or feetech (default lx)",
+    )
+    command.add_argument(
+        "--baud",
+        type=int,
+        metavar="N",
+        help="bits per second (default 115200 for lx, 1000000 for the others)",
+    )
 
 
 def _record(command: argparse.ArgumentParser) -> None:
@@ -22,7 +43,7 @@ def _record(command: argparse.ArgumentParser) -> None:
         required=True,
         help="the robot, for the limits of its joints (robot.toml)",
     )
-    command.add_argument("--port", metavar="URL", help=_BUS)
+    _add_bus(command)
     command.add_argument(
         "--ids", metavar="LIST", help="id of the servo of each joint, such as 1,2,3"
     )
@@ -33,7 +54,8 @@ def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--trim",
         metavar="LIST",
-        help="offset of each servo in ticks: position at angle 0 minus 500, such as 4,0,-2",
+        help="offset of each servo in ticks, such as 4,0,-2: position at angle 0 minus that at the "
+        "centre of the servo",
     )
     command.add_argument(
         "--reverse",
@@ -85,13 +107,65 @@ def _record(command: argparse.ArgumentParser) -> None:
     command.add_argument("--plot", type=Path, metavar="PNG", help="plot of the signal to write")
 
 
-def _scan(command: argparse.ArgumentParser) -> None:
+def _bench(command: argparse.ArgumentParser) -> None:
+    _add_bus(command, port_required=True)
     command.add_argument(
-        "--port",
-        required=True,
-        metavar="URL",
-        help=_BUS,
+        "--ids", required=True, metavar="LIST", help="ids of the servos, such as 1 or 1,2,3"
     )
+    command.add_argument(
+        "--out",
+        type=Path,
+        default=Path("bench"),
+        metavar="FOLDER",
+        help="folder for recording, robot, model and page (default bench)",
+    )
+    command.add_argument(
+        "--mass", metavar="LIST", help="mass of the load on each servo, kg (asked for by default)"
+    )
+    command.add_argument(
+        "--arm", metavar="LIST", help="distance of that mass from each shaft, m (with --mass)"
+    )
+    command.add_argument(
+        "--inertia",
+        metavar="LIST",
+        help="inertia of the load on each servo, kg m2, instead of --mass and --arm",
+    )
+    command.add_argument(
+        "--unknown-load", action="store_true", help="identify per unit of inertia, ask nothing"
+    )
+    command.add_argument(
+        "--shaft",
+        choices=("horizontal", "vertical"),
+        default="horizontal",
+        help="horizontal (default): the mass hangs straight down at the centre of the servo; "
+        "vertical: no gravity",
+    )
+    command.add_argument(
+        "--reach",
+        type=float,
+        default=0.6,
+        metavar="RAD",
+        help="largest deviation from the centre, rad (default 0.6)",
+    )
+    command.add_argument(
+        "--robot",
+        type=Path,
+        help="limits and data sheet, one joint per servo (robot.toml); by default those of the "
+        "servo's model are written to the folder",
+    )
+    command.add_argument("--seconds", type=float, default=30.0, help="duration, s (default 30)")
+    command.add_argument(
+        "--max-temperature",
+        type=float,
+        default=65.0,
+        metavar="C",
+        help="stop when a servo is hotter, degrees Celsius (default 65)",
+    )
+    command.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+
+
+def _scan(command: argparse.ArgumentParser) -> None:
+    _add_bus(command, port_required=True)
     command.add_argument(
         "--ids",
         default="0-253",
@@ -101,6 +175,12 @@ def _scan(command: argparse.ArgumentParser) -> None:
 
 
 def _virtual_servo(command: argparse.ArgumentParser) -> None:
+    _add_protocol(command)
+    command.add_argument(
+        "--servo",
+        metavar="NAME",
+        help="model of the servos (default XL330-M288 or STS3215)",
+    )
     command.add_argument(
         "--ids", default="1", metavar="LIST", help="ids of the servos, such as 1,2,3 (default 1)"
     )
@@ -257,6 +337,12 @@ COMMANDS = (
         "sim2real.commands.record",
         _record,
         "sim2real record steps --robot robot.toml --port /dev/ttyUSB0 --ids 1,2,3 --out steps.csv",
+    ),
+    Command(
+        "bench",
+        "sim2real.commands.bench",
+        _bench,
+        "sim2real bench --bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
     ),
     Command(
         "scan",

@@ -5,29 +5,22 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.bus import Bus
-from sim2real.hardware.interruption import interruption
-from sim2real.hardware.motion import Stopped, approach, release
-from sim2real.hardware.mounting import Mounting, mount
+from sim2real.hardware.buses import bus_class, connection
 from sim2real.hardware.priority import priority
-from sim2real.hardware.recorder import Outcome, columns, record
-from sim2real.hardware.row_stream import FEWEST_ROWS, RowStream
-from sim2real.hardware.transport import open_transport
+from sim2real.hardware.servo_bus import Stopped
+from sim2real.hardware.session import RATE_HZ, Run, Wiring, bus_settings, drive, mounted
 from sim2real.output import check_writable, provenance
 from sim2real.recording import SCHEMA
 from sim2real.robot import Joint, Robot, read_robot
 from sim2real.signals import UNIT, Excitation, Shape, excitation, played
 from sim2real.structured import read_json
 
-RATE_HZ = 50.0
 _PLANNED = ("loads", "context", "rivals")
 HOTTEST_POSSIBLE_C = 85.0  # where the servos switch off by themselves
 
@@ -45,67 +38,25 @@ def run(options: argparse.Namespace) -> int:
         print(_described(signal, joints))
         _plot(options.plot, signal, joints)
         return 0
-    mountings = _mountings(options, robot)
-    sidecar = _sidecar(options, robot, signal, mountings)
+    wiring = _wiring(options, robot)
+    sidecar = _sidecar(options, robot, signal)
     _check_out(options)
     _plot(options.plot, signal, joints)
     for note in signal.notes:
         print(note)
-    with priority(), Bus(open_transport(options.port)) as bus:
-        outcome, rows, unreleased = _drive(options, bus, mountings, signal, sidecar)
-    return _report(options.out, outcome, rows, mountings, unreleased)
-
-
-def _drive(
-    options: argparse.Namespace,
-    bus: Bus,
-    mountings: Sequence[Mounting],
-    signal: Excitation,
-    sidecar: dict[str, Any],
-) -> tuple[Outcome, int, list[str]]:
-    """Move to the start, record, and release the servos in any case.
-
-    Returns:
-        The outcome, the number of rows, and the joints whose torque may still be on.
-    """
-    outcome, rows = Outcome({mounting.joint.name: 0 for mounting in mountings}), 0
-    hottest = options.max_temperature
-    with interruption() as interrupted:
+    with priority(), connection(options.bus, options.port, options.baud) as link:
         try:
-            start = [float(angle) for angle in signal.command[0]]
-            approach(bus, mountings, start, hottest_C=hottest, interrupted=interrupted)
-            sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
-            with (
-                RowStream(options.out, columns(mountings), sidecar) as stream,
-                tqdm(total=signal.t.size, desc="record", unit="row", disable=None) as bar,
-            ):
-                outcome = record(
-                    bus,
-                    mountings,
-                    signal.command,
-                    stream.write,
-                    rate_hz=RATE_HZ,
-                    hottest_C=hottest,
-                    interrupted=interrupted,
-                    progress=bar.update,
-                )
-                rows = stream.rows
-                stream.add(outcome=_summary(outcome, rows))
-        except Stopped as stop:
-            outcome.stopped = str(stop)
-        except OSError as error:
-            outcome.stopped = f"the port was lost ({error.strerror or error})"
-        finally:
-            unreleased = release(bus, mountings)
-    return outcome, rows, unreleased
+            mountings = mounted(link, robot, wiring)
+            sidecar["bus"] = bus_settings(link, options.port, mountings)
+        except (Stopped, OSError) as error:
+            print(f"sim2real record: {error}; nothing written", file=sys.stderr)
+            return 1
+        limit = options.max_temperature
+        run = drive(link, mountings, signal, options.out, sidecar, hottest_C=limit)
+    return _report(options.out, run)
 
 
-def _sidecar(
-    options: argparse.Namespace,
-    robot: Robot,
-    signal: Excitation,
-    mountings: Sequence[Mounting],
-) -> dict[str, Any]:
+def _sidecar(options: argparse.Namespace, robot: Robot, signal: Excitation) -> dict[str, object]:
     return {
         "schema": SCHEMA,
         "kind": "servo",
@@ -115,46 +66,24 @@ def _sidecar(
         "medium": options.medium,
         "source": options.source or f"Recorded by 'sim2real record' on {robot.name}.",
         "signal": {"name": str(options.signal), "notes": list(signal.notes)},
-        "bus": {
-            "port": options.port,
-            "ids": [mounting.servo_id for mounting in mountings],
-            "trim_ticks": [mounting.trim_ticks for mounting in mountings],
-            "sign": [mounting.sign for mounting in mountings],
-        },
         "provenance": provenance([options.robot], options.seed),
     }
 
 
-def _report(
-    out: Path, outcome: Outcome, rows: int, mountings: Sequence[Mounting], unreleased: list[str]
-) -> int:
+def _report(out: Path, run: Run) -> int:
     """Print the outcome in one line; return the exit status."""
-    written = f"{rows} rows in {out}" if rows >= FEWEST_ROWS else "nothing written"
-    torque = "torque off"
-    if unreleased:
-        where = "any servo" if len(unreleased) == len(mountings) else ", ".join(unreleased)
-        torque = f"the torque of {where} may still be on: switch off the supply"
+    outcome = run.outcome
     if outcome.stopped:
-        print(f"sim2real record: {outcome.stopped}; {written}; {torque}", file=sys.stderr)
+        line = f"sim2real record: {outcome.stopped}; {run.written(out)}; {run.torque}"
+        print(line, file=sys.stderr)
         return 1
     missing = ", ".join(f"{name} {count}" for name, count in outcome.missing.items())
     late = 1e3 * float(np.quantile(outcome.late_s, 0.999))
     print(
-        f"{written}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
-        f"99.9 % of cycles within {late:.1f} ms; {torque}"
+        f"{run.written(out)}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
+        f"99.9 % of cycles within {late:.1f} ms; {run.torque}"
     )
-    return 1 if unreleased else 0
-
-
-def _summary(outcome: Outcome, rows: int) -> dict[str, Any]:
-    late = float(np.quantile(outcome.late_s, 0.999)) if outcome.late_s else 0.0
-    return {
-        "rows": rows,
-        "missing_positions": outcome.missing,
-        "skipped_set_points": outcome.skipped,
-        "late_999_s": round(late, 6),
-        "stopped": outcome.stopped,
-    }
+    return 1 if run.unreleased else 0
 
 
 def _signal(options: argparse.Namespace, joints: Sequence[Joint]) -> Excitation:
@@ -184,7 +113,7 @@ def _joints(robot: Robot, names: Sequence[str] | None) -> list[Joint]:
     return [joint for joint in robot.joints if names is None or joint.name in names]
 
 
-def _mountings(options: argparse.Namespace, robot: Robot) -> tuple[Mounting, ...]:
+def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
     for option, value in (("--port", options.port), ("--ids", options.ids)):
         if value is None:
             raise InputError(option, "", "nothing", "it, unless with --dry-run")
@@ -192,14 +121,14 @@ def _mountings(options: argparse.Namespace, robot: Robot) -> tuple[Mounting, ...
         found = f"{options.max_temperature:g} C"
         expected = f"at most {HOTTEST_POSSIBLE_C:g} C"
         raise InputError("--max-temperature", "", found, expected)
-    names = [joint.name for joint in _joints(robot, options.joints)]
-    return mount(
-        robot,
-        _integers("--ids", options.ids),
-        joints=names,
+    wiring = Wiring(
+        ids=_integers("--ids", options.ids),
+        joints=[joint.name for joint in _joints(robot, options.joints)],
         trim_ticks=_integers("--trim", options.trim) if options.trim else None,
         reverse=options.reverse,
     )
+    wiring.check(robot, bus_class(options.bus).largest_id)
+    return wiring
 
 
 def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:

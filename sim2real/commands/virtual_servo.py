@@ -4,47 +4,58 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from sim2real.errors import InputError
+from sim2real.errors import InputError, one_of
+from sim2real.hardware.buses import bus_class
 from sim2real.hardware.interruption import interruption
-from sim2real.hardware.lx import BYTE_S, LARGEST_ID
+from sim2real.hardware.mounting import check_ids
 from sim2real.hardware.priority import priority
-from sim2real.hardware.virtual_bus import VirtualBus
+from sim2real.hardware.servo_models import ServoModel, model_named, names
+from sim2real.hardware.virtual_bus import OnWire, Speech, VirtualBus
+from sim2real.hardware.virtual_dynamixel import DYNAMIXEL, dynamixel_servo
+from sim2real.hardware.virtual_feetech import FEETECH, feetech_servo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_servo import VirtualServo
+from sim2real.hardware.virtual_lx import LX, VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 from sim2real.model import read_model
+
+_USUAL = {"dynamixel": "XL330-M288", "feetech": "STS3215"}
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulate servos on a bus until Ctrl-C; the first line printed is the port."""
+    kind = bus_class(options.bus)
     for name in ("loss", "noise"):
         share = getattr(options, name)
         if not 0 <= share < 1:
             raise InputError(f"--{name}", "", f"{share:g}", "a share from 0 up to 1")
-    ids = _ids(options.ids)
+    ids = _ids(options.ids, kind.largest_id)
+    baud = kind.baud_rates[0] if options.baud is None else options.baud
+    if baud <= 0:
+        raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
+    speech, make = _maker(options, baud)
     now = time.monotonic()
-    servos = [
-        VirtualServo(
-            servo_id,
-            law,
-            now,
-            supply_V=options.supply,
-            temperature_C=options.temperature,
-            heating_C_per_s=options.heating,
-        )
-        for servo_id, law in zip(ids, _laws(options, len(ids)), strict=True)
-    ]
+    health = {
+        "supply_V": options.supply,
+        "temperature_C": options.temperature,
+        "heating_C_per_s": options.heating,
+    }
+    laws = zip(ids, _laws(options, len(ids)), strict=True)
+    servos = [make(servo_id, law, now, **health) for servo_id, law in laws]
     rng = np.random.default_rng(options.seed)
     bus = VirtualBus(
         servos,
+        speech,
         rng,
         noise=options.noise,
         loss=0.0 if options.udp else options.loss,
         echo=options.echo,
-        byte_s=0.0 if options.fast else BYTE_S,
+        baud=baud,
+        fast=options.fast,
     )
 
     def announce(port: str) -> None:
@@ -56,6 +67,28 @@ def run(options: argparse.Namespace) -> int:
         else:
             serve_terminal(bus, announce, stop)
     return 0
+
+
+def _maker(
+    options: argparse.Namespace, baud: int
+) -> tuple[Speech[Any], Callable[..., OnWire[Any]]]:
+    """Protocol of the bus, and what makes one of its servos."""
+    if options.bus == "lx":
+        return LX, VirtualServo
+    model = _servo_model(options)
+    if options.bus == "dynamixel":
+        return DYNAMIXEL, lambda k, law, now, **more: dynamixel_servo(
+            k, model, law, now, baud=baud, **more
+        )
+    return FEETECH, lambda k, law, now, **more: feetech_servo(k, model, law, now, baud=baud, **more)
+
+
+def _servo_model(options: argparse.Namespace) -> ServoModel:
+    name = options.servo or _USUAL[options.bus]
+    model = model_named(options.bus, name)
+    if model is None:
+        raise InputError("--servo", "", repr(name), one_of(name, names(options.bus)))
+    return model
 
 
 def _laws(options: argparse.Namespace, count: int) -> list[Law]:
@@ -75,14 +108,12 @@ def _laws(options: argparse.Namespace, count: int) -> list[Law]:
     ]
 
 
-def _ids(text: str) -> list[int]:
+def _ids(text: str, largest: int) -> list[int]:
     try:
         ids = [int(number) for number in text.split(",")]
     except ValueError:
-        ids = []
-    if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= LARGEST_ID for k in ids):
-        expected = f"different numbers from 0 to {LARGEST_ID}, as 1,2,3"
-        raise InputError("--ids", "", repr(text), expected)
+        raise InputError("--ids", "", repr(text), "whole numbers, as 1,2,3") from None
+    check_ids(ids, largest)
     return ids
 
 

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from sim2real.hardware.frames import FrameDecoder
+
 HEADER = b"\x55\x55"
 BROADCAST = 254
 LARGEST_ID = 253
@@ -149,55 +151,17 @@ def supply_V(reply: Packet) -> float:
     return words(reply)[0] / 1000
 
 
-class Decoder:
-    """Extracts packets with correct checksums from any bytes, without raising errors.
+class Decoder(FrameDecoder[Packet]):
+    """Decoder of this protocol; it buffers at most nine bytes."""
 
-    After a wrong length or checksum it continues at the next byte, so that a packet after noise, or
-    after the start of another, is found. It buffers at most nine bytes.
+    header = HEADER
+    head_bytes = 4
 
-    Attributes:
-        garbled: Number of headers without a valid packet.
-        skipped: Number of bytes outside packets.
-    """
+    def size(self, head: bytes) -> int:
+        """Bytes of the frame with these first bytes; 0 if there is no such frame."""
+        return head[3] + 3 if SHORTEST <= head[3] <= LONGEST else 0
 
-    def __init__(self) -> None:
-        self._waiting = bytearray()
-        self.garbled = 0
-        self.skipped = 0
-
-    def feed(self, data: bytes) -> list[Packet]:
-        """The packets that ``data`` completes, in order."""
-        self._waiting += data
-        packets = []
-        start, end = 0, len(self._waiting)
-        while True:
-            header = self._waiting.find(HEADER, start)
-            if header < 0:
-                header = end - self._waiting.endswith(HEADER[:1])
-                self.skipped += max(header - start, 0)
-                start = max(header, start)
-                break
-            self.skipped += header - start
-            start = header
-            length = self._waiting[start + 3] if end - start > 3 else None
-            if length is None:
-                break
-            stop = start + len(HEADER) + 1 + length
-            if SHORTEST <= length <= LONGEST:
-                if stop > end:
-                    break
-                body = bytes(self._waiting[start + len(HEADER) : stop - 1])
-                if checksum(body) == self._waiting[stop - 1]:
-                    packets.append(Packet(body[0], body[2], body[3:]))
-                    start = stop
-                    continue
-            self.garbled += 1
-            self.skipped += 1
-            start += 1
-        del self._waiting[:start]
-        return packets
-
-    def clear(self) -> None:
-        """Discard an incomplete packet."""
-        self.skipped += len(self._waiting)
-        self._waiting.clear()
+    def packet(self, frame: bytes) -> Packet | None:
+        """The packet in a frame; None if its checksum does not agree."""
+        body = frame[len(HEADER) : -1]
+        return Packet(body[0], body[2], body[3:]) if checksum(body) == frame[-1] else None

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from sim2real.hardware.bus import Bus
-from sim2real.hardware.lx import BusCommand, Packet, load, move, signed_word
 from sim2real.hardware.mounting import Mounting
+from sim2real.hardware.servo_bus import ServoBus, Stopped
 
 SPEED_RAD_S = 0.5
 SETTLE_S = 0.5
-PATIENCE_S = 0.03
-ATTEMPTS = 10
-
-
-class Stopped(Exception):
-    """The servos must not be driven any further; the message is the reason."""
+PERIOD_S = 0.02
+LARGEST_JUMP_RAD = 0.1
+ATTEMPTS = 2
+"""Attempts to release a servo, each of which insists."""
 
 
 def approach(
-    bus: Bus,
+    bus: ServoBus,
     mountings: Sequence[Mounting],
     target: Sequence[float],
     *,
@@ -38,52 +35,50 @@ def approach(
         interrupted: Whether the user has asked to stop.
 
     Raises:
-        Stopped: If a servo does not answer or is too hot, or the user has asked to stop.
+        Stopped: If a servo does not answer, is too hot or outside of its range, or the user has
+            asked to stop.
         OSError: If the port is lost.
     """
-    longest = 0.0
+    start, ways = {}, {}
     for mounting, angle in zip(mountings, target, strict=True):
-        temperature = _insist(bus, mounting, BusCommand.TEMP_READ).parameters[0]
-        check_temperature(mounting, temperature, hottest_C)
-        ticks = signed_word(_insist(bus, mounting, BusCommand.POS_READ))
-        duration = abs(mounting.angle(ticks) - angle) / SPEED_RAD_S
-        longest = max(longest, duration)
-        go = move(mounting.servo_id, mounting.ticks(angle), round(1000 * min(duration, 30.0)))
-        switch_on(bus, mounting)
-        for _ in range(3):  # the first that arrives counts
-            bus.exchange([go], time.monotonic())
-            time.sleep(0.005)
-    until = time.monotonic() + longest + SETTLE_S
-    while time.monotonic() < until:
+        reading = bus.reading(mounting.servo_id)
+        check_temperature(mounting, reading.temperature_C, hottest_C)
+        assert reading.position_ticks is not None
+        _check_range(mounting, reading.position_ticks)
+        start[mounting.servo_id] = reading.position_ticks
+        ways[mounting.servo_id] = mounting.ticks(angle) - reading.position_ticks
+    bus.begin({m.servo_id: m.within(start[m.servo_id]) for m in mountings})
+    fastest = SPEED_RAD_S / min(mounting.scale.tick_rad for mounting in mountings)
+    longest = max(abs(way) for way in ways.values()) / fastest
+    begin = time.monotonic()
+    while (now := time.monotonic() - begin) < longest + SETTLE_S:
         if interrupted():
             raise Stopped("interrupted")
-        time.sleep(0.02)
+        share = min(now / longest, 1.0) if longest else 1.0
+        goals = {
+            m.servo_id: m.within(start[m.servo_id] + round(share * ways[m.servo_id]))
+            for m in mountings
+        }
+        bus.cycle(goals, time.monotonic() + PERIOD_S)
+        time.sleep(max(begin + now + PERIOD_S - time.monotonic(), 0.0))
 
 
-def switch_on(bus: Bus, mounting: Mounting) -> None:
-    """Switch the torque of a servo on, and check it.
+def release(bus: ServoBus, changed: Mapping[int, Mapping[str, int]]) -> list[int]:
+    """Stop every servo, switch its torque off and restore its limits.
 
-    Raises:
-        Stopped: If it does not confirm.
-    """
-    if not _set_load(bus, mounting, on=True):
-        raise Stopped(f"{mounting.joint.name}'s servo {mounting.servo_id} does not switch on")
-
-
-def release(bus: Bus, mountings: Sequence[Mounting]) -> list[str]:
-    """Stop every servo and switch its torque off.
+    Args:
+        bus: The bus.
+        changed: For each identity the values to restore.
 
     Returns:
-        Names of the joints whose servo did not confirm it; their torque may still be on.
+        Identities of those that did not confirm it; their torque may still be on.
     """
     unconfirmed = []
-    for mounting in mountings:
+    for servo_id, values in changed.items():
         with contextlib.suppress(OSError):
-            bus.drain()
-            bus.exchange([Packet(mounting.servo_id, BusCommand.MOVE_STOP)], time.monotonic())
-            if _set_load(bus, mounting, on=False):
+            if any(bus.restore(servo_id, values) for _ in range(ATTEMPTS)):
                 continue
-        unconfirmed.append(mounting.joint.name)
+        unconfirmed.append(servo_id)
     return unconfirmed
 
 
@@ -99,18 +94,11 @@ def check_temperature(mounting: Mounting, temperature_C: float, hottest_C: float
         )
 
 
-def _set_load(bus: Bus, mounting: Mounting, *, on: bool) -> bool:
-    for _ in range(ATTEMPTS):
-        request = [load(mounting.servo_id, on), Packet(mounting.servo_id, BusCommand.LOAD_READ)]
-        reply = bus.exchange(request, time.monotonic() + PATIENCE_S)[1]
-        if reply is not None and bool(reply.parameters[0]) == on:
-            return True
-    return False
-
-
-def _insist(bus: Bus, mounting: Mounting, command: BusCommand) -> Packet:
-    for _ in range(ATTEMPTS):
-        reply = bus.ask(mounting.servo_id, command, PATIENCE_S)
-        if reply is not None:
-            return reply
-    raise Stopped(f"no reply from {mounting.joint.name}'s servo {mounting.servo_id}")
+def _check_range(mounting: Mounting, ticks: int) -> None:
+    """Check that a servo can be held where it is: outside its range it would jump to the end."""
+    if abs(mounting.within(ticks) - ticks) * mounting.scale.tick_rad > LARGEST_JUMP_RAD:
+        ends = f"{mounting.scale.lowest_ticks} to {mounting.scale.largest_ticks} ticks"
+        raise Stopped(
+            f"{mounting.joint.name}'s servo is at {ticks} ticks, outside its range of {ends}: turn "
+            "it by hand"
+        )

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from sim2real.hardware.motion import Stopped
+from sim2real.hardware.servo_bus import Stopped
 from sim2real.output import check_writable, write_json
 
 FEWEST_ROWS = 2  # of a valid recording

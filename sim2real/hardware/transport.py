@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Protocol
 
 from sim2real.errors import InputError
-from sim2real.hardware.lx import BAUD_RATES
 from sim2real.hardware.port import EXPECTED
 
 
@@ -33,7 +32,7 @@ class Transport(Protocol):
         """Close the port."""
 
 
-def open_transport(url: str, *, baud: int = BAUD_RATES[0]) -> Transport:
+def open_transport(url: str, *, baud: int = 115_200) -> Transport:
     """Open the transport of a URL.
 
     Args:

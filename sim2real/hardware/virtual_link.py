@@ -8,6 +8,7 @@ import select
 import socket
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +20,11 @@ TICK_S = 0.02  # period of the simulation without requests
 
 
 def serve_terminal(
-    bus: VirtualBus, announce: Callable[[str], object], stop: Callable[[], bool]
+    bus: VirtualBus[Any], announce: Callable[[str], object], stop: Callable[[], bool]
 ) -> None:
     """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name.
+
+    If the host has set another rate than that of the bus, the servos understand nothing.
 
     Raises:
         InputError: On a system without pseudo-terminals.
@@ -39,7 +42,8 @@ def serve_terminal(
         announce(os.ttyname(device))
         while not stop():
             if select.select([host], [], [], TICK_S)[0]:
-                for reply in bus.receive(os.read(host, LARGEST)):
+                data = os.read(host, LARGEST)
+                for reply in bus.receive(data) if _rate(device) in (None, bus.baud) else ():
                     with contextlib.suppress(BlockingIOError):  # no reader: the reply is lost
                         os.write(host, reply)
             bus.advance()
@@ -48,8 +52,20 @@ def serve_terminal(
         os.close(device)
 
 
+def _rate(device: int) -> int | None:
+    """Rate that the host has set; None if it has set none, or an unusual one."""
+    import termios
+
+    speed = termios.tcgetattr(device)[4]
+    if speed == termios.B38400:  # of a new pseudo-terminal
+        return None
+    names = {getattr(termios, name): name for name in dir(termios) if name[:1] == "B"}
+    name = names.get(speed, "")[1:]
+    return int(name) if name.isdigit() else None
+
+
 def serve_udp(
-    bus: VirtualBus,
+    bus: VirtualBus[Any],
     address: tuple[str, int],
     announce: Callable[[str], object],
     stop: Callable[[], bool],
@@ -86,7 +102,7 @@ def serve_udp(
 
 
 def _serve_datagram(
-    radio: socket.socket, bus: VirtualBus, rng: np.random.Generator, loss: float
+    radio: socket.socket, bus: VirtualBus[Any], rng: np.random.Generator, loss: float
 ) -> None:
     datagram, sender = radio.recvfrom(LARGEST)
     clock = time.monotonic()

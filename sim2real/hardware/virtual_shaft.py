@@ -72,6 +72,18 @@ class Shaft:
         self._advance(now)
         return self._angle
 
+    @property
+    def speed(self) -> float:
+        """Speed in rad/s at the time of the last call."""
+        return self._speed
+
+    @property
+    def drive_Nm(self) -> float:
+        """Torque of the motor, without damping, at the time of the last call; 0 when off."""
+        if not self.powered:
+            return 0.0
+        return self.law.kp_Nm_per_rad * (self._motion.at(self._time) - self._angle)
+
     def _advance(self, until: float) -> None:
         """Substeps of the midpoint rule with trapezoidal damping, as in ``servo.law.substep``."""
         if until <= self._time:

@@ -9,13 +9,13 @@ import pytest
 from good_input import ROBOT
 
 from sim2real.errors import InputError
-from sim2real.hardware.bus import Bus
 from sim2real.hardware.datagram import Datagram, answer, read_answer, read_request, request
 from sim2real.hardware.lx import BusCommand, Packet, encode, move
-from sim2real.hardware.mounting import mount
+from sim2real.hardware.lx_bus import LxBus, lx_servo
+from sim2real.hardware.mounting import check_ids, mount
 from sim2real.hardware.transport import open_transport
 from sim2real.hardware.virtual_bus import VirtualBus
-from sim2real.hardware.virtual_servo import VirtualServo
+from sim2real.hardware.virtual_lx import LX, VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 from sim2real.robot import read_robot
 
@@ -52,31 +52,31 @@ class Script:
 )
 def test_the_reply_is_found(pieces):
     script = Script(*pieces)
-    bus = Bus(script)
+    bus = LxBus(script)
     assert bus.exchange([move(1, 3), ASK], math.inf) == [None, REPLY]
     assert script.written == encode(move(1, 3)) + encode(ASK)
-    assert (bus.asked, bus.missed) == (1, 0)
+    assert (bus.wire.asked, bus.wire.missed) == (1, 0)
 
 
 @pytest.mark.parametrize(
     "pieces", [[], [encode(ASK)], [encode(REPLY)[:-1]], [encode(REPLY)[:-1] + b"\x00"]]
 )
 def test_no_reply_is_none_and_counted(pieces):
-    bus = Bus(Script(*pieces))
+    bus = LxBus(Script(*pieces))
     assert bus.exchange([ASK], math.inf) == [None]
-    assert (bus.asked, bus.missed) == (1, 1)
+    assert (bus.wire.asked, bus.wire.missed) == (1, 1)
 
 
 def test_replies_come_in_any_order():
     other = Packet(2, BusCommand.POS_READ, b"\x01\x00")
-    bus = Bus(Script(encode(other) + encode(REPLY)))
+    bus = LxBus(Script(encode(other) + encode(REPLY)))
     asked = [ASK, Packet(2, BusCommand.POS_READ), Packet(3, BusCommand.POS_READ)]
     assert bus.exchange(asked, math.inf) == [REPLY, other, None]
 
 
 def test_what_came_too_late_is_thrown_away():
-    bus = Bus(Script(encode(REPLY), encode(REPLY)[:4]))
-    bus.drain()
+    bus = LxBus(Script(encode(REPLY), encode(REPLY)[:4]))
+    bus.wire.drain()
     assert bus.exchange([ASK], math.inf) == [None]
 
 
@@ -98,7 +98,9 @@ def test_ports_that_are_none(url):
 
 
 def test_a_serial_port_over_the_network():
-    servos = VirtualBus([VirtualServo(1, Law(), 0.0)], np.random.default_rng(0), byte_s=0.0)
+    servos = VirtualBus(
+        [VirtualServo(1, Law(), 0.0)], LX, np.random.default_rng(0), baud=115_200, fast=True
+    )
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve():
@@ -110,7 +112,7 @@ def test_a_serial_port_over_the_network():
 
         thread = threading.Thread(target=serve)
         thread.start()
-        with Bus(open_transport(f"socket://127.0.0.1:{listener.getsockname()[1]}")) as bus:
+        with LxBus(open_transport(f"socket://127.0.0.1:{listener.getsockname()[1]}")) as bus:
             assert bus.ask(1, BusCommand.POS_READ, 5.0) == Packet(
                 1, BusCommand.POS_READ, b"\xf4\x01"
             )
@@ -130,8 +132,8 @@ def fish(tmp_path):
 
 
 def test_ticks_and_angles(fish):
-    (plain,) = mount(fish(), [1])
-    (turned,) = mount(fish(), [1], trim_ticks=[20], reverse=["j1"])
+    (plain,) = mount(fish(), [lx_servo(1)])
+    (turned,) = mount(fish(), [lx_servo(1)], trim_ticks=[20], reverse=["j1"])
     assert plain.ticks(0.0) == 500
     assert plain.ticks(0.24 * 3.141592653589793 / 180 * 100) == 600
     assert turned.ticks(0.0) == 520
@@ -145,14 +147,17 @@ def test_ticks_and_angles(fish):
 
 def test_servos_that_do_not_fit_the_robot(fish):
     for given in (
-        {"ids": [1, 2]},
-        {"ids": [254]},
-        {"ids": [1], "trim_ticks": [1, 2]},
-        {"ids": [1], "reverse": ["j9"]},
-        {"ids": [1], "trim_ticks": [400]},
+        {"count": 2},
+        {"trim_ticks": [1, 2]},
+        {"reverse": ["j9"]},
+        {"trim_ticks": [400]},
     ):
+        servos = [lx_servo(k) for k in range(given.pop("count", 1))]
         with pytest.raises(InputError):
-            mount(fish(), **given)
+            mount(fish(), servos, **given)
+    for ids in ([], [254], [1, 1]):
+        with pytest.raises(InputError, match="--ids"):
+            check_ids(ids, 253)
     wide = ROBOT.replace("[-0.8, 0.8]", "[-2.5, 2.5]")
     with pytest.raises(InputError, match=r"limits_rad.*-2\.5"):
-        mount(fish(wide), [1])
+        mount(fish(wide), [lx_servo(1)])

@@ -91,11 +91,12 @@ def test_what_never_began_leaves_no_file(tmp_path, capsys):
         status = record(tmp_path, bench.port)
         refused(capsys, status, 1, "70 C, above 65 C", "nothing written", "torque off")
         status = record(tmp_path, bench.port, joints=2)
-        refused(capsys, status, 1, "70 C", "nothing written", "torque of j2 may still be on")
+        silent = "no reply from servo 2 (lx, 115200 baud)"
+        refused(capsys, status, 1, silent, "nothing written", "torque of j2 may still be on")
         bench.servos[0].connected = False
         status = record(tmp_path, bench.port)
         refused(
-            capsys, status, 1, "no reply from j1's servo 1", "torque of any servo may still be on"
+            capsys, status, 1, "no reply from servo 1 (lx, 115200 baud)", "torque of any servo may"
         )
     assert [path.name for path in tmp_path.iterdir()] == ["robot.toml"]
 

@@ -5,8 +5,9 @@ import pytest
 from good_input import ROBOT
 from virtual_bench import robot_file
 
-from sim2real.hardware import recorder
-from sim2real.hardware.lx import BusCommand, Packet
+from sim2real.hardware import lx_bus, recorder
+from sim2real.hardware.lx import BusCommand, Decoder, Packet
+from sim2real.hardware.lx_bus import LxBus, lx_servo
 from sim2real.hardware.mounting import mount
 from sim2real.hardware.row_stream import RowStream
 from sim2real.recording import read_recording
@@ -26,10 +27,10 @@ class Clock:
         self.now += seconds
 
 
-class Bus:
-    """Answers after as long as the script says; ``hot`` from a cycle on."""
+class Line:
+    """A wire whose servo answers after as long as the script says; ``hot`` from a cycle on."""
 
-    together, device_s = False, None
+    together, device_s, garbled = False, None, 0
 
     def __init__(self, clock, takes, hot=10**9):
         self.clock, self.takes, self.hot, self.cycle = clock, takes, hot, -1
@@ -37,26 +38,35 @@ class Bus:
     def drain(self):
         self.cycle += 1
 
-    def exchange(self, packets, deadline):
+    def exchange(self, data, expected, deadline):
         self.clock.now += self.takes(self.cycle) / 2
-        command = packets[-1].command
+        command = Decoder().feed(data)[-1].command
         replies = {
             BusCommand.POS_READ: b"\x26\x02",
             BusCommand.VIN_READ: b"\xe8\x1c",
             BusCommand.TEMP_READ: bytes([99 if self.cycle >= self.hot else 30]),
         }
-        return [None] * (len(packets) - 1) + [Packet(1, command, replies[command])]
+        reply = Packet(1, command, replies[command])
+        assert [ours(reply) for ours in expected] == [True]
+        return [reply]
+
+
+def bus_on(line):
+    bus = LxBus(None)
+    bus.wire = line
+    return bus
 
 
 @pytest.fixture
 def play(tmp_path, monkeypatch):
     (tmp_path / "robot.toml").write_text(ROBOT)
-    mountings = mount(read_robot(tmp_path / "robot.toml"), [1])
+    mountings = mount(read_robot(tmp_path / "robot.toml"), [lx_servo(1)])
     clock = Clock()
     monkeypatch.setattr(recorder, "time", clock)
+    monkeypatch.setattr(lx_bus, "time", clock)
 
     def run(takes, command, **given):
-        rows, bus = [], Bus(clock, takes, **given)
+        rows, bus = [], bus_on(Line(clock, takes, **given))
         outcome = recorder.record(bus, mountings, command, rows.append, rate_hz=HZ, hottest_C=65)
         return outcome, np.array(rows)
 
@@ -115,15 +125,16 @@ def test_a_crash_loses_nothing(tmp_path):
 def test_a_silent_servo_leaves_the_others_their_time(tmp_path, monkeypatch):
     clock, given = Clock(), []
 
-    class Silent(Bus):
-        def exchange(self, packets, deadline):
+    class Silent(Line):
+        def exchange(self, data, expected, deadline):
             given.append(deadline - clock.now)
             clock.now = deadline
-            return [None] * len(packets)
+            return [None] * len(expected)
 
     monkeypatch.setattr(recorder, "time", clock)
-    mountings = mount(read_robot(robot_file(tmp_path, 3)), [1, 2, 3])
-    bus = Silent(clock, None)
+    monkeypatch.setattr(lx_bus, "time", clock)
+    mountings = mount(read_robot(robot_file(tmp_path, 3)), [lx_servo(k) for k in (1, 2, 3)])
+    bus = bus_on(Silent(clock, None))
     outcome = recorder.record(
         bus, mountings, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65
     )

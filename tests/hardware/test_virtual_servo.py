@@ -3,7 +3,7 @@
 import pytest
 
 from sim2real.hardware.lx import BusCommand, Packet, load, move, signed_word, supply_V
-from sim2real.hardware.virtual_servo import VirtualServo
+from sim2real.hardware.virtual_lx import VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 
 LAW = Law(latency_s=0.05)

@@ -8,9 +8,12 @@ import numpy as np
 
 from sim2real.cli import main
 from sim2real.hardware.priority import priority
+from sim2real.hardware.servo_models import model_named
 from sim2real.hardware.virtual_bus import VirtualBus
+from sim2real.hardware.virtual_dynamixel import DYNAMIXEL, dynamixel_servo
+from sim2real.hardware.virtual_feetech import FEETECH, feetech_servo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_servo import VirtualServo
+from sim2real.hardware.virtual_lx import LX, VirtualServo
 from sim2real.hardware.virtual_shaft import Law
 
 LAW = Law()
@@ -48,19 +51,34 @@ def robot_file(folder, joints):
     return path
 
 
+def virtual(bus, servo_id, now, model=None, **servo):
+    """A virtual servo on a bus."""
+    if bus == "lx":
+        return VirtualServo(servo_id, LAW, now, **servo)
+    if bus == "dynamixel":
+        chosen = model_named(bus, model or "XL330-M288")
+        return dynamixel_servo(servo_id, chosen, LAW, now, **servo)
+    return feetech_servo(servo_id, model_named(bus, model or "STS3215"), LAW, now, **servo)
+
+
+SPEECHES = {"lx": (LX, 115_200), "dynamixel": (DYNAMIXEL, 1_000_000), "feetech": (FEETECH, 10**6)}
+
+
 class Served:
     """Virtual servos 1 to ``count`` behind a port, until it is pulled."""
 
-    def __init__(self, count, udp=False, echo=False, **servo):
+    def __init__(self, count, udp=False, echo=False, bus="lx", noise=0.0, loss=0.0, **servo):
         now = time.monotonic()
-        self.servos = [VirtualServo(k + 1, LAW, now, **servo) for k in range(count)]
+        self.servos = [virtual(bus, k + 1, now, **servo) for k in range(count)]
         self._pulled, announced = threading.Event(), threading.Event()
 
         def announce(port):
             self.port = port
             announced.set()
 
-        bus = VirtualBus(self.servos, np.random.default_rng(0), echo=echo, byte_s=0.0)
+        rng, (speech, baud) = np.random.default_rng(0), SPEECHES[bus]
+        line = {"echo": echo, "noise": noise, "loss": loss, "baud": baud, "fast": True}
+        bus = VirtualBus(self.servos, speech, rng, **line)
         stop = self._pulled.is_set
         if udp:
             where = ("127.0.0.1", 0)

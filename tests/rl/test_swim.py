@@ -200,6 +200,7 @@ class TestVirtualRobot:
 
 def options_of(policy, **changes: object) -> argparse.Namespace:
     options = {"target": "1.5,0.4", "port": None, "virtual": True, "seconds": 1.0, "out": None}
+    options |= {"bus": None}
     options |= {"robot": POOL / "robot.toml", "model": POOL / "model.json", "seed": 0}
     return argparse.Namespace(policy=policy, **{**options, **changes})
 

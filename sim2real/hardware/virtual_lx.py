@@ -8,10 +8,13 @@ from sim2real.hardware.lx import (
     REPLY_BYTES,
     TICK_RAD,
     BusCommand,
+    Decoder,
     Packet,
+    encode,
     expects_reply,
     words,
 )
+from sim2real.hardware.virtual_bus import Speech
 from sim2real.hardware.virtual_shaft import Law, Shaft
 
 _REGISTERS = {
@@ -48,7 +51,10 @@ class VirtualServo:
     Attributes:
         connected: False for a disconnected servo, which receives and sends nothing.
         powered: Whether its torque is on.
+        delay_s: Time between the end of a request and the reply.
     """
+
+    delay_s = 0.0
 
     def __init__(
         self,
@@ -136,3 +142,6 @@ class VirtualServo:
         duration = int.from_bytes(parameters[2:], "little") / 1000
         self._shaft.angle(now)
         self._shaft.command(now, (ticks - CENTRE_TICKS) * TICK_RAD, duration)
+
+
+LX = Speech(Decoder, encode, 6)

@@ -1,0 +1,210 @@
+"""``sim2real bench``: from servos on a port to identified gains and a page."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from sim2real import verbs
+from sim2real.check import check
+from sim2real.errors import InputError
+from sim2real.hardware.bench import Weight, loads, robot_text
+from sim2real.hardware.buses import Connection, bus_class, connection
+from sim2real.hardware.mounting import check_ids
+from sim2real.hardware.priority import priority
+from sim2real.hardware.scan import scan, table
+from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
+from sim2real.hardware.session import RATE_HZ, Wiring, bus_settings, drive, mounted
+from sim2real.model import Model, write_model
+from sim2real.output import check_writable, provenance, write_whole
+from sim2real.recording import SCHEMA, Recording, read_recording
+from sim2real.robot import Robot, read_robot
+from sim2real.servo.prediction import replay
+from sim2real.signals import excitation
+
+N = TypeVar("N", int, float)
+FILES = ("robot.toml", "steps.csv", "steps.json", "model.json", "index.html")
+HOTTEST_POSSIBLE_C = 85.0
+
+
+def run(options: argparse.Namespace) -> int:
+    """Scan, record steps, identify, and write a page.
+
+    Returns:
+        0 if all of it is done, 1 if the recording stopped early; then nothing is identified.
+    """
+    ids = _numbers("--ids", options.ids, int)
+    check_ids(ids, bus_class(options.bus).largest_id)
+    _check(options)
+    folder = options.out
+    given = _given_loads(options, ids)
+    with priority(), connection(options.bus, options.port, options.baud) as link:
+        try:
+            servos = _found(link, ids)
+            print(table(servos))
+            text = None
+            if options.robot is None:
+                text = robot_text(options.bus, servos, options.reach)
+            if given is None:
+                given = [_asked(servo_id) for servo_id in ids]
+            if text is not None:
+                write_whole(folder / "robot.toml", text)
+            robot = read_robot(options.robot or folder / "robot.toml")
+            status = _record(options, link, robot, ids, given)
+        except (Stopped, OSError) as error:
+            print(f"sim2real bench: {error}", file=sys.stderr)
+            return 1
+        finally:
+            if options.robot is None and not (folder / "steps.csv").exists():
+                (folder / "robot.toml").unlink(missing_ok=True)
+    if status:
+        return status
+    recording = read_recording(folder / "steps.csv")
+    model = verbs.identify([recording], robot, seed=options.seed)
+    print(model)
+    write_model(model, folder / "model.json")
+    _write_page(options, recording, robot, model)
+    return 0
+
+
+def _record(
+    options: argparse.Namespace,
+    link: Connection,
+    robot: Robot,
+    ids: Sequence[int],
+    given: Sequence[Weight | float | None],
+) -> int:
+    """Record steps of all joints."""
+    wiring = Wiring(ids)
+    wiring.check(robot, link.bus.largest_id)
+    rng = np.random.default_rng(options.seed)
+    signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
+    mountings = mounted(link, robot, wiring)
+    sidecar = {
+        "schema": SCHEMA,
+        "kind": "servo",
+        "joints": list(signal.joints),
+        "loads": loads(signal.joints, given, hangs=options.shaft == "horizontal"),
+        "medium": "air",
+        "source": "Recorded by 'sim2real bench'.",
+        "signal": {"name": "steps", "notes": list(signal.notes)},
+        "bus": bus_settings(link, options.port, mountings),
+        "provenance": provenance([robot], options.seed),
+    }
+    out = options.out / "steps.csv"
+    result = drive(link, mountings, signal, out, sidecar, hottest_C=options.max_temperature)
+    problem = f"{result.outcome.stopped}; " if result.outcome.stopped else ""
+    line = f"{problem}{result.written(out)}; {result.torque}"
+    if problem or result.unreleased:
+        print(f"sim2real bench: {line}", file=sys.stderr)
+        return 1
+    print(line)
+    return 0
+
+
+def _write_page(
+    options: argparse.Namespace, recording: Recording, robot: Robot, model: Model
+) -> None:
+    """The page, if the extra for reports is installed."""
+    try:
+        from sim2real.report import identification_section, write_page
+        from sim2real.report.recordings import recordings_section
+
+        shown = replay(model, [recording])
+        fits = [(one.recording, one.joint, one.predicted, one.held_out) for one in shown]
+        sections = [
+            identification_section(model, fits),
+            recordings_section([recording], [check(recording, robot, seed=options.seed)]),
+        ]
+        page = options.out / "index.html"
+        write_page(page, robot.name, f"{options.bus} servos", sections, model.provenance)
+    except ModuleNotFoundError as error:
+        print(f"no page: {error}", file=sys.stderr)
+        return
+    print(f"\npage: {page}")
+
+
+def _found(link: Connection, ids: Sequence[int]) -> list[Found]:
+    servos, _ = scan(link.bus, ids, PATIENCE_S)
+    missing = sorted(set(ids) - {servo.servo_id for servo in servos})
+    if missing:
+        listed = ", ".join(str(k) for k in missing)
+        raise Stopped(
+            f"no reply from servo {listed} ({link.bus.name}, {link.baud} baud): check supply, "
+            "--ids, --bus and --baud"
+        )
+    return servos
+
+
+def _check(options: argparse.Namespace) -> None:
+    if not 0 < options.max_temperature <= HOTTEST_POSSIBLE_C:
+        found, most = f"{options.max_temperature:g} C", f"at most {HOTTEST_POSSIBLE_C:g} C"
+        raise InputError("--max-temperature", "", found, most)
+    for name in FILES:
+        path = check_writable(options.out / name)
+        if path.exists() and not options.overwrite:
+            raise InputError(path, "", "a file already", "another --out, or --overwrite")
+
+
+def _given_loads(
+    options: argparse.Namespace, ids: Sequence[int]
+) -> list[Weight | float | None] | None:
+    """Loads from the options; None if they have to be asked for."""
+    if options.unknown_load:
+        return [None] * len(ids)
+    if options.inertia is not None:
+        return list(_positive("--inertia", options.inertia, len(ids)))
+    if options.mass is not None or options.arm is not None:
+        masses = _positive("--mass", options.mass, len(ids))
+        arms = _positive("--arm", options.arm, len(ids))
+        return [Weight(mass, arm) for mass, arm in zip(masses, arms, strict=True)]
+    if not sys.stdin.isatty():
+        expected = "--mass and --arm, --inertia or --unknown-load"
+        raise InputError("--mass", "", "no load, and no terminal to ask", expected)
+    return None
+
+
+def _asked(servo_id: int) -> Weight | None:
+    """The load, asked for on the terminal; None if it is unknown."""
+    mass = _answer(f"mass of the load on servo {servo_id}, kg (empty: unknown): ")
+    if mass is None:
+        return None
+    arm = None
+    while arm is None:
+        arm = _answer("distance of its centre from the shaft, m: ")
+    return Weight(mass, arm)
+
+
+def _answer(question: str) -> float | None:
+    """A number above 0, or None for an empty line."""
+    while True:
+        text = input(question).strip()
+        if not text:
+            return None
+        try:
+            number = float(text)
+        except ValueError:
+            number = 0.0
+        if 0 < number < np.inf:
+            return number
+        print(f"found {text!r}, expected a number above 0")
+
+
+def _positive(option: str, text: str | None, count: int) -> list[float]:
+    if text is None:
+        raise InputError(option, "", "nothing", f"{count} numbers above 0")
+    numbers = _numbers(option, text, float)
+    if len(numbers) != count or not all(0 < x < np.inf for x in numbers):
+        raise InputError(option, "", repr(text), f"{count} numbers above 0, one for each servo")
+    return numbers
+
+
+def _numbers(option: str, text: str, kind: Callable[[str], N]) -> list[N]:
+    try:
+        return [kind(number) for number in text.split(",")]
+    except ValueError:
+        raise InputError(option, "", repr(text), "numbers, as 1,2,3") from None

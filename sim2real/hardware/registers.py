@@ -1,0 +1,260 @@
+"""Memory of servos that are controlled by reading and writing registers: Dynamixel and Feetech."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Register:
+    """A number in the memory of a servo.
+
+    Attributes:
+        address: Address of its first byte.
+        size: Number of bytes.
+        sign_bit: Bit that makes the number negative (sign and magnitude); None without.
+        signed: Whether the number is in two's complement.
+    """
+
+    address: int
+    size: int
+    sign_bit: int | None = None
+    signed: bool = False
+
+    @property
+    def end(self) -> int:
+        """Address behind its last byte."""
+        return self.address + self.size
+
+    def encode(self, value: int, order: Literal["little", "big"]) -> bytes:
+        """The bytes of a value.
+
+        Raises:
+            OverflowError: If it does not fit.
+        """
+        if self.sign_bit is not None:
+            if abs(value) >> self.sign_bit:
+                raise OverflowError(f"{value} does not fit into {self.sign_bit} bits")
+            value = abs(value) | (value < 0) << self.sign_bit
+        return value.to_bytes(self.size, order, signed=self.signed)
+
+    def decode(self, data: bytes, order: Literal["little", "big"]) -> int:
+        """The value of ``size`` bytes."""
+        value = int.from_bytes(data, order, signed=self.signed)
+        if self.sign_bit is not None and value >> self.sign_bit & 1:
+            return -(value & ~(1 << self.sign_bit))
+        return value
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The registers of a family of servos, under the same names for every family.
+
+    Attributes:
+        registers: The registers by name.
+        volatile_from: First address of the memory that is lost without supply (RAM); what lies
+            below (EEPROM) is never written.
+        order: Order of the bytes of a number.
+        sync_read: Whether several servos can be read by one instruction.
+        reported: Registers that are read in each cycle, by one instruction.
+        settings: Registers that are stored in a recording.
+        changed: Registers that a recording changes, with their values while it runs, in the order
+            in which they are restored.
+        position_modes: Operating modes in which a set-point is an angle, with their names.
+        multi_turn_modes: Those of them in which the stored range of positions does not apply.
+        errors: Names of the bits of the register ``errors``.
+        velocity_unit_rad_s: Unit of velocities in rad/s; None for ticks per second.
+    """
+
+    registers: Mapping[str, Register]
+    volatile_from: int
+    order: Literal["little", "big"]
+    sync_read: bool
+    reported: tuple[str, ...]
+    settings: tuple[str, ...]
+    changed: Mapping[str, int]
+    position_modes: Mapping[int, str]
+    errors: Mapping[int, str]
+    multi_turn_modes: tuple[int, ...] = ()
+    velocity_unit_rad_s: float | None = None
+
+    def __getitem__(self, name: str) -> Register:
+        return self.registers[name]
+
+    def span(self, names: Sequence[str]) -> tuple[int, int]:
+        """First address and number of bytes of the smallest block that contains the registers."""
+        registers = [self.registers[name] for name in names]
+        start = min(register.address for register in registers)
+        return start, max(register.end for register in registers) - start
+
+    def decode(self, names: Sequence[str], data: bytes) -> dict[str, int]:
+        """Values in the block of ``span(names)``."""
+        start, _ = self.span(names)
+        values = {}
+        for name in names:
+            register = self.registers[name]
+            at = register.address - start
+            values[name] = register.decode(data[at : at + register.size], self.order)
+        return values
+
+
+def _signed(address: int, size: int) -> Register:
+    return Register(address, size, signed=True)
+
+
+TORQUE = "torque_enable"
+_FEETECH_ERRORS = {0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"}
+_FEETECH_PRESENT = {
+    "goal_position": Register(42, 2, sign_bit=15),
+    "profile_velocity": Register(46, 2, sign_bit=15),
+    "present_position": Register(56, 2, sign_bit=15),
+    "present_velocity": Register(58, 2, sign_bit=15),
+    "present_load": Register(60, 2, sign_bit=10),
+    "present_voltage": Register(62, 1),
+    "present_temperature": Register(63, 1),
+    "errors": Register(65, 1),
+}
+_FEETECH_COMMON = {
+    "model": Register(3, 2),
+    "servo_id": Register(5, 1),
+    "baud": Register(6, 1),
+    "return_delay": Register(7, 1),
+    "status_level": Register(8, 1),
+    "min_position": Register(9, 2),
+    "max_position": Register(11, 2),
+    "max_temperature": Register(13, 1),
+    "max_voltage": Register(14, 1),
+    "min_voltage": Register(15, 1),
+    "max_torque": Register(16, 2),
+    "position_p": Register(21, 1),
+    "position_d": Register(22, 1),
+    "position_i": Register(23, 1),
+    TORQUE: Register(40, 1),
+    "torque_limit": Register(48, 2),
+    **_FEETECH_PRESENT,
+}
+_FEETECH_REPORTED = (
+    "goal_position",
+    "present_position",
+    "present_velocity",
+    "present_load",
+    "present_voltage",
+    "present_temperature",
+)
+_FEETECH_SETTINGS = (
+    "return_delay",
+    "status_level",
+    "max_torque",
+    "position_p",
+    "position_i",
+    "position_d",
+    "profile_velocity",
+)
+
+LAYOUTS: Mapping[str, Layout] = {
+    # DYNAMIXEL X and MX (Protocol 2.0), control table of the e-Manual
+    "dynamixel": Layout(
+        registers={
+            "model": Register(0, 2),
+            "firmware": Register(6, 1),
+            "servo_id": Register(7, 1),
+            "baud": Register(8, 1),
+            "return_delay": Register(9, 1),
+            "drive_mode": Register(10, 1),
+            "operating_mode": Register(11, 1),
+            "homing_offset": _signed(20, 4),
+            "max_temperature": Register(31, 1),
+            "max_voltage": Register(32, 2),
+            "min_voltage": Register(34, 2),
+            "max_position": _signed(48, 4),
+            "min_position": _signed(52, 4),
+            TORQUE: Register(64, 1),
+            "status_level": Register(68, 1),
+            "errors": Register(70, 1),
+            "position_d": Register(80, 2),
+            "position_i": Register(82, 2),
+            "position_p": Register(84, 2),
+            "bus_watchdog": _signed(98, 1),
+            "goal_pwm": _signed(100, 2),
+            "goal_current": _signed(102, 2),
+            "profile_acceleration": Register(108, 4),
+            "profile_velocity": Register(112, 4),
+            "goal_position": _signed(116, 4),
+            "device_ms": Register(120, 2),
+            "present_load": _signed(126, 2),
+            "present_velocity": _signed(128, 4),
+            "present_position": _signed(132, 4),
+            "present_voltage": Register(144, 2),
+            "present_temperature": Register(146, 1),
+        },
+        volatile_from=64,
+        order="little",
+        sync_read=True,
+        reported=(
+            "goal_position",
+            "present_load",
+            "present_velocity",
+            "present_position",
+            "present_voltage",
+            "present_temperature",
+        ),
+        settings=(
+            "firmware",
+            "return_delay",
+            "status_level",
+            "drive_mode",
+            "operating_mode",
+            "homing_offset",
+            "position_p",
+            "position_i",
+            "position_d",
+            "profile_velocity",
+            "profile_acceleration",
+        ),
+        changed={"bus_watchdog": 25, "profile_velocity": 0, "profile_acceleration": 0},
+        position_modes={3: "position", 4: "extended position", 5: "current-based position"},
+        errors={0: "voltage", 2: "temperature", 3: "encoder", 4: "electrical", 5: "overload"},
+        multi_turn_modes=(4, 5),
+        velocity_unit_rad_s=0.229 * 0.10471975511965977,  # 0.229 rev/min
+    ),
+    # Feetech STS and SMS, memory table of the STS series
+    "sts": Layout(
+        registers={
+            **_FEETECH_COMMON,
+            "firmware": Register(0, 2),
+            "position_offset": Register(31, 2, sign_bit=11),
+            "operating_mode": Register(33, 1),
+            "profile_acceleration": Register(41, 1),
+            "present_current": Register(69, 2, sign_bit=15),
+        },
+        volatile_from=40,
+        order="little",
+        sync_read=True,
+        reported=(*_FEETECH_REPORTED, "present_current"),
+        settings=(
+            "firmware",
+            *_FEETECH_SETTINGS,
+            "position_offset",
+            "operating_mode",
+            "profile_acceleration",
+        ),
+        changed={"profile_velocity": 0, "profile_acceleration": 0},
+        position_modes={0: "position"},
+        errors=_FEETECH_ERRORS,
+    ),
+    # Feetech SCS, memory table of the SCS series: no acceleration, mode or current
+    "scs": Layout(
+        registers={**_FEETECH_COMMON, "goal_position": Register(42, 2)},
+        volatile_from=40,
+        order="big",
+        sync_read=False,
+        reported=_FEETECH_REPORTED,
+        settings=_FEETECH_SETTINGS,
+        changed={"profile_velocity": 0},
+        position_modes={},
+        errors=_FEETECH_ERRORS,
+    ),
+}
+"""The families of servos."""
