@@ -1,6 +1,6 @@
 """Angles of BAM's own simulator; called by ``benchmarks/bam_agreement.py`` in BAM's environment.
 
-    BAM_PYTHON benchmarks/bam_rollout.py JOB.json ANSWER.json
+BAM_PYTHON benchmarks/bam_rollout.py JOB.json ANSWER.json
 """
 
 from __future__ import annotations

@@ -41,6 +41,7 @@ COMMANDS = {
     "robot": (_EXCHANGE, "write a robot.toml from a URDF or MJCF, and list missing fields"),
     "export-servo": (_EXCHANGE, "export identified actuators to another simulator"),
     "export-ranges": (_EXCHANGE, "export randomization ranges to another simulator"),
+    "servos": (_EXCHANGE, "list identified servos, write the model of one, or prepare a new entry"),
     "record": (_HARDWARE, "play a signal on servos and record their positions"),
     "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
     "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),

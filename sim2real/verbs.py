@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sim2real.recording import Recording
     from sim2real.robot import Robot
     from sim2real.servo.prediction import Prediction
+    from sim2real.servo_library.catalogue import Servos
 
     File = str | os.PathLike[str]
     Recorded = Recording | File | Sequence[Recording | File]
@@ -210,6 +211,17 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
         for recording in loaded:
             validate_commands(recording, description)
     return predict_recordings(loaded, model_of(model))
+
+
+def servos() -> Servos:
+    """List the identified servos that ship with the package.
+
+    ``servos()["NAME"]`` is one of them: its ``model`` can be used wherever a model is, ``plot()``
+    draws its torque-speed line.
+    """
+    from sim2real.servo_library.catalogue import shipped
+
+    return shipped()
 
 
 def recordings_of(recordings: Recorded) -> list[Recording]:

@@ -194,4 +194,3 @@ def _not_mapped(fields: Fields, values: dict[str, float]) -> tuple[str, ...]:
         if name not in known and finite_number(value) is not None:
             notes.append(f"{name} = {value:.6g}: not mapped, an unknown field")
     return tuple(notes)
-
