@@ -4,8 +4,8 @@
     python -m benchmarks.bam_agreement /tmp/bam/bin/python
 
 Every servo and friction model (M1 to M6) of BAM's release, on a pendulum of a third of its stall
-torque, for random steps and a sine that quickens to 2 Hz. BAM integrates by Euler's method; its time
-step here is 0.25 ms, so that what is printed is the difference of the models.
+torque, for random steps and a sine that quickens to 2 Hz. BAM integrates by Euler's method, here
+with a time step of 0.25 ms, so that what is printed is the difference of the models.
 """
 
 from __future__ import annotations

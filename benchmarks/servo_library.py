@@ -58,15 +58,15 @@ Made by `python -m benchmarks.servo_library`. `sim2real servos` lists the entrie
 
 {table}
 
-*held out*: root mean square error on trajectories that no fit used, while the torque is on. BAM's entries
-are its published parameters (Apache-2.0), mapped to our law by `sim2real.importers.bam_parameters`; each
-entry's notes say what was not mapped. BAM's files state no load: the entries of servos other than the XL330
-have a pendulum of a third of the stall torque.
+*held out*: root mean square error on trajectories that no fit used, while the torque is on. BAM's
+entries are its published parameters (Apache-2.0), mapped to the law of the motor by
+`sim2real.importers.bam_parameters`; the notes of each entry say what was not mapped. BAM's files
+state no load: servos other than the XL330 have a pendulum of a third of the stall torque.
 
 ## Other settings of the same servo
 
-`sim2real servos NAME --firmware-gain G --supply V` scales an entry. On the XL330, whose recordings have two
-gains, the error of an entry at the gain that it was not identified at (mrad, RMS; all at {supply} V):
+`sim2real servos NAME --firmware-gain G --supply V` scales an entry. The XL330 was recorded at two
+gains; these are the errors of each entry at both (mrad, RMS; at {supply} V):
 
 {gains}
 """

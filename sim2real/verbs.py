@@ -216,8 +216,7 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
 def servos() -> Servos:
     """List the identified servos that ship with the package.
 
-    ``servos()["NAME"]`` is one of them: its ``model`` can be used wherever a model is, ``plot()``
-    draws its torque-speed line.
+    ``servos()["NAME"]`` is one of them: its ``model`` can be used wherever a model is.
     """
     from sim2real.servo_library.catalogue import shipped
 

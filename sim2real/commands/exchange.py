@@ -84,7 +84,9 @@ def _servos(command: argparse.ArgumentParser) -> None:
         metavar="V",
         help="write the model for this supply voltage; add: that of the recordings",
     )
-    command.add_argument("--plot", type=Path, metavar="PNG", help="plot of torque-speed lines")
+    command.add_argument(
+        "--plot", type=Path, metavar="PNG", help="plot of stall torque and no-load speed"
+    )
     add = command.add_argument_group("add", "what the entry states, unless the model does")
     add.add_argument("--joint", metavar="JOINT", help="joint of a model that has several")
     add.add_argument("--as", dest="entry", metavar="NAME", help="name of the entry")

@@ -9,7 +9,6 @@ from sim2real import verbs
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
-from sim2real.servo_library.entry import ServoEntry
 
 ADD = "add"
 _OF_ADD = ("joint", "entry", "type", "source", "licence", "date")

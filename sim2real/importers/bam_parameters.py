@@ -11,10 +11,11 @@ gain and radian e, which BAM's programs state and its parameter files do not)::
 with the weight of the load x. M3 and M4 have one coefficient instead of Lm and Le, M1 and M2 none;
 M1 and M3 have no Stribeck part. In the law ``motor`` (`sim2real.servo.motor`) this is::
 
-    kp = kt V g e / R    kd = kt^2 / R + c    stall torque K = kt V d_max / R    no-load speed K / kd
+    kp = kt V g e / R    kd = kt^2 / R + c
+    stall torque K = kt V d_max / R    no-load speed K / kd
 
-Viscous friction is thereby part of the torque to which load-dependent friction is proportional, as
-it is not in BAM. The exponent of the Stribeck part is 2 here; its speed is chosen such that the area
+Viscous friction is thereby part of the torque to which load-dependent friction is proportional,
+unlike in BAM. The exponent of the Stribeck part is 2 here; its speed is chosen such that the area
 under the curve is the same. Source: Duclusaud, Passault, Padois, Ly, Extended Friction Models for
 the Physics Simulation of Servo Actuators, ICRA 2025.
 """
@@ -181,8 +182,8 @@ def _not_mapped(fields: Fields, values: dict[str, float]) -> tuple[str, ...]:
     notes = []
     if "alpha" in values and abs(values["alpha"] - 2) > 0.01:
         notes.append(
-            f"alpha = {values['alpha']:.3g}: the exponent of the Stribeck part is 2 here, its speed "
-            "is chosen such that the area under the curve is the same"
+            f"alpha = {values['alpha']:.3g}: the exponent of the Stribeck part is 2 here, its "
+            "speed is chosen such that the area under the curve is the same"
         )
     for name in _QUADRATIC:
         if values.get(name, 0.0) > 0:

@@ -1,14 +1,14 @@
-"""The library of servos as text, as a table in Markdown and as torque-speed lines."""
+"""The library of servos as text, as a table in Markdown and as a plot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim2real.report.quantity import milliradians, printable
-from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
+from sim2real.report.style import ACCENT, INK, house_style, new_figure
 from sim2real.report.table import fit_report
 from sim2real.servo_library.entry import ServoEntry
 
@@ -79,35 +79,41 @@ def entry_report(entry: ServoEntry) -> str:
     return "\n".join(map(printable, lines)) + f"\n\n{fit_report(entry.model)}"
 
 
-def line_figure(entries: Sequence[ServoEntry]) -> Figure:
-    """Torque-speed lines: speed against torque, from standstill to no load.
+def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
+    """Stall torque and no-load speed of each servo, the ends of its torque-speed line.
 
     Servos whose line is not known, or only per unit of inertia, are left out.
     """
-    shown = [entry for entry in entries if not entry.joint.per_inertia and _ends(entry)]
     with house_style():
-        figure = new_figure(360, "Torque-speed line of each servo")
+        figure = new_figure(360, "Stall torque and no-load speed of each servo")
         axes = figure.subplots()
-        for number, entry in enumerate(shown):
-            torque, speed = _ends(entry)
-            color = (INK, ACCENT, FAINT)[number % 3]
-            style = ("-", "--", ":")[number // 3 % 3]
-            axes.plot([0.0, torque], [speed, 0.0], color=color, linestyle=style, label=entry.name)
-        axes.set_xscale("symlog", linthresh=0.5)
-        axes.set_xlim(0.0, None)
-        axes.set_ylim(0.0, None)
-        axes.set_xlabel("torque, N m")
-        axes.set_ylabel("speed, rad/s")
-        if shown:
-            axes.legend(ncols=2)
+        for entry in entries:
+            motor = entry.joint.motor
+            if entry.joint.per_inertia or not motor.get("no_load_speed_rad_s"):
+                continue
+            point = stall_torque(motor), motor["no_load_speed_rad_s"]
+            color = ACCENT if entry.origin == "identified" else INK
+            axes.plot(*point, "o", color=color, markersize=5, markeredgewidth=0)
+            left = entry.name.endswith(("m5", "200"))  # neighbours are labelled on either side
+            axes.annotate(
+                entry.name,
+                point,
+                xytext=(-7 if left else 7, 0),
+                textcoords="offset points",
+                ha="right" if left else "left",
+                va="center",
+                color=color,
+                size=10,
+            )
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.margins(x=0.35, y=0.15)
+        axes.set_xlabel("stall torque, N m")
+        axes.set_ylabel("no-load speed, rad/s")
     return figure
 
 
-def _ends(entry: ServoEntry) -> tuple[float, float] | tuple[()]:
-    """Torque at standstill in N m, with the rise of the resistance, and no-load speed in rad/s."""
-    motor = entry.joint.motor
-    stall, speed = motor.get("stall_torque_Nm"), motor.get("no_load_speed_rad_s")
-    if not stall or not speed:
-        return ()
+def stall_torque(motor: Mapping[str, float]) -> float:
+    """Torque at standstill and full drive in N m, with the rise of the resistance."""
     rise = motor.get("resistance_rise", 0.0)
-    return float(stall / (0.5 + np.sqrt(0.25 + rise))), speed
+    return float(motor["stall_torque_Nm"] / (0.5 + np.sqrt(0.25 + rise)))

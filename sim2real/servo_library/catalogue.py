@@ -55,8 +55,8 @@ class Servos(NotebookDisplay):
         return text
 
     def plot(self) -> Figure:
-        """Torque-speed lines of the servos."""
-        figure: Figure = from_report("servo_table.line_figure")(self.entries)
+        """Stall torque and no-load speed of the servos."""
+        figure: Figure = from_report("servo_table.motor_figure")(self.entries)
         return figure
 
 

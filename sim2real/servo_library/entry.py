@@ -14,7 +14,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.display import NotebookDisplay, from_report
@@ -96,8 +95,8 @@ class ServoEntry(NotebookDisplay):
         return text
 
     def plot(self) -> Figure:
-        """Torque-speed line of the servo."""
-        figure: Figure = from_report("servo_table.line_figure")([self])
+        """Stall torque and no-load speed of the servo."""
+        figure: Figure = from_report("servo_table.motor_figure")([self])
         return figure
 
 

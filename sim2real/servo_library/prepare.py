@@ -57,7 +57,7 @@ def _joint(model: Model, joint: str | None, file: str | os.PathLike[str]) -> str
     names = list(model.joints)
     if joint is None and len(names) == 1:
         return names[0]
-    if joint in model.joints:
+    if joint is not None and joint in model.joints:
         return joint
     expected = f"--joint with one of {', '.join(names)}" if names else "a model with a servo"
     raise InputError(file, "joints", joint or f"{len(names)} joints", expected)

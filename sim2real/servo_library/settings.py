@@ -54,7 +54,7 @@ def at(
         found = f"{entry.name}, which has no torque-speed line"
         raise InputError("--supply", "", found, "a servo with the law 'motor'")
     joint = _scaled(entry.joint, gain_ratio, volt_ratio)
-    settings = {
+    settings: dict[str, Any] = {
         "supply_V": entry.supply_V and entry.supply_V * volt_ratio,
         "firmware_gain": entry.firmware_gain and entry.firmware_gain * gain_ratio,
     }
