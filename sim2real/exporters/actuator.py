@@ -87,6 +87,11 @@ class Export:
     left_out: tuple[LeftOut, ...]
 
 
+def limit_effects(joint: JointModel) -> set[str]:
+    """The effect that every target expresses as the limit of the drive, if the motor has none."""
+    return set() if joint.motor.get("stall_torque_Nm") else {"torque_saturation"}
+
+
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
     """The servos of a model, in its order.
 

@@ -19,9 +19,11 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     left_out,
+    limit_effects,
     listed,
     shared_left_out,
 )
+from sim2real.exporters.soft_friction import constraint
 from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
@@ -72,7 +74,7 @@ LACKS = {
 
 def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
-    has = {*HAS, "torque_saturation", *SOFT}
+    has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
     return has - {"command_filter"} if names & {"integral_action", "rate_limit"} else has
 
@@ -235,16 +237,8 @@ def _output_losses(servo: Actuator) -> dict[str, str]:
 
 
 def _softness(stick: float, creep: float) -> dict[str, str]:
-    """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0.
-
-    Impedance d and time constant T of the constraint: ``stick = T d / 2``, ``creep = stick (1 - d)
-    / d``. Source: MuJoCo's documentation, Computation, Constraint model (friction loss), where
-    ``stick`` is 1 / b and b = 2 / (d T).
-    """
-    impedance = min(max(stick / max(stick + creep, 1e-12), 0.0001), 0.9999)
-    constant = max(2 * stick / impedance, 2 * TIMESTEP_S)
-    if not stick:
-        impedance = 0.9999
+    """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0."""
+    constant, impedance = constraint(stick, creep, 2 * TIMESTEP_S)
     return {
         "solreffriction": _text(constant, 1),
         "solimpfriction": _text(impedance, impedance),

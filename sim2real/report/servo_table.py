@@ -87,27 +87,26 @@ def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
     with house_style():
         figure = new_figure(360, "Stall torque and no-load speed of each servo")
         axes = figure.subplots()
-        for entry in entries:
+        lines = [e for e in entries if not e.joint.per_inertia and "no_load_speed_rad_s" in e.joint.motor]
+        lines.sort(key=lambda entry: entry.joint.motor["no_load_speed_rad_s"])
+        for number, entry in enumerate(lines):
             motor = entry.joint.motor
-            if entry.joint.per_inertia or not motor.get("no_load_speed_rad_s"):
-                continue
             point = stall_torque(motor), motor["no_load_speed_rad_s"]
             color = ACCENT if entry.origin == "identified" else INK
             axes.plot(*point, "o", color=color, markersize=5, markeredgewidth=0)
-            left = entry.name.endswith(("m5", "200"))  # neighbours are labelled on either side
             axes.annotate(
                 entry.name,
                 point,
-                xytext=(-7 if left else 7, 0),
+                xytext=(0, 9 if number % 2 else -9),  # neighbours are labelled above and below
                 textcoords="offset points",
-                ha="right" if left else "left",
+                ha="center",
                 va="center",
                 color=color,
                 size=10,
             )
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.margins(x=0.35, y=0.15)
+        axes.margins(x=0.2, y=0.15)
         axes.set_xlabel("stall torque, N m")
         axes.set_ylabel("no-load speed, rad/s")
     return figure
