@@ -13,7 +13,7 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--to",
         required=True,
-        choices=("mujoco", "mjlab", "isaaclab", "genesis", "urdf", "json"),
+        choices=("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json"),
         help="simulator or format to write for",
     )
     command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from sim2real.commands.hand_over import hand_over
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
-from sim2real.exporters import genesis, isaaclab, mjlab, mujoco, plain, urdf
+from sim2real.exporters import genesis, isaaclab, mjlab, mujoco, newton, plain, urdf
 from sim2real.exporters.actuator import Export, LeftOut, limit_effects
 from sim2real.model import JointModel, Model, read_model
 from sim2real.output import check_writable
@@ -41,6 +41,7 @@ TARGETS = {
     "mujoco": Target(mujoco.mujoco, mujoco.expressed),
     "isaaclab": Target(isaaclab.isaaclab, _always(*isaaclab.HAS)),
     "mjlab": Target(mjlab.mjlab, _always(*mjlab.HAS)),
+    "newton": Target(newton.newton, _always(*newton.HAS)),
     "genesis": Target(genesis.genesis, _always(*genesis.HAS)),
     "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
     "json": Target(plain.plain, _always(*(effect.name for effect in CATALOGUE))),

@@ -81,7 +81,9 @@ def mjlab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] =
         rows = "".join(f"    {joint!r}: ({t:.9g}, {d:.9g}),\n" for joint, (t, d) in soft.items())
         text += f"\nFRICTION = {{  # time constant in s and impedance of each joint\n{rows}}}\n"
     text += "\n\ndef actuators(physics_dt):\n"
-    text += '    """For EntityArticulationInfoCfg; physics_dt is the time step of MuJoCo, in s."""\n'
+    text += (
+        '    """For EntityArticulationInfoCfg; physics_dt is the time step of MuJoCo, in s."""\n'
+    )
     text += "    return (\n" + "".join(map(_entry, servos)) + "    )\n"
     return Export(text + (FRICTION if soft else ""), tuple(lines))
 

@@ -87,7 +87,9 @@ def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
     with house_style():
         figure = new_figure(360, "Stall torque and no-load speed of each servo")
         axes = figure.subplots()
-        lines = [e for e in entries if not e.joint.per_inertia and "no_load_speed_rad_s" in e.joint.motor]
+        lines = [
+            e for e in entries if not e.joint.per_inertia and "no_load_speed_rad_s" in e.joint.motor
+        ]
         lines.sort(key=lambda entry: entry.joint.motor["no_load_speed_rad_s"])
         for number, entry in enumerate(lines):
             motor = entry.joint.motor
