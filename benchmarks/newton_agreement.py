@@ -4,8 +4,8 @@
     /tmp/newton/bin/pip install 'newton[sim]==1.8.0' scipy pandas emcee tqdm
     PYTHONPATH=. /tmp/newton/bin/python -m benchmarks.newton_agreement [--seconds 4]
 
-The exported text as a user has it, on a link that Newton's solver of MuJoCo simulates, here by MuJoCo
-itself. Every servo and signal is a joint of one model. The signals are those of
+The exported text as a user has it, on a link that Newton's solver of MuJoCo simulates, here by
+MuJoCo itself. Every servo and signal is a joint of one model. The signals are those of
 ``mujoco_agreement``.
 """
 

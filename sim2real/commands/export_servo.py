@@ -15,6 +15,7 @@ from sim2real.model import JointModel, Model, read_model
 from sim2real.output import check_writable
 from sim2real.recording import read_recording
 from sim2real.robot import Robot, read_robot
+from sim2real.servo.parameters import SOFT
 
 
 class Write(Protocol):
@@ -40,8 +41,8 @@ def _always(*effects: str) -> Callable[[JointModel], Collection[str]]:
 TARGETS = {
     "mujoco": Target(mujoco.mujoco, mujoco.expressed),
     "isaaclab": Target(isaaclab.isaaclab, _always(*isaaclab.HAS)),
-    "mjlab": Target(mjlab.mjlab, _always(*mjlab.HAS)),
-    "newton": Target(newton.newton, _always(*newton.HAS)),
+    "mjlab": Target(mjlab.mjlab, _always(*mjlab.HAS, *SOFT)),
+    "newton": Target(newton.newton, _always(*newton.HAS, *SOFT)),
     "genesis": Target(genesis.genesis, _always(*genesis.HAS)),
     "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
     "json": Target(plain.plain, _always(*(effect.name for effect in CATALOGUE))),

@@ -24,8 +24,8 @@ from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.servo.parameters import SOFT
 
-HAS = ("coulomb_friction", "latency_jitter", "unmodelled_inertia", *SOFT)
-"""Effects that a configuration expresses, one of them in part, and the motor's soft friction."""
+HAS = ("coulomb_friction", "latency_jitter", "unmodelled_inertia")
+"""Effects of the catalogue that a configuration expresses, one of them in part."""
 
 LACKS = {
     "stribeck_friction": "frictionloss is a constant torque",

@@ -1,6 +1,6 @@
 """Export of the identified actuators to Newton, as Python text.
 
-Calls: ``newton.ModelBuilder.add_actuator`` and ``newton.actuators``, releases 1.6 to 1.8 (the package
+Calls: ``newton.ModelBuilder.add_actuator`` and ``newton.actuators``, release 1.8 (the package
 ``newton``). Drives and input processors for BAM's servos and for backlash are on Newton's main
 branch, in no release yet; they are not used.
 """
@@ -25,8 +25,8 @@ from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.servo.parameters import SOFT
 
-HAS = ("coulomb_friction", "unmodelled_inertia", *SOFT)
-"""Effects of the catalogue that Newton expresses, and the motor's soft friction."""
+HAS = ("coulomb_friction", "unmodelled_inertia")
+"""Effects of the catalogue that Newton expresses."""
 
 LACKS = {
     "stribeck_friction": "its joint friction is a constant torque",
@@ -50,7 +50,7 @@ def add_actuators(builder, physics_dt):
     """
     soft = builder.custom_attributes
     for number, label in enumerate(builder.joint_label):
-        values = SERVOS.get(label.rsplit("/")[-1])
+        values = SERVOS.get(label, SERVOS.get(label.rsplit("/")[-1]))
         if values is None:
             continue
         dof = builder.joint_qd_start[number]

@@ -185,13 +185,15 @@ def test_a_name_stays_a_name(export: Any, tmp_path: Path) -> None:
 def test_the_readme_says_what_each_target_expresses() -> None:
     from sim2real.exporters import genesis as g
     from sim2real.exporters import isaaclab as i
+    from sim2real.exporters import mjlab as j
     from sim2real.exporters import mujoco as m
+    from sim2real.exporters import newton as n
     from sim2real.exporters import urdf as u
 
     text = Path("sim2real/exporters/README.md").read_text()
     rows = [line.strip("| ").split("|") for line in text.splitlines() if line.startswith("| `")]
     said = [
         {row[0].strip().strip("`") for row in rows if len(row) > k and row[k].strip()}
-        for k in (1, 2, 3, 4)
+        for k in range(1, 7)
     ]
-    assert said == [set(target.HAS) for target in (m, i, g, u)]
+    assert said == [set(target.HAS) for target in (m, j, i, n, g, u)]
