@@ -4,9 +4,9 @@
     /tmp/genesis/bin/pip install genesis-world==1.4.5 torch scipy pandas emcee tqdm warp-lang
     PYTHONPATH=. /tmp/genesis/bin/python -m benchmarks.genesis_agreement [--seconds 4]
 
-The exported text as a user has it; every servo and signal is an entity of one scene. The signals are
-those of ``mujoco_agreement``. Genesis has no delay: set-points are held back by the latency, as the
-exported text says.
+The exported text as a user has it; every servo and signal is an entity of one scene. The signals
+are those of ``mujoco_agreement``. Genesis has no delay: set-points are held back by the latency, as
+the exported text says.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     /tmp/mjlab/bin/pip install mjlab==1.6.0 scipy pandas emcee tqdm
     PYTHONPATH=. /tmp/mjlab/bin/python -m benchmarks.mjlab_agreement [--seconds 4]
 
-The exported text as a user has it: its actuators and ``set_friction`` in an entity of a scene, which
+The exported text as a user has it: actuators and ``set_friction`` in an entity of a scene, which
 mjlab simulates by MuJoCo Warp, here on the CPU. The signals are those of ``mujoco_agreement``.
 """
 
