@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.importers.bam_parameters import read_bam_parameters
-from sim2real.model import Model
+from sim2real.model import Model, read_model
 from sim2real.recording import GRAVITY_M_S2, Load
 from sim2real.servo.prediction import predict
 
@@ -141,3 +142,14 @@ def test_bad_fields_are_one_line(changes: dict[str, Any], line: str, tmp_path: P
         read(tmp_path, "m1", **changes)
     assert line in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_the_command_writes_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    read(tmp_path, "m1", q_offset=0.03)
+    source, out = str(tmp_path / "m1.json"), tmp_path / "model.json"
+    assert main(["import", source, "--out", str(out)]) == 2
+    assert "no --inertia or --pendulum j1=..." in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["import", source, "--pendulum", "j1=0.9,0.14", "--out", str(out)]) == 0
+    assert "q_offset = 0.03 rad: not mapped" in capsys.readouterr().out
+    assert read_model(out).joints["j1"].load == Load(0.9 * 0.14**2, 0.9, 0.14)
