@@ -101,8 +101,14 @@ def parts(latency_s: float = 0.05) -> dict[str, Model]:
     }
 
 
+def bench(model: Model, times: Array, command: Array, start: float) -> Array:
+    """Angles in rad at ``times``, shape (T,), of the exported servo in MuJoCo."""
+    return simulate(mujoco(model).text, times, {"j1": command}, {"j1": start})["j1"]
+
+
 def main() -> None:
-    """Print a table of RMS differences in mrad."""
+    """Print tables of RMS differences in mrad: parts of a servo, and each effect."""
+    print_agreement(parts(), bench)
     t, sent = signals()
     print(f"{'servo':<22}{'steps':>8}{'sine':>8}   effect itself, steps  (mrad RMS)")
     rows = [("plain", Load(0.002)), ("pendulum", Load(0.004, 0.1, 0.1))]

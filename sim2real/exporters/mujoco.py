@@ -21,6 +21,7 @@ from sim2real.exporters.actuator import (
     left_out,
     limit_effects,
     listed,
+    rotor_inertia,
     shared_left_out,
 )
 from sim2real.exporters.soft_friction import constraint
@@ -151,7 +152,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         attributes["range"] = _text(*servo.sheet.limits_rad)
     SubElement(body, "joint", attributes)
     weight = servo.gravity + servo.value("gravity_load", "torque_Nm")
-    rotor = _rotor(servo) if train else 0.0
+    rotor = rotor_inertia(servo) if train else 0.0
     _inertial(body, inertia - rotor, weight)
     gain = 1 + servo.value("sensor_gain", "gain")
     lead = f"{servo.joint}_lead"
@@ -175,22 +176,12 @@ def _train(servo: Actuator) -> dict[str, str]:
     spring = servo.value("compliance", "compliance_rad_per_Nm")
     if spring > 0 and gap == 0:
         inertia = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
-        share = _rotor(servo) / inertia
+        share = rotor_inertia(servo) / inertia
         damping = 2 * SPRING_DAMPING * math.sqrt(share * (1 - share) * inertia / spring)
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}
     if gap > 0:
         return {"limited": "true", "range": _text(-gap / 2, gap / 2)} | CONTACT
     return {}
-
-
-def _rotor(servo: Actuator) -> float:
-    """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
-    rotor = servo.value("backlash", "rotor_inertia_kgm2")
-    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2")
-    total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
-    if rotor == 0 and servo.effects.get("backlash"):
-        rotor = total  # an output without inertia
-    return min(max(rotor, 0.02 * total), 0.98 * total)
 
 
 def _limit_with_back_emf(servo: Actuator) -> tuple[Actuator, list[LeftOut]]:
