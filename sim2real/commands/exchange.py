@@ -38,7 +38,7 @@ def _export_ranges(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--to",
         required=True,
-        choices=("isaaclab", "mjlab", "mujoco-playground"),
+        choices=("isaaclab", "mjlab", "newton", "mujoco-playground"),
         help="simulator to write for",
     )
     command.add_argument(

@@ -14,10 +14,11 @@ import pytest
 from sim2real.exporters.ranges import terms
 from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
 from sim2real.exporters.ranges_mjlab import mjlab_ranges
+from sim2real.exporters.ranges_newton import newton_ranges
 from sim2real.exporters.ranges_playground import playground_ranges
 from sim2real.ranges.entry import Range, Ranges, normal, read_ranges, uniform
 
-EXPORTS = (isaaclab_ranges, mjlab_ranges, playground_ranges)
+EXPORTS = (isaaclab_ranges, mjlab_ranges, newton_ranges, playground_ranges)
 RANGES = Ranges(
     (
         uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
@@ -146,6 +147,57 @@ def test_mjlab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     assert armature["operation"] == "abs"
     assert len(found) == 3  # arm.j2 has no range of kd, which mjlab draws together with kp
     assert space["delay_lags"]("arm.j2", 0.005) == (8, 16)
+
+
+class WarpArray:
+    """A Warp array on the CPU: a copy by ``numpy``, written by ``assign``."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = np.array(values)
+
+    def numpy(self) -> np.ndarray:
+        return self.values.copy()
+
+    def assign(self, values: np.ndarray) -> None:
+        self.values = values
+
+
+def test_newton_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two worlds of two joints, their actuators in two groups, as ``newton.Model`` has them."""
+    package = ModuleType("newton")
+    package.ModelFlags = SimpleNamespace(JOINT_DOF_PROPERTIES=2)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "newton", package)
+    space: dict[str, Any] = {}
+    exec(compile(newton_ranges(RANGES).text, "exported.py", "exec"), space)
+
+    def group(*dofs: int) -> SimpleNamespace:
+        drive = SimpleNamespace(kp=WarpArray([9.0] * len(dofs)), kd=WarpArray([9.0] * len(dofs)))
+        return SimpleNamespace(indices=WarpArray(dofs), drive=drive)
+
+    model = SimpleNamespace(
+        joint_label=["a/j1", "a/arm.j2", "b/j1", "b/arm.j2"],
+        joint_qd_start=WarpArray([0, 1, 2, 3, 4]),
+        joint_friction=WarpArray([9.0] * 4),
+        joint_armature=WarpArray([9.0] * 4),
+        actuators=[group(2, 0), group(1, 3)],
+    )
+    told: list[int] = []
+    solver = SimpleNamespace(notify_model_changed=told.append)
+    drawn = []
+    for seed in range(200):
+        space["randomize"](model, solver, np.random.default_rng(seed))
+        drawn.append(model.actuators[0].drive.kp.values)
+    assert np.mean(drawn) == pytest.approx(2.1, abs=0.01)
+    assert np.std(drawn) == pytest.approx(0.05, rel=0.2)
+    assert np.corrcoef(np.array(drawn).T)[0, 1] < 0.5  # each world has its own
+    assert (
+        (model.actuators[1].drive.kp.values > 1.8) & (model.actuators[1].drive.kp.values < 1.9)
+    ).all()
+    assert (model.actuators[1].drive.kd.values == 9.0).all()  # no range of arm.j2
+    assert (model.joint_friction.values[[1, 3]] == 9.0).all()
+    assert (model.joint_friction.values[[0, 2]] < 0.1).all()
+    assert (model.joint_armature.values[[1, 3]] < 0.0021).all()
+    assert set(told) == {2}
 
 
 class Values(np.ndarray):
