@@ -86,7 +86,9 @@ def _gains(mapped: list[Term]) -> tuple[dict[str, str], list[Term], list[LeftOut
     for term in mapped:
         if term.quantity in (KP, KD):
             by_joint.setdefault(term.joint, {})[term.quantity] = term
-    gains, alone, changed = {}, [], []
+    gains: dict[str, str] = {}
+    alone: list[Term] = []
+    changed: list[LeftOut] = []
     for joint, both in by_joint.items():
         if len(both) < 2:
             alone += both.values()
