@@ -82,35 +82,31 @@ def entry_report(entry: ServoEntry) -> str:
 def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
     """Stall torque and no-load speed of each servo, the ends of its torque-speed line.
 
-    Servos whose line is not known, or only per unit of inertia, are left out.
+    Servos whose line is not known, or only per unit of inertia, are left out. Servos that were
+    identified here are marked.
     """
+    lines = [
+        entry
+        for entry in entries
+        if not entry.joint.per_inertia and entry.joint.motor.get("no_load_speed_rad_s")
+    ]
+    torques = [stall_torque(entry.joint.motor) for entry in lines]
+    speeds = [entry.joint.motor["no_load_speed_rad_s"] for entry in lines]
+    colors = [ACCENT if entry.origin == "identified" else INK for entry in lines]
     with house_style():
-        figure = new_figure(360, "Stall torque and no-load speed of each servo")
-        axes = figure.subplots()
-        lines = [
-            e for e in entries if not e.joint.per_inertia and "no_load_speed_rad_s" in e.joint.motor
-        ]
-        lines.sort(key=lambda entry: entry.joint.motor["no_load_speed_rad_s"])
-        for number, entry in enumerate(lines):
-            motor = entry.joint.motor
-            point = stall_torque(motor), motor["no_load_speed_rad_s"]
-            color = ACCENT if entry.origin == "identified" else INK
-            axes.plot(*point, "o", color=color, markersize=5, markeredgewidth=0)
-            axes.annotate(
-                entry.name,
-                point,
-                xytext=(0, 9 if number % 2 else -9),  # neighbours are labelled above and below
-                textcoords="offset points",
-                ha="center",
-                va="center",
-                color=color,
-                size=10,
-            )
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.margins(x=0.2, y=0.15)
-        axes.set_xlabel("stall torque, N m")
-        axes.set_ylabel("no-load speed, rad/s")
+        title = "Stall torque and no-load speed of each servo"
+        figure = new_figure(90 + 26 * max(1, len(lines)), title)
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, values in zip(panels, (torques, speeds), strict=True):
+            axes.scatter(values, range(len(lines)), color=colors, s=26)
+        panels[0].set_title("stall torque, N m")
+        panels[0].set_xscale("log")
+        panels[0].xaxis.set_major_formatter("{x:g}")
+        panels[0].margins(x=0.1)
+        panels[1].set_title("no-load speed, rad/s")
+        panels[1].set_xlim(0.0, 1.1 * max(speeds, default=1.0))
+        panels[0].set_yticks(range(len(lines)), [entry.name for entry in lines])
+        panels[0].set_ylim(len(lines) - 0.5, -0.5)
     return figure
 
 

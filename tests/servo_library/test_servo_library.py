@@ -105,6 +105,20 @@ def test_the_table_has_every_servo(library: Any, capsys: pytest.CaptureFixture[s
     assert "38.6 mrad" in lines["xl330_gain800"]
 
 
+def test_servos_are_shown_as_plots_and_in_notebooks(library: Any) -> None:
+    left, right = library.plot().axes
+    known = [entry for entry in library if not entry.joint.per_inertia]
+    assert len(left.collections[0].get_offsets()) == len(known)
+    assert [label.get_text() for label in left.get_yticklabels()] == [e.name for e in known]
+    entry = library["xl330_gain800"]
+    speed = entry.joint.motor["no_load_speed_rad_s"]
+    assert entry.plot().axes[1].collections[0].get_offsets()[0][0] == pytest.approx(speed)
+    html = library._repr_html_()
+    assert html is not None and html.count("<tr") == len(library) + 1
+    assert all(entry.date in html for entry in library)
+    assert "Rhoban" in entry._repr_html_() and "stall torque" in entry._repr_html_()
+
+
 def test_a_servo_of_a_robot_can_be_used_as_any_model(tmp_path: Path) -> None:
     out, commands = tmp_path / "model.json", tmp_path / "commands.csv"
     call = ["servos", "xl330_gain800", "--joints", "pan", "tilt", "--out", str(out)]
