@@ -43,7 +43,7 @@ def with_play(urdf):
     The servo turns the joint NAME, and the angle of the link is the sum of both.
     """
     root = ElementTree.fromstring(urdf)
-    for name, (gap, rotor, _, _) in PLAY.items():
+    for name, (gap, rotor, _) in PLAY.items():
         joint = next(j for j in root.findall("joint") if j.get("name") == name)
         link = ElementTree.SubElement(root, "link", name=name + "_rotor")
         inertial = ElementTree.SubElement(link, "inertial")
@@ -62,11 +62,12 @@ def with_play(urdf):
 
 
 def set_play(entity, physics_dt):
-    """Friction and inertia of the output, and the flanks as rigid as the time step allows."""
-    for name, (_, _, friction, armature) in PLAY.items():
+    """Inertia of the output, and the flanks as rigid as the time step allows."""
+    for name, (_, _, armature) in PLAY.items():
         joint = entity.get_joint(name + "_play")
         joint.set_sol_params([2 * physics_dt, 1.0, 0.99, 0.9999, 1e-4, 0.5, 2.0])
-        entity.set_dofs_frictionloss([friction], joint.dofs_idx_local)
+        entity.set_dofs_kp([0.0], joint.dofs_idx_local)
+        entity.set_dofs_kv([0.0], joint.dofs_idx_local)
         entity.set_dofs_armature([armature], joint.dofs_idx_local)
 '''
 
@@ -75,7 +76,7 @@ def genesis(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut]
     """Python text that defines ``set_actuators(entity)``, to be called after the scene is built.
 
     Play needs a second joint: ``with_play(urdf)`` adds it to the robot's description, ``set_play``
-    its friction and stiffness.
+    its inertia and stiffness.
 
     Args:
         model: The fitted model.
@@ -95,7 +96,7 @@ def genesis(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut]
     text += f"\nJOINTS = [{names}]\n"
     if play:
         rows = "".join(f"    {joint!r}: ({values}),\n" for joint, values in play.items())
-        text += "# gap in rad; rotor in kg m2; friction in N m and added inertia of the output\n"
+        text += "# gap in rad; rotor and added inertia of the output in kg m2\n"
         text += f"PLAY = {{\n{rows}}}\n"
     text += "\n\n"
     text += "def set_actuators(entity):\n"
@@ -111,7 +112,12 @@ def _calls(servos: tuple[Actuator, ...]) -> dict[str, str]:
         return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
 
     armature = [0.0 if _has_play(servo) else max(_added(servo), 0.0) for servo in servos]
-    friction = [servo.value("coulomb_friction", "torque_Nm") for servo in servos]
+    # In a chain, friction of the joint in the gap would act between rotor and link: the friction of
+    # the output, which acts on the base, is on the motor's side.
+    friction = [
+        servo.value("coulomb_friction", "torque_Nm") + servo.value("backlash", "output_friction_Nm")
+        for servo in servos
+    ]
     calls = {
         "set_dofs_kp": listing([servo.kp for servo in servos]),
         "set_dofs_kv": listing([servo.kd for servo in servos]),
@@ -142,7 +148,6 @@ def _play(servo: Actuator) -> str:
     values = (
         servo.value("backlash", "gap_rad"),
         rotor_inertia(servo),
-        servo.value("backlash", "output_friction_Nm"),
         max(_added(servo), 0.0),
     )
     return ", ".join(f"{value:.9g}" for value in values)
@@ -156,6 +161,9 @@ def _left_out(servo: Actuator) -> list[LeftOut]:
         what = "part of the rotor's inertia" if _has_play(servo) else "unmodelled_inertia"
         why = "an armature cannot be negative; subtract it from the link's inertia"
         lines.append(LeftOut(servo.joint, f"{what} ({added:.6g} kg m2)", why))
+    if friction := servo.value("backlash", "output_friction_Nm"):
+        why = "it acts on the motor's side and does not hold the output in the gap"
+        lines += quantity(servo.joint, "place of the output's friction", friction, "N m", why)
     load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
     lines.append(LeftOut(servo.joint, load, "it belongs to the link"))
     return lines

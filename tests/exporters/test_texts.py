@@ -153,8 +153,9 @@ def test_play_in_genesis_is_a_second_joint_of_the_robots_description() -> None:
 
     space["set_actuators"](Entity())
     assert given["set_dofs_armature"] == ([0], [0])  # the rotor has a link of its own
+    assert given["set_dofs_frictionloss"] == ([0.02], [0])
     space["set_play"](Entity(), 0.002)
-    assert given["set_dofs_frictionloss"] == ([0.02], [1])
+    assert given["set_dofs_kv"] == ([0.0], [1])  # Genesis's default is 10
     assert given["set_dofs_armature"] == ([pytest.approx(0.0002)], [1])
     assert given["stop"][0] == 0.004
 
