@@ -21,15 +21,12 @@ import genesis
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.mujoco_agreement import parts, print_differences, servo, signals
+from benchmarks.mujoco_agreement import parts, print_differences, signals
 from sim2real.arrays import Array
-from sim2real.exporters.actuator import actuators, rotor_inertia
 from sim2real.exporters.genesis import genesis as exported
-from sim2real.model import FittedEffect, JointModel, Model
-from sim2real.recording import Load
+from sim2real.model import Model
 
 STEP_S = 0.001
-ROTOR = {"inertia_kgm2": 0.001}
 BODY = """<robot name="bench"><link name="base"/>
   <link name="horn"><inertial><mass value="0.1"/>
     <inertia ixx="0.002" iyy="0.002" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -38,54 +35,23 @@ BODY = """<robot name="bench"><link name="base"/>
 """
 
 
-def text_of(model: Model) -> dict[str, Any]:
-    """What the exported text defines."""
-    made: dict[str, Any] = {}
-    exec(exported(model).text, made)  # noqa: S102 - the very text that users get
-    return made
-
-
-def described(model: Model, made: dict[str, Any]) -> str:
-    """URDF of a link with the model's inertia, with the second joint of a servo with play.
-
-    What the text says that an armature cannot take off is taken off the link.
-    """
-    (servo,) = actuators(model)
-    inertia = servo.inertia
-    if "with_play" not in made:
-        return BODY.format(inertia=inertia)
-    rotor = rotor_inertia(servo)
-    inertia += min(servo.value("unmodelled_inertia", "inertia_kgm2") - rotor, 0.0)
-    text: str = made["with_play"](BODY.format(inertia=inertia))
-    return text
-
-
-def with_play() -> dict[str, Model]:
-    """Servos with play: one whose output has hardly any inertia, and one with a rotor."""
-    load = Load(0.002)
-    gap = {"gap_rad": 0.03, "rotor_inertia_kgm2": 0.001, "output_friction_Nm": 0.02}
-    effects = FittedEffect("backlash", gap), FittedEffect("unmodelled_inertia", ROTOR)
-    joint = JointModel(2.2, 0.06, 0.0507, load.inertia_kgm2, load=load, effects=effects)
-    return {"play": servo(load, "backlash"), "play, rotor": Model({"j1": joint})}
-
-
 def simulate(servos: Sequence[Model], times: Array, commands: Array) -> Array:
     """Angles in rad at ``times`` of N exported servos on their set-points, both of shape (T, N)."""
     options = genesis.options.SimOptions(dt=STEP_S, gravity=(0.0, 0.0, 0.0))
     scene = genesis.Scene(sim_options=options, show_viewer=False)
-    entities, texts = [], [text_of(model) for model in servos]
+    entities = []
     with tempfile.TemporaryDirectory() as folder:
         for number, model in enumerate(servos):
             path = Path(folder) / f"bench{number}.urdf"
-            path.write_text(described(model, texts[number]))
+            path.write_text(BODY.format(inertia=model.joints["j1"].inertia_kgm2))
             morph = genesis.morphs.URDF(file=str(path), fixed=True, pos=(0.0, float(number), 0.0))
             entities.append(scene.add_entity(morph))
         scene.build()
     dofs = []
-    for made, entity in zip(texts, entities, strict=True):
+    for model, entity in zip(servos, entities, strict=True):
+        made: dict[str, Any] = {}
+        exec(exported(model).text, made)  # noqa: S102 - the very text that users get
         dofs.append(made["set_actuators"](entity))
-        if "set_play" in made:
-            made["set_play"](entity, STEP_S)
     grid = STEP_S * np.arange(1, round(times[-1] / STEP_S) + 2)
     latencies = np.array([model.joints["j1"].latency_s for model in servos])
     late = np.searchsorted(times, grid[:, None] - STEP_S - latencies, side="right") - 1
@@ -95,8 +61,8 @@ def simulate(servos: Sequence[Model], times: Array, commands: Array) -> Array:
             target = commands[row[n], n] if row[n] >= 0 else commands[0, n]
             entity.control_dofs_position([float(target)], dof)
         scene.step()
-        # A link with play is at the sum of the rotor's angle and its own within the gap.
-        seen.append(np.array([float(entity.get_dofs_position().sum()) for entity in entities]))
+        angles = zip(entities, dofs, strict=True)
+        seen.append(np.array([float(entity.get_dofs_position(dof)[0]) for entity, dof in angles]))
     ends, rows = np.concatenate([[0.0], grid]), np.array(seen)
     return np.stack([np.interp(times, ends, row) for row in rows.T], axis=1)
 
@@ -105,14 +71,11 @@ def main() -> None:
     """Print a table of RMS differences in mrad."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--seconds", type=float, default=12.0, help="length of the signals")
-    options.add_argument("--only", help="only servos whose name starts so")
     t, sent = signals()
-    chosen = options.parse_args()
-    t = t[t <= chosen.seconds]
+    t = t[t <= options.parse_args().seconds]
     sent = {kind: command[: t.size] for kind, command in sent.items()}
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
-    models = parts() | with_play()
-    models = {k: one for k, one in models.items() if k.startswith(chosen.only or "")}
+    models = parts()
     pairs = [(name, kind) for name in models for kind in sent]
     commands = np.stack([sent[kind] for _, kind in pairs], axis=1)
     angles = simulate([models[name] for name, _ in pairs], t, commands)

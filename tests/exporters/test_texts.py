@@ -29,7 +29,6 @@ from sim2real.servo.prediction import predict
 
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 TYPICAL["torque_saturation"]["free_damping"] = 0.0
-ROTOR = {"inertia_kgm2": 0.001}
 TEXTS = (isaaclab, mjlab, newton, genesis, urdf, plain, mujoco)
 
 
@@ -124,40 +123,6 @@ def test_genesis() -> None:
         "set_dofs_frictionloss": ([0.05, 0], [4, 2]),
         "set_dofs_force_range": ([-0.5, -infinite], [0.5, infinite], [4, 2]),
     }
-
-
-def test_play_in_genesis_is_a_second_joint_of_the_robots_description() -> None:
-    """The description with play, as MuJoCo reads it: a rotor, and a link that moves in the gap."""
-    import mujoco as simulator
-
-    gap = {"gap_rad": 0.03, "rotor_inertia_kgm2": 0.0008, "output_friction_Nm": 0.02}
-    effects = FittedEffect("backlash", gap), FittedEffect("unmodelled_inertia", ROTOR)
-    joint = JointModel(2.2, 0.06, 0.0, 0.002, load=Load(0.002), effects=effects)
-    space: dict[str, Any] = {}
-    exec(compile(genesis(Model({"j1": joint})).text, "exported.py", "exec"), space)
-    described = space["with_play"](urdf(Model({"j1": JointModel(2.2, 0.06, 0.0, 0.002)})).text)
-    read = simulator.MjModel.from_xml_string(described)
-    assert [read.joint(k).name for k in range(read.njnt)] == ["j1", "j1_play"]
-    assert read.joint("j1_play").range == pytest.approx([-0.015, 0.015])
-    assert read.joint("j1_play").axis == pytest.approx(read.joint("j1").axis)
-    assert read.body(read.joint("j1").bodyid[0]).inertia == pytest.approx([0.0008] * 3)
-    given: dict[str, Any] = {}
-
-    class Entity:
-        def get_joint(self, name: str) -> SimpleNamespace:
-            keep = {"set_sol_params": lambda values: given.update(stop=values)}
-            return SimpleNamespace(dofs_idx_local=[{"j1": 0, "j1_play": 1}[name]], **keep)
-
-        def __getattr__(self, call: str) -> Any:
-            return lambda *values: given.update({call: values})
-
-    space["set_actuators"](Entity())
-    assert given["set_dofs_armature"] == ([0], [0])  # the rotor has a link of its own
-    assert given["set_dofs_frictionloss"] == ([0.02], [0])
-    space["set_play"](Entity(), 0.002)
-    assert given["set_dofs_kv"] == ([0.0], [1])  # Genesis's default is 10
-    assert given["set_dofs_armature"] == ([pytest.approx(0.0002)], [1])
-    assert given["stop"][0] == 0.004
 
 
 def test_urdf(robot: Robot) -> None:
