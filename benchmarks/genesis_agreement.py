@@ -1,26 +1,32 @@
 """How far a servo exported for Genesis is from ``predict``.
 
-Run: ``python -m benchmarks.genesis_agreement``, where ``pip install genesis-world`` was done. The
-signals and servos are those of ``mujoco_agreement``; set-points are held back by the latency, which
-Genesis does not have, as the exported text says.
+    python3.11 -m venv /tmp/genesis
+    /tmp/genesis/bin/pip install genesis-world==1.4.5 torch scipy pandas emcee tqdm warp-lang
+    PYTHONPATH=. /tmp/genesis/bin/python -m benchmarks.genesis_agreement [--seconds 4]
+
+The exported text as a user has it; every servo and signal is an entity of one scene. The signals
+are those of ``mujoco_agreement``. Genesis has no delay: set-points are held back by the latency, as
+the exported text says.
 """
 
 from __future__ import annotations
 
+import argparse
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import genesis
 import numpy as np
+from tqdm import tqdm
 
-from benchmarks.mujoco_agreement import print_agreement, servo
+from benchmarks.mujoco_agreement import parts, print_differences, signals
 from sim2real.arrays import Array
-from sim2real.exporters.genesis import HAS
 from sim2real.exporters.genesis import genesis as exported
 from sim2real.model import Model
-from sim2real.recording import Load
 
-STEP_S = 0.0005
+STEP_S = 0.001
 BODY = """<robot name="bench"><link name="base"/>
   <link name="horn"><inertial><mass value="0.1"/>
     <inertia ixx="0.002" iyy="0.002" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -29,37 +35,54 @@ BODY = """<robot name="bench"><link name="base"/>
 """
 
 
-def simulate(model: Model, times: Array, command: Array, start: float) -> Array:
-    """Angles in rad at ``times``, shape (T,), of the exported servo in Genesis."""
-    joint = model.joints["j1"]
-    scene = genesis.Scene(
-        sim_options=genesis.options.SimOptions(dt=STEP_S, gravity=(0.0, 0.0, 0.0)),
-        show_viewer=False,
-    )
+def simulate(servos: Sequence[Model], times: Array, commands: Array) -> Array:
+    """Angles in rad at ``times`` of N exported servos on their set-points, both of shape (T, N)."""
+    options = genesis.options.SimOptions(dt=STEP_S, gravity=(0.0, 0.0, 0.0))
+    scene = genesis.Scene(sim_options=options, show_viewer=False)
+    entities = []
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bench.urdf"
-        path.write_text(BODY.format(inertia=joint.inertia_kgm2))
-        entity = scene.add_entity(genesis.morphs.URDF(file=str(path), fixed=True))
+        for number, model in enumerate(servos):
+            path = Path(folder) / f"bench{number}.urdf"
+            path.write_text(BODY.format(inertia=model.joints["j1"].inertia_kgm2))
+            morph = genesis.morphs.URDF(file=str(path), fixed=True, pos=(0.0, float(number), 0.0))
+            entities.append(scene.add_entity(morph))
         scene.build()
-    made: dict[str, object] = {}
-    exec(exported(model).text, made)  # noqa: S102 - the very text that users get
-    dofs = made["set_actuators"](entity)  # type: ignore[operator]
-    entity.set_dofs_position([start], dofs)
-    seen, grid = [start], STEP_S * np.arange(1, round(times[-1] / STEP_S) + 2)
-    late = np.searchsorted(times, grid - STEP_S - joint.latency_s, side="right") - 1
-    for k in late:
-        entity.control_dofs_position([command[k] if k >= 0 else start], dofs)
+    dofs = []
+    for model, entity in zip(servos, entities, strict=True):
+        made: dict[str, Any] = {}
+        exec(exported(model).text, made)  # noqa: S102 - the very text that users get
+        dofs.append(made["set_actuators"](entity))
+    grid = STEP_S * np.arange(1, round(times[-1] / STEP_S) + 2)
+    latencies = np.array([model.joints["j1"].latency_s for model in servos])
+    late = np.searchsorted(times, grid[:, None] - STEP_S - latencies, side="right") - 1
+    seen = [np.zeros(len(servos))]
+    for row in tqdm(late, disable=None):
+        for n, (entity, dof) in enumerate(zip(entities, dofs, strict=True)):
+            target = commands[row[n], n] if row[n] >= 0 else commands[0, n]
+            entity.control_dofs_position([float(target)], dof)
         scene.step()
-        seen.append(float(entity.get_dofs_position(dofs)[0]))
-    return np.interp(times, np.concatenate([[0.0], grid]), seen)
+        angles = zip(entities, dofs, strict=True)
+        seen.append(np.array([float(entity.get_dofs_position(dof)[0]) for entity, dof in angles]))
+    ends, rows = np.concatenate([[0.0], grid]), np.array(seen)
+    return np.stack([np.interp(times, ends, row) for row in rows.T], axis=1)
 
 
 def main() -> None:
     """Print a table of RMS differences in mrad."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--seconds", type=float, default=12.0, help="length of the signals")
+    t, sent = signals()
+    t = t[t <= options.parse_args().seconds]
+    sent = {kind: command[: t.size] for kind, command in sent.items()}
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
-    load = Load(0.002)
-    models = {"plain": servo(load)} | {name: servo(load, name) for name in HAS}
-    print_agreement(models, simulate)
+    models = parts()
+    pairs = [(name, kind) for name in models for kind in sent]
+    commands = np.stack([sent[kind] for _, kind in pairs], axis=1)
+    angles = simulate([models[name] for name, _ in pairs], t, commands)
+    seen: dict[str, dict[str, Array]] = {name: {} for name in models}
+    for (name, kind), angle in zip(pairs, angles.T, strict=True):
+        seen[name][kind] = angle
+    print_differences(models, seen, t, sent)
 
 
 if __name__ == "__main__":

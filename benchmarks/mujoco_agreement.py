@@ -48,18 +48,67 @@ def print_agreement(
         simulate: Angles in rad, shape (T,), of a model from times, set-points and the first angle.
     """
     t, sent = signals()
+    seen = {
+        name: {kind: simulate(model, t, command, 0.0) for kind, command in sent.items()}
+        for name, model in models.items()
+    }
+    print_differences(models, seen, t, sent)
+
+
+def print_differences(
+    models: Mapping[str, Model],
+    seen: Mapping[str, Mapping[str, Array]],
+    t: Array,
+    sent: Mapping[str, Array],
+) -> None:
+    """Print how far simulated angles are from ``predict``, RMS in mrad, by model and signal.
+
+    Args:
+        models: Of the joint ``j1``, by name.
+        seen: Simulated angles in rad, shape (T,), by model and signal.
+        t: Times in s, shape (T,).
+        sent: Set-points in rad, shape (T,), by signal.
+    """
     print(f"{'servo':<22}" + "".join(f"{name:>8}" for name in sent) + "   (mrad RMS)")
     for name, model in models.items():
         apart = []
-        for command in sent.values():
+        for kind, command in sent.items():
             expected = predict(model, t, {"j1": command})["j1"]
-            seen = simulate(model, t, command, float(expected[0]))
-            apart.append(1e3 * float(np.sqrt(np.mean((seen - expected) ** 2))))
+            apart.append(1e3 * float(np.sqrt(np.mean((seen[name][kind] - expected) ** 2))))
         print(f"{name:<22}" + "".join(f"{value:8.2f}" for value in apart))
 
 
+def parts(latency_s: float = 0.05) -> dict[str, Model]:
+    """The plain servo, a motor with one further part each, and one with all of them."""
+    load = Load(0.002)
+    line = {"stall_torque_Nm": 0.5, "no_load_speed_rad_s": 6.0}
+    friction, rotor = {"coulomb_Nm": 0.05}, {"rotor_inertia_kgm2": 0.001}
+    kd = line["stall_torque_Nm"] / line["no_load_speed_rad_s"] + 0.01
+
+    def motor(latency: float, parameters: dict[str, float]) -> Model:
+        inertia = load.inertia_kgm2
+        joint = JointModel(2.2, kd, latency, inertia, load=load, law="motor", motor=parameters)
+        return Model({"j1": joint})
+
+    return {
+        "plain": servo(load),
+        "torque-speed line": motor(0.0, line),
+        "delay": motor(latency_s, line),
+        "friction": motor(0.0, line | friction),
+        "soft friction": motor(0.0, line | friction | {"stick_time_s": 0.01}),
+        "rotor": motor(0.0, line | rotor),
+        "all": motor(latency_s, line | friction | rotor),
+    }
+
+
+def bench(model: Model, times: Array, command: Array, start: float) -> Array:
+    """Angles in rad at ``times``, shape (T,), of the exported servo in MuJoCo."""
+    return simulate(mujoco(model).text, times, {"j1": command}, {"j1": start})["j1"]
+
+
 def main() -> None:
-    """Print a table of RMS differences in mrad."""
+    """Print tables of RMS differences in mrad: parts of a servo, and each effect."""
+    print_agreement(parts(), bench)
     t, sent = signals()
     print(f"{'servo':<22}{'steps':>8}{'sine':>8}   effect itself, steps  (mrad RMS)")
     rows = [("plain", Load(0.002)), ("pendulum", Load(0.004, 0.1, 0.1))]

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sim2real.verbs import posterior as posterior
     from sim2real.verbs import predict as predict
     from sim2real.verbs import ranges as ranges
+    from sim2real.verbs import servos as servos
     from sim2real.version import __version__ as __version__
 
 _NAMES = {
@@ -40,7 +41,9 @@ _NAMES = {
     "sim2real.model": ("Model", "read_model", "write_model"),
     "sim2real.recording": ("Recording", "read_recording", "write_recording"),
     "sim2real.robot": ("Robot", "read_robot"),
-    "sim2real.verbs": ("density", "design", "identify", "posterior", "predict", "ranges"),
+    "sim2real.verbs": (
+        "density", "design", "identify", "posterior", "predict", "ranges", "servos",
+    ),  # fmt: skip
     "sim2real.version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}

@@ -44,6 +44,7 @@ COMMANDS = {
     "export-servo": (_EXCHANGE, "export identified actuators to another simulator"),
     "export-ranges": (_EXCHANGE, "export randomization ranges to another simulator"),
     "bench": (_HARDWARE, "scan, record and identify servos on a bench, and write a page"),
+    "servos": (_EXCHANGE, "list identified servos, write the model of one, or prepare a new entry"),
     "record": (_HARDWARE, "play a signal on servos and record their positions"),
     "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
     "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sim2real.recording import Recording
     from sim2real.robot import Robot
     from sim2real.servo.prediction import Prediction
+    from sim2real.servo_library.catalogue import Servos
 
     File = str | os.PathLike[str]
     Recorded = Recording | File | Sequence[Recording | File]
@@ -311,6 +312,16 @@ def _design_for_rivals(
             progress=progress,
         )
     return replace(found, provenance=provenance([robot, diagnosis, contexts], seed))
+
+
+def servos() -> Servos:
+    """List the identified servos that ship with the package.
+
+    ``servos()["NAME"]`` is one of them: its ``model`` can be used wherever a model is.
+    """
+    from sim2real.servo_library.catalogue import shipped
+
+    return shipped()
 
 
 def recordings_of(recordings: Recorded) -> list[Recording]:

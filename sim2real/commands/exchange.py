@@ -13,7 +13,7 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--to",
         required=True,
-        choices=("mujoco", "isaaclab", "genesis", "urdf", "json"),
+        choices=("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json"),
         help="simulator or format to write for",
     )
     command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
@@ -38,7 +38,7 @@ def _export_ranges(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--to",
         required=True,
-        choices=("isaaclab", "mujoco-playground"),
+        choices=("isaaclab", "mjlab", "newton", "mujoco-playground"),
         help="simulator to write for",
     )
     command.add_argument(
@@ -57,6 +57,43 @@ def _robot(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="joints to take, in order (default: all)"
     )
+
+
+def _servos(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "name", nargs="?", metavar="NAME", help="servo to show or to write; 'add' to prepare one"
+    )
+    command.add_argument(
+        "model", nargs="?", type=Path, metavar="MODEL", help="add: identified servo (MODEL.json)"
+    )
+    command.add_argument(
+        "--out", type=Path, metavar="MODEL", help="model to write (add: entry, NAME.json)"
+    )
+    command.add_argument(
+        "--joints", nargs="+", metavar="JOINT", help="joints that have this servo (default j1)"
+    )
+    command.add_argument(
+        "--firmware-gain",
+        type=float,
+        metavar="X",
+        help="write the model for this gain of the firmware; add: the gain of the recordings",
+    )
+    command.add_argument(
+        "--supply",
+        type=float,
+        metavar="V",
+        help="write the model for this supply voltage; add: that of the recordings",
+    )
+    command.add_argument(
+        "--plot", type=Path, metavar="PNG", help="plot of stall torque and no-load speed"
+    )
+    add = command.add_argument_group("add", "what the entry states, unless the model does")
+    add.add_argument("--joint", metavar="JOINT", help="joint of a model that has several")
+    add.add_argument("--as", dest="entry", metavar="NAME", help="name of the entry")
+    add.add_argument("--type", metavar="TEXT", help="make and type of the servo")
+    add.add_argument("--source", metavar="TEXT", help="where the recordings come from")
+    add.add_argument("--licence", metavar="TEXT", help="licence of the recordings")
+    add.add_argument("--date", metavar="DAY", help="day of the recordings (2026-01-31)")
 
 
 COMMANDS = (
@@ -78,6 +115,12 @@ COMMANDS = (
         "sim2real.commands.export_ranges",
         _export_ranges,
         "sim2real export-ranges ranges.json --to isaaclab --out randomization.py",
+    ),
+    Command(
+        "servos",
+        "sim2real.commands.servos",
+        _servos,
+        "sim2real servos xl330_gain800 --joints pan tilt --out model.json",
     ),
 )
 """In the order in which help lists them."""

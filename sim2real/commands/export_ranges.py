@@ -6,11 +6,18 @@ import argparse
 
 from sim2real.commands.hand_over import hand_over
 from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
+from sim2real.exporters.ranges_mjlab import mjlab_ranges
+from sim2real.exporters.ranges_newton import newton_ranges
 from sim2real.exporters.ranges_playground import playground_ranges
 from sim2real.output import check_writable
 from sim2real.ranges.entry import read_ranges
 
-TARGETS = {"isaaclab": isaaclab_ranges, "mujoco-playground": playground_ranges}
+TARGETS = {
+    "isaaclab": isaaclab_ranges,
+    "mjlab": mjlab_ranges,
+    "newton": newton_ranges,
+    "mujoco-playground": playground_ranges,
+}
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,12 +9,13 @@ from typing import NamedTuple, Protocol
 from sim2real.commands.hand_over import hand_over
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
-from sim2real.exporters import genesis, isaaclab, mujoco, plain, urdf
-from sim2real.exporters.actuator import Export, LeftOut
+from sim2real.exporters import genesis, isaaclab, mjlab, mujoco, newton, plain, urdf
+from sim2real.exporters.actuator import Export, LeftOut, limit_effects
 from sim2real.model import JointModel, Model, read_model
 from sim2real.output import check_writable
 from sim2real.recording import read_recording
 from sim2real.robot import Robot, read_robot
+from sim2real.servo.parameters import SOFT
 
 
 class Write(Protocol):
@@ -34,12 +35,14 @@ class Target(NamedTuple):
 
 
 def _always(*effects: str) -> Callable[[JointModel], Collection[str]]:
-    return lambda joint: {*effects, "torque_saturation"}
+    return lambda joint: {*effects, *limit_effects(joint)}
 
 
 TARGETS = {
     "mujoco": Target(mujoco.mujoco, mujoco.expressed),
     "isaaclab": Target(isaaclab.isaaclab, _always(*isaaclab.HAS)),
+    "mjlab": Target(mjlab.mjlab, _always(*mjlab.HAS, *SOFT)),
+    "newton": Target(newton.newton, _always(*newton.HAS, *SOFT)),
     "genesis": Target(genesis.genesis, _always(*genesis.HAS)),
     "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
     "json": Target(plain.plain, _always(*(effect.name for effect in CATALOGUE))),

@@ -1,4 +1,4 @@
-"""``sim2real import``: conversion of a log to a recording."""
+"""``sim2real import``: conversion of a log to a recording, of BAM's parameters to a model."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import numpy as np
 
 from sim2real.errors import InputError
 from sim2real.importers.bam import read_bam
+from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
-from sim2real.importers.loads import with_loads
+from sim2real.importers.loads import loads_of, with_loads
 from sim2real.importers.missing import angle_options, ask_for, bag_options, table_options
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
 from sim2real.importers.units import Conversion, conversion
+from sim2real.model import write_model
 from sim2real.output import check_writable
 from sim2real.recording import Recording, write_recording
+from sim2real.structured import read_json
 
 BAGS = (".bag", ".db3", ".mcap")
 TABLES = (".csv", ".npz")
@@ -46,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: If the log or an argument is not as expected.
     """
     source, out = Path(args.source), check_writable(args.out)
+    if source.suffix == ".json" and source.is_file() and is_bam_parameters(read_json(source)):
+        return _import_parameters(source, out, args)
     if out.suffix != ".csv":
         raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
     if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
@@ -55,6 +60,25 @@ def run(args: argparse.Namespace) -> int:
     print(f"{out}: {_summary(recording)}")
     if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
         print(_without_loads(unknown))
+    return 0
+
+
+def _import_parameters(source: Path, out: Path, args: argparse.Namespace) -> int:
+    """Import parameters that BAM identified as a model; print what it does not express."""
+    loads = loads_of(args.inertia, args.pendulum, ["j1"])
+    if not loads:
+        expected = "the load of the servo, which parameters of BAM do not state"
+        raise InputError(source, "", "no --inertia or --pendulum j1=...", expected)
+    if out.suffix != ".json":
+        raise InputError(out, "", f"the ending {out.suffix!r}", "a model, a name ending in .json")
+    if source.resolve() == out.resolve():
+        raise InputError(out, "", "a name that would overwrite the parameters", "another name")
+    model = read_bam_parameters(source, loads["j1"])
+    write_model(model, out)
+    settings = model.provenance["servo"]
+    print(f"{out}: gain {settings['firmware_gain']:g}, supply {settings['supply_V']:g} V")
+    for note in model.joints["j1"].notes:
+        print(f"  {note}")
     return 0
 
 

@@ -79,11 +79,15 @@ def _import(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "source",
         type=Path,
-        help="a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), or a table "
-        "(.csv; .npz of MuJoCo's time, qpos, ctrl)",
+        help="a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table "
+        "(.csv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)",
     )
     command.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="recording to write"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="CSV",
+        help="recording to write (of parameters: model)",
     )
     command.add_argument("--state-topic", metavar="TOPIC", help="bag: measured joint states")
     command.add_argument(

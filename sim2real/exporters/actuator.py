@@ -87,6 +87,21 @@ class Export:
     left_out: tuple[LeftOut, ...]
 
 
+def rotor_inertia(servo: Actuator) -> float:
+    """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
+    rotor = servo.value("backlash", "rotor_inertia_kgm2")
+    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2")
+    total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
+    if rotor == 0 and servo.effects.get("backlash"):
+        rotor = total  # an output without inertia
+    return min(max(rotor, 0.02 * total), 0.98 * total)
+
+
+def limit_effects(joint: JointModel) -> set[str]:
+    """The effect that every target expresses as the limit of the drive, if the motor has none."""
+    return set() if joint.motor.get("stall_torque_Nm") else {"torque_saturation"}
+
+
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
     """The servos of a model, in its order.
 

@@ -19,9 +19,12 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     left_out,
+    limit_effects,
     listed,
+    rotor_inertia,
     shared_left_out,
 )
+from sim2real.exporters.soft_friction import constraint
 from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
@@ -72,7 +75,7 @@ LACKS = {
 
 def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
-    has = {*HAS, "torque_saturation", *SOFT}
+    has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
     return has - {"command_filter"} if names & {"integral_action", "rate_limit"} else has
 
@@ -149,7 +152,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         attributes["range"] = _text(*servo.sheet.limits_rad)
     SubElement(body, "joint", attributes)
     weight = servo.gravity + servo.value("gravity_load", "torque_Nm")
-    rotor = _rotor(servo) if train else 0.0
+    rotor = rotor_inertia(servo) if train else 0.0
     _inertial(body, inertia - rotor, weight)
     gain = 1 + servo.value("sensor_gain", "gain")
     lead = f"{servo.joint}_lead"
@@ -173,22 +176,12 @@ def _train(servo: Actuator) -> dict[str, str]:
     spring = servo.value("compliance", "compliance_rad_per_Nm")
     if spring > 0 and gap == 0:
         inertia = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
-        share = _rotor(servo) / inertia
+        share = rotor_inertia(servo) / inertia
         damping = 2 * SPRING_DAMPING * math.sqrt(share * (1 - share) * inertia / spring)
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}
     if gap > 0:
         return {"limited": "true", "range": _text(-gap / 2, gap / 2)} | CONTACT
     return {}
-
-
-def _rotor(servo: Actuator) -> float:
-    """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
-    rotor = servo.value("backlash", "rotor_inertia_kgm2")
-    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2")
-    total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
-    if rotor == 0 and servo.effects.get("backlash"):
-        rotor = total  # an output without inertia
-    return min(max(rotor, 0.02 * total), 0.98 * total)
 
 
 def _limit_with_back_emf(servo: Actuator) -> tuple[Actuator, list[LeftOut]]:
@@ -235,16 +228,8 @@ def _output_losses(servo: Actuator) -> dict[str, str]:
 
 
 def _softness(stick: float, creep: float) -> dict[str, str]:
-    """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0.
-
-    Impedance d and time constant T of the constraint: ``stick = T d / 2``, ``creep = stick (1 - d)
-    / d``. Source: MuJoCo's documentation, Computation, Constraint model (friction loss), where
-    ``stick`` is 1 / b and b = 2 / (d T).
-    """
-    impedance = min(max(stick / max(stick + creep, 1e-12), 0.0001), 0.9999)
-    constant = max(2 * stick / impedance, 2 * TIMESTEP_S)
-    if not stick:
-        impedance = 0.9999
+    """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0."""
+    constant, impedance = constraint(stick, creep, 2 * TIMESTEP_S)
     return {
         "solreffriction": _text(constant, 1),
         "solimpfriction": _text(impedance, impedance),

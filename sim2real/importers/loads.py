@@ -30,8 +30,20 @@ def with_loads(
         InputError: If one of them is not of that form, names a joint that was not recorded, or an
             inertia is less than that of its pendulum.
     """
-    totals = _by_joint("--inertia", inertia, recording.joints, 1, INERTIA)
-    hanging = _by_joint("--pendulum", pendulum, recording.joints, 2, PENDULUM)
+    loads = loads_of(inertia, pendulum, recording.joints)
+    return replace(recording, loads={**recording.loads, **loads})
+
+
+def loads_of(
+    inertia: Sequence[str] | None, pendulum: Sequence[str] | None, joints: Sequence[str]
+) -> dict[str, Load]:
+    """Loads stated by joint, see ``with_loads``.
+
+    Raises:
+        InputError: See ``with_loads``.
+    """
+    totals = _by_joint("--inertia", inertia, joints, 1, INERTIA)
+    hanging = _by_joint("--pendulum", pendulum, joints, 2, PENDULUM)
     loads = {joint: Load(value) for joint, (value,) in totals.items()}
     for joint, (mass, length) in hanging.items():
         pendulum_inertia = mass * length**2
@@ -42,7 +54,7 @@ def with_loads(
                 "--inertia", joint, problem, "everything on the shaft, pendulum included"
             )
         loads[joint] = Load(total, mass, length)
-    return replace(recording, loads={**recording.loads, **loads})
+    return loads
 
 
 def _by_joint(

@@ -23,9 +23,12 @@ from sim2real.report.design_plot import design_section
 from sim2real.report.page import Block, Note, Section, Table, render_fragment
 from sim2real.report.quantity import effect_text, milliradians, printable, quantities
 from sim2real.report.rival_plots import rivals_section
+from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.report.table import span
 from sim2real.robot import Robot
 from sim2real.servo.prediction import Prediction
+from sim2real.servo_library.catalogue import Servos
+from sim2real.servo_library.entry import ServoEntry
 
 NONE = "–"
 
@@ -63,6 +66,19 @@ def _model(model: Model) -> Section:
         blocks.append(Table(("signal", "RMSE, train", "RMSE, held out"), errors))
     notes = [f"{name}: {note}" for name, joint in model.joints.items() for note in joint.notes]
     return Section("Model", "", [*blocks, *_notes([*model.notes, *notes])])
+
+
+@result_section.register
+def _servos(library: Servos) -> Section:
+    rows = [tuple(map(printable, cells(entry))) for entry in library]
+    return Section("Servos", "", [Table(COLUMNS, rows)])
+
+
+@result_section.register
+def _servo(entry: ServoEntry) -> Section:
+    rows = [tuple(map(printable, cells(entry)))]
+    blocks = [Table(COLUMNS, rows), *_model(entry.model).blocks]
+    return Section("Servo", "", [*blocks, Note("info", printable(entry.source))])
 
 
 def _parameters(name: str, joint: JointModel) -> Iterable[tuple[str, ...]]:

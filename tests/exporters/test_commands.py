@@ -19,7 +19,9 @@ def model(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("target", ["mujoco", "isaaclab", "genesis", "urdf", "json"])
+@pytest.mark.parametrize(
+    "target", ["mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json"]
+)
 def test_what_is_lacking_is_printed_and_written(
     model: Path, target: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -44,7 +46,7 @@ def test_what_is_lacking_is_printed_and_written(
         assert all(line.strip() in text for line in listed[1:])
 
 
-@pytest.mark.parametrize("target", ["isaaclab", "mujoco-playground"])
+@pytest.mark.parametrize("target", ["isaaclab", "mjlab", "newton", "mujoco-playground"])
 def test_ranges(tmp_path: Path, target: str, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "ranges.py"
     assert (

@@ -13,10 +13,12 @@ import pytest
 
 from sim2real.exporters.ranges import terms
 from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
+from sim2real.exporters.ranges_mjlab import mjlab_ranges
+from sim2real.exporters.ranges_newton import newton_ranges
 from sim2real.exporters.ranges_playground import playground_ranges
 from sim2real.ranges.entry import Range, Ranges, normal, read_ranges, uniform
 
-EXPORTS = (isaaclab_ranges, playground_ranges)
+EXPORTS = (isaaclab_ranges, mjlab_ranges, newton_ranges, playground_ranges)
 RANGES = Ranges(
     (
         uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
@@ -56,7 +58,8 @@ def test_names_are_taken_apart() -> None:
 @pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
 def test_what_a_target_lacks_is_listed_there(export: Any) -> None:
     made = export(RANGES)
-    assert {line.what.partition(" (")[0] for line in made.left_out} == LACKED
+    of_mjlab = {"shape of kp_Nm_per_rad", "kp_Nm_per_rad"} if export is mjlab_ranges else set()
+    assert {line.what.partition(" (")[0] for line in made.left_out} == LACKED | of_mjlab
     head = [node for node in made.text.splitlines() if node.startswith("#")]
     assert all(f"#   {line}" in head for line in made.left_out)
 
@@ -73,7 +76,10 @@ def test_shipped_ranges_compile_and_keep_their_values(export: Any) -> None:
     gains = [entry for entry in ranges.entries if re.search(r"\.k[pd]_", entry.parameter)]
     assert len(gains) == 6
     for entry in gains:
-        assert {entry.first, entry.second} <= numbers
+        low, high = entry.first, entry.second
+        if entry.distribution == "normal" and export is mjlab_ranges:  # uniform, two deviations
+            low, high = low - 2 * high, low + 2 * high
+        assert {low, high} <= numbers
 
 
 def test_isaaclab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,6 +117,87 @@ def test_isaaclab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     assert space["DELAY_S"]["j1"] == pytest.approx((0.03, 0.07))
     assert space["delay_steps"]("arm.j2", 0.005) == (8, 16)
     assert space["JOINT_POS_NOISE_SD"] == {"j1": 0.002}
+
+
+def test_mjlab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Terms as `mjlab.envs.mdp.dr` (1.6) takes them: gains together, back-EMF apart."""
+    dr = SimpleNamespace(pd_gains="gains")
+    dr.joint_friction = SimpleNamespace(__name__="joint_friction")
+    dr.joint_armature = SimpleNamespace(__name__="joint_armature")
+    modules = {name: ModuleType(f"mjlab{name}") for name in ("", ".envs", ".envs.mdp", ".managers")}
+    modules[".envs.mdp"].dr = dr  # type: ignore[attr-defined]
+    event = modules[".managers.event_manager"] = ModuleType("mjlab.managers.event_manager")
+    event.EventTermCfg = lambda **fields: SimpleNamespace(**fields)  # type: ignore[attr-defined]
+    entity = ModuleType("mjlab.managers.scene_entity_config")
+    entity.SceneEntityCfg = lambda name, **which: (name, which)  # type: ignore[attr-defined]
+    for module in (*modules.values(), entity):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    space: dict[str, Any] = {}
+    exec(compile(mjlab_ranges(RANGES).text, "exported.py", "exec"), space)
+    found = space["events"](viscous_damping={"j1": 0.055})
+    gains = found["gains of j1"]
+    assert (gains.func, gains.mode) == ("gains", "reset")
+    assert gains.params["kp_range"] == pytest.approx((2.0, 2.2))  # two standard deviations
+    assert gains.params["kd_range"] == pytest.approx((0.0, 0.015))
+    assert gains.params["asset_cfg"] == ("robot", {"actuator_names": ["j1"]})
+    friction = found["joint_friction of j1"].params
+    assert (friction["ranges"], friction["distribution"]) == ((0.03, 0.004), "gaussian")
+    armature = found[r"joint_armature of arm\.j2"].params
+    assert armature["asset_cfg"] == ("robot", {"joint_names": [r"arm\.j2"]})
+    assert armature["operation"] == "abs"
+    assert len(found) == 3  # arm.j2 has no range of kd, which mjlab draws together with kp
+    assert space["delay_lags"]("arm.j2", 0.005) == (8, 16)
+
+
+class WarpArray:
+    """A Warp array on the CPU: a copy by ``numpy``, written by ``assign``."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = np.array(values)
+
+    def numpy(self) -> np.ndarray:
+        return self.values.copy()
+
+    def assign(self, values: np.ndarray) -> None:
+        self.values = values
+
+
+def test_newton_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two worlds of two joints, their actuators in two groups, as ``newton.Model`` has them."""
+    package = ModuleType("newton")
+    package.ModelFlags = SimpleNamespace(JOINT_DOF_PROPERTIES=2)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "newton", package)
+    space: dict[str, Any] = {}
+    exec(compile(newton_ranges(RANGES).text, "exported.py", "exec"), space)
+
+    def group(*dofs: int) -> SimpleNamespace:
+        drive = SimpleNamespace(kp=WarpArray([9.0] * len(dofs)), kd=WarpArray([9.0] * len(dofs)))
+        return SimpleNamespace(indices=WarpArray(dofs), drive=drive)
+
+    model = SimpleNamespace(
+        joint_label=["a/j1", "a/arm.j2", "b/j1", "b/arm.j2"],
+        joint_qd_start=WarpArray([0, 1, 2, 3, 4]),
+        joint_friction=WarpArray([9.0] * 4),
+        joint_armature=WarpArray([9.0] * 4),
+        actuators=[group(2, 0), group(1, 3)],
+    )
+    told: list[int] = []
+    solver = SimpleNamespace(notify_model_changed=told.append)
+    drawn = []
+    for seed in range(200):
+        space["randomize"](model, solver, np.random.default_rng(seed))
+        drawn.append(model.actuators[0].drive.kp.values)
+    assert np.mean(drawn) == pytest.approx(2.1, abs=0.01)
+    assert np.std(drawn) == pytest.approx(0.05, rel=0.2)
+    assert np.corrcoef(np.array(drawn).T)[0, 1] < 0.5  # each world has its own
+    assert (
+        (model.actuators[1].drive.kp.values > 1.8) & (model.actuators[1].drive.kp.values < 1.9)
+    ).all()
+    assert (model.actuators[1].drive.kd.values == 9.0).all()  # no range of arm.j2
+    assert (model.joint_friction.values[[1, 3]] == 9.0).all()
+    assert (model.joint_friction.values[[0, 2]] < 0.1).all()
+    assert (model.joint_armature.values[[1, 3]] < 0.0021).all()
+    assert set(told) == {2}
 
 
 class Values(np.ndarray):
@@ -183,7 +270,7 @@ def test_playground_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
 def test_latency_without_joints_is_listed(export: Any) -> None:
     made = export(Ranges((uniform("command_latency_s", 0.04, 0.08, "s", "windows"),)))
-    assert "name no joint" in str(*made.left_out)
+    assert "name no joint" in str([*map(str, made.left_out)])
     ast.parse(made.text)
 
 
@@ -192,4 +279,4 @@ def test_a_normal_latency_is_drawn_within_two_deviations(export: Any) -> None:
     latency = Range("command_latency_s", "normal", 0.06, 0.01, "s", "episode", "windows")
     made = export(Ranges((latency, uniform("j1.kp_Nm_per_rad", 1, 2, "N m/rad", "model"))))
     assert "(0.039999999999999994, 0.08)" in made.text or "(0.04, 0.08)" in made.text
-    assert "two standard deviations" in str(*made.left_out)
+    assert "two standard deviations" in str([*map(str, made.left_out)])

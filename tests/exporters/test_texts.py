@@ -1,30 +1,35 @@
-"""Isaac Lab, Genesis, URDF and JSON: each text parses, holds the numbers, lists what it lacks."""
+"""Texts for simulators: each parses, holds the numbers, lists what it lacks."""
 
 from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.actuator import Actuator
 from sim2real.exporters.genesis import genesis
 from sim2real.exporters.isaaclab import _entry, isaaclab
+from sim2real.exporters.mjlab import mjlab
 from sim2real.exporters.mujoco import mujoco
+from sim2real.exporters.newton import newton
 from sim2real.exporters.plain import plain
 from sim2real.exporters.urdf import urdf
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.robot import Robot, read_robot
+from sim2real.servo.prediction import predict
 
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 TYPICAL["torque_saturation"]["free_damping"] = 0.0
-TEXTS = (isaaclab, genesis, urdf, plain, mujoco)
+TEXTS = (isaaclab, mjlab, newton, genesis, urdf, plain, mujoco)
 
 
 def servo(name: str = "j1", *effects: str) -> Model:
@@ -153,7 +158,9 @@ def test_json_has_every_number(robot: Robot) -> None:
     assert content["joints"]["j2"]["limit_Nm"] is None
 
 
-@pytest.mark.parametrize("export", [isaaclab, genesis, urdf], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "export", [isaaclab, mjlab, newton, genesis, urdf], ids=lambda f: f.__name__
+)
 @pytest.mark.parametrize("effect", [effect.name for effect in CATALOGUE])
 def test_an_effect_is_in_the_text_or_in_the_list(export: Any, effect: str) -> None:
     without, with_it = export(servo()), export(servo("j1", effect))
@@ -172,9 +179,9 @@ def test_a_name_stays_a_name(export: Any, tmp_path: Path) -> None:
     """A joint's name cannot end a comment or a string of the text it stands in."""
     name = "j'\"\n1 --> <x/>\nraise SystemExit"
     text = export(servo(name, "backlash")).text
-    if export in (isaaclab, genesis):
+    if export in (isaaclab, mjlab, newton, genesis):
         space: dict[str, Any] = {}
-        code = text.replace("from isaaclab.actuators import DelayedPDActuatorCfg", "")
+        code = "\n".join(line for line in text.splitlines() if not line.startswith("from "))
         exec(compile(code, "exported.py", "exec"), space)
     elif export is plain:
         assert name in json.loads(text)["joints"]
@@ -185,13 +192,128 @@ def test_a_name_stays_a_name(export: Any, tmp_path: Path) -> None:
 def test_the_readme_says_what_each_target_expresses() -> None:
     from sim2real.exporters import genesis as g
     from sim2real.exporters import isaaclab as i
+    from sim2real.exporters import mjlab as j
     from sim2real.exporters import mujoco as m
+    from sim2real.exporters import newton as n
     from sim2real.exporters import urdf as u
 
     text = Path("sim2real/exporters/README.md").read_text()
     rows = [line.strip("| ").split("|") for line in text.splitlines() if line.startswith("| `")]
     said = [
         {row[0].strip().strip("`") for row in rows if len(row) > k and row[k].strip()}
-        for k in (1, 2, 3, 4)
+        for k in range(1, 7)
     ]
-    assert said == [set(target.HAS) for target in (m, i, g, u)]
+    assert said == [set(target.HAS) for target in (m, j, i, n, g, u)]
+
+
+def run_text(text: str, module: str, monkeypatch: pytest.MonkeyPatch, *names: str) -> Any:
+    """What an exported text defines, with classes of the target that keep their fields."""
+    made = ModuleType(module)
+    for name in names:
+        setattr(made, name, type(name, (Recorded,), {}))
+    monkeypatch.setitem(sys.modules, module.partition(".")[0], ModuleType(module.partition(".")[0]))
+    monkeypatch.setitem(sys.modules, module, made)
+    space: dict[str, Any] = {}
+    exec(compile(text, "exported.py", "exec"), space)
+    return space
+
+
+def motor(**more: float) -> Model:
+    """A motor with a torque-speed line, whose controller damps as well, and dry friction."""
+    line = {"stall_torque_Nm": 0.5, "no_load_speed_rad_s": 6.25, "coulomb_Nm": 0.04}
+    joint = JointModel(2.2, 0.09, 0.05, 0.002, load=Load(0.002), law="motor", motor=line | more)
+    return Model({"j1": joint})
+
+
+def test_mjlab(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = mjlab(motor(rotor_inertia_kgm2=0.001, stick_time_s=0.02)).text
+    space = run_text(text, "mjlab.actuator", monkeypatch, "BuiltinPositionActuatorCfg")
+    (found,) = space["actuators"](physics_dt=0.004)
+    assert found.fields == {
+        "target_names_expr": ("j1",),
+        "stiffness": 2.2,
+        "damping": pytest.approx(0.01),  # of the controller, within the limit
+        "viscous_damping": pytest.approx(0.08),  # back-EMF, beyond it
+        "armature": 0.001,
+        "frictionloss": 0.04,
+        "delay_min_lag": 12,
+        "delay_max_lag": 12,
+        "effort_limit": 0.5,
+    }
+    joint = SimpleNamespace()
+    space["set_friction"](SimpleNamespace(joint={"j1": joint}.get), 0.004)
+    impedance = joint.solimp_friction[0]
+    assert joint.solref_friction[0] * impedance / 2 == pytest.approx(0.02)  # stops in 20 ms
+    rigid = run_text(
+        mjlab(motor()).text, "mjlab.actuator", monkeypatch, "BuiltinPositionActuatorCfg"
+    )
+    rigid["set_friction"](SimpleNamespace(joint={"j1": joint}.get), 0.004)
+    assert joint.solref_friction[0] == 0.008  # MuJoCo's shortest, two time steps
+
+
+def test_a_controller_that_damps_less_than_the_line_is_listed_by_mjlab() -> None:
+    joint = replace(motor().joints["j1"], kd_Nms_per_rad=0.05)
+    export = mjlab(Model({"j1": joint}))
+    assert any("clips before the back-EMF" in str(line) for line in export.left_out)
+    assert "damping=0.05," in export.text and "viscous_damping=0," in export.text
+
+
+class Builder:
+    """The parts of ``newton.ModelBuilder`` that an exported text uses, as in release 1.8."""
+
+    def __init__(self) -> None:
+        self.joint_label = ["robot/base", "robot/j1"]
+        self.joint_qd_start, self.joint_q_start = [0, 6], [0, 7]
+        self.joint_target_ke, self.joint_target_kd = [5.0] * 7, [5.0] * 7
+        self.joint_armature, self.joint_friction = [0.0] * 7, [0.0] * 7
+        stop = ("mujoco:solreffriction", "mujoco:solimpfriction")
+        self.custom_attributes = {name: SimpleNamespace(values={}) for name in stop}
+        self.added: list[tuple[Any, dict[str, Any]]] = []
+
+    def add_actuator(self, drive_class: Any, **given: Any) -> None:
+        self.added.append((drive_class, given))
+
+
+def test_newton(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = newton(motor(rotor_inertia_kgm2=0.001)).text
+    space = run_text(text, "newton.actuators", monkeypatch, "DrivePD", "ClampingDCMotor")
+    builder = Builder()
+    space["add_actuators"](builder, 0.004)
+    ((drive, given),) = builder.added
+    assert drive is space["DrivePD"]
+    ((clamp, line),) = given.pop("clamping")
+    assert given == {
+        "index": 6, "pos_index": 7, "delay_steps": 12, "kp": 2.2, "kd": pytest.approx(0.09),
+    }  # fmt: skip
+    assert clamp is space["ClampingDCMotor"]
+    assert line == {"saturation_effort": 0.5, "velocity_limit": 6.25, "max_motor_effort": 1.0}
+    assert builder.joint_target_ke[6] == builder.joint_target_kd[6] == 0
+    assert (builder.joint_armature[6], builder.joint_friction[6]) == (0.001, 0.04)
+    assert builder.custom_attributes["mujoco:solreffriction"].values == {6: (0.008, 1.0)}
+
+
+def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf() -> None:
+    """What Newton and mjlab compute from the exported numbers is the law of the motor."""
+    dt = 0.0002
+    t = dt * np.arange(10_000)
+    command = np.where(t < 0.2, 0.0, np.where(t < 1.0, 1.0, -0.8))
+    model = Model({"j1": replace(motor().joints["j1"], latency_s=0.0)})
+    joint = replace(model.joints["j1"], motor={**model.joints["j1"].motor, "coulomb_Nm": 0.0})
+    space: dict[str, Any] = {}
+    text = newton(Model({"j1": joint})).text
+    line = "from newton.actuators import ClampingDCMotor, DrivePD"
+    exec(compile(text.replace(line, "ClampingDCMotor = DrivePD = None"), "text", "exec"), space)
+    servo = space["SERVOS"]["j1"]
+    ((_, limit),) = servo["clamping"]
+    angle = speed = 0.0
+    seen = []
+    for target in command:
+        seen.append(angle)
+        torque = servo["kp"] * (target - angle) - servo["kd"] * speed
+        share = speed / limit["velocity_limit"]
+        most = min(limit["saturation_effort"] * (1 - share), limit["max_motor_effort"])
+        least = max(limit["saturation_effort"] * (-1 - share), -limit["max_motor_effort"])
+        speed += dt * min(max(torque, least), most) / joint.inertia_kgm2
+        angle += dt * speed
+    expected = predict(Model({"j1": joint}), t, {"j1": command})["j1"]
+    assert np.sqrt(np.mean((np.array(seen) - expected) ** 2)) < 0.001

@@ -1,0 +1,116 @@
+"""The library of servos as text, as a table in Markdown and as a plot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim2real.report.quantity import milliradians, printable
+from sim2real.report.style import ACCENT, INK, house_style, new_figure
+from sim2real.report.table import fit_report
+from sim2real.servo_library.entry import ServoEntry
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = ("name", "servo", "supply", "gain", "load", "held out", "date", "origin")
+NONE = "-"
+
+
+def cells(entry: ServoEntry) -> tuple[str, ...]:
+    """The cells of a servo's row."""
+    gain = NONE if entry.firmware_gain is None else f"{entry.firmware_gain:g}"
+    supply = NONE if entry.supply_V is None else f"{entry.supply_V:g} V"
+    return (
+        entry.name,
+        entry.type,
+        supply,
+        gain,
+        load_text(entry),
+        milliradians(entry.held_out_rad),
+        entry.date,
+        entry.origin,
+    )
+
+
+def load_text(entry: ServoEntry) -> str:
+    """The load that a servo was identified with."""
+    load = entry.joint.load
+    if load is None:
+        return "unknown"
+    if load.pendulum_mass_kg > 0:
+        return f"{load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:g} m"
+    return f"{load.inertia_kgm2:.3g} kg m²"
+
+
+def table_of(entries: Sequence[ServoEntry]) -> str:
+    """One line per servo."""
+    rows = [COLUMNS, *map(cells, entries)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
+    lines = ["  ".join(f"{x:<{w}}" for x, w in zip(row, widths, strict=True)) for row in rows]
+    text = "\n".join(printable(line.rstrip()) for line in lines)
+    return f"{text}\n\nheld out: RMS error on trajectories that no fit used, where it was measured"
+
+
+def markdown_row(entry: ServoEntry) -> str:
+    """The row of a servo in a Markdown table, with its licence and source."""
+    return (
+        "| " + " | ".join(printable(x) for x in (*cells(entry), entry.licence, entry.source)) + " |"
+    )
+
+
+def markdown_table(entries: Sequence[ServoEntry]) -> str:
+    """The servos as a Markdown table."""
+    header = "| " + " | ".join((*COLUMNS, "licence", "source")) + " |"
+    rule = "| " + " | ".join("---" for _ in (*COLUMNS, "licence", "source")) + " |"
+    return "\n".join([header, rule, *map(markdown_row, entries)])
+
+
+def entry_report(entry: ServoEntry) -> str:
+    """What a servo is, where it comes from, and its parameters with intervals."""
+    facts = dict(zip(COLUMNS, cells(entry), strict=True))
+    facts |= {"licence": entry.licence, "source": entry.source}
+    if entry.scored_on:
+        facts["held out"] += f", {entry.scored_on}"
+    width = max(map(len, facts))
+    lines = [f"{name:<{width}}  {text}" for name, text in facts.items()]
+    return "\n".join(map(printable, lines)) + f"\n\n{fit_report(entry.model)}"
+
+
+def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
+    """Stall torque and no-load speed of each servo, the ends of its torque-speed line.
+
+    Servos whose line is not known, or only per unit of inertia, are left out. Servos that were
+    identified here are marked.
+    """
+    lines = [
+        entry
+        for entry in entries
+        if not entry.joint.per_inertia and entry.joint.motor.get("no_load_speed_rad_s")
+    ]
+    torques = [stall_torque(entry.joint.motor) for entry in lines]
+    speeds = [entry.joint.motor["no_load_speed_rad_s"] for entry in lines]
+    colors = [ACCENT if entry.origin == "identified" else INK for entry in lines]
+    with house_style():
+        title = "Stall torque and no-load speed of each servo"
+        figure = new_figure(90 + 26 * max(1, len(lines)), title)
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, values in zip(panels, (torques, speeds), strict=True):
+            axes.scatter(values, range(len(lines)), color=colors, s=26)
+        panels[0].set_title("stall torque, N m")
+        panels[0].set_xscale("log")
+        panels[0].xaxis.set_major_formatter("{x:g}")
+        panels[0].margins(x=0.1)
+        panels[1].set_title("no-load speed, rad/s")
+        panels[1].set_xlim(0.0, 1.1 * max(speeds, default=1.0))
+        panels[0].set_yticks(range(len(lines)), [entry.name for entry in lines])
+        panels[0].set_ylim(len(lines) - 0.5, -0.5)
+    return figure
+
+
+def stall_torque(motor: Mapping[str, float]) -> float:
+    """Torque at standstill and full drive in N m, with the rise of the resistance."""
+    rise = motor.get("resistance_rise", 0.0)
+    return float(motor["stall_torque_Nm"] / (0.5 + np.sqrt(0.25 + rise)))

@@ -1,0 +1,233 @@
+"""The library of servos: every entry is whole, models go anywhere, new entries are checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sim2real as s2r
+from sim2real.cli import main
+from sim2real.errors import InputError
+from sim2real.report.servo_table import markdown_row
+from sim2real.servo.prediction import predict
+from sim2real.servo_library.catalogue import FOLDER
+from sim2real.servo_library.entry import read_entry
+from sim2real.servo_library.prepare import prepared
+from sim2real.servo_library.settings import at
+
+ABOUT = {
+    "name": "mine_bench",
+    "type": "Maker M1",
+    "source": "own recordings",
+    "licence": "CC0-1.0",
+    "date": "2026-02-03",
+    "supply_V": 7.4,
+    "firmware_gain": 32,
+}
+OPTIONS = [
+    "--as", "mine_bench", "--type", "Maker M1", "--source", "own recordings", "--licence",
+    "CC0-1.0", "--date", "2026-02-03", "--supply", "7.4", "--firmware-gain", "32",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def library() -> Any:
+    return s2r.servos()
+
+
+def identified(**changes: Any) -> dict[str, Any]:
+    """A model file as ``identify`` writes it."""
+    gains = {"kp_Nm_per_rad": 2.0, "kd_Nms_per_rad": 0.05, "latency_s": 0.01}
+    joint = {
+        **gains,
+        "inertia_kgm2": 0.002,
+        "load": {"inertia_kgm2": 0.002, "pendulum_mass_kg": 0, "pendulum_length_m": 0},
+        "interval": {name: [0.9 * value, 1.1 * value] for name, value in gains.items()},
+        "correlation": {"kp_Nm_per_rad, kd_Nms_per_rad": 0.3},
+    }
+    return {
+        "schema": "sim2real.model/1",
+        "joints": {"pan": joint},
+        "fit": {"pan.position_rad": {"train": 0.002, "heldout": 0.0031}},
+        "provenance": {
+            "command": "sim2real identify /home/me/steps.csv",
+            "inputs": {"/home/me/steps.csv": "abc"},
+            "seed": 0,
+            "held_out": {"pan": "chirp"},
+        },
+    } | changes
+
+
+def test_every_entry_has_a_source_a_licence_and_a_sensible_motor(library: Any) -> None:
+    assert len(library) == len(list(FOLDER.glob("*.json"))) >= 10
+    for entry in library:
+        assert entry.source and entry.licence and entry.date
+        if entry.origin == "identified":
+            assert 0 < entry.held_out_rad < 0.1
+            assert entry.joint.interval
+        motor = entry.joint.motor
+        if "no_load_speed_rad_s" in motor and not entry.joint.per_inertia:
+            assert 1 < motor["no_load_speed_rad_s"] < 40
+            assert 0.05 < motor["stall_torque_Nm"] < 30
+
+
+def test_the_shipped_identified_xl330_is_better_than_the_published_one(library: Any) -> None:
+    for gain in (200, 800):
+        assert library[f"xl330_gain{gain}"].held_out_rad < library["xl330_bam_m5"].held_out_rad
+
+
+def test_no_entry_names_a_path_of_a_machine() -> None:
+    for path in FOLDER.glob("*.json"):
+        text = path.read_text()
+        assert "/home" not in text and "../" not in text and "/work" not in text
+        assert text.count("\n") < 150
+
+
+def test_every_servo_settles_near_a_small_step(library: Any) -> None:
+    t = np.arange(0.0, 4.0, 0.01)
+    command = np.where(t < 0.5, 0.0, 0.2)
+    for entry in library:
+        angle = predict(entry.for_joints("hip"), t, {"hip": command})["hip"]
+        assert np.isfinite(angle).all()
+        assert 0.3 * 0.2 < angle[-1] < 1.2 * 0.2, entry.name  # below a weight, short of the goal
+
+
+def test_the_table_has_every_servo(library: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["servos"]) == 0
+    out = capsys.readouterr().out
+    lines = {line.split()[0]: line for line in out.splitlines() if line}
+    for entry in library:
+        assert entry.type in lines[entry.name] and entry.date in lines[entry.name]
+    assert "38.6 mrad" in lines["xl330_gain800"]
+
+
+def test_servos_are_shown_as_plots_and_in_notebooks(library: Any) -> None:
+    left, right = library.plot().axes
+    known = [entry for entry in library if not entry.joint.per_inertia]
+    assert len(left.collections[0].get_offsets()) == len(known)
+    assert [label.get_text() for label in left.get_yticklabels()] == [e.name for e in known]
+    entry = library["xl330_gain800"]
+    speed = entry.joint.motor["no_load_speed_rad_s"]
+    assert entry.plot().axes[1].collections[0].get_offsets()[0][0] == pytest.approx(speed)
+    html = library._repr_html_()
+    assert html is not None and html.count("<tr") == len(library) + 1
+    assert all(entry.date in html for entry in library)
+    assert "Rhoban" in entry._repr_html_() and "stall torque" in entry._repr_html_()
+
+
+def test_a_servo_of_a_robot_can_be_used_as_any_model(tmp_path: Path) -> None:
+    out, commands = tmp_path / "model.json", tmp_path / "commands.csv"
+    call = ["servos", "xl330_gain800", "--joints", "pan", "tilt", "--out", str(out)]
+    assert main(call) == 0
+    model = s2r.read_model(out)
+    assert list(model.joints) == ["pan", "tilt"]
+    assert model.fit.keys() == {"pan.position_rad", "tilt.position_rad"}
+    rows = [f"{0.02 * k:.2f},{0.3 * (k > 10)},0" for k in range(100)]
+    commands.write_text("\n".join(["t_s,pan.command_rad,tilt.command_rad", *rows]) + "\n")
+    predicted = tmp_path / "predicted.csv"
+    assert main(["predict", str(out), str(commands), "--out", str(predicted)]) == 0
+    last = predicted.read_text().splitlines()[-1].split(",")
+    assert len(last) == 5
+
+
+def test_half_the_gain_at_twice_the_supply_moves_the_same_below_saturation(library: Any) -> None:
+    entry = library["mx64_bam_m1"]
+    other = at(entry, firmware_gain=16, supply_V=30)
+    assert other.firmware_gain == 16 and other.supply_V == 30
+    t = np.arange(0.0, 3.0, 0.005)
+    command = {"j1": 0.15 * np.sin(4 * t)}
+    same = predict(other.model, t, command)["j1"] - predict(entry.model, t, command)["j1"]
+    assert np.abs(same).max() < 1e-6
+    stiffer = predict(at(entry, firmware_gain=64).model, t, command)["j1"]
+    assert np.abs(stiffer - predict(entry.model, t, command)["j1"]).max() > 0.005
+    assert other.held_out_rad is None
+    assert at(entry) is entry
+
+
+def test_settings_that_cannot_be_scaled_are_one_line(library: Any) -> None:
+    with pytest.raises(InputError, match="firmware gain is not known"):
+        at(library["sts3215_stand"], firmware_gain=16)
+    with pytest.raises(InputError, match="expected a number above 0"):
+        at(library["mx64_bam_m1"], supply_V=-1)
+
+
+def test_adding_an_entry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out = tmp_path / "model.json", tmp_path / "mine_bench.json"
+    source.write_text(json.dumps(identified()))
+    assert main(["servos", "add", str(source), *OPTIONS, "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert "mine_bench" not in s2r.servos().names  # prepared, not shipped
+    content = json.loads(out.read_text())
+    assert content["provenance"]["servo"] == ABOUT | {
+        "origin": "identified",
+        "scored_on": "chirp, which was not fitted",
+    }
+    assert content["provenance"]["inputs"] == {"steps.csv": "abc"}
+    assert list(content["joints"]) == ["j1"]
+    assert markdown_row(read_entry(out)) in shown
+    assert "3.1 mrad" in shown
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "line"),
+    [
+        ({}, OPTIONS[2:], "provenance.servo.name: found nothing, expected text"),
+        ({}, [*OPTIONS[:8], *OPTIONS[10:]], "provenance.servo.date: found nothing"),
+        ({}, [*OPTIONS, "--date", "3 Feb"], "provenance.servo.date: found '3 Feb'"),
+        ({}, OPTIONS[:-2], "provenance.servo.firmware_gain: found nothing"),
+        ({"fit": {}}, OPTIONS, "fit.j1.position_rad.heldout: found nothing"),
+        ({}, [*OPTIONS, "--as", "xl330_gain800"], "a name that is not in the library yet"),
+        ({}, [*OPTIONS, "--as", "Mine 1"], "small letters, digits and underscores"),
+        ({}, [*OPTIONS, "--joint", "tilt"], "joints: found tilt, expected --joint with one of pan"),
+    ],
+)
+def test_a_model_that_lacks_something_is_refused_in_one_line(
+    changes: dict[str, Any],
+    options: list[str],
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = tmp_path / "model.json"
+    source.write_text(json.dumps(identified(**changes)))
+    assert main(["servos", "add", str(source), *options]) == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["model.json"]
+
+
+def test_a_load_and_intervals_are_needed(tmp_path: Path) -> None:
+    for field, expected in (("load", "the load that it was identified with"), ("interval", "90 %")):
+        content = identified()
+        del content["joints"]["pan"][field]
+        source = tmp_path / "model.json"
+        source.write_text(json.dumps(content))
+        with pytest.raises(InputError, match=expected):
+            prepared(s2r.read_model(source), ABOUT)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (["xl330_gain80"], "did you mean xl330_gain800?"),
+        (["--out", "m.json"], "expected the name of one"),
+        (["add"], "MODEL: found nothing"),
+        (["xl330_gain800", "--type", "x"], "--type: found xl330_gain800, expected servos add"),
+        (["sts3215_stand", "--supply", "12"], "whose supply is not known"),
+    ],
+)
+def test_bad_calls_are_one_line(
+    call: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["servos", *call]) == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
