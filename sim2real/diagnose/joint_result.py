@@ -21,7 +21,7 @@ from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
-from sim2real.servo.parameters import COLUMNS, stated
+from sim2real.servo.parameters import COLUMNS, motor_of, stated
 
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""
@@ -114,7 +114,9 @@ class JointFindings:
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
         effects = fitted_effects(servo, self.joint.step_rad)
-        return stated(theta, self.joint.traces[0].load, effects)
+        given = self.joint.model.law if self.joint.model else "pd"
+        law = given if motor_of(theta) and given != "pd" else None
+        return stated(theta, self.joint.traces[0].load, effects, law)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.

@@ -37,12 +37,12 @@ from sim2real.identification.uncertainty import (
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
-from sim2real.model import LAWS, FittedEffect, JointModel, Law, Model
+from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
+from sim2real.servo.parameters import COLUMNS, CURRENT_LIMIT, INERTIA_LEFT_OUT, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
@@ -80,10 +80,11 @@ def identify(
         held_out: Name of the recording to score on and not to fit; the last one by default. The
             last quarter of a single recording is held out.
         effects: Names of effects, or one name, to fit together with the gains of every joint.
-        law: ``"motor"``: a motor on the torque-speed line of its data sheet, with gear friction if
-            the recordings show it; ``"pd"``: the linear servo. By default the motor, or the linear
-            servo if ``effects`` are given or the data sheet states no torque or no speed, with a
-            note in the latter case.
+        law: ``"motor"``: a motor with the limit of its torque that the recordings show (the line of
+            its data sheet, a flat limit, or both; ``torque_limit.fit_limit``), and with gear
+            friction if they show it; ``"pd"``: the linear servo. By default the motor, or the
+            linear servo if ``effects`` are given or the data sheet states no torque or no speed,
+            with a note in the latter case.
         together: Whether joints with the same servo in the robot's file have motors of one type:
             each is then fitted again with a prior from the others (``servo_type``).
         seed: Seed of the search for a starting point.
@@ -97,7 +98,7 @@ def identify(
             does not exist.
     """
     if law is not None:
-        check_choice("identify", "law", law, LAWS)
+        check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
@@ -314,6 +315,9 @@ def _joint_model(
     motor: MotorFit | None,
 ) -> JointModel:
     effects: dict[str, dict[str, float]] = {}
+    if limit := float(best.row[COLUMNS.index(CURRENT_LIMIT)]):
+        effect, _, parameter = CURRENT_LIMIT.rpartition(".")
+        effects[effect] = {parameter: limit}
     for name, value in zip(best.names, best.values, strict=True):
         effect, _, parameter = name.rpartition(".")
         if effect and effect != "motor":
@@ -322,7 +326,7 @@ def _joint_model(
     pairs = combinations(range(len(best.names)), 2)
     return replace(
         model,
-        law="pd" if motor is None else "motor",
+        law="pd" if motor is None else motor.law,
         motor={} if motor is None else motor.values,
         interval=ends,
         correlation={
