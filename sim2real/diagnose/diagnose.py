@@ -177,7 +177,7 @@ def _joint_results(
         progress=lambda share: progress(0.8 * share),
     )
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
-    findings, rich, offered, errors = judged_and_offered(joints, findings, device)
+    findings, rich, offered, errors = judged_and_offered(joints, findings, robots, device)
     plain = [finding.tried.plain for finding in findings]
     before, after = (
         residual_angles(batch, joined([h.fit for h in servos])) for servos in (plain, offered)

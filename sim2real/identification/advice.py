@@ -130,8 +130,8 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
         )
     if motor.law == "current_limited":
         notes.append(
-            f"the torque is limited to {motor.values['stall_torque_Nm']:.3g} N m at any speed, as by "
-            "the drive's current: the no-load speed of the data sheet is no limit"
+            f"the torque is limited to {motor.values['stall_torque_Nm']:.3g} N m at any speed, as "
+            "by the drive's current: the no-load speed of the data sheet is no limit"
         )
     if motor.problem.traces[0].load is PER_INERTIA:
         return notes

@@ -252,11 +252,21 @@ def _with_links(
     joints: Sequence[JointCase],
     robots: Sequence[Sequence[int]],
     findings: Sequence[Finding],
+    *,
+    longest_jitter_s: float = np.inf,
 ) -> list[Finding]:
     """Findings that also say what is uneven on the link.
 
     Set-points that come unevenly can pass for a weak effect. So the link is looked at twice: with
-    what was found on its joints and without.
+    what was found on its joints and without. Where not all joints show it, set-points may wait for
+    the turn of one joint's own, slow controller.
+
+    Args:
+        batch: The recordings, joint by joint.
+        joints: The joints of the batch.
+        robots: Which of them share a link.
+        findings: What each is missing besides.
+        longest_jitter_s: Jitter from which nothing is said; if finite, nothing is said of losses.
     """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
@@ -265,10 +275,12 @@ def _with_links(
         + [_link_data(batch, joints, robot, best) for robot in richer]
     )
     with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
-    explained = list(findings)
+    explained, alone = list(findings), list[int]()
     for robot, plain_link in zip(robots, both, strict=False):
         best_link = with_effects.get(robot[0], plain_link)
         if not _on_all(plain_link, best_link, [findings[j] for j in robot]):
+            shown = [j for j, share in zip(robot, best_link.shares, strict=True) if share > 0]
+            alone += [j for j in shown if len(robot) > 1 and findings[j].mismatch]
             continue
         for k, j in enumerate(robot):
             finding = findings[j]
@@ -276,7 +288,8 @@ def _with_links(
             # Uneven timing instead of the joint's own effects, or together with them.
             instead = plain_link.shares[k] > best_link.shares[k] + own
             link = plain_link if instead and plain_link.gain > 0 else best_link
-            if link.gain > 0:
+            short = link.effect == "latency_jitter" and link.value < longest_jitter_s
+            if link.gain > 0 and (short or np.isinf(longest_jitter_s)):
                 group = Group((link.effect,), DECISION.most_certain, 1.0)
                 remaining = excess(link.unexplained[k], joints[j].traces, batch, _noise(finding))
                 remaining = min(remaining, finding.excess)
@@ -290,7 +303,10 @@ def _with_links(
                     link=link,
                     place=k,
                 )
-    return explained
+    if not alone:
+        return explained
+    own, wait_s = [[j] for j in alone], DECISION.controller_wait_s
+    return _with_links(batch, joints, own, explained, longest_jitter_s=wait_s)
 
 
 def _noise(finding: Finding) -> float:

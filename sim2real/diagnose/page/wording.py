@@ -113,7 +113,9 @@ def _named_groups(results: Mapping[str, JointFindings]) -> list[_Named]:
     for effect, where in shared.items():
         likeliest = max((group for _, group in where), key=lambda group: group.probability)
         joints = tuple(joint for joint, _ in where)
-        place: str = named(effect).component if len(results) > 1 else joints[0]
+        links = (results[joint].finding.link for joint in joints)
+        own = any(link is not None and len(link.shares) == 1 for link in links)
+        place: str = joints[0] if own or len(results) == 1 else named(effect).component
         groups.append(_Named(likeliest, joints, place))
         if len(joints) > 1:
             mimicked.update(named(effect).mimics)
