@@ -18,6 +18,7 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.baseline import baselines
 from sim2real.diagnose.missing.best_predictor import BEFORE, predicting
 from sim2real.diagnose.missing.investigate import investigate, placed
+from sim2real.diagnose.missing.link_scores import with_link_scores
 from sim2real.diagnose.missing.nuisances import first_look
 from sim2real.diagnose.missing.offer import judged_and_offered
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
@@ -178,6 +179,7 @@ def _joint_results(
     )
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
     findings, rich, offered, errors = judged_and_offered(joints, findings, robots, device)
+    findings = with_link_scores(batch, joints, robots, findings, errors)
     plain = [finding.tried.plain for finding in findings]
     before, after = (
         residual_angles(batch, joined([h.fit for h in servos])) for servos in (plain, offered)

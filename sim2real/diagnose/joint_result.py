@@ -74,6 +74,23 @@ class JointFindings:
         train = self._train(self.after if enriched else self.before)
         return {"train": train, "heldout": None if unseen is None else unseen.rmse}
 
+    def heldout_of_link(self) -> dict[str, float | None]:
+        """Log-likelihood of held-out recordings under the link, in nats; empty without one.
+
+        With what the link's own model expects and its standard deviation, the log-likelihood if
+        set-points arrive regularly, and whether only noise is left (``LinkScore.at_noise``).
+        """
+        score = self.finding.link.score if self.finding.link is not None else None
+        if score is None:
+            return {}
+        return {
+            "loglikelihood": score.loglikelihood,
+            "loglikelihood_expected": score.expected,
+            "loglikelihood_sd": score.sd,
+            "loglikelihood_regular": score.without,
+            "at_noise": score.at_noise(),
+        }
+
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
         plain, rich = (self.unseen.get(s) for s in (self.finding.tried.base, self.rich.members))

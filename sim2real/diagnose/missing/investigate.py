@@ -271,8 +271,8 @@ def _with_links(
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
-        [_link_data(batch, joints, robot, plain) for robot in robots]
-        + [_link_data(batch, joints, robot, best) for robot in richer]
+        [link_data(batch, joints, robot, plain) for robot in robots]
+        + [link_data(batch, joints, robot, best) for robot in richer]
     )
     with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
     explained, alone = list(findings), list[int]()
@@ -326,7 +326,7 @@ def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) 
     return len(showing) < 2 or sum(showing) > 1
 
 
-def _link_data(
+def link_data(
     batch: Batch,
     joints: Sequence[JointCase],
     robot: Sequence[int],
