@@ -56,6 +56,7 @@ class LinkDecision:
 
     min_gain: float  # gain in log-likelihood below which nothing is found
     negligible_gain: float  # gain per sample below which irregular timing does not matter
+    max_contradiction: float  # gain of rates of each joint over common ones, up to which all share
 
 
 @dataclass(frozen=True)

@@ -316,9 +316,16 @@ def _noise(finding: Finding) -> float:
 
 
 def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) -> bool:
-    """Whether a link is uneven on more than the joints whose own effects could pass for it."""
+    """Whether a link is uneven on more than the joints whose own effects could pass for it.
+
+    Or on few of them while the others do not contradict it, as a joint that hardly moves shows
+    neither losses nor delays: rates that are common to all then explain as much as rates of each.
+    """
     if max(plain_link.gain, best_link.gain) <= 0:
         return False
+    contradiction = sum(best_link.shares) - best_link.gain
+    if best_link.gain > 0 and contradiction < DECISION.link.max_contradiction:
+        return True
     showing = [share > 0 for share in best_link.shares]
     free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
     if free and not any(free):
