@@ -147,7 +147,7 @@ class JointFindings:
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
-        servos, variance = self.rich.fit.servos, _spread2(self.rich)
+        servos, variance = self.rich.fit.servos, self.rich.fit.variances
         estimates = {}
         for k, column in enumerate(servos.columns[0]):
             owner, _, name = COLUMNS[column].partition(".")
@@ -166,21 +166,6 @@ class JointFindings:
         return rms([row[: t.t.size][t.used] for row, t in pairs])
 
 
-def _spread2(servo: Hypothesis) -> Array:
-    """Variances of a fit's free parameters, in units, shape (F,).
-
-    Of independent innovations, or of blocks of them where these agree less: the sandwich of White,
-    Econometrica 50 (1982) 1-25, with blocks as clusters.
-    """
-    gram = servo.fit.gram[0]
-    gram = gram[gram[:, 0, 0] > 0]
-    inverse = np.linalg.pinv(gram[:, 1:, 1:].sum(axis=0), rcond=1e-12, hermitian=True)
-    independent = np.diag(inverse) * float(servo.fit.error2[0] / servo.fit.count[0])
-    by_block = gram[:, 1:, 0] @ inverse
-    freedom = len(gram) / max(len(gram) - len(inverse), 1)
-    return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
-
-
 def includes_zero(servo: Hypothesis, effect: str) -> bool:
     """Whether the 90 % interval of an effect's size includes 0, where the effect is absent.
 
@@ -195,7 +180,7 @@ def includes_zero(servo: Hypothesis, effect: str) -> bool:
     free = np.flatnonzero(servos.columns[0] == column)
     if is_limit(size) or not free.size:
         return False
-    sd = float(np.sqrt(_spread2(servo)[free[0]]) * servos.unit[0, free[0]])
+    sd = float(np.sqrt(servo.fit.variances[free[0]]) * servos.unit[0, free[0]])
     return abs(float(servos.theta[0, column])) <= Z90 * sd
 
 

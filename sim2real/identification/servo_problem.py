@@ -171,6 +171,22 @@ class Fits:
         """Log-likelihood with fitted variance and noise model, shape (N,)."""
         return profile_loglikelihood(self.error2, self.count)
 
+    @property
+    def variances(self) -> Array:
+        """Variances of the free parameters of a single fit, in units, shape (F,).
+
+        Of independent innovations, or of blocks of them where these agree less: the sandwich of
+        White, Econometrica 50 (1982) 1-25, with blocks as clusters.
+        """
+        gram = self.gram[0]
+        gram = gram[gram[:, 0, 0] > 0]
+        inverse = np.linalg.pinv(gram[:, 1:, 1:].sum(axis=0), rcond=1e-12, hermitian=True)
+        independent = np.diag(inverse) * float(self.error2[0] / self.count[0])
+        by_block = gram[:, 1:, 0] @ inverse
+        freedom = len(gram) / max(len(gram) - len(inverse), 1)
+        of_blocks = freedom * (by_block**2).sum(axis=0)
+        return np.asarray(np.maximum(independent, of_blocks).clip(min=0.0))
+
     def __getitem__(self, index: Index | Mask | slice) -> Fits:
         """A selection of the fits."""
         return Fits(*(value[index] for value in vars(self).values()))

@@ -27,6 +27,7 @@ from sim2real.identification.servo_problem import (
     joined,
     residual_angles,
 )
+from sim2real.inference.normal import Z90
 from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
@@ -239,10 +240,13 @@ def _no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
     """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
     if named(effect).everywhere:
         return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
-    theta = best.fit.servos.theta[0]
+    servos = best.fit.servos
+    theta = servos.theta[0]
     if effect == "unmodelled_inertia":
         small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
-        return bool(abs(theta[_INERTIA]) < small)
+        place = servos.columns[0] == _INERTIA
+        sd = float(np.sum(np.sqrt(best.fit.variances[place]) * servos.unit[0, place]))
+        return bool(abs(theta[_INERTIA]) - Z90 * sd < small)
     stated = effect == SATURATION and joint.stall_Nm is not None
     return stated and theta[FLAT_COLUMNS[0]] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)
 
