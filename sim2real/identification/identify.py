@@ -42,7 +42,7 @@ from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import COLUMNS, CURRENT_LIMIT, INERTIA_LEFT_OUT, stated
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
@@ -314,10 +314,8 @@ def _joint_model(
     notes: tuple[str, ...],
     motor: MotorFit | None,
 ) -> JointModel:
-    effects: dict[str, dict[str, float]] = {}
-    if limit := float(best.row[COLUMNS.index(CURRENT_LIMIT)]):
-        effect, _, parameter = CURRENT_LIMIT.rpartition(".")
-        effects[effect] = {parameter: limit}
+    of_law = motor.effects if motor is not None else ()
+    effects = {fitted.effect: dict(fitted.parameters) for fitted in of_law}
     for name, value in zip(best.names, best.values, strict=True):
         effect, _, parameter = name.rpartition(".")
         if effect and effect != "motor":

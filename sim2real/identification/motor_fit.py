@@ -21,8 +21,8 @@ from sim2real.inference.least_squares import (
     stacked,
 )
 from sim2real.inference.parameters import column
-from sim2real.model import Law
-from sim2real.servo.parameters import LOOP, LOSSES, ROTOR, SOFT, motor_of
+from sim2real.model import FittedEffect, Law
+from sim2real.servo.parameters import COLUMNS, CURRENT_LIMIT, LOOP, LOSSES, ROTOR, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
@@ -59,6 +59,13 @@ class MotorFit:
     def law(self) -> Law:
         """Name of its law: that of the limit of its torque."""
         return "motor" if self.problem.prior.damping_share is None else "current_limited"
+
+    @property
+    def effects(self) -> tuple[FittedEffect, ...]:
+        """Effects that state a part of its law: a current limit below the torque-speed line."""
+        limit = float(self.fit.row[COLUMNS.index(CURRENT_LIMIT)])
+        effect, _, parameter = CURRENT_LIMIT.rpartition(".")
+        return (FittedEffect(effect, {parameter: limit}),) if limit else ()
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -116,8 +123,7 @@ class MotorFit:
         slopes = np.concatenate(self.fit.jacobians)
         assert self.fit.prior is not None
         curvature = slopes.T @ slopes / (scale_rad**2 * inflation) + self.fit.prior
-        # as searched: a logarithm's derivative is that by the value times the value
-        size = np.where(self.log_scale, self.fit.values, 1.0)
+        size = np.where(self.log_scale, self.fit.values, 1.0)  # by a logarithm, as searched
         _, volume = np.linalg.slogdet(curvature * np.outer(size, size))
         widths = self.problem.prior.widths(self.problem.free)
         freedom = 0.5 * len(self.problem.free) * np.log(2 * np.pi)
