@@ -18,7 +18,7 @@ def job(request):
     """Two recordings of one joint, and the link that was fitted to both."""
     recordings = tuple(recording(seed, **request.param)[0] for seed in (1, 2))
     data = LinkData((recordings,), 6, LEAST_GAIN)
-    return ScoreJob(data, (tuple(r.residual for r in recordings),), link(data))
+    return ScoreJob((data, data), link(data))
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +33,17 @@ def test_a_right_link_leaves_noise_on_held_out_recordings(score):
 
 
 def test_what_the_link_does_not_explain_lowers_the_likelihood(job, score):
-    ((first, second),) = job.unseen
-    other = second + 0.004 * np.random.default_rng(0).normal(size=second.size)
-    wrong = link_score(replace(job, unseen=((first, other),)))
+    ((first, second),) = job.folds[1].joints
+    noisy = second.residual + 0.004 * np.random.default_rng(0).normal(size=second.residual.size)
+    other = replace(job.folds[1], joints=((first, replace(second, residual=noisy)),))
+    wrong = link_score(replace(job, folds=(job.folds[0], other)))
     assert wrong.loglikelihood < score.loglikelihood - 200
     assert not wrong.at_noise() and wrong.error_ratio > 1.2
 
 
 def test_one_recording_cannot_be_held_out(job):
     with pytest.raises(ValueError, match="above 1"):
-        link_score(replace(job, unseen=(job.unseen[0][:1],)))
+        link_score(replace(job, folds=job.folds[:1]))
 
 
 def test_the_error_ratio_is_that_of_normal_innovations():

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.arrays import Array
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, with_noise
 from sim2real.diagnose.link.link_effect import (
     MOST_LAGS,
@@ -26,14 +25,11 @@ class ScoreJob:
     """A link to score.
 
     Attributes:
-        data: Residuals of the servos fitted to all recordings.
-        unseen: For each joint, by recording, the residual in rad of the servo fitted to the other
-            recordings, 0 where not used, shape (T,).
+        folds: For each recording the residuals of all recordings, of servos fitted to the others.
         fit: The link as fitted to all recordings, from which the fits to the others start.
     """
 
-    data: LinkData
-    unseen: tuple[tuple[Array, ...], ...]
+    folds: tuple[LinkData, ...]
     fit: Uneven
 
 
@@ -41,14 +37,14 @@ def link_score(job: ScoreJob) -> LinkScore:
     """Score each recording by the link that was fitted to the others.
 
     Raises:
-        ValueError: If the joints do not have the same number of recordings, at least two.
+        ValueError: If the joints do not have as many recordings as there are folds, at least two.
     """
-    counts = {len(residuals) for residuals in job.unseen}
-    if len(counts) != 1 or min(counts) < 2:
-        raise ValueError(f"recordings of the joints: {sorted(counts)}; expected one number above 1")
-    data, rng = job.data, np.random.default_rng(0)
-    joints = [with_noise(x, min(data.lags, MOST_LAGS), data.least_gain) for x in data.joints]
-    parts = [_score_fold(job, joints, k, rng) for k in range(counts.pop())]
+    counts = {len(residuals) for fold in job.folds for residuals in fold.joints}
+    if counts != {len(job.folds)} or len(job.folds) < 2:
+        found = f"{sorted(counts)} recordings of the joints, {len(job.folds)} folds"
+        raise ValueError(f"{found}; expected the same number, above 1")
+    rng = np.random.default_rng(0)
+    parts = [_score_fold(job, k, rng) for k in range(len(job.folds))]
     return LinkScore(
         loglikelihood=sum(part.loglikelihood for part in parts),
         expected=sum(part.expected for part in parts),
@@ -58,18 +54,15 @@ def link_score(job: ScoreJob) -> LinkScore:
     )
 
 
-def _score_fold(
-    job: ScoreJob, joints: Sequence[NoisyJoint], k: int, rng: np.random.Generator, *, draws: int = 8
-) -> LinkScore:
+def _score_fold(job: ScoreJob, k: int, rng: np.random.Generator, *, draws: int = 8) -> LinkScore:
     """The score of recording ``k``."""
+    fold = job.folds[k]
+    joints = [with_noise(x, min(fold.lags, MOST_LAGS), fold.least_gain) for x in fold.joints]
     others = [
         replace(joint, segments=(*joint.segments[:k], *joint.segments[k + 1 :])) for joint in joints
     ]
     fit = LinkFit(others, job.fit.effect, common=job.fit.common, start=job.fit)
-    segments = [
-        replace(joint.segments[k], residual=residuals[k])
-        for joint, residuals in zip(joints, job.unseen, strict=True)
-    ]
+    segments = [joint.segments[k] for joint in joints]
     channels = [channel_of(*pair) for pair in zip(segments, fit.noises, strict=True)]
     groups = [channels] if job.fit.common else [[channel] for channel in channels]
     drawn = [_drawn(group, fit.arrivals, rng, draws) for group in groups]

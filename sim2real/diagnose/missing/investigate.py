@@ -21,6 +21,7 @@ from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
     SATURATION,
+    Fits,
     Hypothesis,
     Set,
     Tried,
@@ -275,8 +276,8 @@ def _with_links(
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
-        [link_data(batch, joints, robot, plain) for robot in robots]
-        + [link_data(batch, joints, robot, best) for robot in richer]
+        [link_data(batch, joints, robot, [plain[j].fit for j in robot]) for robot in robots]
+        + [link_data(batch, joints, robot, [best[j].fit for j in robot]) for robot in richer]
     )
     with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
     explained, alone = list(findings), list[int]()
@@ -341,15 +342,15 @@ def link_data(
     batch: Batch,
     joints: Sequence[JointCase],
     robot: Sequence[int],
-    fits: Sequence[Hypothesis],
+    fits: Sequence[Fits],
 ) -> LinkData:
-    """Residuals of fits on a robot's joints, for ``links``."""
-    residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
+    """Residuals of single fits on a robot's joints, for ``links``."""
+    residuals = residual_angles(batch, joined(fits))
     left = tuple(
         tuple(
-            Residual(t, residual[r, : t.t.size], *fits[j].fit.servos.theta[0, :3].tolist())
+            Residual(t, residual[r, : t.t.size], *fit.servos.theta[0, :3].tolist())
             for r, t in enumerate(joints[j].traces)
         )
-        for j, residual in zip(robot, residuals, strict=True)
+        for j, fit, residual in zip(robot, fits, residuals, strict=True)
     )
     return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)

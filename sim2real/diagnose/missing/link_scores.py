@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.link.link_effect import LinkData
 from sim2real.diagnose.link.link_score import ScoreJob, link_score
 from sim2real.diagnose.missing.investigate import Finding, link_data
 from sim2real.identification.held_out import Unseen
@@ -44,11 +42,9 @@ def with_link_scores(
         link = max((findings[j].link for j in named), key=lambda x: x.gain if x else 0.0)
         assert link is not None
         some = tuple(robot) if len(link.shares) == len(robot) else (named[0],)
-        residuals = [_unseen_residuals(joints[j], findings[j], errors[j]) for j in some]
-        comparable = len({len(x) for x in residuals}) == 1 and len(residuals[0]) > 1
-        if comparable:
-            data = link_data(batch, joints, some, [findings[j].best for j in some])
-            jobs[some] = ScoreJob(data, tuple(residuals), link)
+        folds = _folds(batch, joints, some, [findings[j] for j in some], errors)
+        if len(folds) > 1:
+            jobs[some] = ScoreJob(folds, link)
     scored = list(findings)
     for some, score in zip(jobs, shared(link_score, list(jobs.values())), strict=True):
         for j in some:
@@ -66,16 +62,26 @@ def _names_link(finding: Finding) -> bool:
     )
 
 
-def _unseen_residuals(
-    joint: JointCase, finding: Finding, errors: Mapping[Set, Unseen]
-) -> tuple[Array, ...]:
-    """Residual of each recording under the servo fitted to the others, 0 where not used, (T,)."""
-    unseen = errors.get(finding.best.members)
-    if unseen is None or len(unseen.residuals) != len(joint.traces):
+def _folds(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    some: Sequence[int],
+    findings: Sequence[Finding],
+    errors: Errors,
+) -> tuple[LinkData, ...]:
+    """For each recording the residuals of servos fitted to the others; empty without such fits."""
+    unseen = [errors[j].get(f.best.members) for j, f in zip(some, findings, strict=True)]
+    counts = {0 if u is None else len(u.theta) for u in unseen}
+    counts |= {len(joints[j].traces) for j in some}
+    if len(counts) > 1:
         return ()
-    residuals = []
-    for trace, values in zip(joint.traces, unseen.residuals, strict=True):
-        residual = np.zeros(trace.t.size)
-        residual[trace.used] = values
-        residuals.append(residual)
-    return tuple(residuals)
+    folds = []
+    for k in range(counts.pop()):
+        servos = [
+            replace(f.best.fit.servos, theta=u.theta[k : k + 1])
+            for f, u in zip(findings, unseen, strict=True)
+            if u is not None
+        ]
+        fits = [replace(f.best.fit, servos=s) for f, s in zip(findings, servos, strict=True)]
+        folds.append(link_data(batch, joints, some, fits))
+    return tuple(folds)

@@ -220,8 +220,8 @@ def _score(link: Uneven) -> str:
     judgement = "only noise is left" if score.at_noise() else "more than noise is left"
     return (
         f" The log-likelihood of held-out recordings is {abs(below):.0f} nats {side} what this link"
-        f" expects (standard deviation {score.sd:.0f}): {judgement}; regular timing is"
-        f" {score.loglikelihood - score.without:.0f} nats less likely."
+        f" expects (standard deviation {score.sd:.0f}): {judgement}; it is"
+        f" {score.loglikelihood - score.without:+.0f} nats relative to regular timing."
     )
 
 
