@@ -92,6 +92,7 @@ class Decision:
     prior_sd: float  # prior standard deviation of an effect's parameter, in typical values
     decisive_gain: float  # gain that is never due to chance, however irregular the noise
     law_error: float  # relative error of an effect's law
+    rattling_law_error: float  # the same of backlash, where friction holds the motor alone
     most_certain: float  # largest probability of an effect
     min_certain_probability: float  # probability below which max_uncertain_probability is the most
     max_uncertain_probability: float  # largest probability of an effect that is not certain

@@ -13,8 +13,9 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.torque_speed_line import with_stated_line
-from sim2real.effects import named
+from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
+from sim2real.effects.servo.backlash import NEGLIGIBLE_NM
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
@@ -23,6 +24,8 @@ from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
 from sim2real.servo.parameters import COLUMNS, motor_of, stated
 
+_FRICTION = named("coulomb_friction").family
+_OUTPUT_FRICTION = COLUMNS.index("backlash.output_friction_Nm")
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""
 
@@ -138,7 +141,7 @@ class JointFindings:
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.
 
-        A law is wrong by a share of its own effect, which no recording tells: ``law_error``.
+        A law is wrong by a share of its own effect, which no recording tells (``law_error``).
         """
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
@@ -154,7 +157,7 @@ class JointFindings:
             if owner != effect:
                 continue
             mean = float(servos.theta[0, column])
-            law = 0.0 if name.endswith("phase_rad") else DECISION.law_error * mean
+            law = 0.0 if name.endswith("phase_rad") else law_error(self.rich, effect) * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
             low = max(mean - Z90 * sd, float(servos.low[0, k]))
             high = min(mean + Z90 * sd, float(servos.high[0, k]))
@@ -164,6 +167,19 @@ class JointFindings:
     def _train(self, residual: Array) -> float:
         pairs = zip(residual, self.joint.traces, strict=False)
         return rms([row[: t.t.size][t.used] for row, t in pairs])
+
+
+def law_error(servo: Hypothesis, effect: str) -> float:
+    """Relative error of an effect's law, which adds to the standard deviations of its parameters.
+
+    Where friction holds the motor and not the output, the output rattles in the gap; its rebound
+    from the flanks is no part of the law of backlash.
+    """
+    frictions = {e.name for e in CATALOGUE if e.family == _FRICTION}
+    rattles = servo.fit.servos.theta[0, _OUTPUT_FRICTION] < NEGLIGIBLE_NM
+    if effect == "backlash" and rattles and not frictions.isdisjoint(servo.members):
+        return DECISION.rattling_law_error
+    return DECISION.law_error
 
 
 def includes_zero(servo: Hypothesis, effect: str) -> bool:
