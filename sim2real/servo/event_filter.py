@@ -251,7 +251,7 @@ def sampled(
         For each channel the simulated minus the measured angle in rad, shape (S, T).
     """
     K = min(_slots(channel) for channel in group)
-    chance, active = rng.random((K, draws)), np.zeros((K, draws), dtype=np.int64)
+    chance, active = rng.random((K, draws)), np.zeros((K, draws), dtype=np.int32)
     for k in range(1, K):
         after_loss = active[k - 1] < k - 1
         lost = chance[k] < np.where(after_loss, arrivals.repeated_loss, arrivals.loss)

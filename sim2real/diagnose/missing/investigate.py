@@ -310,8 +310,8 @@ def _with_links(
                 )
     if not alone:
         return explained
-    own, wait_s = [[j] for j in alone], DECISION.controller_wait_s
-    return _with_links(batch, joints, own, explained, longest_jitter_s=wait_s)
+    apart, wait_s = [[j] for j in alone], DECISION.controller_wait_s
+    return _with_links(batch, joints, apart, explained, longest_jitter_s=wait_s)
 
 
 def _noise(finding: Finding) -> float:
