@@ -52,8 +52,8 @@ def identify(
         effects: Names of effects to fit together with the gains of every joint, such as
             load_friction or unmodelled_inertia.
         law: A motor (motor), whose torque has the limit that the recordings show: the torque-speed
-            line of its data sheet, a flat limit, or both; or a linear servo (pd). By default motor, and pd where effects are given or the data sheet states neither
-            torque nor speed.
+            line of its data sheet, a flat limit, or both; or a linear servo (pd). By default motor,
+            and pd where effects are given or the data sheet states neither torque nor speed.
         together: Assume that joints with the same servo in robot.toml have motors of one make.
         seed: Seed of the search for a starting point.
 
