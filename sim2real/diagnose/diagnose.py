@@ -17,8 +17,8 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.baseline import baselines
 from sim2real.diagnose.missing.best_predictor import BEFORE, predicting
+from sim2real.diagnose.missing.held_out_links import with_link_scores
 from sim2real.diagnose.missing.investigate import investigate, placed
-from sim2real.diagnose.missing.link_scores import with_link_scores
 from sim2real.diagnose.missing.nuisances import first_look
 from sim2real.diagnose.missing.offer import judged_and_offered
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
