@@ -70,7 +70,7 @@ def test_a_flat_limit_is_told_from_a_line():
     beside = joint.motor["stall_torque_Nm"] / joint.motor["no_load_speed_rad_s"]
     assert beside == pytest.approx(0.8 * KD, rel=0.2)
     low, high = joint.interval["motor.no_load_speed_rad_s"]
-    assert high > 1.05 * low
+    assert 0.99 * low < STALL / (0.8 * KD) < 1.01 * high
     assert any("at any speed" in note for note in joint.notes)
     assert model.fit["j1.position_rad"]["heldout"] < 1.1 * NOISE
     angles = predict(model, recordings[1].t, {"j1": recordings[1].command[:, 0]}, {})
