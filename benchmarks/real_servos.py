@@ -32,7 +32,8 @@ EMPS_HEADER = (
     "fitted RMSE (um)", "held-out RMSE (um)",
 )  # fmt: skip
 HAND_PICKED = ("load_friction", "unmodelled_inertia", "torque_saturation")
-LAWS = {"pd": "linear", "motor": "motor"}
+LAWS = {"pd": "linear", "motor": "motor", "current_limited": "motor limited in current"}
+ASKED: tuple[Law, ...] = ("pd", "motor")
 TEXT = """# Real servos
 
 ## One recording alone
@@ -84,7 +85,7 @@ def main() -> None:
     rows = [
         row
         for path, robot in logs()
-        for law in LAWS
+        for law in ASKED
         for row in lines(path.stem, fitted([path], robot, law))
     ]
     text = TEXT.format(table=table(HEADER, rows), together=together(), emps=emps())
@@ -164,7 +165,9 @@ def emps() -> str:
         law: Law = "motor" if effects is None else "pd"
         model = identify([recording], robot, effects=effects or (), law=law)
         servo, figures = model.joints["j1"], model.fit["j1.position_rad"]
-        friction = [f"{e.parameters['torque_Nm']:.3f}" for e in servo.effects]
+        friction = [
+            f"{e.parameters['torque_Nm']:.3f}" for e in servo.effects if "torque_Nm" in e.parameters
+        ]
         if "coulomb_Nm" in servo.motor:
             friction = [f"{servo.motor['coulomb_Nm']:.3f}"]
         rows.append(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "sim2real.model/1"
 
-Law = Literal["pd", "motor"]
+Law = Literal["pd", "motor", "current_limited"]
 LAWS: tuple[Law, ...] = get_args(Law)
 """Laws of a servo; the first is the default of files that name none."""
 
@@ -36,8 +36,11 @@ class JointModel:
     """One servo: torque = kp (command(t - latency) - position) - kd velocity, within its limits.
 
     Attributes:
-        law: ``"pd"``, the linear law above, or ``"motor"``, which adds a motor with a torque-speed
-            line and gears with friction (``servo.motor``).
+        law: ``"pd"``, the linear law above; ``"motor"``, which adds a motor with a torque-speed
+            line and gears with friction (``servo.motor``); or ``"current_limited"``, that motor
+            with a limit that is the same at any speed. Its ``no_load_speed_rad_s`` is then no
+            property of the data sheet, but the speed at which the damping alone takes up the
+            ``stall_torque_Nm``.
         motor: Parameters of the motor's law, by name; empty for ``"pd"``.
         kp_Nm_per_rad: Proportional gain; in 1/s2, per kg m2, if ``per_inertia``.
         kd_Nms_per_rad: Derivative gain; in 1/s, per kg m2, if ``per_inertia``.

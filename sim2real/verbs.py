@@ -54,9 +54,9 @@ def identify(
             last quarter of a single recording.
         effects: Names of effects to fit together with the gains of every joint, such as
             load_friction or unmodelled_inertia.
-        law: A motor limited by the torque-speed line of its data sheet (motor) or a linear servo
-            (pd); by default motor, and pd where effects are given or the data sheet states neither
-            torque nor speed.
+        law: A motor (motor), whose torque has the limit that the recordings show: the torque-speed
+            line of its data sheet, a flat limit, or both; or a linear servo (pd). By default motor,
+            and pd where effects are given or the data sheet states neither torque nor speed.
         together: Assume that joints with the same servo in robot.toml have motors of one make.
         seed: Seed of the search for a starting point.
 

@@ -56,6 +56,7 @@ class LinkDecision:
 
     min_gain: float  # gain in log-likelihood below which nothing is found
     negligible_gain: float  # gain per sample below which irregular timing does not matter
+    max_contradiction: float  # gain of rates of each joint over common ones, up to which all share
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class Decision:
     prior_sd: float  # prior standard deviation of an effect's parameter, in typical values
     decisive_gain: float  # gain that is never due to chance, however irregular the noise
     law_error: float  # relative error of an effect's law
+    rattling_law_error: float  # the same of backlash, where friction holds the motor alone
     most_certain: float  # largest probability of an effect
     min_certain_probability: float  # probability below which max_uncertain_probability is the most
     max_uncertain_probability: float  # largest probability of an effect that is not certain

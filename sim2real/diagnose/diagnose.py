@@ -17,6 +17,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.baseline import baselines
 from sim2real.diagnose.missing.best_predictor import BEFORE, predicting
+from sim2real.diagnose.missing.held_out_links import with_link_scores
 from sim2real.diagnose.missing.investigate import investigate, placed
 from sim2real.diagnose.missing.nuisances import first_look
 from sim2real.diagnose.missing.offer import judged_and_offered
@@ -177,7 +178,8 @@ def _joint_results(
         progress=lambda share: progress(0.8 * share),
     )
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
-    findings, rich, offered, errors = judged_and_offered(joints, findings, device)
+    findings, rich, offered, errors = judged_and_offered(joints, findings, robots, device)
+    findings = with_link_scores(batch, joints, robots, findings, errors)
     plain = [finding.tried.plain for finding in findings]
     before, after = (
         residual_angles(batch, joined([h.fit for h in servos])) for servos in (plain, offered)

@@ -13,16 +13,19 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.torque_speed_line import with_stated_line
-from sim2real.effects import named
+from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
+from sim2real.effects.servo.backlash import NEGLIGIBLE_NM
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Hypothesis, Set
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
-from sim2real.servo.parameters import COLUMNS, stated
+from sim2real.servo.parameters import COLUMNS, motor_of, stated
 
+_FRICTION = named("coulomb_friction").family
+_OUTPUT_FRICTION = COLUMNS.index("backlash.output_friction_Nm")
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""
 
@@ -74,6 +77,23 @@ class JointFindings:
         train = self._train(self.after if enriched else self.before)
         return {"train": train, "heldout": None if unseen is None else unseen.rmse}
 
+    def heldout_of_link(self) -> dict[str, float | None]:
+        """Log-likelihood of held-out recordings under the link, in nats; empty without one.
+
+        With what the link's own model expects and its standard deviation, the log-likelihood if
+        set-points arrive regularly, and whether only noise is left (``LinkScore.at_noise``).
+        """
+        score = self.finding.link.score if self.finding.link is not None else None
+        if score is None:
+            return {}
+        return {
+            "loglikelihood": score.loglikelihood,
+            "loglikelihood_expected": score.expected,
+            "loglikelihood_sd": score.sd,
+            "loglikelihood_regular": score.without,
+            "at_noise": score.at_noise(),
+        }
+
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
         plain, rich = (self.unseen.get(s) for s in (self.finding.tried.base, self.rich.members))
@@ -114,12 +134,14 @@ class JointFindings:
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
         effects = fitted_effects(servo, self.joint.step_rad)
-        return stated(theta, self.joint.traces[0].load, effects)
+        given = self.joint.model.law if self.joint.model else "pd"
+        law = given if motor_of(theta) and given != "pd" else None
+        return stated(theta, self.joint.traces[0].load, effects, law)
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.
 
-        A law is wrong by a share of its own effect, which no recording tells: ``law_error``.
+        A law is wrong by a share of its own effect, which no recording tells (``law_error``).
         """
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
@@ -128,14 +150,14 @@ class JointFindings:
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
-        servos, variance = self.rich.fit.servos, _spread2(self.rich)
+        servos, variance = self.rich.fit.servos, self.rich.fit.variances
         estimates = {}
         for k, column in enumerate(servos.columns[0]):
             owner, _, name = COLUMNS[column].partition(".")
             if owner != effect:
                 continue
             mean = float(servos.theta[0, column])
-            law = 0.0 if name.endswith("phase_rad") else DECISION.law_error * mean
+            law = 0.0 if name.endswith("phase_rad") else law_error(self.rich, effect) * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
             low = max(mean - Z90 * sd, float(servos.low[0, k]))
             high = min(mean + Z90 * sd, float(servos.high[0, k]))
@@ -147,19 +169,17 @@ class JointFindings:
         return rms([row[: t.t.size][t.used] for row, t in pairs])
 
 
-def _spread2(servo: Hypothesis) -> Array:
-    """Variances of a fit's free parameters, in units, shape (F,).
+def law_error(servo: Hypothesis, effect: str) -> float:
+    """Relative error of an effect's law, which adds to the standard deviations of its parameters.
 
-    Of independent innovations, or of blocks of them where these agree less: the sandwich of White,
-    Econometrica 50 (1982) 1-25, with blocks as clusters.
+    Where friction holds the motor and not the output, the output rattles in the gap; its rebound
+    from the flanks is no part of the law of backlash.
     """
-    gram = servo.fit.gram[0]
-    gram = gram[gram[:, 0, 0] > 0]
-    inverse = np.linalg.pinv(gram[:, 1:, 1:].sum(axis=0), rcond=1e-12, hermitian=True)
-    independent = np.diag(inverse) * float(servo.fit.error2[0] / servo.fit.count[0])
-    by_block = gram[:, 1:, 0] @ inverse
-    freedom = len(gram) / max(len(gram) - len(inverse), 1)
-    return np.asarray(np.maximum(independent, freedom * (by_block**2).sum(axis=0)).clip(min=0.0))
+    frictions = {e.name for e in CATALOGUE if e.family == _FRICTION}
+    rattles = servo.fit.servos.theta[0, _OUTPUT_FRICTION] < NEGLIGIBLE_NM
+    if effect == "backlash" and rattles and not frictions.isdisjoint(servo.members):
+        return DECISION.rattling_law_error
+    return DECISION.law_error
 
 
 def includes_zero(servo: Hypothesis, effect: str) -> bool:
@@ -176,7 +196,7 @@ def includes_zero(servo: Hypothesis, effect: str) -> bool:
     free = np.flatnonzero(servos.columns[0] == column)
     if is_limit(size) or not free.size:
         return False
-    sd = float(np.sqrt(_spread2(servo)[free[0]]) * servos.unit[0, free[0]])
+    sd = float(np.sqrt(servo.fit.variances[free[0]]) * servos.unit[0, free[0]])
     return abs(float(servos.theta[0, column])) <= Z90 * sd
 
 

@@ -12,7 +12,7 @@ from sim2real.diagnose.case import Case, JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.baseline import with_effects
 from sim2real.identification.fit import best_of, errors, first_guess
-from sim2real.identification.motor_fit import EXPLAINED, fit_motor
+from sim2real.identification.motor_fit import EXPLAINED
 from sim2real.identification.motor_prior import motor_prior
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
@@ -24,8 +24,9 @@ from sim2real.identification.servo_problem import (
     minimise,
     plain_servos,
 )
+from sim2real.identification.torque_limit import fit_limit, without_flat_limit
 from sim2real.inference.least_squares import rms
-from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.model import JointModel, Law, Model
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
@@ -80,8 +81,9 @@ def _on_its_line(
         middle = float(np.exp(parameters[k].nominal))
         if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
             parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
-    motor = fit_motor(traces, plain, replace(prior, parameters=tuple(parameters)), LINE, rng)
-    model = stated(motor.fit.row, traces[0].load)
+    prior = replace(prior, parameters=tuple(parameters))
+    motor = fit_limit(traces, plain, prior, LINE, rng, noise=noise, current_limits=())
+    model = stated(motor.fit.row, traces[0].load, law=motor.law)
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
@@ -121,14 +123,13 @@ def limits_beside(
         gain = float(best_fit.loglikelihood[0] - servo.fit.loglikelihood[0])
         if gain <= (-1.0 if at_sheet else DECISION.decisive_gain):
             continue
-        theta, effects = best_fit.servos.theta[0], []
+        law: Law = "motor"
+        theta = best_fit.servos.theta[0]
         if best_fit is not fits[0]:
-            limit, free_damping = (float(x) for x in theta[FLAT_COLUMNS])
-            if limit <= least:
+            if theta[FLAT_COLUMNS[0]] <= least:
                 continue
-            values = {"limit_Nm": limit, "free_damping": free_damping}
-            effects = [FittedEffect(SATURATION, values)]
-        models[j] = stated(theta, joint.traces[0].load, effects)
+            theta, law = without_flat_limit(theta), "current_limited"
+        models[j] = stated(theta, joint.traces[0].load, law=law)
     return models
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from sim2real.effects import named
 from sim2real.errors import InputError
-from sim2real.model import JointModel, Model
+from sim2real.model import LAWS, JointModel, Model
 from sim2real.robot import Joint, Robot
 
 
@@ -129,8 +129,9 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
 def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
     # Other laws of the drive are mapped to kd, limit and back_emf, which every exporter supports.
     law = getattr(joint, "law", "pd")
-    if law not in ("pd", "motor"):
-        raise InputError("model", f"joints.{name}.law", repr(law), "the law 'pd' or 'motor'")
+    if law not in LAWS:
+        expected = f"one of {', '.join(LAWS)}"
+        raise InputError("model", f"joints.{name}.law", repr(law), expected)
     motor = {key: value for key, value in getattr(joint, "motor", {}).items() if value}
     effects: dict[str, dict[str, float]] = {}
     for fitted in joint.effects:

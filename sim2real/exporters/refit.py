@@ -116,7 +116,7 @@ def refitted(
     if best.row[FIRST_COLUMN[_DRY]] > 0 and not any(e.effect == _DRY for e in effects):
         effects += _valued(best.row, [FittedEffect(_DRY, {})])
     refit = stated(best.row, PER_INERTIA if joint.per_inertia else load, effects)
-    law: Law = "motor" if refit.motor else joint.law
+    law: Law = "motor" if refit.motor and joint.law == "pd" else joint.law
     refit = replace(refit, law=law, load=joint.load, inertia_kgm2=joint.inertia_kgm2)
     recorded = None
     if scored:

@@ -128,6 +128,11 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
             f"kd {loop_kd:.3g} instead of {kd:.3g}; set-points sent at irregular times "
             "distinguish them"
         )
+    if motor.law == "current_limited":
+        notes.append(
+            f"the torque is limited to {motor.values['stall_torque_Nm']:.3g} N m at any speed, as "
+            "by the drive's current: the no-load speed of the data sheet is no limit"
+        )
     if motor.problem.traces[0].load is PER_INERTIA:
         return notes
     for name, stated in (

@@ -37,7 +37,7 @@ from sim2real.identification.uncertainty import (
 from sim2real.inference.correlated_noise import correlation_samples, whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
-from sim2real.model import LAWS, FittedEffect, JointModel, Law, Model
+from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
@@ -80,10 +80,11 @@ def identify(
         held_out: Name of the recording to score on and not to fit; the last one by default. The
             last quarter of a single recording is held out.
         effects: Names of effects, or one name, to fit together with the gains of every joint.
-        law: ``"motor"``: a motor on the torque-speed line of its data sheet, with gear friction if
-            the recordings show it; ``"pd"``: the linear servo. By default the motor, or the linear
-            servo if ``effects`` are given or the data sheet states no torque or no speed, with a
-            note in the latter case.
+        law: ``"motor"``: a motor with the limit of its torque that the recordings show (the line of
+            its data sheet, a flat limit, or both; ``torque_limit.fit_limit``), and with gear
+            friction if they show it; ``"pd"``: the linear servo. By default the motor, or the
+            linear servo if ``effects`` are given or the data sheet states no torque or no speed,
+            with a note in the latter case.
         together: Whether joints with the same servo in the robot's file have motors of one type:
             each is then fitted again with a prior from the others (``servo_type``).
         seed: Seed of the search for a starting point.
@@ -97,7 +98,7 @@ def identify(
             does not exist.
     """
     if law is not None:
-        check_choice("identify", "law", law, LAWS)
+        check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
@@ -313,7 +314,8 @@ def _joint_model(
     notes: tuple[str, ...],
     motor: MotorFit | None,
 ) -> JointModel:
-    effects: dict[str, dict[str, float]] = {}
+    of_law = motor.effects if motor is not None else ()
+    effects = {fitted.effect: dict(fitted.parameters) for fitted in of_law}
     for name, value in zip(best.names, best.values, strict=True):
         effect, _, parameter = name.rpartition(".")
         if effect and effect != "motor":
@@ -322,7 +324,7 @@ def _joint_model(
     pairs = combinations(range(len(best.names)), 2)
     return replace(
         model,
-        law="pd" if motor is None else "motor",
+        law="pd" if motor is None else motor.law,
         motor={} if motor is None else motor.values,
         interval=ends,
         correlation={

@@ -1,4 +1,4 @@
-"""Selection of the parts of a motor's law: line, losses, gradual friction, sampled loop."""
+"""Selection of the parts of a motor's law: limit, losses, gradual friction, sampled loop."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from sim2real.identification.fit import Fit
 from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor, soft_starts
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
+from sim2real.identification.torque_limit import fit_limit
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
 from sim2real.recording import PER_INERTIA
@@ -30,12 +31,12 @@ def choose_motor(
     error_with_loop: float = 1.5,
     loop_parameters: int = 12,
 ) -> MotorFit:
-    """Fit the motor's line and, if that does not explain the recordings, its losses.
+    """Fit the limit of the motor's torque and, if that does not explain the recordings, its losses.
 
-    Where the linear servo explains them, its gains are kept and only the line is fitted. Losses are
-    included if they decrease the loss by clearly more than twice their number (Akaike's criterion).
-    The same applies to gradual friction and a sampled loop if a residual remains. A servo of a
-    known type has the losses of its type.
+    Where the linear servo explains them, its gains are kept and only the limit is fitted. Losses
+    are included if they decrease the loss by clearly more than twice their number (Akaike's
+    criterion). The same applies to gradual friction and a sampled loop if a residual remains. A
+    servo of a known type has the losses of its type.
 
     Args:
         fitted: The joint's recordings.
@@ -53,7 +54,7 @@ def choose_motor(
     if servo_type is not None:
         prior = servo_type.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
     if rms(plain.residuals) < EXPLAINED * noise:
-        return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
+        return fit_limit(fitted, plain, prior, LINE, rng, noise=noise, gains=False)
     chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type)
     ratio = rms(chosen.fit.residuals) / noise
     explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < white
@@ -72,11 +73,12 @@ def _fit_continuous(
     servo_type: ServoType | None,
 ) -> MotorFit:
     """Fit a motor with a continuous controller."""
-    line = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
+    line: tuple[str, ...] = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
     if servo_type is not None and set(servo_type.parameters) & set(LOSSES):  # no selection
         softness = SOFT if set(servo_type.parameters) & set(SOFT) else ()
         return fit_motor(fitted, plain, prior, (*line, *LOSSES, *softness), rng)
-    first = fit_motor(fitted, plain, prior, line, rng)
+    first = fit_limit(fitted, plain, prior, line, rng, noise=noise)
+    prior, line = first.problem.prior, first.free_names
     if rms(first.fit.residuals) < EXPLAINED * noise:
         return first
     full = fit_motor(

@@ -21,12 +21,15 @@ from sim2real.inference.least_squares import (
     stacked,
 )
 from sim2real.inference.parameters import column
-from sim2real.servo.parameters import LOOP, LOSSES, ROTOR, SOFT, motor_of
+from sim2real.model import FittedEffect, Law
+from sim2real.servo.parameters import COLUMNS, CURRENT_LIMIT, LOOP, LOSSES, ROTOR, SOFT, motor_of
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
 EXPLAINED = 1.15
 """Ratio of residual to noise below which no more parameters are added."""
+_GAINS = 3
+"""Number of the first parameters of a prior: gains and latency."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,23 @@ class MotorFit:
     def with_gains(self) -> bool:
         """Whether the gains were fitted as well."""
         return 0 in self.problem.free
+
+    @property
+    def law(self) -> Law:
+        """Name of its law: that of the limit of its torque."""
+        return "motor" if self.problem.prior.damping_share is None else "current_limited"
+
+    @property
+    def effects(self) -> tuple[FittedEffect, ...]:
+        """Effects that state a part of its law: a current limit below the torque-speed line."""
+        limit = float(self.fit.row[COLUMNS.index(CURRENT_LIMIT)])
+        effect, _, parameter = CURRENT_LIMIT.rpartition(".")
+        return (FittedEffect(effect, {parameter: limit}),) if limit else ()
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Columns that were fitted in addition to gains and latency."""
+        return tuple(self.problem.prior.names[k] for k in self.problem.free if k >= _GAINS)
 
     @property
     def values(self) -> dict[str, float]:
@@ -93,6 +113,22 @@ class MotorFit:
         """The loss for residuals of another scale and correlation, to compare fits."""
         error = np.concatenate(self.fit.residuals)[None]
         return float(self.problem.loss(self.x[None], error, scale_rad, inflation)[0])
+
+    def evidence(self, scale_rad: float, inflation: float) -> float:
+        """Logarithm of the marginal likelihood by Laplace's method, up to a constant.
+
+        MacKay, Information Theory, Inference, and Learning Algorithms (Cambridge, 2003), ch. 27;
+        for residuals of a given scale and correlation, so that fits are comparable.
+        """
+        slopes = np.concatenate(self.fit.jacobians)
+        assert self.fit.prior is not None
+        curvature = slopes.T @ slopes / (scale_rad**2 * inflation) + self.fit.prior
+        size = np.where(self.log_scale, self.fit.values, 1.0)  # by a logarithm, as searched
+        _, volume = np.linalg.slogdet(curvature * np.outer(size, size))
+        widths = self.problem.prior.widths(self.problem.free)
+        freedom = 0.5 * len(self.problem.free) * np.log(2 * np.pi)
+        occam = freedom - 0.5 * volume - np.sum(np.log(np.sqrt(2 * np.pi) * widths))
+        return float(occam - 0.5 * self.loss_at(scale_rad, inflation))
 
 
 def fit_motor(
@@ -142,7 +178,7 @@ def fit_motor(
         steps_per_radian: Sub-steps per radian of the fastest mode.
     """
     free = tuple(
-        k for k, name in enumerate(prior.names) if (gains if k < 3 else name in free_names)
+        k for k, name in enumerate(prior.names) if (gains if k < _GAINS else name in free_names)
     )
     inertia = traces[0].load.inertia_kgm2
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)

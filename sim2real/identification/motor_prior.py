@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from sim2real.arrays import Array
 from sim2real.inference.parameters import Parameter, column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, LINE, LOOP, ROTOR
+from sim2real.servo.parameters import BASE, CURRENT_LIMIT, LINE, LOOP, ROTOR
 from sim2real.servo.reported_drive import ReportedDrive
 from sim2real.servo.trace import Trace
 
@@ -26,11 +26,17 @@ class MotorPrior:
             if it is ignored.
         reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
             and of that of the damping.
+        back_emf_sd: Scale of the logarithm of the damping about that by the back-EMF, with long
+            tails, as the controller may add damping.
+        damping_share: Median of the share of the damping that a limit of the current leaves, and
+            the standard deviation of its logarithm; None for a torque-speed line.
     """
 
     parameters: tuple[Parameter, ...]
     drive: ReportedDrive | None
     reported_sd: float = 0.01
+    back_emf_sd: float = 0.3
+    damping_share: tuple[float, float] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -46,18 +52,49 @@ class MotorPrior:
         log = np.array([parameter.log for parameter in self.parameters])
         return np.where(log, np.exp(np.where(log, x, 0.0)), x)
 
-    def terms(self, x: Array, *, back_emf_sd: float = 0.3) -> Array:
+    def widths(self, free: Sequence[int]) -> Array:
+        """Standard deviations of the normal priors of some parameters, as searched."""
+        sd = column([self.parameters[k] for k in free], "prior_sd")
+        share = () if self.damping_share is None else self.damping_share[1:]
+        return np.append(sd[np.isfinite(sd)], share)
+
+    def flat(self, kd: float, *, damping_share: tuple[float, float] = (0.6, 0.6)) -> MotorPrior:
+        """The prior of the same motor, if its current is limited at any speed and not its voltage.
+
+        Damping acts beyond the limit, at least a share of it: the stall torque over the no-load
+        speed. The no-load speed of the data sheet is then no limit.
+
+        Args:
+            kd: Damping of the linear servo in N m s/rad, about which the bounds lie.
+            damping_share: Median of that share, and the standard deviation of its logarithm.
+        """
+        k = self.index(LINE[1])
+        middle = float(np.exp(self.parameters[self.index(LINE[0])].nominal)) / kd / damping_share[0]
+        free = replace(
+            self.parameters[k],
+            low=middle / 10,
+            high=middle * 100,
+            typical=2 * damping_share[1],
+            nominal=np.log(middle),
+            prior_sd=np.inf,
+        )
+        parameters = (*self.parameters[:k], free, *self.parameters[k + 1 :])
+        return replace(self, parameters=parameters, damping_share=damping_share)
+
+    def terms(self, x: Array) -> Array:
         """Residuals whose squares are twice the negative logarithm of the prior, shape (B, F + 2).
 
         Args:
             x: Parameters as searched, shape (B, F).
-            back_emf_sd: Scale of the logarithm of damping about that by the back-EMF, with long
-                tails, as the controller may add damping.
         """
         parts = (x - column(self.parameters, "nominal")) / column(self.parameters, "prior_sd")
         kp, kd, stall, no_load_speed = (x[:, self.index(n)] for n in (*BASE[:2], *LINE))
-        if self.drive is None:
-            damping = (kd - stall + no_load_speed) / back_emf_sd
+        if self.damping_share is not None:
+            middle, sd = self.damping_share
+            damping = (kd - stall + no_load_speed + np.log(middle)) / sd
+            ties = np.stack([damping, np.zeros_like(kp)], axis=1)
+        elif self.drive is None:
+            damping = (kd - stall + no_load_speed) / self.back_emf_sd
             # tails of a Cauchy distribution
             damping = np.sign(damping) * np.sqrt(np.log1p(damping**2))
             ties = np.stack([damping, np.zeros_like(kp)], axis=1)
@@ -137,6 +174,7 @@ def motor_prior(
             log("motor.stribeck_speed_rad_s", 0.05 * speed, 0.8),
             share("motor.stick_time_s", 0.01, 0.1, 0.01),
             share("motor.creep_time_s", 0.002, 0.05, 0.002),
+            log(CURRENT_LIMIT, 0.6 * stall, 0.4),
             # the error of a period accumulates over thousands of samples
             *(Parameter(name, 0.0, 0.05, 2e-7) for name in LOOP),
         ),

@@ -121,7 +121,7 @@ def plain_servos(
         theta: Starting values, shape (N, P).
         inertia: Inertia of each load in kg m2, shape (N,).
         period_s: Time between samples; natural frequencies are limited to half the sampling rate.
-        free_line: Whether the motor's line or flat limit, if there is one, is free as well.
+        free_line: Whether the motor's line, if there is one, is free as well.
     """
     kp = np.maximum(theta[:, 0], 1e-9)
     kd = np.maximum(theta[:, 1], 0.4 * np.sqrt(kp * inertia))
@@ -137,14 +137,6 @@ def plain_servos(
         columns = np.hstack([columns, np.where(has[:, None], LINE_COLUMNS, -1).astype(np.int32)])
         unit = np.hstack([unit, np.where(has[:, None], line, 1.0)])
         low, high = np.hstack([low, line / LINE_ROOM]), np.hstack([high, line * LINE_ROOM])
-    limit, clipped = theta[:, FLAT_COLUMNS[:1]], theta[:, FLAT_COLUMNS[0]] > 0
-    if free_line and clipped.any():
-        flat = np.where(clipped[:, None], FLAT_COLUMNS, -1).astype(np.int32)
-        columns = np.hstack([columns, flat])
-        ones = np.ones_like(limit)
-        unit = np.hstack([unit, np.where(clipped[:, None], limit, 1.0), ones])
-        low = np.hstack([low, limit / LINE_ROOM, 0 * ones])
-        high = np.hstack([high, limit * LINE_ROOM, ones])
     first = np.argsort(columns < 0, axis=1, kind="stable")  # what is free comes first
     free = (np.take_along_axis(x, first, axis=1) for x in (columns, unit, low, high))
     return Servos(joint.astype(np.int32), theta, *free)
@@ -178,6 +170,22 @@ class Fits:
     def loglikelihood(self) -> Array:
         """Log-likelihood with fitted variance and noise model, shape (N,)."""
         return profile_loglikelihood(self.error2, self.count)
+
+    @property
+    def variances(self) -> Array:
+        """Variances of the free parameters of a single fit, in units, shape (F,).
+
+        Of independent innovations, or of blocks of them where these agree less: the sandwich of
+        White, Econometrica 50 (1982) 1-25, with blocks as clusters.
+        """
+        gram = self.gram[0]
+        gram = gram[gram[:, 0, 0] > 0]
+        inverse = np.linalg.pinv(gram[:, 1:, 1:].sum(axis=0), rcond=1e-12, hermitian=True)
+        independent = np.diag(inverse) * float(self.error2[0] / self.count[0])
+        by_block = gram[:, 1:, 0] @ inverse
+        freedom = len(gram) / max(len(gram) - len(inverse), 1)
+        of_blocks = freedom * (by_block**2).sum(axis=0)
+        return np.asarray(np.maximum(independent, of_blocks).clip(min=0.0))
 
     def __getitem__(self, index: Index | Mask | slice) -> Fits:
         """A selection of the fits."""

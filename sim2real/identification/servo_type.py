@@ -26,7 +26,7 @@ from sim2real.identification.motor_prior import MotorPrior
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.output import write_json
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, LOOP
+from sim2real.servo.parameters import LINE, LOOP, MOTOR
 from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.servo_type/1"
@@ -86,8 +86,10 @@ def learn(name: str, motors: Sequence[MotorFit], source: str, *, per_inertia: bo
         values = motor.fit.values
         middles = motor.x[list(motor.problem.free)]
         for k, p in enumerate(motor.fit.parameters):
-            if p.name in BASE or p.name in LOOP:
+            if p.name not in MOTOR or p.name in LOOP:
                 continue
+            if p.name == LINE[1] and motor.law != "motor":
+                continue  # no property of the motor where its current is limited
             sd = float(spread[k] / values[k] if p.log else spread[k])
             row = float(middles[k]), min(max(sd, 1e-6), p.prior_sd), p.typical, p.log
             by_name.setdefault(p.name, []).append(row)

@@ -9,7 +9,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE, named
 from sim2real.errors import InputError
-from sim2real.model import FittedEffect, JointModel
+from sim2real.model import FittedEffect, JointModel, Law
 from sim2real.recording import PER_INERTIA, Load
 
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
@@ -17,6 +17,9 @@ BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity
 
 LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
 """A motor's torque-speed line."""
+
+CURRENT_LIMIT = "torque_saturation.limit_Nm"
+"""Largest torque of the motor at any speed, where its current is limited below that at stall."""
 
 ROTOR = "motor.rotor_inertia_kgm2"
 
@@ -110,13 +113,16 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
     return row
 
 
-def stated(row: Array, load: Load, effects: Sequence[FittedEffect] = ()) -> JointModel:
+def stated(
+    row: Array, load: Load, effects: Sequence[FittedEffect] = (), law: Law | None = None
+) -> JointModel:
     """The model of a fitted joint, the inverse of ``joint_row``.
 
     Args:
         row: Its parameters, shape (len(COLUMNS),), including those of the motor.
         load: The load that it was fitted with, ``PER_INERTIA`` where none was known.
         effects: Its fitted effects.
+        law: Its law; by default the motor's if the row has a motor, else the linear one.
     """
     motor = motor_of(row)
     kp, kd, latency = (float(x) for x in row[:3])
@@ -126,7 +132,7 @@ def stated(row: Array, load: Load, effects: Sequence[FittedEffect] = ()) -> Join
         latency,
         inertia_kgm2=load.inertia_kgm2,
         per_inertia=load is PER_INERTIA,
-        law="motor" if motor else "pd",
+        law=law or ("motor" if motor else "pd"),
         motor=motor,
         load=None if load is PER_INERTIA else load,
         effects=tuple(effects),

@@ -69,7 +69,8 @@ def law_of(
     servo_fit, _ = best_of(references, [start, *others])
     if way_of(references, case) == "law":
         noise = sensor_noise(references)
-        servo_fit = choose_motor(references, servo_fit, servo, noise, rng).fit
+        motor = choose_motor(references, servo_fit, servo, noise, rng)
+        return stated(motor.fit.row, load, motor.effects, motor.law)
     return stated(servo_fit.row, load)
 
 

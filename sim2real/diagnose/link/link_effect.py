@@ -44,6 +44,43 @@ class LinkData:
 
 
 @dataclass(frozen=True)
+class LinkScore:
+    """How likely held-out recordings are under a link that was fitted to the others, in nats.
+
+    No model predicts when set-points are lost or late. So a link is scored by the likelihood of
+    recordings, and not by the error of one simulation.
+
+    Attributes:
+        loglikelihood: Of all held-out recordings.
+        expected: What the fitted model expects of it: the mean over recordings drawn from it.
+        sd: Standard deviation over such recordings.
+        without: Log-likelihood of the held-out recordings if set-points arrive regularly.
+        samples: Number of samples.
+    """
+
+    loglikelihood: float
+    expected: float
+    sd: float
+    without: float
+    samples: int
+
+    @property
+    def error_ratio(self) -> float:
+        """Error of predictions one sample ahead, relative to what the model expects.
+
+        Of normal innovations whose standard deviation is larger by a factor r, the log-likelihood
+        of n samples is smaller by n (r^2 - 1) / 2.
+        """
+        missing = max(self.expected - self.loglikelihood, 0.0)
+        return float(np.sqrt(1 + 2 * missing / max(self.samples, 1)))
+
+    def at_noise(self, *, sds: float = 2.0, largest_ratio: float = 1.1) -> bool:
+        """Whether the model leaves noise only: it expected as much, or the error is near that."""
+        as_drawn = self.expected - self.loglikelihood <= sds * self.sd
+        return as_drawn or self.error_ratio <= largest_ratio
+
+
+@dataclass(frozen=True)
 class Uneven:
     """Irregular timing that explains a part of a robot's residuals.
 
@@ -59,6 +96,9 @@ class Uneven:
         lost_s: For each joint, by recording, when set-points were lost that it would have shown.
         unexplained: For each joint, by recording, the residual in rad without what the irregular
             timing is expected to do, shape (T,).
+        arrivals: How set-points arrive.
+        noises: Of each joint.
+        score: Log-likelihood of held-out recordings; None where nothing was held out.
     """
 
     effect: str
@@ -71,6 +111,9 @@ class Uneven:
     correlation: float = 0.0
     lost_s: tuple[tuple[Array, ...], ...] = ()
     unexplained: tuple[tuple[Array, ...], ...] = ()
+    arrivals: Arrivals = Arrivals()
+    noises: tuple[Noise, ...] = ()
+    score: LinkScore | None = None
 
 
 def links(robots: Sequence[LinkData]) -> list[Uneven]:
@@ -110,6 +153,7 @@ class LinkFit:
         joints: The joints.
         effect: ``latency_jitter`` or ``packet_loss``.
         common: Whether one packet carries the set-points of all joints.
+        start: A fit to similar recordings to start from, instead of the guesses.
 
     Attributes:
         gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
@@ -117,12 +161,25 @@ class LinkFit:
         noises: Of each joint.
     """
 
-    def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
+    def __init__(
+        self,
+        joints: Sequence[NoisyJoint],
+        effect: str,
+        *,
+        common: bool,
+        start: Uneven | None = None,
+    ) -> None:
         self.joints, self.effect, self.common = joints, effect, common
         self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
         self.noises = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
+        if start is not None:
+            total, self.arrivals, self.noises = self._climb(
+                list(start.noises), start.arrivals, steps=4
+            )
+            self.gain = total - alone
+            return
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
         guesses = [self._climb(noises, self.arrivals, steps=1) for noises in starts]
         if max(total for total, _, _ in guesses) < alone:
@@ -152,7 +209,7 @@ class LinkFit:
 
     def _filter(self, noises: Sequence[Noise]) -> EventFilter:
         channels = [
-            [_channel(segment, noise) for segment in joint.segments]
+            [channel_of(segment, noise) for segment in joint.segments]
             for joint, noise in zip(self.joints, noises, strict=True)
         ]
         if self.common:
@@ -263,6 +320,8 @@ class LinkFit:
                 tuple(s.corrected(noise.refit) for s in joint.segments)
                 for (joint, _), noise in zip(explained, self.noises, strict=True)
             ),
+            arrivals,
+            tuple(self.noises),
         )
 
 
@@ -289,7 +348,8 @@ def _white(joint: NoisyJoint) -> Noise:
     return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
 
 
-def _channel(segment: Segment, noise: Noise) -> Channel:
+def channel_of(segment: Segment, noise: Noise) -> Channel:
+    """A recording of a joint as the filter takes it."""
     of, residual = segment.source, segment.corrected(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
     return Channel(

@@ -11,7 +11,6 @@ from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
 from sim2real.identification.fit import servos_at
 from sim2real.identification.servo_problem import (
-    SATURATION,
     Fits,
     Servos,
     Set,
@@ -90,7 +89,7 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
     for j, (tried, base) in enumerate(zip(known, bases, strict=True)):
         plain = tried.plain.fit.servos
         inertia = float(batch.load[batch.first_signal[j], 0])
-        servo = with_effects(plain, base, plain.theta[0], inertia, base - {SATURATION})
+        servo = with_effects(plain, base, plain.theta[0], inertia, base)
         servos.append(servo.of_joints([j]))
     return minimise(batch, stacked(servos), iterations=12, blocks=BLOCKS)
 

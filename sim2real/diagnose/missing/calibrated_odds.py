@@ -7,7 +7,7 @@ development cases whose truth is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,35 +120,79 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
     return OddsFeatures(tuple(of_groups), whole, of_link)
 
 
-def judged(finding: Finding, unseen: Mapping[Set, Unseen]) -> Finding:
+def judged_together(
+    findings: Sequence[Finding], unseen: Sequence[Mapping[Set, Unseen]]
+) -> list[Finding]:
+    """The findings of one robot's joints, see ``judged``; its link is as likely on all of them."""
+    pairs = list(zip(findings, unseen, strict=True))
+    on_link = [f.link is not None and len(f.link.shares) > 1 for f in findings]
+    odds = [_link_probability(*pair) for pair, shared in zip(pairs, on_link, strict=True) if shared]
+    likeliest = max(odds, default=0.0)
+    return [
+        judged(*pair, link_probability=likeliest if shared else 0.0)
+        for pair, shared in zip(pairs, on_link, strict=True)
+    ]
+
+
+def _link_probability(finding: Finding, unseen: Mapping[Set, Unseen]) -> float:
+    """Probability of irregular command timing by its curve; 0 where the timing is regular."""
+    features = odds_features(finding, unseen).link
+    return 0.0 if features is None else ODDS["link"].probability(features)
+
+
+def _without_link(whole: Features, finding: Finding) -> Features:
+    """Features of a joint, of what is left by irregular command timing.
+
+    No model predicts when set-points are lost or late on another recording, so that the held-out
+    error and the segments with a mismatch tell nothing of physics outside the catalogue.
+    """
+    error = float(np.sqrt(max(finding.excess, 1.0)))
+    left = scaled(
+        excess_plain=finding.excess, error_plain=error, error=error, uncatalogued_lead=0.0,
+        smooth_evidence=0.0, windows_evidence=0.0,
+    )  # fmt: skip
+    return whole | left
+
+
+def judged(
+    finding: Finding, unseen: Mapping[Set, Unseen], *, link_probability: float = 0.0
+) -> Finding:
     """The finding with calibrated probabilities, verdict and what stays unexplained.
 
     An effect whose interval includes 0 is not named, whatever its evidence; nor is a nuisance that
     every sensor has a little of, here larger than usual.
+
+    Args:
+        finding: What was found on the joint.
+        unseen: Errors on held-out data by set of effects.
+        link_probability: Probability of the link's effect as other joints show it.
     """
     features = odds_features(finding, unseen)
-    unknown = ODDS["uncatalogued"].probability(features.whole)
+    link_probability = max(link_probability, _link_probability(finding, unseen))
+    named_link = link_probability >= DECISION.named
+    whole = _without_link(features.whole, finding) if named_link else features.whole
+    unknown = ODDS["uncatalogued"].probability(whole)
     if any(named(g.members[0]).never_named for g, _ in features.groups):
         unknown = max(unknown, DECISION.uncatalogued_probability)
 
-    def stated(curve: str, of_name: Features) -> float:
+    def stated(if_known: float) -> float:
         """Probability that the catalogue has what is missing, and that it is this effect."""
-        probability = (1 - unknown) * ODDS[curve].probability(of_name)
+        probability = (1 - unknown) * if_known
         # Names stated with 0.9 and more must be right that often.
         certain = probability >= DECISION.min_certain_probability
         return probability if certain else min(probability, DECISION.max_uncertain_probability)
 
     groups = [
-        replace(g, probability=stated("effect", of_name))
+        replace(g, probability=stated(ODDS["effect"].probability(of_name)))
         for g, of_name in features.groups
         if not named(g.members[0]).never_named and not includes_zero(finding.best, g.members[0])
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
-    if finding.link is not None and features.link is not None:
-        groups.append(Group((finding.link.effect,), stated("link", features.link), 1.0))
+    if finding.link is not None:
+        groups.append(Group((finding.link.effect,), stated(link_probability), 1.0))
     likely = [g for g in groups if g.probability >= DECISION.named]
     matters = [g for g in likely if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
-    misfit = ODDS["mismatch"].probability(features.whole) >= DECISION.mismatch_probability
+    misfit = ODDS["mismatch"].probability(whole) >= DECISION.mismatch_probability
     # Negligible effects do not explain a residual that is structured without them.
     negligible = not matters and finding.excess > DECISION.structured_excess
     unsolved = misfit and not coarse and (not likely or negligible)

@@ -21,12 +21,14 @@ from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
     SATURATION,
+    Fits,
     Hypothesis,
     Set,
     Tried,
     joined,
     residual_angles,
 )
+from sim2real.inference.normal import Z90
 from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
@@ -240,10 +242,13 @@ def is_no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
     """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
     if named(effect).everywhere:
         return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
-    theta = best.fit.servos.theta[0]
+    servos = best.fit.servos
+    theta = servos.theta[0]
     if effect == "unmodelled_inertia":
         small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
-        return bool(abs(theta[_INERTIA]) < small)
+        place = servos.columns[0] == _INERTIA
+        sd = float(np.sum(np.sqrt(best.fit.variances[place]) * servos.unit[0, place]))
+        return bool(abs(theta[_INERTIA]) - Z90 * sd < small)
     stated = effect == SATURATION and joint.stall_Nm is not None
     return stated and theta[FLAT_COLUMNS[0]] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)
 
@@ -253,23 +258,35 @@ def _with_links(
     joints: Sequence[JointCase],
     robots: Sequence[Sequence[int]],
     findings: Sequence[Finding],
+    *,
+    longest_jitter_s: float = np.inf,
 ) -> list[Finding]:
     """Findings that also say what is uneven on the link.
 
     Set-points that come unevenly can pass for a weak effect. So the link is looked at twice: with
-    what was found on its joints and without.
+    what was found on its joints and without. Where not all joints show it, set-points may wait for
+    the turn of one joint's own, slow controller.
+
+    Args:
+        batch: The recordings, joint by joint.
+        joints: The joints of the batch.
+        robots: Which of them share a link.
+        findings: What each is missing besides.
+        longest_jitter_s: Jitter from which nothing is said; if finite, nothing is said of losses.
     """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
-        [_link_data(batch, joints, robot, plain) for robot in robots]
-        + [_link_data(batch, joints, robot, best) for robot in richer]
+        [link_data(batch, joints, robot, [plain[j].fit for j in robot]) for robot in robots]
+        + [link_data(batch, joints, robot, [best[j].fit for j in robot]) for robot in richer]
     )
     with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
-    explained = list(findings)
+    explained, alone = list(findings), list[int]()
     for robot, plain_link in zip(robots, both, strict=False):
         best_link = with_effects.get(robot[0], plain_link)
         if not _on_all(plain_link, best_link, [findings[j] for j in robot]):
+            shown = [j for j, share in zip(robot, best_link.shares, strict=True) if share > 0]
+            alone += [j for j in shown if len(robot) > 1 and findings[j].mismatch]
             continue
         for k, j in enumerate(robot):
             finding = findings[j]
@@ -277,7 +294,8 @@ def _with_links(
             # Uneven timing instead of the joint's own effects, or together with them.
             instead = plain_link.shares[k] > best_link.shares[k] + own
             link = plain_link if instead and plain_link.gain > 0 else best_link
-            if link.gain > 0:
+            short = link.effect == "latency_jitter" and link.value < longest_jitter_s
+            if link.gain > 0 and (short or np.isinf(longest_jitter_s)):
                 group = Group((link.effect,), DECISION.most_certain, 1.0)
                 remaining = excess(link.unexplained[k], joints[j].traces, batch, _noise(finding))
                 remaining = min(remaining, finding.excess)
@@ -291,7 +309,10 @@ def _with_links(
                     link=link,
                     place=k,
                 )
-    return explained
+    if not alone:
+        return explained
+    apart, wait_s = [[j] for j in alone], DECISION.controller_wait_s
+    return _with_links(batch, joints, apart, explained, longest_jitter_s=wait_s)
 
 
 def _noise(finding: Finding) -> float:
@@ -301,9 +322,16 @@ def _noise(finding: Finding) -> float:
 
 
 def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) -> bool:
-    """Whether a link is uneven on more than the joints whose own effects could pass for it."""
+    """Whether a link is uneven on more than the joints whose own effects could pass for it.
+
+    Or on few of them while the others do not contradict it, as a joint that hardly moves shows
+    neither losses nor delays: rates that are common to all then explain as much as rates of each.
+    """
     if max(plain_link.gain, best_link.gain) <= 0:
         return False
+    contradiction = sum(best_link.shares) - best_link.gain
+    if best_link.gain > 0 and contradiction < DECISION.link.max_contradiction:
+        return True
     showing = [share > 0 for share in best_link.shares]
     free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
     if free and not any(free):
@@ -311,19 +339,19 @@ def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) 
     return len(showing) < 2 or sum(showing) > 1
 
 
-def _link_data(
+def link_data(
     batch: Batch,
     joints: Sequence[JointCase],
     robot: Sequence[int],
-    fits: Sequence[Hypothesis],
+    fits: Sequence[Fits],
 ) -> LinkData:
-    """Residuals of fits on a robot's joints, for ``links``."""
-    residuals = residual_angles(batch, joined([fits[j].fit for j in robot]))
+    """Residuals of single fits on a robot's joints, for ``links``."""
+    residuals = residual_angles(batch, joined(fits))
     left = tuple(
         tuple(
-            Residual(t, residual[r, : t.t.size], *fits[j].fit.servos.theta[0, :3].tolist())
+            Residual(t, residual[r, : t.t.size], *fit.servos.theta[0, :3].tolist())
             for r, t in enumerate(joints[j].traces)
         )
-        for j, residual in zip(robot, residuals, strict=True)
+        for j, fit, residual in zip(robot, fits, residuals, strict=True)
     )
     return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)

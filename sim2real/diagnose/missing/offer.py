@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.calibrated_odds import judged
+from sim2real.diagnose.missing.calibrated_odds import judged_together
 from sim2real.diagnose.missing.investigate import Finding
 from sim2real.effects import named
 from sim2real.identification.held_out import Unseen, held_out
@@ -14,7 +14,10 @@ from sim2real.identification.servo_problem import Hypothesis, Set
 
 
 def judged_and_offered(
-    joints: Sequence[JointCase], findings: Sequence[Finding], device: str
+    joints: Sequence[JointCase],
+    findings: Sequence[Finding],
+    robots: Sequence[Sequence[int]],
+    device: str,
 ) -> tuple[list[Finding], list[Hypothesis], list[Hypothesis], list[dict[Set, Unseen]]]:
     """Judge findings by errors on held-out data, and choose the servo of the enriched model.
 
@@ -27,8 +30,11 @@ def judged_and_offered(
     judgements, errors = list(findings), [dict[Set, Unseen]() for _ in joints]
     searched = [j for j, joint in enumerate(joints) if not joint.references]
     _add_errors(errors, joints, findings, [_sets_to_score(f) for f in findings], device)
-    for j in searched:
-        judgements[j] = judged(findings[j], errors[j])
+    for robot in robots:
+        some = [j for j in robot if j in searched]
+        together = judged_together([findings[j] for j in some], [errors[j] for j in some])
+        for j, judgement in zip(some, together, strict=True):
+            judgements[j] = judgement
     rich = [_with_named(finding) for finding in judgements]
     _add_errors(errors, joints, judgements, [[servo.members] for servo in rich], device)
     for j in searched:

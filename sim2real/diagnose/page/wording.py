@@ -10,6 +10,7 @@ import numpy as np
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.link.link_effect import Uneven
 from sim2real.diagnose.missing.effect_probabilities import Group
 from sim2real.diagnose.missing.unmodelled import measured_only
 from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, Verdict
@@ -113,7 +114,9 @@ def _named_groups(results: Mapping[str, JointFindings]) -> list[_Named]:
     for effect, where in shared.items():
         likeliest = max((group for _, group in where), key=lambda group: group.probability)
         joints = tuple(joint for joint, _ in where)
-        place: str = named(effect).component if len(results) > 1 else joints[0]
+        links = (results[joint].finding.link for joint in joints)
+        own = any(link is not None and len(link.shares) == 1 for link in links)
+        place: str = joints[0] if own or len(results) == 1 else named(effect).component
         groups.append(_Named(likeliest, joints, place))
         if len(joints) > 1:
             mimicked.update(named(effect).mimics)
@@ -129,6 +132,8 @@ def _named_effect(results: Mapping[str, JointFindings], entry: _Named) -> NamedE
     parameters = _combined([estimate for estimate in estimates if estimate])
     plain = result.finding.tried.plain.fit.servos.theta[0]
     rich = result.rich.fit.servos.theta[0]
+    link = result.finding.link
+    of_link = link is not None and link.effect == group.members[0]
     per_inertia = result.joint.traces[0].load is PER_INERTIA
     return NamedEffect(
         effect=group.members[0],
@@ -136,7 +141,7 @@ def _named_effect(results: Mapping[str, JointFindings], entry: _Named) -> NamedE
         probability=group.probability,
         group=group.members,
         parameters=parameters,
-        heldout=result.heldout(),
+        heldout=result.heldout() | (result.heldout_of_link() if of_link else {}),
         baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
         stability=group.stability,
         statement=_statement(entry, parameters, per_inertia=per_inertia) + _of_link(results, entry),
@@ -178,14 +183,14 @@ def _statement(entry: _Named, parameters: Mapping[str, Estimate], *, per_inertia
 
 
 def _of_link(results: Mapping[str, JointFindings], entry: _Named, *, listed: int = 3) -> str:
-    """Further sentences on the link: correlation of delays, bursts and times of losses."""
+    """Further sentences on the link: delays, bursts, times of losses, and its held-out score."""
     finding = results[entry.joints[0]].finding
     link = finding.link
     if link is None or entry.group.members[0] != link.effect:
         return ""
     if link.effect == "latency_jitter":
         alike = f" Successive delays have a correlation of {link.correlation:.1f}."
-        return alike if link.correlation > 0.25 else ""
+        return (alike if link.correlation > 0.25 else "") + _score(link)
     bursts = f" They are lost in bursts of {link.burst:.1f} on average." if link.burst > 1.5 else ""
     packets = ""
     if len(link.shares) > 1:
@@ -198,10 +203,26 @@ def _of_link(results: Mapping[str, JointFindings], entry: _Named, *, listed: int
         for time in some
     ]
     if not times:
-        return bursts + packets
+        return bursts + packets + _score(link)
     more = f" and {len(times) - listed} more" if len(times) > listed else ""
     of_joint = "" if link.common else f" of {entry.joints[0]}"
-    return f"{bursts}{packets} Set-points{of_joint} lost at {', '.join(times[:listed])}{more}."
+    where = f" Set-points{of_joint} lost at {', '.join(times[:listed])}{more}."
+    return bursts + packets + where + _score(link)
+
+
+def _score(link: Uneven) -> str:
+    """A sentence on the likelihood of held-out recordings; empty where none was held out."""
+    score = link.score
+    if score is None:
+        return ""
+    below = score.expected - score.loglikelihood
+    side = "below" if below > 0 else "above"
+    judgement = "only noise is left" if score.at_noise() else "more than noise is left"
+    return (
+        f" The log-likelihood of held-out recordings is {abs(below):.0f} nats {side} what this link"
+        f" expects (standard deviation {score.sd:.0f}): {judgement}; it is"
+        f" {score.loglikelihood - score.without:+.0f} nats relative to regular timing."
+    )
 
 
 def _verdict(
