@@ -145,7 +145,9 @@ def _guess_errors(points: Array, trace: Trace, *, shortest_s: float = 1e-3) -> A
     else:
         substep = longest_substep(theta, theta[:, 3], steps_per_radian=6.0, longest_s=4e-3)
         step = np.maximum(substep, shortest_s)  # the fast mode of strong damping decays within it
-        angle = rollout(theta, trace.t, trace.command, substep_s=step, threads=2)
+        angle = rollout(
+            theta, trace.t, trace.command, varying=trace.varying, substep_s=step, threads=2
+        )
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 

@@ -28,7 +28,7 @@ from sim2real.servo.effect_chain import (
     motor_torque,
 )
 from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN
+from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, LOAD_CELL
 from sim2real.servo.torques import pendulum_torque, slide
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
@@ -314,7 +314,7 @@ def train_at_rest(
     cell = train_cell(active)
     q = state[0]
     for _ in range(8):
-        carried = -pendulum_torque(q - z[cell], p[4])
+        carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried
         if carried != wp.float64(0.0):  # else in the middle of the gap
             z[cell] += wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
@@ -362,7 +362,7 @@ def train_substep(
     lead = z[cell]
     rate = z[cell + 1]
     output = q - lead - half * rate
-    weight = pendulum_torque(output, p[4])
+    weight = pendulum_torque(output, p[4]) + z[wp.static(LOAD_CELL)]
     error = command_in_force(u, q, speed, state[2], time, h, p, z, others) - q
     error = error_seen(error, q, speed, state[2], time, h, p, z, others)
     load = load_torque(weight, output, v - rate, state[2], time, h, p, z, others)

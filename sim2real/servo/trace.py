@@ -13,6 +13,7 @@ from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.servo.reported_drive import ReportedDrive, reported_drive
+from sim2real.varying_load import VaryingLoad
 
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
@@ -28,9 +29,10 @@ class Trace:
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, shape (T,), NaN where missing.
-        load: The stated load, or ``PER_INERTIA``.
+        load: The stated load, or ``PER_INERTIA``; of a load that varies, its mean inertia.
         used: Mask of the samples that the fit may use, shape (T,).
         drive: Controller that the reported drive shows; None if the servo does not report it.
+        varying: Load that varies with time, as on an arm; None if it is constant.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Trace:
     load: Load
     used: Mask
     drive: ReportedDrive | None = None
+    varying: VaryingLoad | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -87,13 +90,15 @@ def trace(recording: Recording, joint: str) -> Trace:
     position = recording.position[powered, j]
     t, command = recording.t[powered], recording.command[powered, j]
     load = recording.columns.get(f"{joint}.load")
+    varying = recording.varying_loads.get(joint)
     return Trace(
         name=recording.name,
         file=recording.file,
         t=t,
         command=command,
         position=position,
-        load=recording.loads.get(joint, PER_INERTIA),
+        load=Load(varying.mean_inertia_kgm2) if varying else recording.loads.get(joint, PER_INERTIA),
+        varying=varying,
         used=np.isfinite(position),
         drive=None if load is None else reported_drive(t, command, position, load[powered]),
     )
@@ -135,7 +140,8 @@ def check_runs(traces: Sequence[Trace], joint: str) -> None:
 
 def shows_inertia(fitted: Sequence[Trace]) -> bool:
     """Whether the torque scale is known, so that inertia and gains are identifiable separately."""
-    return any(t.load.gravity_Nm > 0 for t in fitted) or len({t.load for t in fitted}) > 1
+    weighed = any(t.varying is not None or t.load.gravity_Nm > 0 for t in fitted)
+    return weighed or len({t.load for t in fitted}) > 1
 
 
 def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:
