@@ -66,11 +66,14 @@ def identify(
     """
     from tqdm import tqdm
 
-    from sim2real.identification.identify import identify as fit
+    from sim2real.arm.identify_arm import identify_arm
+    from sim2real.identification.identify import identify as identify_servos
 
+    description = robot_of(robot)
+    fit = identify_servos if description.arm is None else identify_arm
     return fit(
         recordings_of(recordings),
-        robot_of(robot),
+        description,
         held_out=held_out,
         effects=(effects,) if isinstance(effects, str) else effects,
         law=law,

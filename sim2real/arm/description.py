@@ -132,7 +132,11 @@ def _gravity(fields: Fields) -> tuple[float, float, float]:
 
 
 def _dynamics_only(text: str) -> str:
-    """A URDF without what does not change its dynamics; hinges without limits get wide ones."""
+    """A URDF without what does not change its dynamics.
+
+    Hinges without limits get wide ones. Links get a prefix: a link and a joint of one name are
+    valid in a URDF, and ambiguous in Pinocchio.
+    """
     source = ElementTree.fromstring(text)
     robot = Element("robot", {"name": source.get("name", "arm")})
     for element in source:
@@ -145,6 +149,10 @@ def _dynamics_only(text: str) -> str:
         if kept.get("type") == "revolute" and kept.find("limit") is None:
             wide = {"lower": "-100", "upper": "100", "effort": "1e9", "velocity": "1e9"}
             kept.append(Element("limit", wide))
+        for end, name in (("link", "name"), ("parent", "link"), ("child", "link")):
+            for part in (kept, *kept):
+                if part.tag == end:
+                    part.set(name, f"link {part.get(name)}")
         robot.append(kept)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
