@@ -52,7 +52,8 @@ def choose_motor(
     prior = motor_prior(servo, fitted)
     if servo_type is not None:
         prior = servo_type.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
-    if rms(plain.residuals) < EXPLAINED * noise:
+    linear = fitted[0].varying is None  # on an arm the motor's rotor is needed
+    if linear and rms(plain.residuals) < EXPLAINED * noise:
         return fit_motor(fitted, plain, prior, LINE, rng, gains=False)
     chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type)
     ratio = rms(chosen.fit.residuals) / noise
