@@ -39,6 +39,7 @@ class Physics:
         latency_s: From sending a set-point to the firmware's first tick that uses it.
         coulomb_Nm: Dry friction on the motor's side.
         gap_rad: Play between motor and output.
+        output_Nm: Dry friction on the output's side of the play.
         encoder_noise_rad: Standard deviation before quantisation.
     """
 
@@ -60,6 +61,7 @@ class Physics:
     )
     coulomb_Nm: Array = field(default_factory=lambda: np.zeros(6))
     gap_rad: Array = field(default_factory=lambda: np.zeros(6))
+    output_Nm: Array = field(default_factory=lambda: np.zeros(6))
     encoder_noise_rad: float = 5e-4
 
     @property
@@ -71,6 +73,7 @@ class Physics:
 WORN = Physics(
     coulomb_Nm=np.array([0.06, 0.09, 0.07, 0.05, 0.06, 0.05]),
     gap_rad=np.array([0.012, 0.016, 0.014, 0.012, 0.016, 0.01]),
+    output_Nm=np.array([0.015, 0.02, 0.015, 0.01, 0.02, 0.01]),
 )
 """Servos with dry friction and play."""
 
@@ -177,6 +180,11 @@ def _compiled(physics: Physics, step_s: float) -> tuple[Any, Any, Any]:
                 name=f"{name}_play", type=mj.mjtJoint.mjJNT_HINGE, axis=joint.axis, pos=joint.pos
             )
             added.range, added.limited = [-gap, gap], True
+            output = spec.add_tendon(name=f"{name}_output", frictionloss=physics.output_Nm[j])
+            output.wrap_joint(name, 1.0)
+            output.wrap_joint(f"{name}_play", 1.0)
+            output.solref_friction = joint.solref_friction
+            output.solimp_friction = joint.solimp_friction
             added.solref_limit, added.solimp_limit = [0.001, 1.0], [0.99, 0.999, 1e-4, 0.5, 2]
     model = spec.compile()
     motor = np.array([model.joint(name).qposadr[0] for name in NAMES])

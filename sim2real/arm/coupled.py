@@ -22,6 +22,7 @@ from sim2real.servo.rollout import rollout
 from sim2real.varying_load import VaryingLoad
 
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
+_GAP = FIRST_COLUMN["backlash"]
 
 
 def loads_on(multibody: Multibody, motion: JointMotion) -> list[VaryingLoad]:
@@ -40,10 +41,15 @@ def coupled_motion(
     command: Array,
     *,
     tolerance_rad: float = 1e-5,
+    impact_tolerance_rad: float = 3e-4,
+    impact_cutoff_hz: float = 20.0,
     iterations: int = 80,
     threads: int = 2,
 ) -> tuple[JointMotion, Array]:
     """Simulate an arm from rest on its first commands.
+
+    With play, the flanks of one joint's gears hit one another a little earlier or later in every
+    iteration. The others then see its motion without frequencies above ``impact_cutoff_hz``.
 
     Args:
         multibody: Dynamics of the arm, with J joints.
@@ -51,6 +57,8 @@ def coupled_motion(
         t: Times of commands and samples in s, shape (T,).
         command: Set-points in rad, shape (T, J).
         tolerance_rad: Change of an angle between iterations at which they end.
+        impact_tolerance_rad: The same where a servo has play.
+        impact_cutoff_hz: Cut-off frequency of motions where a servo has play.
         iterations: Largest number of iterations.
         threads: CPU threads.
 
@@ -83,14 +91,19 @@ def coupled_motion(
         )
         return np.stack(list(found), axis=1)
 
+    play = any(row is not None and row[_GAP] > 0 for row in rows)
+    tolerance = impact_tolerance_rad if play else tolerance_rad
     shafts = [None if row is None else _without_sensor(row) for row in rows]
     with ThreadPoolExecutor(threads) as pool:
         for _ in range(iterations):
             loads = loads_on(multibody, motion)
-            change = all_joints(shafts, loads)[on_grid] - motion.angle
+            angle = all_joints(shafts, loads)[on_grid]
+            if play:
+                angle[:, free] = low_pass(angle[:, free], STEP_S, impact_cutoff_hz)
+            change = angle - motion.angle
             change[:, [j for j, row in enumerate(rows) if row is None]] = 0.0
             largest = float(np.abs(change).max())
-            if largest < tolerance_rad:
+            if largest < tolerance:
                 return motion, all_joints(rows, loads)[at_samples]
             if not np.isfinite(largest):
                 break
@@ -119,6 +132,11 @@ def _without_sensor(row: Array) -> Array:
     return out
 
 
+def _rotor(row: Array) -> float:
+    """Inertia that turns with a link besides it; with play the rotor does not."""
+    return 0.0 if row[_GAP] > 0 else float(row[ROTOR_INERTIA] + row[INERTIA_LEFT_OUT])
+
+
 def _relaxation(
     multibody: Multibody, rows: Sequence[Array | None], angle: Array, *, poses: int = 50
 ) -> float:
@@ -130,8 +148,7 @@ def _relaxation(
     """
     some = angle[:: max(1, len(angle) // poses)]
     mass = multibody.mass_matrix(some)
-    rotors = [0.0 if row is None else row[ROTOR_INERTIA] + row[INERTIA_LEFT_OUT] for row in rows]
-    mass += np.diag(rotors)
+    mass += np.diag([0.0 if row is None else _rotor(row) for row in rows])
     free = [j for j, row in enumerate(rows) if row is not None]
     mass = mass[:, free][:, :, free]
     scale = 1 / np.sqrt(np.einsum("kjj->kj", mass))

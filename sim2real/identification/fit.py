@@ -20,7 +20,14 @@ from sim2real.inference.least_squares import (
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.motor import MOTOR_BIT
-from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INERTIA
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    INERTIA_LEFT_OUT,
+    LINE,
+    ROTOR,
+    ROTOR_INERTIA,
+)
 from sim2real.servo.rollout import (
     LONGEST_SUBSTEP_S,
     Simulator,
@@ -207,13 +214,16 @@ def scale_inertia(traces: Sequence[Trace], row: Array) -> float:
 
 
 def plain_parameters(traces: Sequence[Trace], row: Array) -> tuple[Parameter, ...]:
-    """Parameters of a servo without effects: gains and latency, and on an arm the rotor's inertia.
+    """Parameters of a servo without effects: gains and latency, and on an arm the motor's.
 
-    The weight of an arm is known, so that inertia and gains are identifiable separately.
+    The weight of an arm is known, so that inertia, torque and gains are identifiable separately.
     """
     inertia = scale_inertia(traces, row)
     if traces[0].varying is None:
         return gains(row, inertia)
+    if row[ROTOR_INERTIA] > 0:
+        motor = [(name, float(row[COLUMNS.index(name)])) for name in (*LINE, ROTOR)]
+        return (*gains(row, inertia), *(Parameter(n, x / 4, 4 * x, x, x) for n, x in motor))
     rotor = Parameter(COLUMNS[INERTIA_LEFT_OUT], 0.0, 20.0 * inertia, inertia)
     return (*gains(row, inertia), rotor)
 

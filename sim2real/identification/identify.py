@@ -44,7 +44,7 @@ from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, motor_of, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
@@ -155,7 +155,9 @@ def fitted_motors(
         if not data:
             continue
         noise = sensor_noise(data)
-        motor = choose_motor(data, _fit_plain(data, noise, rng, joint.servo)[0], joint.servo, noise, rng)
+        motor = choose_motor(
+            data, _fit_plain(data, noise, rng, joint.servo)[0], joint.servo, noise, rng
+        )
         if motor.with_gains:
             motors[joint.name] = motor
     return motors
@@ -220,7 +222,8 @@ def _identify_joint(
     best, rivals, without_influence = _fit_plain(fitted, noise, rng, servo)
     motor = None
     if servo is not None and not without_influence:
-        motor = choose_motor(fitted, best, servo, noise, rng, prior)
+        losses = not extra or fitted[0].varying is None
+        motor = choose_motor(fitted, best, servo, noise, rng, prior, losses=losses)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
@@ -332,10 +335,12 @@ def _joint_model(
             effects.setdefault(effect, {})[parameter] = float(value)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
     pairs = combinations(range(len(best.names)), 2)
+    refitted = any(name.startswith("motor.") for name in best.names)
+    motor_parameters = motor_of(best.row) if refitted or motor is None else motor.values
     return replace(
         model,
         law="pd" if motor is None else "motor",
-        motor={} if motor is None else motor.values,
+        motor=motor_parameters,
         interval=ends,
         correlation={
             f"{best.names[i]}, {best.names[j]}": float(spread.correlation[i, j]) for i, j in pairs

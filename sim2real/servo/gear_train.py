@@ -285,15 +285,18 @@ def train_cell(active: wp.int64) -> int:
 
 
 @wp.func
-def train_of(inertia: wp.float64, p: Row) -> Train:
-    """The gear train of a row of parameters, of so much inertia in all."""
+def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
+    """The gear train of a row of parameters, of so much inertia in all.
+
+    ``least`` is the smallest share of the inertia on either side.
+    """
     g = Train()
     rotor = p[wp.static(_GAP + 1)]
     if rotor == wp.float64(0.0):
         rotor = p[wp.static(_SPRING + 1)]
     if rotor == wp.float64(0.0) and p[wp.static(_GAP)] > wp.float64(0.0):
         rotor = inertia  # an output without inertia
-    g.motor = wp.clamp(rotor, wp.float64(0.02) * inertia, wp.float64(0.98) * inertia)
+    g.motor = wp.clamp(rotor, least * inertia, (wp.float64(1.0) - least) * inertia)
     g.output = inertia - g.motor
     g.total = inertia
     g.output_share = g.output / inertia

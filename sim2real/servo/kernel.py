@@ -19,6 +19,11 @@ from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOAD_CELL, LOOP
 _CLOCK = [COLUMNS.index(name) for name in (BASE[2], *LOOP)]
 """Columns that determine when set-points take effect and when the controller samples."""
 
+_LEAST_SIDE = wp.constant(wp.float64(0.02))
+"""Smallest share of the inertia on either side of a gear train."""
+_LEAST_LINK = wp.constant(wp.float64(5e-4))
+"""The same for a load that varies: the last links of an arm are much lighter than the rotors."""
+
 
 @wp.func
 def at_rest(u: wp.float64, kp: wp.float64, p: Row, torque: wp.float64) -> wp.vec4d:
@@ -145,7 +150,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             state_b = at_rest(u, kp_b, p_b, z_b[wp.static(LOAD_CELL)])
             g = Train()
             if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
-                g = train_of(inertia, p)
+                g = train_of(inertia, p, _LEAST_SIDE)
                 state = train_at_rest(state, u, kp, p, z, others)
             angle = wp.float64(state[0])
             following = others & wp.static(wp.int64(FOLLOWING_BITS))
@@ -195,7 +200,7 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                             total = wp.max(inertia + load[0], wp.float64(0.05) * inertia)
                             total_b = wp.max(inertia_b + load[0], wp.float64(0.05) * inertia_b)
                             if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
-                                g = train_of(total, p)
+                                g = train_of(total, p, _LEAST_LINK)
                         state = substep(
                             state, u, time, h, kp, kd, total, g, m, p, z, effects, ticking
                         )

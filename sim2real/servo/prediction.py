@@ -156,6 +156,7 @@ def replay(
         recordings: The recordings that the model was identified from.
         held_out: Name of the held-out recording, as passed to ``identify``.
     """
+
     @cache
     def angles_in(file: str) -> dict[str, Array]:
         recording = by_file[file]

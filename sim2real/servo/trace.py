@@ -97,7 +97,9 @@ def trace(recording: Recording, joint: str) -> Trace:
         t=t,
         command=command,
         position=position,
-        load=Load(varying.mean_inertia_kgm2) if varying else recording.loads.get(joint, PER_INERTIA),
+        load=Load(varying.mean_inertia_kgm2)
+        if varying
+        else recording.loads.get(joint, PER_INERTIA),
         varying=varying,
         used=np.isfinite(position),
         drive=None if load is None else reported_drive(t, command, position, load[powered]),
