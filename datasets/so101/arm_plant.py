@@ -1,8 +1,8 @@
 """A simulated SO-101, by MuJoCo: what makes recordings of an arm, with all physics known.
 
-It shares no dynamics with ``sim2real``: MuJoCo integrates the bodies, rotors, dry friction and play
-in steps of 0.1 ms; each servo's firmware runs at 1 kHz on its quantised encoder, with a proportional
-law whose duty cycle is limited by the supply voltage.
+It shares no dynamics with ``sim2real``: MuJoCo integrates the bodies, rotors, dry friction and
+play in steps of 0.1 ms; each servo's firmware runs at 1 kHz on its quantised encoder, with a
+proportional law whose duty cycle is limited by the supply voltage.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def multisines(t: Array, rng: np.random.Generator, reach: float = 0.45) -> Array
 
 
 def steps(t: Array, rng: np.random.Generator, reach: float = 0.4) -> Array:
-    """Set-points of six joints, each stepping at times of its own, after a rest of half a second."""
+    """Set-points of six joints, each stepping at its own times, after a rest of half a second."""
     command = np.empty((t.size, 6))
     for j in range(6):
         times = 0.5 + np.cumsum(np.append(0.0, rng.uniform(0.5, 1.6, t.size)))
@@ -188,7 +188,8 @@ def _compiled(physics: Physics, step_s: float) -> tuple[Any, Any, Any]:
             added.solref_limit, added.solimp_limit = [0.001, 1.0], [0.99, 0.999, 1e-4, 0.5, 2]
     model = spec.compile()
     motor = np.array([model.joint(name).qposadr[0] for name in NAMES])
-    play = [model.joint(f"{n}_play").qposadr[0] for n, gap in zip(NAMES, physics.gap_rad) if gap]
+    loose = [name for name, gap in zip(NAMES, physics.gap_rad, strict=True) if gap > 0]
+    play = [model.joint(f"{name}_play").qposadr[0] for name in loose]
     return model, motor, np.array(play, dtype=int)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-
 from sim2real.arm.arm_loads import predicted_arm, with_arm_loads
 from sim2real.arm.description import Arm
 from sim2real.identification.identify import identify

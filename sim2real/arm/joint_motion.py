@@ -102,7 +102,7 @@ def corrected_motion(
 
 
 def low_pass(values: Array, step_s: float, cutoff_hz: float, *, order: int = 4) -> Array:
-    """Values (K, J) filtered forwards and backwards by a Butterworth filter, constant at the ends."""
+    """Values (K, J) filtered forwards and backwards by a Butterworth filter; constant beyond."""
     filtered = butter(order, cutoff_hz, fs=1 / step_s, output="sos")
     ends = min(len(values) - 1, int(2 / (cutoff_hz * step_s)))
     return np.asarray(sosfiltfilt(filtered, values, axis=0, padtype="constant", padlen=ends))

@@ -15,7 +15,6 @@ from sim2real.servo.parameters import BASE, LINE, LOOP, ROTOR
 from sim2real.servo.reported_drive import ReportedDrive
 from sim2real.servo.trace import Trace
 
-
 MOTOR_TIME_S = 0.03
 """Time constant of small geared motors: rotor inertia times no-load speed over stall torque."""
 

@@ -90,16 +90,14 @@ def trace(recording: Recording, joint: str) -> Trace:
     position = recording.position[powered, j]
     t, command = recording.t[powered], recording.command[powered, j]
     load = recording.columns.get(f"{joint}.load")
-    varying = recording.varying_loads.get(joint)
+    stated, varying = recording.loads.get(joint, PER_INERTIA), recording.varying_loads.get(joint)
     return Trace(
         name=recording.name,
         file=recording.file,
         t=t,
         command=command,
         position=position,
-        load=Load(varying.mean_inertia_kgm2)
-        if varying
-        else recording.loads.get(joint, PER_INERTIA),
+        load=stated if varying is None else Load(varying.mean_inertia_kgm2),
         varying=varying,
         used=np.isfinite(position),
         drive=None if load is None else reported_drive(t, command, position, load[powered]),
