@@ -85,11 +85,11 @@ def coupled_motion(
         return np.asarray(rollout(loaded[None], times, held[:, j], varying=load)[0])
 
     def all_joints(servos: Sequence[Array | None], loads: Sequence[VaryingLoad]) -> Array:
-        found = pool.map(
-            lambda j: held[:, j] if servos[j] is None else simulated(servos[j], j, loads[j]),
-            range(len(servos)),
-        )
-        return np.stack(list(found), axis=1)
+        def angles(j: int) -> Array:
+            row = servos[j]
+            return held[:, j] if row is None else simulated(row, j, loads[j])
+
+        return np.stack(list(pool.map(angles, range(len(servos)))), axis=1)
 
     play = any(row is not None and row[_GAP] > 0 for row in rows)
     tolerance = impact_tolerance_rad if play else tolerance_rad

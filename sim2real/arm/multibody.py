@@ -28,7 +28,7 @@ class Multibody:
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
         try:
-            import pinocchio
+            import pinocchio  # type: ignore[import-untyped]
         except ImportError:
             expected = "Pinocchio: pip install 'sim2real[arm]'"
             raise InputError(arm.file, "", "no package for the dynamics", expected) from None

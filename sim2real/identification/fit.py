@@ -224,7 +224,8 @@ def plain_parameters(traces: Sequence[Trace], row: Array) -> tuple[Parameter, ..
     if row[ROTOR_INERTIA] > 0:
         motor = [(name, float(row[COLUMNS.index(name)])) for name in (*LINE, ROTOR)]
         return (*gains(row, inertia), *(Parameter(n, x / 4, 4 * x, x, x) for n, x in motor))
-    rotor = Parameter(COLUMNS[INERTIA_LEFT_OUT], 0.0, 20.0 * inertia, inertia)
+    low = -0.9 * traces[0].load.inertia_kgm2
+    rotor = Parameter(COLUMNS[INERTIA_LEFT_OUT], low, 20.0 * inertia, inertia)
     return (*gains(row, inertia), rotor)
 
 
