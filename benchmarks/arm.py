@@ -181,11 +181,14 @@ def main() -> None:
     with ProcessPoolExecutor(options.processes) as pool:
         running = [pool.submit(result, *task, options.seconds) for task in tasks]
         results = [task.result() for task in running]
+    plot(results, options.out / "arm.png")
+    for joints in (found["joints"] for found in results):
+        for found in joints.values():
+            del found["residual_steps_rad"]
     write_json(options.out / "arm.json", {"seconds": options.seconds, "results": results})
     text = table(results)
     write_whole(options.out / "arm.md", text)
     print(text)
-    plot(results, options.out / "arm.png")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Record a simulated SO-101: two recordings of steps and two of multisines, and the truth.
 
-    python datasets/so101/record_arm.py --out recordings [--worn]
+python datasets/so101/record_arm.py --out recordings [--worn]
 """
 
 from __future__ import annotations

@@ -38,7 +38,8 @@ class JointMotion:
     @property
     def velocity(self) -> Array:
         """Speeds in rad/s by central differences, shape (K, J)."""
-        return np.asarray(np.gradient(self.angle, self.step_s, axis=0), dtype=np.float64)
+        slope: Array = np.asarray(np.gradient(self.angle, self.step_s, axis=0), dtype=np.float64)
+        return slope
 
     @property
     def acceleration(self) -> Array:

@@ -83,17 +83,13 @@ def test_a_servo_under_a_load_that_varies():
         return [y[1], (3.0 * (u - y[0]) - 0.2 * y[1] + torque) / inertia]
 
     start = [0.4 / 3.0, 0.0]
-    early = solve_ivp(slope, (0, 0.25), start, args=(0.0,), rtol=1e-9, t_eval=t[:13], max_step=0.01)
-    late = solve_ivp(
-        slope, (0.25, t[-1]), early.y[:, -1], args=(0.5,), rtol=1e-8, t_eval=t[13:], max_step=0.01
-    )
-    # set-points arrive at 0.22 + 0.03 s
-    early_end = solve_ivp(slope, (0, 0.25), start, args=(0.0,), rtol=1e-9, max_step=0.01).y[:, -1]
-    late = solve_ivp(
-        slope, (0.25, t[-1]), early_end, args=(0.5,), rtol=1e-9, t_eval=t[13:], max_step=0.01
-    )
+    step_s = float(t[np.argmax(sent > 0)]) + 0.03  # when the new set-point arrives
+    accurate = {"rtol": 1e-9, "max_step": 0.01, "dense_output": True}
+    early = solve_ivp(slope, (0, step_s), start, args=(0.0,), **accurate)
+    late = solve_ivp(slope, (step_s, t[-1]), early.y[:, -1], args=(0.5,), **accurate)
+    expected = np.where(t < step_s, early.sol(np.minimum(t, step_s))[0], late.sol(t)[0])
     angle = rollout(row[None], t, sent, varying=load)[0]
-    assert angle == pytest.approx(np.concatenate([early.y[0], late.y[0]]), abs=2e-4)
+    assert angle == pytest.approx(expected, abs=2e-4)
 
 
 def test_the_coupled_rollout_is_the_solution_of_the_equations_of_motion(robot):
