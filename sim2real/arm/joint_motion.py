@@ -33,13 +33,12 @@ class JointMotion:
     @property
     def t(self) -> Array:
         """Times in s, shape (K,)."""
-        return self.start_s + self.step_s * np.arange(len(self.angle))
+        return np.asarray(self.start_s + self.step_s * np.arange(len(self.angle)))
 
     @property
     def velocity(self) -> Array:
         """Speeds in rad/s by central differences, shape (K, J)."""
-        slope: Array = np.asarray(np.gradient(self.angle, self.step_s, axis=0), dtype=np.float64)
-        return slope
+        return np.asarray(np.gradient(self.angle, self.step_s, axis=0))
 
     @property
     def acceleration(self) -> Array:

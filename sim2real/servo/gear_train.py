@@ -286,10 +286,7 @@ def train_cell(active: wp.int64) -> int:
 
 @wp.func
 def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
-    """The gear train of a row of parameters, of so much inertia in all.
-
-    ``least`` is the smallest share of the inertia on either side.
-    """
+    """The gear train of a row, of so much inertia, a share of at least ``least`` on either side."""
     g = Train()
     rotor = p[wp.static(_GAP + 1)]
     if rotor == wp.float64(0.0):
