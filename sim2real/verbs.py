@@ -43,6 +43,9 @@ def identify(
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
 
+    The servos of an arm, whose robot.toml names a URDF, are identified under the load that its
+    joints exert on one another.
+
     Args:
         recordings: Recordings of the servos (NAME.csv with NAME.json); all recordings of one joint
             are fitted together.

@@ -107,6 +107,19 @@ def predict(model, t, command):
     return predict_angles(model, t, command)
 
 
+def test_an_arm_whose_gears_have_play(robot):
+    t, sent = commands(4, 3.0)
+    command, gap = dict(zip(("hip", "knee"), sent.T, strict=True)), 0.02
+    play = FittedEffect("backlash", {"gap_rad": gap, "rotor_inertia_kgm2": ROTOR})
+    loose = {n: replace(s, effects=(*s.effects, play)) for n, s in true_model(robot).joints.items()}
+    tight = predict(true_model(robot), t, command)
+    for name, angle in predict(Model(loose, arm=robot.arm), t, command).items():
+        at_rest = slice(0, 10)  # the weight keeps the output on one flank
+        shift = np.abs(angle - tight[name])[at_rest]
+        assert shift == pytest.approx(gap / 2, rel=0.2)
+        assert np.abs(angle - tight[name]).max() < 5 * gap
+
+
 def test_a_joint_that_follows_its_command_loads_the_others(robot):
     t, sent = commands(3, 2.0)
     model = replace(true_model(robot), joints={"hip": servo(0)})
