@@ -42,7 +42,13 @@ _NAMES = {
     "sim2real.recording": ("Recording", "read_recording", "write_recording"),
     "sim2real.robot": ("Robot", "read_robot"),
     "sim2real.verbs": (
-        "density", "design", "identify", "posterior", "predict", "ranges", "servos",
+        "density",
+        "design",
+        "identify",
+        "posterior",
+        "predict",
+        "ranges",
+        "servos",
     ),  # fmt: skip
     "sim2real.version": ("__version__",),
 }

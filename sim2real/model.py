@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from sim2real.arm.description import Arm, arm_content, arm_from
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
@@ -80,6 +81,7 @@ class Model(NotebookDisplay):
             square error, ``noise`` and others, in the unit of the signal.
         notes: Remarks on the whole model, one sentence each.
         provenance: Command line, versions, seed and SHA-256 of the inputs.
+        arm: The rigid bodies that load the servos of an arm.
     """
 
     joints: Mapping[str, JointModel]
@@ -88,6 +90,7 @@ class Model(NotebookDisplay):
     fit: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    arm: Arm | None = None
 
     def __str__(self) -> str:
         """Table of the fitted parameters of every joint, with intervals and errors."""
@@ -108,6 +111,10 @@ def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     content = {"schema": SCHEMA, **vars(model)}
     content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
     content["effects"] = [vars(effect) for effect in model.effects]
+    if model.arm is None:
+        del content["arm"]
+    else:
+        content["arm"] = arm_content(model.arm)
     write_json(path, content)
 
 
@@ -126,6 +133,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},
         notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
+        arm=arm_from(top.table("arm")) if "arm" in top else None,
     )
 
 

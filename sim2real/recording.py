@@ -19,6 +19,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import write_json, write_whole
 from sim2real.structured import Fields, read_json
+from sim2real.varying_load import VaryingLoad
 
 SCHEMA = "sim2real.recording/1"
 GRAVITY_M_S2 = 9.80665
@@ -68,6 +69,8 @@ class Recording(NotebookDisplay):
         columns: All other columns by their full name, each of shape (T,).
         metadata: All other fields of the JSON file.
         path: The CSV file, if it was read from one.
+        varying_loads: Loads that vary with time by joint, computed from the robot
+            (``sim2real.arm``) and not part of the file.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Recording(NotebookDisplay):
     columns: Mapping[str, Array] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
     path: Path | None = None
+    varying_loads: Mapping[str, VaryingLoad] = field(default_factory=dict)
 
     @property
     def file(self) -> str:

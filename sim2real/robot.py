@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, overload
 
 from sim2real.appendages import Appendage, read_appendage
+from sim2real.arm.description import Arm, read_arm
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
@@ -133,13 +134,15 @@ class Joint(Sheet):
 class Robot(NotebookDisplay):
     """A chain of links, one more than joints, from head to tail.
 
-    If a file has no links, they are named by number and have no stated values.
+    If a file has no links, they are named by number and have no stated values. Of an arm, ``arm``
+    describes the bodies that its joints move, by a URDF.
     """
 
     name: str
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     path: Path | None = None
+    arm: Arm | None = None
 
     @property
     def weighed(self) -> bool:
@@ -190,7 +193,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
         InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_toml(path))
-    top.refuse_unknown(("name", "links", "joints", "servos"))
+    top.refuse_unknown(("name", "links", "joints", "servos", "arm"))
     servos = {
         name: _servo(name, Fields(path, f"servos.{name}", content))
         for name, content in top.table("servos").content.items()
@@ -206,7 +209,8 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     names = [joint.name for joint in joints]
     if len(set(names)) != len(names):
         raise InputError(path, "joints", f"the names {', '.join(names)}", "each name once")
-    return Robot(top.text("name", "robot"), links, joints, Path(path))
+    arm = read_arm(top.table("arm"), names) if "arm" in top else None
+    return Robot(top.text("name", "robot"), links, joints, Path(path), arm)
 
 
 def _keys(sheet: type) -> list[str]:

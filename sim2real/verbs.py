@@ -46,6 +46,9 @@ def identify(
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
 
+    The servos of an arm, whose robot.toml names a URDF, are identified under the load that its
+    joints exert on one another.
+
     Args:
         recordings: Recordings of the servos (NAME.csv with NAME.json); all recordings of one joint
             are fitted together.
@@ -69,11 +72,14 @@ def identify(
     """
     from tqdm import tqdm
 
-    from sim2real.identification.identify import identify as fit
+    from sim2real.arm.identify_arm import identify_arm
+    from sim2real.identification.identify import identify as identify_servos
 
+    description = robot_of(robot)
+    fit = identify_servos if description.arm is None else identify_arm
     return fit(
         recordings_of(recordings),
-        robot_of(robot),
+        description,
         held_out=held_out,
         effects=(effects,) if isinstance(effects, str) else effects,
         law=law,
@@ -119,6 +125,7 @@ def posterior(
         InputError: If recordings, robot and model do not agree, or a chain is too short to have
             converged.
     """
+    from sim2real.arm.arm_loads import with_arm_loads
     from sim2real.plausible import validate_recording
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Sampling, sample_joints
@@ -129,7 +136,9 @@ def posterior(
         validate_recording(recording, description)
     bench = [recording for recording in loaded if recording.kind == "servo"]
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
-    return Posteriors(*sample_joints(bench, model_of(model), sampling), seed)
+    fitted = model_of(model)
+    loaded = with_arm_loads(bench, description, fitted)
+    return Posteriors(*sample_joints(loaded, fitted, sampling), seed)
 
 
 def ranges(
@@ -168,6 +177,7 @@ def ranges(
 
     from tqdm import tqdm
 
+    from sim2real.arm.arm_loads import with_arm_loads
     from sim2real.output import provenance
     from sim2real.posterior.chain import chain_file
     from sim2real.ranges.gather import Sampling, gather
@@ -186,7 +196,8 @@ def ranges(
     total = steps * len(fitted.joints)
     with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
         sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
-        gathered = gather(loaded, description, fitted, sampling)
+        recorded = with_arm_loads(loaded, description, fitted)
+        gathered = gather(recorded, description, fitted, sampling)
     origin = provenance([*loaded, description, model], seed)
     return replace(gathered, ranges=replace(gathered.ranges, provenance=origin))
 

@@ -38,6 +38,7 @@ ONLY_IN = {
     "gymnasium": ("rl/",),
     "ray": ("sim2real/executor/",),
     "mujoco": ("sim2real/exporters/mujoco_bench.py", "sim2real/importers/mjcf.py"),
+    "pinocchio": ("sim2real/arm/multibody.py",),
     "pyarrow": ("sim2real/importers/lerobot.py",),
     "rerun": ("sim2real/viewers/",),
     "mcap": ("sim2real/viewers/",),

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
 from sim2real.diagnose.case import Case, JointCase, prepared
 from sim2real.diagnose.changed.references import against_references, with_known_servos
@@ -71,6 +72,8 @@ def diagnose(
     Raises:
         InputError: If the recordings and the robot do not agree, or no joint moves.
     """
+    recordings = with_arm_loads(recordings, robot, model)
+    references = with_arm_loads(references, robot, model)
     case = Case(recordings, robot, model, references)
     (result,) = diagnose_all(
         [case],

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.effects import Effect
-from sim2real.identification.fit import Fit, errors, fit, gains, of_effects
+from sim2real.identification.fit import Fit, errors, fit, of_effects, plain_parameters
 from sim2real.inference.least_squares import OUTLIER_SD, robust_loss
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.servo.parameters import COLUMNS
@@ -42,7 +42,8 @@ def fit_effects(
     """
 
     def fitted(row: Array, *, rounds: int, evaluations: int) -> Fit:
-        free = (*gains(row, plain.inertia), *of_effects(effects, row, plain.inertia))
+        own = plain_parameters(traces, row)
+        free = (*own, *of_effects(effects, row, plain.inertia))
         return fit(traces, row, free, rounds=rounds, evaluations=evaluations)
 
     def loss(candidate: Fit) -> float:

@@ -20,7 +20,14 @@ from sim2real.inference.least_squares import (
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.motor import MOTOR_BIT
-from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    INERTIA_LEFT_OUT,
+    LINE,
+    ROTOR,
+    ROTOR_INERTIA,
+)
 from sim2real.servo.rollout import (
     LONGEST_SUBSTEP_S,
     Simulator,
@@ -51,7 +58,7 @@ class Fit:
         residuals: Simulated minus measured angle at the used samples, one array per trace.
         jacobians: Its derivatives by the fitted parameters, one array (n, F) per trace.
         converged: Whether the search ended at a minimum.
-        inertia: The stated inertia, kg m2.
+        inertia: Inertia that sets the scale of the gains, kg m2 (``scale_inertia``).
         prior: Precision of the prior of the free parameters, shape (F, F); None without one.
         tempering: Variance in rad2 of one sample of the residual, which weights the prior.
     """
@@ -85,6 +92,7 @@ def first_guess(
     traces: Sequence[Trace],
     rng: np.random.Generator,
     *,
+    rotor_kgm2: float = 0.0,
     guesses: int = 1024,
     elite: int = 16,
     spreads: Sequence[float] = (0.1, 0.04, 0.015),
@@ -101,6 +109,7 @@ def first_guess(
     Args:
         traces: The recorded joint, one trace per recording.
         rng: Generator for the candidates.
+        rotor_kgm2: Inertia of the candidates in addition to that of the load.
         guesses: Number of servos in the first round.
         elite: Number of the best servos, about which further ones are drawn.
         spreads: Standard deviations of further ones in each round, as shares of the ranges.
@@ -116,13 +125,13 @@ def first_guess(
     moving = [window for window in windows if window.moves() and window.used.any()]
     trace = max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
     points = kronecker(guesses, 3, rng)
-    error = _guess_errors(points, trace)
+    error = _guess_errors(points, trace, rotor_kgm2)
     for spread in spreads:
         best = np.argsort(error)[:elite]
         points, error = points[best], error[best]
         around = np.repeat(points, guesses // (4 * elite), axis=0)
         drawn = np.clip(around + spread * rng.standard_normal(around.shape), 0.0, 1.0)
-        error = np.append(error, _guess_errors(drawn, trace))
+        error = np.append(error, _guess_errors(drawn, trace, rotor_kgm2))
         points = np.vstack([points, drawn])
     order = np.argsort(error)
     equal = order[error[order] < rival_error * error[order[0]]]
@@ -131,14 +140,19 @@ def first_guess(
         distance = np.abs(points[chosen, 0] - points[candidate, 0]).min()
         if distance > rival_distance and len(chosen) <= most_rivals:
             chosen.append(candidate)
-    rows = np.array([plain_row(*x) for x in servos_at(points[chosen], trace.load.inertia_kgm2)])
+    inertia = trace.load.inertia_kgm2 + rotor_kgm2
+    rows = np.array([plain_row(*x) for x in servos_at(points[chosen], inertia)])
+    rows[:, INERTIA_LEFT_OUT] = rotor_kgm2
     return rows[0], rows[1:]
 
 
-def _guess_errors(points: Array, trace: Trace, *, shortest_s: float = 1e-3) -> Array:
+def _guess_errors(
+    points: Array, trace: Trace, rotor_kgm2: float, *, shortest_s: float = 1e-3
+) -> Array:
     """Mean absolute error in rad of the servos at ``points`` (N, 3), shape (N,)."""
     theta = np.zeros((points.shape[0], len(COLUMNS)))
-    theta[:, :3] = servos_at(points, trace.load.inertia_kgm2)
+    theta[:, :3] = servos_at(points, trace.load.inertia_kgm2 + rotor_kgm2)
+    theta[:, INERTIA_LEFT_OUT] = rotor_kgm2
     theta[:, 3 : len(BASE)] = trace.load.inertia_kgm2, trace.load.gravity_Nm
     exact = Simulator([trace])
     if exact.is_linear(theta):
@@ -147,7 +161,9 @@ def _guess_errors(points: Array, trace: Trace, *, shortest_s: float = 1e-3) -> A
         substep = longest_substep(theta, theta[:, 3], steps_per_radian=6.0, longest_s=4e-3)
         step = np.maximum(substep, shortest_s)  # the fast mode of strong damping decays within it
         rows = theta * factors([trace])
-        angle = rollout(rows, trace.t, trace.command, substep_s=step, threads=2)
+        angle = rollout(
+            rows, trace.t, trace.command, varying=trace.varying, substep_s=step, threads=2
+        )
     return np.asarray(np.mean(np.abs(angle - trace.position)[:, trace.used], axis=1))
 
 
@@ -185,6 +201,34 @@ def inertia_left_out(row: Array, inertia: float) -> Parameter:
     """Inertia missing from the stated load; negative if the stated inertia is too large."""
     size = inertia + float(row[INERTIA_LEFT_OUT])
     return Parameter(COLUMNS[INERTIA_LEFT_OUT], -0.9 * inertia, 20.0 * inertia, size)
+
+
+def scale_inertia(traces: Sequence[Trace], row: Array) -> float:
+    """Inertia in kg m2 that sets the scale of a servo's gains.
+
+    That of the load, and on an arm that of the rotor in addition: the links beyond the last joints
+    of an arm have much less inertia than the servos that move them.
+    """
+    inertia = traces[0].load.inertia_kgm2
+    if traces[0].varying is not None:
+        inertia += float(row[INERTIA_LEFT_OUT] + row[ROTOR_INERTIA])
+    return inertia
+
+
+def plain_parameters(traces: Sequence[Trace], row: Array) -> tuple[Parameter, ...]:
+    """Parameters of a servo without effects: gains and latency, and on an arm the motor's.
+
+    The weight of an arm is known, so that inertia, torque and gains are identifiable separately.
+    """
+    inertia = scale_inertia(traces, row)
+    if traces[0].varying is None:
+        return gains(row, inertia)
+    if row[ROTOR_INERTIA] > 0:
+        motor = [(name, float(row[COLUMNS.index(name)])) for name in (*LINE, ROTOR)]
+        return (*gains(row, inertia), *(Parameter(n, x / 4, 4 * x, x, x) for n, x in motor))
+    low = -0.9 * traces[0].load.inertia_kgm2
+    rotor = Parameter(COLUMNS[INERTIA_LEFT_OUT], low, 20.0 * inertia, inertia)
+    return (*gains(row, inertia), rotor)
 
 
 def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
@@ -263,13 +307,13 @@ def fit(
         residuals=split_by_trace(error, traces),
         jacobians=split_by_trace(slope / unit, traces),
         converged=converged,
-        inertia=traces[0].load.inertia_kgm2,
+        inertia=scale_inertia(traces, rows(x[None])[0]),
     )
 
 
 def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()) -> Fit:
     """Fit gains, latency and effects, starting from a similar servo (P,)."""
-    inertia = traces[0].load.inertia_kgm2
+    inertia = scale_inertia(traces, row)
     return fit(traces, row, (*gains(row, inertia), *of_effects(effects, row, inertia)))
 
 
@@ -308,12 +352,11 @@ def best_of(
     Args:
         fitted: The joint's recordings.
         starts: Starting points; the first has more evaluations than the others.
-        names: Those of gains and latency to fit.
+        names: Those of ``plain_parameters`` to fit.
     """
-    inertia = fitted[0].load.inertia_kgm2
     fits: list[Fit] = []
     for start in starts:
-        free = [p for p in gains(start, inertia) if p.name in names]
+        free = [p for p in plain_parameters(fitted, start) if p.name in names]
         limits = {"rounds": 1, "evaluations": 20} if fits else {}
         fits.append(fit(fitted, start, free, **limits))
     scale = min(candidate.scale_rad for candidate in fits)

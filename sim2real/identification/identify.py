@@ -21,10 +21,12 @@ from sim2real.identification.fit import (
     fit,
     gains,
     inertia_left_out,
+    plain_parameters,
     residuals,
 )
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.motor_prior import nominal_rotor
 from sim2real.identification.servo_type import ServoType, learn, type_of
 from sim2real.identification.uncertainty import (
     Uncertainty,
@@ -42,7 +44,7 @@ from sim2real.output import provenance
 from sim2real.plausible import validate_recording
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, stated
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, motor_of, stated
 from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
@@ -154,7 +156,9 @@ def fitted_motors(
         if not data:
             continue
         noise = sensor_noise(data)
-        motor = choose_motor(data, _fit_plain(data, noise, rng)[0], joint.servo, noise, rng)
+        motor = choose_motor(
+            data, _fit_plain(data, noise, rng, joint.servo)[0], joint.servo, noise, rng
+        )
         if motor.with_gains:
             motors[joint.name] = motor
     return motors
@@ -216,10 +220,11 @@ def _identify_joint(
     fitted, scored, held_out_name = split(data, held_out)
     load = data[0].load
     noise = sensor_noise(fitted)
-    best, rivals, without_influence = _fit_plain(fitted, noise, rng)
+    best, rivals, without_influence = _fit_plain(fitted, noise, rng, servo)
     motor = None
     if servo is not None and not without_influence:
-        motor = choose_motor(fitted, best, servo, noise, rng, prior)
+        losses = not extra or fitted[0].varying is None
+        motor = choose_motor(fitted, best, servo, noise, rng, prior, losses=losses)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
@@ -240,9 +245,10 @@ def _identify_joint(
         optima = list(motor.other_values)
         notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
     else:
-        if load is not PER_INERTIA and shows_inertia(fitted):
+        if load is not PER_INERTIA and fitted[0].varying is None and shows_inertia(fitted):
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, load)
-        units = np.array([p.typical for p in gains(best.row, best.inertia) if p.name in best.names])
+        free = plain_parameters(fitted, best.row)
+        units = np.array([p.typical for p in free if p.name in best.names])
         spread = uncertainty(best, units)
         ends = intervals(best, rivals, spread, units, fitted)
         optima = [other.values for other in as_good(rivals, best, spread)]
@@ -261,14 +267,14 @@ def _identify_joint(
 
 
 def _fit_plain(
-    fitted: list[Trace], noise: float, rng: np.random.Generator
+    fitted: list[Trace], noise: float, rng: np.random.Generator, servo: Servo | None = None
 ) -> tuple[Fit, list[Fit], list[str]]:
     """The best fit of gains and latency, its rivals, and parameters without visible influence.
 
     These change simulated angles by less than the noise and are not fitted.
     """
-    start, others = first_guess(fitted, rng)
-    free = gains(start, fitted[0].load.inertia_kgm2)
+    start, others = first_guess(fitted, rng, rotor_kgm2=_assumed_rotor(fitted, servo))
+    free = plain_parameters(fitted, start)
     slope = np.concatenate(fit(fitted, start, free, rounds=0, evaluations=1).jacobians)
     effect = np.linalg.norm(slope * column(free, "typical"), axis=0)
     names = [p.name for p, size in zip(free, effect, strict=True) if size > noise]
@@ -277,6 +283,15 @@ def _fit_plain(
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
     best, rivals = best_of(fitted, [start, *others], names)
     return best, rivals, [p.name for p in free if p.name not in names]
+
+
+def _assumed_rotor(fitted: Sequence[Trace], servo: Servo | None) -> float:
+    """Rotor inertia in kg m2 from which the fit of an arm's servo starts, and 0 of others."""
+    if fitted[0].varying is None:
+        return 0.0
+    if servo is None:
+        return fitted[0].load.inertia_kgm2
+    return nominal_rotor(servo)
 
 
 def _with_inertia(fitted: list[Trace], best: Fit) -> Fit:
@@ -322,10 +337,12 @@ def _joint_model(
             effects.setdefault(effect, {})[parameter] = float(value)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
     pairs = combinations(range(len(best.names)), 2)
+    refitted = any(name.startswith("motor.") for name in best.names)
+    motor_parameters = motor_of(best.row) if refitted or motor is None else motor.values
     return replace(
         model,
         law="pd" if motor is None else motor.law,
-        motor={} if motor is None else motor.values,
+        motor=motor_parameters,
         interval=ends,
         correlation={
             f"{best.names[i]}, {best.names[j]}": float(spread.correlation[i, j]) for i, j in pairs

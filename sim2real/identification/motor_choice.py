@@ -26,6 +26,7 @@ def choose_motor(
     rng: np.random.Generator,
     servo_type: ServoType | None = None,
     *,
+    losses: bool = True,
     white: float = 0.1,
     error_before_loop: float = 15.0,
     error_with_loop: float = 1.5,
@@ -45,6 +46,8 @@ def choose_motor(
         noise: Standard deviation of its sensor noise in rad.
         rng: Generator for starts.
         servo_type: Prior from other servos of its type.
+        losses: Whether losses may be included; without them, as where effects are fitted instead,
+            the motor's line and rotor are fitted.
         white: Lag-1 autocorrelation below which a residual counts as white.
         error_before_loop: Largest residual over noise for which a sampled loop is searched.
         error_with_loop: Largest residual over noise with a loop.
@@ -53,8 +56,11 @@ def choose_motor(
     prior = motor_prior(servo, fitted)
     if servo_type is not None:
         prior = servo_type.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
-    if rms(plain.residuals) < EXPLAINED * noise:
+    linear = fitted[0].varying is None  # on an arm the motor's rotor is needed
+    if linear and rms(plain.residuals) < EXPLAINED * noise:
         return fit_limit(fitted, plain, prior, LINE, rng, noise=noise, gains=False)
+    if not losses:
+        return fit_motor(fitted, plain, prior, (*LINE, ROTOR), rng)
     chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type)
     ratio = rms(chosen.fit.residuals) / noise
     explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < white

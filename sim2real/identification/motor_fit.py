@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
-from sim2real.identification.fit import Fit, split_by_trace
+from sim2real.identification.fit import Fit, scale_inertia, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
 from sim2real.identification.motor_problem import MotorProblem
 from sim2real.inference.least_squares import (
@@ -22,7 +22,16 @@ from sim2real.inference.least_squares import (
 )
 from sim2real.inference.parameters import column
 from sim2real.model import FittedEffect, Law
-from sim2real.servo.parameters import COLUMNS, CURRENT_LIMIT, LOOP, LOSSES, ROTOR, SOFT, motor_of
+from sim2real.servo.parameters import (
+    COLUMNS,
+    CURRENT_LIMIT,
+    INERTIA_LEFT_OUT,
+    LOOP,
+    LOSSES,
+    ROTOR,
+    SOFT,
+    motor_of,
+)
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
@@ -180,7 +189,7 @@ def fit_motor(
     free = tuple(
         k for k, name in enumerate(prior.names) if (gains if k < _GAINS else name in free_names)
     )
-    inertia = traces[0].load.inertia_kgm2
+    inertia = scale_inertia(traces, plain.row)
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
     substep = float(min(longest_substep_s, 1 / (steps_per_radian * fastest)))
     simulator = Simulator(traces)
@@ -262,6 +271,9 @@ def _candidates(
     x[:, 1] = damping + 0.3 * rng.standard_normal(B)
     x[:, 2] = rng.uniform(0.0, max(latency, 0.01), B)
     x[: B // 2, :3] = np.log(kp), np.log(kd), latency
+    rotor, place = float(plain.row[INERTIA_LEFT_OUT]), prior.index(ROTOR)
+    if rotor > 0 and place in problem.free:
+        x[: B // 2, place] = np.log(rotor)
     x[0, 3:5] += np.where(np.isfinite(x[0, 3:5]), 2.0, 0.0)
     if start is not None:
         missing = [k for k in problem.free if np.isneginf(start[k])]
@@ -392,7 +404,7 @@ def _result(
         residuals=split_by_trace(error, problem.traces),
         jacobians=split_by_trace(slopes / unit / factor, problem.traces),
         converged=True,
-        inertia=problem.traces[0].load.inertia_kgm2,
+        inertia=scale_inertia(problem.traces, row),
         prior=prior_slope.T @ prior_slope,
         tempering=scale**2 * inflation,
     )

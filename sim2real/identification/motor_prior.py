@@ -15,6 +15,9 @@ from sim2real.servo.parameters import BASE, CURRENT_LIMIT, LINE, LOOP, ROTOR
 from sim2real.servo.reported_drive import ReportedDrive
 from sim2real.servo.trace import Trace
 
+MOTOR_TIME_S = 0.03
+"""Time constant of small geared motors: rotor inertia times no-load speed over stall torque."""
+
 
 @dataclass(frozen=True)
 class MotorPrior:
@@ -113,7 +116,7 @@ def motor_prior(
     stall_sd: float = 0.35,
     unknown_stall_sd: float = 1.5,
     speed_sd: float = 0.25,
-    motor_time_s: float = 0.03,
+    motor_time_s: float = MOTOR_TIME_S,
     motor_time_sd: float = 0.8,
     loss_width: float = 1.0,
     reported_sd: float = MotorPrior.reported_sd,
@@ -134,8 +137,7 @@ def motor_prior(
         stall_sd: Standard deviation of the logarithm of stall torque about the data sheet.
         unknown_stall_sd: The same where the inertia is unknown, to which the torque is relative.
         speed_sd: Standard deviation of the logarithm of no-load speed about the data sheet.
-        motor_time_s: Time constant of small geared motors: rotor inertia times no-load speed over
-            stall torque.
+        motor_time_s: Time constant of small geared motors, s.
         motor_time_sd: Standard deviation of its logarithm.
         loss_width: Factor on the standard deviations of losses and friction.
         reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
@@ -147,6 +149,7 @@ def motor_prior(
         stall, stall_sd = speed / motor_time_s, unknown_stall_sd
     inertia = traces[0].load.inertia_kgm2
     rotor_inertia = motor_time_s * (stall / speed)
+    largest = inertia if traces[0].varying is None else inertia + rotor_inertia
     drive = _common_drive(traces) if np.isfinite(reported_sd) else None
     latency = (0.0, np.inf) if drive is None else (drive.latency_s, drive.period_s)
 
@@ -159,8 +162,8 @@ def motor_prior(
 
     return MotorPrior(
         (
-            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, log_unit, log=True),
-            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * inertia, log_unit, log=True),
+            Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * largest, log_unit, log=True),
+            Parameter("kd_Nms_per_rad", 1e-3 * inertia, 1.6e3 * largest, log_unit, log=True),
             Parameter("latency_s", 0.0, 0.5, 0.02, *latency),
             log(LINE[0], stall, stall_sd),
             log(LINE[1], speed, speed_sd),
@@ -181,6 +184,11 @@ def motor_prior(
         drive,
         reported_sd,
     )
+
+
+def nominal_rotor(servo: Servo) -> float:
+    """Inertia of rotor and gears in kg m2 at the output that is likely for a data sheet."""
+    return MOTOR_TIME_S * servo.max_torque_Nm / servo.no_load_speed_rad_s
 
 
 def _common_drive(traces: Sequence[Trace]) -> ReportedDrive | None:

@@ -28,7 +28,7 @@ from sim2real.servo.effect_chain import (
     motor_torque,
 )
 from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN
+from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, LOAD_CELL
 from sim2real.servo.torques import pendulum_torque, slide
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
@@ -285,15 +285,15 @@ def train_cell(active: wp.int64) -> int:
 
 
 @wp.func
-def train_of(inertia: wp.float64, p: Row) -> Train:
-    """The gear train of a row of parameters, of so much inertia in all."""
+def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
+    """The gear train of a row, of so much inertia, a share of at least ``least`` on either side."""
     g = Train()
     rotor = p[wp.static(_GAP + 1)]
     if rotor == wp.float64(0.0):
         rotor = p[wp.static(_SPRING + 1)]
     if rotor == wp.float64(0.0) and p[wp.static(_GAP)] > wp.float64(0.0):
         rotor = inertia  # an output without inertia
-    g.motor = wp.clamp(rotor, wp.float64(0.02) * inertia, wp.float64(0.98) * inertia)
+    g.motor = wp.clamp(rotor, least * inertia, (wp.float64(1.0) - least) * inertia)
     g.output = inertia - g.motor
     g.total = inertia
     g.output_share = g.output / inertia
@@ -314,7 +314,7 @@ def train_at_rest(
     cell = train_cell(active)
     q = state[0]
     for _ in range(8):
-        carried = -pendulum_torque(q - z[cell], p[4])
+        carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried
         if carried != wp.float64(0.0):  # else in the middle of the gap
             z[cell] += wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
@@ -362,7 +362,7 @@ def train_substep(
     lead = z[cell]
     rate = z[cell + 1]
     output = q - lead - half * rate
-    weight = pendulum_torque(output, p[4])
+    weight = pendulum_torque(output, p[4]) + z[wp.static(LOAD_CELL)]
     error = command_in_force(u, q, speed, state[2], time, h, p, z, others) - q
     error = error_seen(error, q, speed, state[2], time, h, p, z, others)
     load = load_torque(weight, output, v - rate, state[2], time, h, p, z, others)

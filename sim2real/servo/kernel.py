@@ -14,18 +14,40 @@ from sim2real.servo.effect_chain import (
 from sim2real.servo.gear_train import TRAIN_BITS, Train, sensed, train_at_rest, train_of
 from sim2real.servo.law import exact_motion, resting_angle, substep_of
 from sim2real.servo.motor import MOTOR_BIT, Row, read_motor
-from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOOP
+from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOAD_CELL, LOOP
 
 _CLOCK = [COLUMNS.index(name) for name in (BASE[2], *LOOP)]
 """Columns that determine when set-points take effect and when the controller samples."""
 
+_LEAST_SIDE = wp.constant(wp.float64(0.02))
+"""Smallest share of the inertia on either side of a gear train."""
+_LEAST_LINK = wp.constant(wp.float64(5e-4))
+"""The same for a load that varies: the last links of an arm are much lighter than the rotors."""
+
 
 @wp.func
-def at_rest(u: wp.float64, kp: wp.float64, p: Row) -> wp.vec4d:
-    """State of a servo at rest at its first set-point."""
+def at_rest(u: wp.float64, kp: wp.float64, p: Row, torque: wp.float64) -> wp.vec4d:
+    """State of a servo at rest at its first set-point, under a load's torque."""
     zero = wp.float64(0.0)
-    q = resting_angle(u, kp, p[4])
+    q = resting_angle(u, kp, p[4], torque)
     return wp.vec4d(q, zero, kp * (u - q), zero)
+
+
+@wp.func
+def load_at(
+    time: wp.float64,
+    signal: int,
+    grid: wp.array2d(dtype=wp.float64),
+    varying: wp.array3d(dtype=wp.float64),
+) -> wp.vec2d:
+    """Inertia in kg m2 beyond the mean and torque in N m of a load that varies with time."""
+    last = grid[signal, 2] - wp.float64(1.0)
+    place = wp.clamp((time + grid[signal, 0]) / grid[signal, 1], wp.float64(0.0), last)
+    before = wp.min(int(place), int(last) - 1)
+    share = place - wp.float64(before)
+    inertia = wp.lerp(varying[signal, before, 0], varying[signal, before + 1, 0], share)
+    torque = wp.lerp(varying[signal, before, 1], varying[signal, before + 1, 1], share)
+    return wp.vec2d(inertia, torque)
 
 
 @wp.func
@@ -77,6 +99,8 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
         times: wp.array2d(dtype=wp.float64),
         command: wp.array2d(dtype=wp.float64),
         length: wp.array(dtype=wp.int32),
+        grid: wp.array2d(dtype=wp.float64),
+        varying: wp.array3d(dtype=wp.float64),
         longest: Row,
         position: wp.array2d(dtype=wp.float64),
     ) -> None:
@@ -114,12 +138,19 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
             inertia = shaft_inertia(p[3], p, z, others)
             inertia_b = shaft_inertia(p_b[3], p_b, z_b, wp.int64(0))
             per_longest = wp.float64(1.0) / longest[row]
+            total = wp.float64(inertia)
+            total_b = wp.float64(inertia_b)
+            varies = grid[signal[row], 1] > zero
+            if varies:
+                torque = load_at(zero, signal[row], grid, varying)[1]
+                z[wp.static(LOAD_CELL)] = torque
+                z_b[wp.static(LOAD_CELL)] = torque
             u = wp.float64(sent[0])
-            state = at_rest(u, kp, p)
-            state_b = at_rest(u, kp_b, p_b)
+            state = at_rest(u, kp, p, z[wp.static(LOAD_CELL)])
+            state_b = at_rest(u, kp_b, p_b, z_b[wp.static(LOAD_CELL)])
             g = Train()
             if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
-                g = train_of(inertia, p)
+                g = train_of(inertia, p, _LEAST_SIDE)
                 state = train_at_rest(state, u, kp, p, z, others)
             angle = wp.float64(state[0])
             following = others & wp.static(wp.int64(FOLLOWING_BITS))
@@ -158,26 +189,28 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
                     count = int(wp.ceil(h * per_longest))
                     if count > 1:
                         h = h / wp.float64(count)
-                    if paired:
-                        for k in range(count):
-                            time = clock - start + wp.float64(k) * h
-                            ticking = tick and k == 0
-                            state = substep(
-                                state, u, time, h, kp, kd, inertia, g, m, p, z, effects, ticking
-                            )
+                    for k in range(count):
+                        time = clock - start + wp.float64(k) * h
+                        ticking = tick and k == 0
+                        if varies:
+                            middle = time + wp.float64(0.5) * h
+                            load = load_at(middle, signal[row], grid, varying)
+                            z[wp.static(LOAD_CELL)] = load[1]
+                            z_b[wp.static(LOAD_CELL)] = load[1]
+                            total = wp.max(inertia + load[0], wp.float64(0.05) * inertia)
+                            total_b = wp.max(inertia_b + load[0], wp.float64(0.05) * inertia_b)
+                            if (others & wp.static(wp.int64(TRAIN_BITS))) != wp.int64(0):
+                                g = train_of(total, p, _LEAST_LINK)
+                        state = substep(
+                            state, u, time, h, kp, kd, total, g, m, p, z, effects, ticking
+                        )
+                        if paired:
                             state_b = substep(
-                                state_b, u, time, h, kp_b, kd_b, inertia_b, g, m_b, p_b, z_b,
+                                state_b, u, time, h, kp_b, kd_b, total_b, g, m_b, p_b, z_b,
                                 effects_b, ticking,
                             )  # fmt: skip
-                    else:
-                        for k in range(count):
-                            time = clock - start + wp.float64(k) * h
-                            ticking = tick and k == 0
-                            state = substep(
-                                state, u, time, h, kp, kd, inertia, g, m, p, z, effects, ticking
-                            )
-                            if following != wp.int64(0):
-                                angle = measured(state, time, h, p, z, effects)
+                        elif following != wp.int64(0):
+                            angle = measured(state, time, h, p, z, effects)
                     clock = until
                     tick = False
                 if arrives <= until:

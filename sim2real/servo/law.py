@@ -28,7 +28,7 @@ from sim2real.servo.motor import (
     soft_stop,
     softness,
 )
-from sim2real.servo.parameters import FIRST_COLUMN
+from sim2real.servo.parameters import FIRST_COLUMN, LOAD_CELL
 from sim2real.servo.torques import pd_torque, pendulum_torque, slide
 
 _LIMIT = FIRST_COLUMN["torque_saturation"]
@@ -70,7 +70,7 @@ def substep_of(effects: bool) -> wp.Function:
         damp = wp.float64(0.5) * impulse
         damping = damp * kd
         stiff = wp.float64(1.0) / (wp.float64(1.0) + damping)
-        load = pendulum_torque(q, p[4])
+        load = pendulum_torque(q, p[4]) + z[wp.static(LOAD_CELL)]
         weight = load
         error = u - q
         others = active & wp.static(wp.int64(mask))
@@ -137,12 +137,17 @@ def substep_of(effects: bool) -> wp.Function:
 
 
 @wp.func
-def resting_angle(u: wp.float64, kp: wp.float64, gravity: wp.float64) -> wp.float64:
-    """Angle at which kp (u - q) balances gravity sin q, by Newton's method from u."""
+def resting_angle(
+    u: wp.float64, kp: wp.float64, gravity: wp.float64, torque: wp.float64
+) -> wp.float64:
+    """Angle at which kp (u - q) balances gravity sin q - torque, by Newton's method."""
     q = u
+    if torque != wp.float64(0.0):
+        q += torque / kp
     if gravity != wp.float64(0.0):
         for _ in range(8):
-            q += (kp * (u - q) - gravity * wp.sin(q)) / (kp + wp.abs(gravity * wp.cos(q)))
+            balance = kp * (u - q) + torque - gravity * wp.sin(q)
+            q += balance / (kp + wp.abs(gravity * wp.cos(q)))
     return q
 
 

@@ -62,7 +62,10 @@ FIRST_CELL: Mapping[str, int] = {
 HELD_CELL = sum(effect.memory for effect in CATALOGUE)
 """Memory cell of the drive that a sampled controller holds."""
 
-CELLS = HELD_CELL + 1
+LOAD_CELL = HELD_CELL + 1
+"""Memory cell of the torque of a load that varies with time."""
+
+CELLS = LOAD_CELL + 1
 """Number of memory cells of one joint."""
 
 COLUMNS = (

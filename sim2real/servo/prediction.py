@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,9 @@ def predict(
 ) -> dict[str, Array]:
     """Measured angles predicted by the model.
 
+    The joints of an arm are simulated together; those that the model lacks follow a constant
+    command, and those without a command stay at the URDF's zero.
+
     Args:
         model: The fitted model.
         t: Times in s, shape (T,).
@@ -45,11 +49,17 @@ def predict(
     """
     from sim2real.servo.rollout import rollout
 
-    angles = {}
     for joint, sent in command.items():
-        if joint not in model.joints:
+        at_rest = model.arm is not None and joint in model.arm.names and np.ptp(sent) == 0
+        if joint not in model.joints and not at_rest:
             modelled = ", ".join(model.joints)
             raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
+    if model.arm is not None:
+        from sim2real.arm.arm_loads import predicted_arm
+
+        return predicted_arm(model.arm, model.joints, t, command)[1]
+    angles = {}
+    for joint, sent in command.items():
         row = joint_row(model.joints[joint], (loads or {}).get(joint), where=f"model, {joint}")
         angles[joint] = rollout(row[None], t, sent)[0]
     return angles
@@ -146,13 +156,21 @@ def replay(
         recordings: The recordings that the model was identified from.
         held_out: Name of the held-out recording, as passed to ``identify``.
     """
+
+    @cache
+    def angles_in(file: str) -> dict[str, Array]:
+        recording = by_file[file]
+        modelled = model.joints if model.arm is None else {*model.joints, *model.arm.names}
+        commands = {j: x for j, x in recording.commands.items() if j in modelled}
+        return predict(model, recording.t, commands, recording.loads, where=file)
+
+    by_file = {recording.file: recording for recording in recordings}
     replays = []
     for joint in model.joints:
         _, scored, _ = split(traces(recordings, joint), held_out)
         unseen = {trace.file: trace.used for trace in scored}
         for recording in (r for r in recordings if joint in r.joints):
-            command = {joint: recording.commands[joint]}
-            angles = predict(model, recording.t, command, recording.loads)
+            angles = angles_in(recording.file)
             mask = np.zeros(recording.t.size, dtype=bool)
             used = unseen.get(recording.file, mask)
             mask[: used.size] = used

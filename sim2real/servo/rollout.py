@@ -27,6 +27,7 @@ from sim2real.servo.parameters import (
 )
 from sim2real.servo.trace import Trace
 from sim2real.servo.whitening import innovation_energy
+from sim2real.varying_load import VaryingLoad
 
 STEPS_PER_RADIAN = 32.0
 """Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""
@@ -35,6 +36,7 @@ _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
 _LANES = 4
 """Coefficients of the autoregression are padded to a multiple of this."""
+Signals = tuple[Array, Array, Integers, Array, Array]
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
@@ -43,6 +45,7 @@ def rollout(
     t: Array,
     command: Array,
     *,
+    varying: VaryingLoad | None = None,
     steps_per_radian: float = STEPS_PER_RADIAN,
     substep_s: float | Array | None = None,
     threads: int = 1,
@@ -56,6 +59,7 @@ def rollout(
         theta: Parameters of B servos, shape (B, P), in the order of ``COLUMNS``.
         t: Times of commands and samples in s, shape (T,), increasing.
         command: Set-points in rad sent at ``t``, shape (T,); NaN where the torque is off.
+        varying: Load that varies with time, around the mean inertia that ``theta`` has.
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
         substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
             by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
@@ -73,7 +77,8 @@ def rollout(
         steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
     signal = np.zeros(B, dtype=np.int32)
-    signals = [to_warp(x, "cpu") for x in (t[None], command[None], np.array([T], dtype=np.int32))]
+    arrays = (t[None], command[None], np.array([T], dtype=np.int32))
+    signals = [to_warp(x, "cpu") for x in (*arrays, *padded_loads([varying], t[:1]))]
 
     def simulate_part(part: slice) -> None:
         servos = to_warp(rows[part], "cpu")
@@ -98,7 +103,14 @@ def rollout_on(
     """
     rows = np.array(theta) * factors([trace])
     rows[:, _LOAD] = trace.load.inertia_kgm2, trace.load.gravity_Nm
-    return rollout(rows, trace.t, trace.command, substep_s=substep_s, threads=threads)
+    return rollout(
+        rows,
+        trace.t,
+        trace.command,
+        varying=trace.varying,
+        substep_s=substep_s,
+        threads=threads,
+    )
 
 
 def longest_substep(
@@ -133,13 +145,13 @@ def coarse_substep(substep_s: Array) -> Array:
     return np.minimum(longest, _COARSENING * substep_s)
 
 
-def padded(traces: Sequence[Trace]) -> tuple[tuple[Array, Array, Integers], Array, Array]:
+def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
     """Recordings as arrays, padded to the length T of the longest.
 
     Returns:
-        Times in s and set-points in rad, 0 beyond the end, shape (S, T), and numbers of samples,
-        shape (S,); measured angles in rad, NaN where not used, shape (S, T); inertia in kg m2 and
-        gravity torque in N m of the loads, shape (S, 2).
+        Times in s and set-points in rad, 0 beyond the end, shape (S, T), numbers of samples, shape
+        (S,), and loads that vary (``padded_loads``); measured angles in rad, NaN where not used,
+        shape (S, T); inertia in kg m2 and gravity torque in N m of the loads, shape (S, 2).
     """
     length = np.array([trace.t.size for trace in traces], dtype=np.int32)
     t, command, position = (np.full((len(traces), length.max()), x) for x in (0.0, 0.0, np.nan))
@@ -147,7 +159,31 @@ def padded(traces: Sequence[Trace]) -> tuple[tuple[Array, Array, Integers], Arra
         part = np.s_[s, : trace.t.size]
         t[part], command[part], position[part] = trace.t, trace.command, trace.measured
     load = np.array([[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces])
-    return (t, command, length), position, load
+    loads = padded_loads([trace.varying for trace in traces], t[:, 0])
+    return (t, command, length, *loads), position, load
+
+
+def padded_loads(loads: Sequence[VaryingLoad | None], start: Array) -> tuple[Array, Array]:
+    """Loads that vary with time as arrays, padded to the length K of the longest.
+
+    Args:
+        loads: The load of each of S signals.
+        start: Time of the first sample of each signal in s, shape (S,).
+
+    Returns:
+        Time from the first value to the first sample in s, time between values in s, 0 for a
+        constant load, and number of values, shape (S, 3); inertia in kg m2 beyond the mean and
+        torque in N m, shape (S, K, 2).
+    """
+    grid = np.zeros((len(loads), 3))
+    values = np.zeros((len(loads), max((x.torque_Nm.size for x in loads if x), default=1), 2))
+    for s, load in enumerate(loads):
+        if load is not None:
+            grid[s] = start[s] - load.start_s, load.step_s, load.torque_Nm.size
+            part = values[s, : load.torque_Nm.size]
+            part[:, 0] = load.inertia_kgm2 - load.mean_inertia_kgm2
+            part[:, 1] = load.torque_Nm
+    return grid, values
 
 
 def factors(traces: Sequence[Trace]) -> Array:
@@ -173,8 +209,9 @@ class Simulator:
         self._pool = _pool(threads)
 
     def is_linear(self, theta: Array) -> bool:
-        """Whether servos (B, P) have an exact solution: no active effect and no pendulum."""
-        return not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
+        """Whether servos (B, P) have an exact solution: no effect, no pendulum, constant load."""
+        constant = all(trace.varying is None for trace in self.traces)
+        return constant and not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
 
     def substep(self, theta: Array, steps_per_radian: float, longest_s: float) -> float:
         """Common sub-step in s for all servos (B, P), infinite if all are linear."""
@@ -203,7 +240,7 @@ class Simulator:
             ValueError: If the sub-step is infinite and a servo is not linear.
         """
         if np.isinf(substep_s) and not self.is_linear(theta):
-            raise ValueError("no exact solution of servos with effects or a pendulum")
+            raise ValueError("no exact solution with effects, a pendulum or a varying load")
         S = len(self.traces)
         rows = np.repeat(theta, S, axis=0) * np.tile(self._factors, (theta.shape[0], 1))
         rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
@@ -212,7 +249,7 @@ class Simulator:
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
         servos = to_warp(rows, "cpu")
         if np.isinf(substep_s):
-            inputs = [servos, to_warp(signal, "cpu"), *self._signals]
+            inputs = [servos, to_warp(signal, "cpu"), *self._signals[:3]]
             wp.launch(solve_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
         else:
             longest = np.full(len(rows), substep_s)
@@ -311,7 +348,7 @@ def simulate(
         latency: Latency of each in s, shape (N,).
         theta: Their parameters, a Warp array (N, P).
         signal: Index of the signal of each, shape (N,).
-        signals: Times, commands and lengths of the signals, Warp arrays.
+        signals: The signals of ``padded``, Warp arrays.
         longest: Longest sub-step of each in s, shape (N,).
         out: Output, the angles in rad, a Warp array (N, T).
         rows: Indices of the rollouts to simulate, shape (M,); all by default.

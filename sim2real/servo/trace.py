@@ -14,6 +14,7 @@ from sim2real.noise import noise_floor, quantization_step
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.servo.reported_drive import ReportedDrive, reported_drive
 from sim2real.structured import Fields
+from sim2real.varying_load import VaryingLoad
 
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
@@ -29,11 +30,12 @@ class Trace:
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, shape (T,), NaN where missing.
-        load: The stated load, or ``PER_INERTIA``.
+        load: The stated load, or ``PER_INERTIA``; of a load that varies, its mean inertia.
         used: Mask of the samples that the fit may use, shape (T,).
         drive: Controller that the reported drive shows; None if the servo does not report it.
         supply_ratio: Supply voltage, relative to that of the other recordings.
         gain_ratio: Proportional gain of the firmware, relative to that of the other recordings.
+        varying: Load that varies with time, as on an arm; None if it is constant.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Trace:
     drive: ReportedDrive | None = None
     supply_ratio: float = 1.0
     gain_ratio: float = 1.0
+    varying: VaryingLoad | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
         """The trace from the first change of the command on, for at most ``length_s`` seconds."""
@@ -97,13 +100,15 @@ def trace(recording: Recording, joint: str) -> Trace:
     t, command = recording.t[powered], recording.command[powered, j]
     load = recording.columns.get(f"{joint}.load")
     context = Fields(recording.file, "", recording.metadata).table("context")
+    stated, varying = recording.loads.get(joint, PER_INERTIA), recording.varying_loads.get(joint)
     return Trace(
         name=recording.name,
         file=recording.file,
         t=t,
         command=command,
         position=position,
-        load=recording.loads.get(joint, PER_INERTIA),
+        load=stated if varying is None else Load(varying.mean_inertia_kgm2),
+        varying=varying,
         used=np.isfinite(position),
         drive=None if load is None else reported_drive(t, command, position, load[powered]),
         supply_ratio=context.number("supply_ratio", 1.0, above=0.0),
@@ -147,7 +152,8 @@ def check_runs(traces: Sequence[Trace], joint: str) -> None:
 
 def shows_inertia(fitted: Sequence[Trace]) -> bool:
     """Whether the torque scale is known, so that inertia and gains are identifiable separately."""
-    return any(t.load.gravity_Nm > 0 for t in fitted) or len({t.load for t in fitted}) > 1
+    weighed = any(t.varying is not None or t.load.gravity_Nm > 0 for t in fitted)
+    return weighed or len({t.load for t in fitted}) > 1
 
 
 def traces(recordings: Sequence[Recording], joint: str) -> list[Trace]:

@@ -92,8 +92,12 @@ def diagnosis(
             ),
             fit=enriched_fit,
             provenance=dict(origin),
+            arm=case.robot.arm,
         ),
-        baseline=Model(joints={joint.name: joint.model(enriched=False) for joint in joints}),
+        baseline=Model(
+            joints={joint.name: joint.model(enriched=False) for joint in joints},
+            arm=case.robot.arm,
+        ),
         provenance=origin,
     )
 
