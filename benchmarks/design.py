@@ -6,11 +6,14 @@ sampled controller, drift and rounding, are recorded for 30 s at 50 Hz on each s
 identified.
 
     python benchmarks/design.py --servos 200 --processes 32 --out reports/design
+
+Servos that ``servos.jsonl`` in that folder has are not run again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import runpy
@@ -22,7 +25,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the workers share the cores
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -381,10 +384,22 @@ def main() -> None:
     options = parser.parse_args()
     signals = () if options.quick else USUAL
     jobs = [(options.seed, k, signals, options.nuisances) for k in range(options.servos)]
-    with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:
-        found = pool.map(one_servo, jobs)
-        rows = list(tqdm(found, total=len(jobs), desc="design", unit="servo", disable=None))
-    write(rows, options)
+    kept = options.out / "servos.jsonl"
+    options.out.mkdir(parents=True, exist_ok=True)
+    lines = kept.read_text().splitlines() if kept.exists() else []
+    rows = {row["number"]: row for row in map(json.loads, lines)}
+    missing = [job for job in jobs if job[1] not in rows]
+    with (
+        ProcessPoolExecutor(options.processes, get_context("spawn")) as pool,
+        kept.open("a") as file,
+    ):
+        found = {pool.submit(one_servo, job): job[1] for job in missing}
+        ended = as_completed(found)
+        for future in tqdm(ended, total=len(found), desc="design", unit="servo", disable=None):
+            rows[found[future]] = {"number": found[future]} | future.result()
+            file.write(json.dumps(rows[found[future]]) + "\n")
+            file.flush()
+    write([rows[k] for k in sorted(rows)], options)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from sim2real.recording import Recording
     from sim2real.robot import Robot
     from sim2real.servo.prediction import Prediction
-    from sim2real.servo_library.catalogue import Servos
+    from sim2real.servo_library.catalogue import ServoLibrary
 
     File = str | os.PathLike[str]
     Recorded = Recording | File | Sequence[Recording | File]
@@ -276,9 +276,24 @@ def design(
             if given is not None:
                 both = f"--{name} with --diagnosis, which has the servos and their loads"
                 raise InputError("design", name, both, f"no --{name}")
-        return _design_for_rivals(
-            robot, diagnosis, contexts, again=again, seconds=seconds, seed=seed
-        )
+        from sim2real.design.contexts import read_contexts
+        from sim2real.design.tell_apart import design_for_rivals
+        from sim2real.diagnose.rival_sets import rivals_of_file
+
+        description, rivals = robot_of(robot), rivals_of_file(diagnosis)
+        offered = () if contexts is None else read_contexts(contexts)
+        with progress_bar("design") as progress:
+            apart = design_for_rivals(
+                rivals,
+                description,
+                contexts=offered,
+                seconds=seconds,
+                again=again,
+                seed=seed,
+                file=diagnosis,
+                progress=progress,
+            )
+        return replace(apart, provenance=provenance([robot, diagnosis, contexts], seed))
     if contexts is not None or again:
         name = "again" if again else "contexts"
         raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
@@ -291,41 +306,7 @@ def design(
     return replace(found, provenance=provenance([robot, model], seed))
 
 
-def _design_for_rivals(
-    robot: Robot | File,
-    diagnosis: File,
-    contexts: File | None,
-    *,
-    again: bool,
-    seconds: float,
-    seed: int,
-) -> RivalDesign:
-    """Commands that tell the sets of effects apart which a diagnosis leaves open."""
-    from dataclasses import replace
-
-    from sim2real.design.contexts import read_contexts
-    from sim2real.design.tell_apart import design_for_rivals
-    from sim2real.diagnose.rival_sets import rivals_of_file
-    from sim2real.output import provenance
-    from sim2real.progress import progress_bar
-
-    description, rivals = robot_of(robot), rivals_of_file(diagnosis)
-    offered = () if contexts is None else read_contexts(contexts)
-    with progress_bar("design") as progress:
-        found = design_for_rivals(
-            rivals,
-            description,
-            contexts=offered,
-            seconds=seconds,
-            again=again,
-            seed=seed,
-            file=diagnosis,
-            progress=progress,
-        )
-    return replace(found, provenance=provenance([robot, diagnosis, contexts], seed))
-
-
-def servos() -> Servos:
+def servos() -> ServoLibrary:
     """List the identified servos that ship with the package.
 
     ``servos()["NAME"]`` is one of them: its ``model`` can be used wherever a model is.

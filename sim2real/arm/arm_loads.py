@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.arm.coupled import coupled_motion, loads_on
 from sim2real.arm.description import Arm
-from sim2real.arm.joint_motion import JointMotion, corrected_motion, measured_motion
+from sim2real.arm.joint_motion import ArmMotion, corrected_motion, measured_motion
 from sim2real.arm.multibody import Multibody
 from sim2real.arrays import Array
 from sim2real.errors import InputError
@@ -55,7 +55,7 @@ def predicted_arm(
     command: Mapping[str, Array],
     *,
     multibody: Multibody | None = None,
-) -> tuple[JointMotion, dict[str, Array]]:
+) -> tuple[ArmMotion, dict[str, Array]]:
     """Motion and measured angles of an arm that a model predicts from commands alone.
 
     Joints that are not in the model follow their command; without a command they stay at the
@@ -85,7 +85,7 @@ def predicted_arm(
     return motion, {name: by_name[name] for name in command}
 
 
-def _motion(multibody: Multibody, recording: Recording, model: Model | None) -> JointMotion:
+def _motion(multibody: Multibody, recording: Recording, model: Model | None) -> ArmMotion:
     arm = multibody.arm
     if model is None:
         rest = np.array([joint.zero_rad for joint in arm.joints])

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from sim2real.arm.joint_motion import STEP_S, JointMotion, grid, low_pass
+from sim2real.arm.joint_motion import STEP_S, ArmMotion, grid, low_pass
 from sim2real.arm.multibody import Multibody
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
@@ -25,7 +25,7 @@ _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 _GAP = FIRST_COLUMN["backlash"]
 
 
-def loads_on(multibody: Multibody, motion: JointMotion) -> list[VaryingLoad]:
+def loads_on(multibody: Multibody, motion: ArmMotion) -> list[VaryingLoad]:
     """The load on each of J shafts while the arm moves."""
     inertia, torque = multibody.loads(motion.angle, motion.velocity, motion.acceleration)
     return [
@@ -45,7 +45,7 @@ def coupled_motion(
     impact_cutoff_hz: float = 20.0,
     iterations: int = 80,
     threads: int = 2,
-) -> tuple[JointMotion, Array]:
+) -> tuple[ArmMotion, Array]:
     """Simulate an arm from rest on its first commands.
 
     With play, the flanks of one joint's gears hit one another a little earlier or later in every
@@ -76,7 +76,7 @@ def coupled_motion(
     free = [j for j, row in enumerate(rows) if row is not None]
     if free:
         followed[:, free] = low_pass(followed[:, free], STEP_S, 3.0)  # a first guess
-    motion = JointMotion(float(fine[0]), followed)
+    motion = ArmMotion(float(fine[0]), followed)
     weight = _relaxation(multibody, rows, motion.angle)
 
     def simulated(row: Array, j: int, load: VaryingLoad) -> Array:
@@ -107,7 +107,7 @@ def coupled_motion(
                 return motion, all_joints(rows, loads)[at_samples]
             if not np.isfinite(largest):
                 break
-            motion = JointMotion(motion.start_s, motion.angle + weight * change)
+            motion = ArmMotion(motion.start_s, motion.angle + weight * change)
     found = f"motions that still change by {largest:.2g} rad after {iterations} iterations"
     raise InputError("model", "arm", found, "servos that hold the arm in every joint")
 

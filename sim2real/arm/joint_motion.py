@@ -17,7 +17,7 @@ STEP_S = 0.002
 
 
 @dataclass(frozen=True)
-class JointMotion:
+class ArmMotion:
     """Angles of J joints at evenly spaced times.
 
     Attributes:
@@ -59,7 +59,7 @@ def grid(t: Array, step_s: float = STEP_S) -> Array:
 
 def measured_motion(
     recording: Recording, names: Sequence[str], rest: Array, *, cutoff_hz: float = 10.0
-) -> JointMotion:
+) -> ArmMotion:
     """Motion of joints from measured angles alone, smoothed without phase shift.
 
     Args:
@@ -74,12 +74,12 @@ def measured_motion(
         if name in recording.joints:
             measured = recording.position[:, recording.joints.index(name)]
             angle[:, j] = _interpolated(t, recording.t, measured, rest[j])
-    return JointMotion(float(t[0]), low_pass(angle, STEP_S, cutoff_hz))
+    return ArmMotion(float(t[0]), low_pass(angle, STEP_S, cutoff_hz))
 
 
 def corrected_motion(
-    predicted: JointMotion, recording: Recording, names: Sequence[str], *, cutoff_hz: float = 4.0
-) -> JointMotion:
+    predicted: ArmMotion, recording: Recording, names: Sequence[str], *, cutoff_hz: float = 4.0
+) -> ArmMotion:
     """A predicted motion, corrected by its slow error against the measured angles.
 
     The prediction supplies the accelerations of fast motion, which differences of sampled and noisy
@@ -98,7 +98,7 @@ def corrected_motion(
             at_samples = np.interp(recording.t, t, predicted.angle[:, j])
             error[:, j] = _interpolated(t, recording.t, measured - at_samples, 0.0)
     corrected = predicted.angle + low_pass(error, predicted.step_s, cutoff_hz)
-    return JointMotion(predicted.start_s, corrected, predicted.step_s)
+    return ArmMotion(predicted.start_s, corrected, predicted.step_s)
 
 
 def low_pass(values: Array, step_s: float, cutoff_hz: float, *, order: int = 4) -> Array:

@@ -24,7 +24,7 @@ GAINS = BASE[:3]
 
 
 @dataclass(frozen=True)
-class Noise:
+class AngleError:
     """Errors of the measured angle about the model.
 
     Attributes:
@@ -59,7 +59,7 @@ class Belief:
     rows: Array
     prior_sd: Array
     load: Load
-    noise: Noise
+    noise: AngleError
 
     @property
     def columns(self) -> list[int]:
@@ -95,7 +95,7 @@ def belief_of(
     figures = model.fit.get(f"{limits.joint}.position_rad", {})
     white = float(figures.get("noise") or _white(limits))
     train = float(figures.get("train") or white)
-    noise = Noise(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
+    noise = AngleError(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
     for effect in (*fitted.effects, *model.effects):
         if effect.effect == "packet_loss":
             noise = replace(noise, lost=max(noise.lost, effect.parameters["probability"]))
@@ -106,7 +106,7 @@ def _from_model(
     joint: JointModel,
     servo: Servo,
     load: Load | None,
-    noise: Noise,
+    noise: AngleError,
     draws: int,
     rng: np.random.Generator,
     *,
@@ -174,7 +174,7 @@ def _from_sheet(
     rows[:, 2] = latency
     rows[:, 3:5] = load.inertia_kgm2, load.gravity_Nm
     white = _white(limits)
-    return Belief(names, rows, _prior_sd(names, servo, load), load, Noise(white, white))
+    return Belief(names, rows, _prior_sd(names, servo, load), load, AngleError(white, white))
 
 
 def _prior_sd(names: tuple[str, ...], servo: Servo, load: Load) -> Array:

@@ -28,9 +28,6 @@ from sim2real.servo.parameters import ROTOR_INERTIA
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
-_LEAST = 1e-3
-"""Precision of the logarithm of a parameter of which nothing is known."""
-
 
 @dataclass(frozen=True)
 class Precision:
@@ -142,7 +139,7 @@ class Information:
         by_loss = each[:, :, F * F : 2 * F * F].reshape(-1, D, F, F)
         by_angle = each[:, :, 2 * F * F : -1].reshape(-1, D, F, self.features)
         white = noise.white_rad
-        prior = np.diag(1 / self.belief.prior_sd**2 + _LEAST)
+        prior = np.diag(1 / self.belief.prior_sd**2 + 1e-3)  # so that it has an inverse
         repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
         precision = gram / white**2 + prior
         inverse = np.linalg.inv(precision)

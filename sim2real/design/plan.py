@@ -12,7 +12,7 @@ from sim2real.arrays import Array
 from sim2real.design.belief import Belief, belief_of
 from sim2real.design.information import Information, Precision
 from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
-from sim2real.design.search import Found, best
+from sim2real.design.search import SearchResult, best
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.inference.normal import Z90
 from sim2real.model import Model
@@ -37,7 +37,7 @@ class JointDesign:
     """
 
     information: Information
-    found: Found
+    found: SearchResult
     precision: Precision
     origin: str
 

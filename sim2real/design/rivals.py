@@ -209,7 +209,7 @@ class RivalObjective:
 
 
 @dataclass(frozen=True)
-class _Expansion:
+class _Derivatives:
     """Rows to simulate, and how predictions and their spreads follow from them.
 
     Attributes:
@@ -223,7 +223,7 @@ class _Expansion:
     vectors: Array
 
 
-def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Expansion:
+def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
     """Derivatives by each free parameter, at the most probable set that has it.
 
     Waves of the angle that every servo has stay as they are: all sets have them alike.
@@ -256,7 +256,7 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Expansion:
         left, size, _ = np.linalg.svd(root, full_matrices=False)
         spread = derivatives[:, [place[column] for column in columns]] @ (left * size)
         vectors[:, M + i * F : M + i * F + len(columns)] = spread
-    return _Expansion(theta, vectors)
+    return _Derivatives(theta, vectors)
 
 
 def _told(one: RivalSet) -> list[int]:

@@ -35,7 +35,7 @@ class Additive(Protocol):
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Result of a search.
 
     Attributes:
@@ -64,7 +64,7 @@ def best(
     part_s: float = 2.0,
     start: Array | None = None,
     progress: Callable[[float], None] = lambda share: None,
-) -> Found:
+) -> SearchResult:
     """The command with the highest score among random ones, assemblies of their parts, variations.
 
     Args:
@@ -112,7 +112,7 @@ def best(
         history.append(float(score.max()))
         progress((len(batches) + 2 + k) / total)
     first = int(np.argmax(score))
-    return Found(pool[first], float(score[first]), tuple(history), evaluated)
+    return SearchResult(pool[first], float(score[first]), tuple(history), evaluated)
 
 
 def _assembled(

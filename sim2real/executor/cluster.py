@@ -16,7 +16,6 @@ from sim2real.executor.job import Job, JobOutcome, write_job
 from sim2real.executor.process import Died, failure, start, stop
 
 _LOOK_EVERY_S = 1.0
-_ANSWER_WITHIN_S = 10.0
 
 
 def run_on_ray(
@@ -120,7 +119,7 @@ def _join(ray: Any, address: str | None) -> None:  # noqa: ANN401 - a module
     host, _, port = (address or "").removeprefix("ray://").rpartition(":")
     try:
         if port.isdecimal():  # Ray itself waits for minutes
-            socket.create_connection((host, int(port)), timeout=_ANSWER_WITHIN_S).close()
+            socket.create_connection((host, int(port)), timeout=10.0).close()
         ray.init(
             address=address, include_dashboard=False, log_to_driver=False, logging_level="error"
         )

@@ -12,8 +12,6 @@ from sim2real.executor.job import Job, JobOutcome, write_job
 from sim2real.executor.process import Died, failure, start, stop
 from sim2real.executor.seats import Seat
 
-_LOOK_EVERY_S = 0.05
-
 
 def run_local(
     jobs: Iterator[Job], seats: Sequence[Seat], variables: Mapping[str, str], *, retries: int
@@ -40,7 +38,7 @@ def run_local(
             if not running:
                 return
             yield None
-            time.sleep(_LOOK_EVERY_S)
+            time.sleep(0.05)
             for number, (job, process) in list(running.items()):
                 if process.poll() is None:
                     continue

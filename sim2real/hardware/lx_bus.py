@@ -13,11 +13,11 @@ from sim2real.hardware.lx import BusCommand, Packet, expects_reply, is_reply, lo
 from sim2real.hardware.servo_bus import (
     INSISTENCE,
     PATIENCE_S,
+    BusServo,
     Cycle,
     Found,
     Reading,
     Scale,
-    Servo,
     Stopped,
 )
 from sim2real.hardware.transport import Transport
@@ -110,7 +110,7 @@ class LxBus:
             errors=tuple(errors),
         )
 
-    def servo(self, servo_id: int) -> Servo:
+    def servo(self, servo_id: int) -> BusServo:
         """Scale of a servo, which is the same for all of this family."""
         return lx_servo(servo_id)
 
@@ -217,9 +217,9 @@ class LxBus:
         self.wire.__exit__(kind, error, trace)
 
 
-def lx_servo(servo_id: int) -> Servo:
+def lx_servo(servo_id: int) -> BusServo:
     """An LX servo."""
-    return Servo(servo_id, "LX", SCALE, ("temperature_C",))
+    return BusServo(servo_id, "LX", SCALE, ("temperature_C",))
 
 
 def _reading(position: Packet | None, command: BusCommand, health: Packet | None) -> Reading:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
-from sim2real.hardware.servo_bus import Scale, Servo
+from sim2real.hardware.servo_bus import BusServo, Scale
 from sim2real.robot import Joint, Robot
 
 
@@ -23,7 +23,7 @@ class Mounting:
     """
 
     joint: Joint
-    servo: Servo
+    servo: BusServo
     trim_ticks: int = 0
     sign: int = 1
 
@@ -56,7 +56,7 @@ class Mounting:
 
 def mount(
     robot: Robot,
-    servos: Sequence[Servo],
+    servos: Sequence[BusServo],
     *,
     joints: Sequence[str] | None = None,
     trim_ticks: Sequence[int] | None = None,
@@ -121,7 +121,7 @@ def check_ids(ids: Sequence[int], largest: int) -> None:
         raise InputError("--ids", "", given, f"different numbers from 0 to {largest}")
 
 
-def _mounting(robot: Robot, name: str, servo: Servo, trim: int, sign: int) -> Mounting:
+def _mounting(robot: Robot, name: str, servo: BusServo, trim: int, sign: int) -> Mounting:
     joint = robot.joint(name)
     assert joint is not None
     mounting = Mounting(joint, servo, trim, sign)

@@ -18,11 +18,11 @@ from sim2real.hardware.registers import TORQUE, Layout, Register
 from sim2real.hardware.servo_bus import (
     INSISTENCE,
     PATIENCE_S,
+    BusServo,
     Cycle,
     Found,
     Reading,
     Scale,
-    Servo,
     Stopped,
 )
 from sim2real.hardware.servo_models import ServoModel
@@ -117,7 +117,7 @@ class RegisterBus(ABC, Generic[P]):
             values |= {} if data is None else layout.decode(names, data)
         return found_servo(servo_id, model, values)
 
-    def servo(self, servo_id: int) -> Servo:
+    def servo(self, servo_id: int) -> BusServo:
         """Model and scale of a servo, which must control its position."""
         model = self._model(servo_id)
         modes = model.layout.position_modes
@@ -126,7 +126,7 @@ class RegisterBus(ABC, Generic[P]):
             known = ", ".join(f"{number} ({what})" for number, what in modes.items())
             raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
         scale = self._scale(servo_id, model, several_turns=mode in model.layout.multi_turn_modes)
-        return Servo(servo_id, model.name, scale, quantities(model))
+        return BusServo(servo_id, model.name, scale, quantities(model))
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""

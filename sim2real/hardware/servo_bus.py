@@ -36,7 +36,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Servo:
+class BusServo:
     """A servo on the bus.
 
     Attributes:
@@ -147,7 +147,7 @@ class ServoBus(Protocol):
     def look(self, servo_id: int, patience_s: float) -> Found:
         """The state of a servo that answers; nothing is written to it."""
 
-    def servo(self, servo_id: int) -> Servo:
+    def servo(self, servo_id: int) -> BusServo:
         """Model and scale of a servo.
 
         Raises:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
-from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor, soft_starts
+from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
 from sim2real.identification.servo_type import ServoType
 from sim2real.identification.torque_limit import fit_limit
@@ -103,7 +106,7 @@ def _fit_continuous(
     chosen = _better(first, full)
     if rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
-    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=soft_starts(full))
+    soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=_soft_starts(full))
     return _better(chosen, soft)
 
 
@@ -116,3 +119,16 @@ def _better(
     if added is None:
         added = len(more.problem.free) - len(fewer.problem.free)
     return more if gain > 2 * added + beyond_chance else fewer
+
+
+def _soft_starts(
+    motor: MotorFit,
+    times_s: Sequence[tuple[float, float]] = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3)),
+) -> Array:
+    """Starts as searched (S, F) from a fit, with gradual friction.
+
+    Their stick and creep times are nearly 0, MuJoCo's, and larger ones.
+    """
+    x = np.tile(motor.x, (len(times_s), 1))
+    x[:, [motor.problem.prior.index(name) for name in SOFT]] = times_s
+    return x

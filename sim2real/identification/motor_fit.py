@@ -29,7 +29,6 @@ from sim2real.servo.parameters import (
     LOOP,
     LOSSES,
     ROTOR,
-    SOFT,
     motor_of,
 )
 from sim2real.servo.rollout import Simulator
@@ -236,19 +235,6 @@ def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> MotorFit:
     best = np.argsort(loss)[:1]
     inflation = problem.inflation(problem.residuals(x[best])[0])
     return _result(problem, x[best], loss[best], motor.fit.scale_rad, inflation)
-
-
-def soft_starts(
-    motor: MotorFit,
-    times_s: Sequence[tuple[float, float]] = ((1e-3, 3e-4), (0.01, 1e-3), (0.01, 5e-3)),
-) -> Array:
-    """Starts as searched (S, F) from a fit, with gradual friction.
-
-    Their stick and creep times are nearly 0, MuJoCo's, and larger ones.
-    """
-    x = np.tile(motor.x, (len(times_s), 1))
-    x[:, [motor.problem.prior.index(name) for name in SOFT]] = times_s
-    return x
 
 
 def _candidates(

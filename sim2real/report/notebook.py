@@ -27,7 +27,7 @@ from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.report.table import span
 from sim2real.robot import Robot
 from sim2real.servo.prediction import Prediction
-from sim2real.servo_library.catalogue import Servos
+from sim2real.servo_library.catalogue import ServoLibrary
 from sim2real.servo_library.entry import ServoEntry
 
 NONE = "–"
@@ -69,7 +69,7 @@ def _model(model: Model) -> Section:
 
 
 @result_section.register
-def _servos(library: Servos) -> Section:
+def _servos(library: ServoLibrary) -> Section:
     rows = [tuple(map(printable, cells(entry))) for entry in library]
     return Section("Servos", "", [Table(COLUMNS, rows)])
 

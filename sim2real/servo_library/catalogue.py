@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parent / "entries"
 
 
 @dataclass(frozen=True)
-class Servos(NotebookDisplay):
+class ServoLibrary(NotebookDisplay):
     """Servos of the library; ``servos["xl330_gain800"]`` is one of them.
 
     Attributes:
@@ -60,7 +60,7 @@ class Servos(NotebookDisplay):
         return figure
 
 
-def shipped() -> Servos:
+def shipped() -> ServoLibrary:
     """All servos of the library.
 
     Raises:
@@ -72,4 +72,4 @@ def shipped() -> Servos:
         if entry.name != path.stem:
             raise InputError(path, "provenance.servo.name", repr(entry.name), f"{path.stem!r}")
         entries.append(entry)
-    return Servos(tuple(entries))
+    return ServoLibrary(tuple(entries))

@@ -13,8 +13,6 @@ from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.servo_library.entry import JOINT, ServoEntry, entry_of
 
-_DIGITS = 6
-
 
 def prepared(
     model: Model,
@@ -92,4 +90,4 @@ def _rounded(joint: JointModel) -> JointModel:
 def _round(value: Any) -> Any:  # noqa: ANN401 - a number or None
     if value is None or not math.isfinite(value):
         return value
-    return float(f"{value:.{_DIGITS}g}")
+    return float(f"{value:.6g}")

@@ -25,7 +25,6 @@ from sim2real.viewers.signal_group import (
 
 FRAME = "world"
 _NS = 1_000_000_000
-_LINE_STRIP = 0
 _PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
 Message = tuple[float, dict[str, Any]]
@@ -117,7 +116,7 @@ def _entity(
     """A ``foxglove.SceneEntity``: a line strip, which replaces the earlier one of this name."""
     seconds, nanoseconds = divmod(round(max(time_s, 0.0) * _NS), _NS)
     line = {
-        "type": _LINE_STRIP,
+        "type": 0,  # a line strip
         "pose": {"position": _vector(0, 0, 0), "orientation": {**_vector(0, 0, 0), "w": 1.0}},
         "thickness": 4.0,
         "scale_invariant": True,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim2real.design.belief import Belief, Noise, belief_of
+from sim2real.design.belief import AngleError, Belief, belief_of
 from sim2real.design.candidates import draw
 from sim2real.design.information import Information
 from sim2real.design.limits import limits_of, within
@@ -42,7 +42,7 @@ def commands():
 
 @pytest.mark.parametrize("load", [LOAD, Load(0.004, 0.4, 0.1)])
 def test_derivatives_are_those_of_the_symbolic_law(commands, load):
-    information = Information(plain(Noise(1e-3, 0.0), load), LIMITS, substep_s=0.001)
+    information = Information(plain(AngleError(1e-3, 0.0), load), LIMITS, substep_s=0.001)
     _, slopes = information.sensitivities(commands[:2])
     t = LIMITS.times(6.0)
     for command, found in zip(commands[:2], slopes[:, 0], strict=True):
@@ -53,7 +53,7 @@ def test_derivatives_are_those_of_the_symbolic_law(commands, load):
 
 def test_expected_widths_are_those_of_fits(commands):
     noise, t = 2e-3, LIMITS.times(6.0)
-    information = Information(plain(Noise(noise, 0.0, lost=0.0)), LIMITS)
+    information = Information(plain(AngleError(noise, 0.0, lost=0.0)), LIMITS)
     sd = np.sqrt(np.diagonal(information.precision(commands[:1]).covariance[0, 0]))
     row, rng, used = information.belief.rows[0], np.random.default_rng(3), np.ones(t.size, bool)
     clean = rollout(row[None], t, commands[0])[0]
@@ -68,7 +68,11 @@ def test_expected_widths_are_those_of_fits(commands):
 
 
 def test_errors_that_repeat_with_the_angle_widen_intervals(commands):
-    alone, more = (Information(plain(Noise(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3))
+    alone, more = (
+        Information(plain(AngleError(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3)
+    )
+        Information(plain(AngleError(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3)
+    )
     ratio = more.precision(commands).half_width / alone.precision(commands).half_width
     assert (ratio > 1.05).all()
 
@@ -76,7 +80,7 @@ def test_errors_that_repeat_with_the_angle_widen_intervals(commands):
 def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
     def ratio(command):
         safe, lossy = (
-            Information(plain(Noise(1e-3, 0.0, lost=lost)), LIMITS).precision(command[None])
+            Information(plain(AngleError(1e-3, 0.0, lost=lost)), LIMITS).precision(command[None])
             for lost in (0.0, 0.02)
         )
         return (lossy.half_width / safe.half_width).max()
@@ -88,7 +92,7 @@ def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
 def test_loss_widens_intervals_as_much_as_fits_spread(commands):
     noise, lost, t, rng = 5e-4, 0.02, LIMITS.times(6.0), np.random.default_rng(8)
     command = commands[0]
-    information = Information(plain(Noise(noise, 0.0, lost=lost)), LIMITS)
+    information = Information(plain(AngleError(noise, 0.0, lost=lost)), LIMITS)
     sd = np.sqrt(np.diagonal(information.precision(command[None]).covariance[0, 0]))
     row, used, fits = information.belief.rows[0], np.ones(t.size, bool), []
     for _ in range(40):
@@ -121,7 +125,7 @@ def test_longer_recordings_and_more_motion_tell_more(commands):
 
 def test_torque_beyond_the_budget_is_penalised():
     shake = 0.8 * np.sign(np.sin(2 * np.pi * 3 * LIMITS.times(6.0)))[None]
-    belief = plain(Noise(1e-3, 0.0), Load(0.02))
+    belief = plain(AngleError(1e-3, 0.0), Load(0.02))
     free = Information(belief, replace(LIMITS, rms_torque_Nm=np.inf))
     rms = free.precision(shake).rms_torque_Nm[0, 0]
     strict = Information(belief, replace(LIMITS, rms_torque_Nm=rms / 2))

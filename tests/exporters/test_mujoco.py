@@ -282,5 +282,5 @@ def test_what_else_the_motor_has_is_expressed_or_listed() -> None:
     ]
     joint = servo().joints["j1"]
     object.__setattr__(joint, "law", "magic")
-    with pytest.raises(InputError, match="'magic'.*'pd' or 'motor'"):
+    with pytest.raises(InputError, match="'magic'.*pd, motor, current_limited"):
         mujoco(Model({"j1": joint}))
