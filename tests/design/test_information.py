@@ -71,8 +71,6 @@ def test_errors_that_repeat_with_the_angle_widen_intervals(commands):
     alone, more = (
         Information(plain(AngleError(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3)
     )
-        Information(plain(AngleError(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3)
-    )
     ratio = more.precision(commands).half_width / alone.precision(commands).half_width
     assert (ratio > 1.05).all()
 
