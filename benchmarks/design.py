@@ -348,11 +348,9 @@ def figure(rows: list[Row]) -> Any:  # noqa: ANN401 - Matplotlib is loaded when 
 
 def write(rows: list[Row], options: argparse.Namespace) -> None:
     """Write every figure, the table and the plot."""
-    from sim2real.output import write_json, write_whole
+    from sim2real.output import write_whole
     from sim2real.report.drawing import save_png
 
-    content = {"seed": options.seed, "nuisances": options.nuisances, "servos": rows}
-    write_json(options.out / "servos.json", content)
     lines = summary(rows, usual=not options.quick)
     counted = ", ".join(f"{sum(row['plant'] == p for row in rows)} {p}" for p in PLANTS)
     text = [
