@@ -120,15 +120,19 @@ class RivalObjective:
             penalty: Nats for a torque of twice what is allowed.
         """
         excess = np.sqrt(statistics[:, -1] / self._torque2) - 1
-        left = remaining_entropy(self.probability, self._distances(statistics[:, :-1]))
-        return np.asarray(-left - penalty * np.maximum(excess, 0.0))
+        distances = self._distances(statistics[:, :-1])
+        simulated = np.isfinite(distances).all(axis=(1, 2)) & np.isfinite(excess)
+        left = remaining_entropy(self.probability, np.where(simulated[:, None, None], distances, 0))
+        return np.where(simulated, -left - penalty * np.maximum(excess, 0.0), -np.inf)
 
     def distances(self, commands: Array) -> Array:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
         return self._distances(self.statistics(commands, 1)[:, 0, :-1])
 
     def _distances(self, statistics: Array) -> Array:
-        """Distances (N, M, M) from inner products (N, K * K).
+        """Distances (N, M, M) from inner products (N, K * K); NaN where a simulation diverged.
+
+        Its inner products are not finite, or far beyond what rounding lets inverses have.
 
         The law of an effect is wrong by ``law_error`` of its own size, see
         ``effect_probabilities.trusted_share``: that much of a difference does not count.
@@ -136,6 +140,8 @@ class RivalObjective:
         vectors = self._expansion.vectors
         K, M = len(vectors), self.probability.size
         F = vectors.shape[1] // M - 1
+        diverged = ~(np.abs(statistics) < 1e14).all(axis=1)
+        statistics = np.where(diverged[:, None], 0.0, statistics)
         products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
         i, j = np.triu_indices(M, 1)
         of_set = M + np.arange(M * F).reshape(M, F)
@@ -151,7 +157,7 @@ class RivalObjective:
         energy = np.maximum(self._gain[i], self._gain[j])
         out = np.zeros((len(products), M, M))
         out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
-        return out + out.transpose(0, 2, 1)
+        return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).

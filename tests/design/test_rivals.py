@@ -95,8 +95,13 @@ def test_the_remaining_entropy_bounds_that_of_sampled_posteriors():
     assert bound < sampled + 0.25
 
 
-def test_a_simulation_that_diverges_is_never_chosen():
+def test_a_simulation_that_diverges_is_never_chosen(objective):
     assert remaining_entropy(np.array([0.5, 0.5]), np.full((1, 2, 2), np.nan))[0] == np.inf
+    sums = np.repeat(objective.statistics(commands()[:1], 1)[:, 0], 4, axis=0)
+    sums[1, 0], sums[2, 1], sums[3, :-1] = np.nan, np.inf, 1e200
+    scores = objective.scores(sums)
+    assert np.isfinite(scores[0])
+    assert (scores[1:] == -np.inf).all()
 
 
 def test_the_difference_over_time_makes_up_the_distance(objective):

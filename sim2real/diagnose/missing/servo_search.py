@@ -324,8 +324,10 @@ def _promised(fit: Fits) -> float:
 
 
 def _evidence(fit: Fits, added: Set) -> float:
-    """Laplace's approximation of the evidence of effects, with their prior."""
+    """Laplace's approximation of the evidence of effects, with their prior; -inf if one diverges."""
     information = fit.gram.sum(axis=1)[:, 1:, 1:] / (fit.error2 / fit.count)[:, None, None]
+    if not np.isfinite(information).all():
+        return -np.inf
     nuisance = int(own_parameters(fit.servos).sum())
     occam = occam_factor(information, DECISION.prior_sd, nuisance=nuisance)
     return float(fit.loglikelihood[0] - occam[0]) + len(added) * LOG_PRIOR
