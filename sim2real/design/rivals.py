@@ -140,7 +140,7 @@ class RivalObjective:
         vectors = self._expansion.vectors
         K, M = len(vectors), self.probability.size
         F = vectors.shape[1] // M - 1
-        diverged = ~(np.abs(statistics) < 1e14).all(axis=1)
+        diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
         statistics = np.where(diverged[:, None], 0.0, statistics)
         products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
         i, j = np.triu_indices(M, 1)

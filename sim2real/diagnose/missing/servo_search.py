@@ -324,7 +324,7 @@ def _promised(fit: Fits) -> float:
 
 
 def _evidence(fit: Fits, added: Set) -> float:
-    """Laplace's approximation of the evidence of effects, with their prior; -inf if one diverges."""
+    """Laplace's approximation of the evidence of effects, with their prior; -inf if divergent."""
     information = fit.gram.sum(axis=1)[:, 1:, 1:] / (fit.error2 / fit.count)[:, None, None]
     if not np.isfinite(information).all():
         return -np.inf
