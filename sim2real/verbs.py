@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.errors import InputError, check_whole, shown
 
@@ -75,18 +75,18 @@ def identify(
     from sim2real.arm.identify_arm import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
-    description = robot_of(robot)
-    fit = identify_servos if description.arm is None else identify_arm
-    return fit(
-        recordings_of(recordings),
-        description,
-        held_out=held_out,
-        effects=(effects,) if isinstance(effects, str) else effects,
-        law=law,
-        together=together,
-        seed=seed,
-        progress=lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
-    )
+    description, listed = robot_of(robot), recordings_of(recordings)
+    settings: dict[str, Any] = {
+        "held_out": held_out,
+        "effects": (effects,) if isinstance(effects, str) else effects,
+        "law": law,
+        "together": together,
+        "seed": seed,
+        "progress": lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
+    }
+    if description.arm is not None:
+        return identify_arm(listed, description, **settings)
+    return identify_servos(listed, description, **settings)
 
 
 def density(robot: Robot | File) -> Density:
