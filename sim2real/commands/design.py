@@ -47,5 +47,5 @@ def _write_page(design: Design | RivalDesign, options: argparse.Namespace) -> No
     else:
         sections = [design_section(design, joint) for joint in design.joints]
     title = f"The next recording of {verbs.robot_of(options.robot).name}"
-    write_page(page, title, "Commands that tell most", sections, design.provenance)
+    write_page(page, title, "The most informative commands", sections, design.provenance)
     print(f"page: {page}")
