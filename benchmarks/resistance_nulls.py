@@ -4,9 +4,9 @@
 
 Robots are drawn as in the pool's development sets, and the coefficients of each robot's law from
 what is known of the law's error (``law_error.json``); each swims a drawn command signal in that
-law, with nothing missing. Prints the evidence for an area that is not there, of which the threshold
-``resistance`` in ``law_error.json`` is read off: its quantiles, and those with an area of a tenth
-and a third of the robot's side that is there.
+law, with nothing missing. Prints quantiles of the evidence for an area that is not there, against
+which the threshold ``resistance`` in ``law_error.json`` was checked, and of an area of a tenth and
+a third of the robot's side that is there.
 """
 
 from __future__ import annotations

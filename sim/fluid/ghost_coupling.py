@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from sim.fluid.coupling import NEAR, add_matrix, add_vector
-from sim.fluid.ghost import REACH, ghosts
 from sim.fluid.section import along, position_on, surface
 from sim.fluid.wall import Touch, friction
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, neighbour, within
+from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 
@@ -147,12 +147,10 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         pose: wp.array2d(dtype=wp.vec4),
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
-        length: wp.array(dtype=wp.float32),
-        half_width: wp.array(dtype=wp.vec3),
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells."""
+        """One column of cells, which ``mark`` has marked."""
         e, column = wp.tid()
         count = covered.side
         corner = covered.corner[e]
@@ -160,17 +158,11 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             return
         X = corner[0] + column % count
         Y = corner[1] + column // count
-        link, nearest = nearest_link(float(X), float(Y), e, pose, length, half_width)
-        if nearest > wp.static(NEAR):
-            return
-        r = wp.vec2(float(X), float(Y)) - centre[e, link]
-        v = twist[e, link]
-        body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
-        lateral = wp.vec3(-pose[e, link][3], pose[e, link][2], 0.0)
-        off = wp.dot(
-            wp.vec3(float(X) - pose[e, link][0], float(Y) - pose[e, link][1], 0.0), lateral
-        )
-        touched = bool(False)
+        link = int(-1)
+        r = wp.vec2()
+        body = wp.vec3()
+        lateral = wp.vec3()
+        off = float(0.0)
         sends = wp.mat22()
         keeps = wp.mat22()
         given = wp.vec2()
@@ -182,7 +174,14 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             flag = int(flags[n])
             slot = (e * count * count + column) * covered.tall + layer
             if (flag & wp.static(BODY | GHOST)) != 0:
-                touched = bool(True)
+                if link < 0:  # the same in all cells of a column
+                    link = int(covered.share[slot])
+                    r = wp.vec2(float(X), float(Y)) - centre[e, link]
+                    v = twist[e, link]
+                    body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+                    pose_ = pose[e, link]
+                    lateral = wp.vec3(-pose_[3], pose_[2], 0.0)
+                    off = wp.dot(wp.vec3(float(X) - pose_[0], float(Y) - pose_[1], 0.0), lateral)
                 p = load(f, n, neighbours(n, flag, box), t, box.total)
                 m = moments(p)
                 face = covered.face[slot]
@@ -242,7 +241,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                             ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0), far)
                             sends += wp.outer(ds, wp.vec2(o[0], o[1]))
                             given += s - water[3] * ds
-        if touched:
+        if link >= 0:
             add_matrix(sums, e, link, 0, r, sends)
             add_vector(sums, e, link, 18, r, given + held)
             add_matrix(sums, e, link, 9, r, keeps)

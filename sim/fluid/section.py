@@ -68,6 +68,23 @@ def solid_share(signed_distance: float) -> float:
 
 
 @wp.func
+def axial_place(x: float, y: float, pose: wp.vec4, length: float):
+    """Distance back along a link's axis and to its left, that back within the link, and its share.
+
+    ``pose`` is the front end and the cosine and sine of the heading.
+    """
+    dx = x - pose[0]
+    dy = y - pose[1]
+    back = -(dx * pose[2] + dy * pose[3])
+    lateral = dy * pose[2] - dx * pose[3]
+    clamped = wp.clamp(back, 0.0, length)
+    s = float(0.0)
+    if length > 0.0:
+        s = clamped / length
+    return back, lateral, clamped, s
+
+
+@wp.func
 def side(
     x: float,
     y: float,
@@ -86,14 +103,7 @@ def side(
     thinner than the grid resolves are a sheet with the normals of its two sides, without the
     pressure on a round edge, which ends where the link ends.
     """
-    dx = x - pose[0]
-    dy = y - pose[1]
-    back = -(dx * pose[2] + dy * pose[3])
-    lateral = dy * pose[2] - dx * pose[3]
-    clamped = wp.clamp(back, 0.0, length)
-    s = float(0.0)
-    if length > 0.0:
-        s = clamped / length
+    back, lateral, clamped, s = axial_place(x, y, pose, length)
     w = along(width, s)
     h = along(height, s)
     up = wp.clamp(z, -wp.max(h - 0.5, 0.0), wp.max(h - 0.5, 0.0))
@@ -146,14 +156,7 @@ def surface(
     two sides, without a round edge, which ends where the link ends. The depth is 0 where the link
     is thick.
     """
-    dx = x - pose[0]
-    dy = y - pose[1]
-    back = -(dx * pose[2] + dy * pose[3])
-    lateral = dy * pose[2] - dx * pose[3]
-    clamped = wp.clamp(back, 0.0, length)
-    s = float(0.0)
-    if length > 0.0:
-        s = clamped / length
+    back, lateral, clamped, s = axial_place(x, y, pose, length)
     w = along(width, s)
     h = along(height, s)
     blunt = wp.clamp(w - wp.static(SHEET) + wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)

@@ -23,9 +23,9 @@ from sim2real.robot import Robot
 from sim2real.units import readable
 
 AREA, PLACE = "appendage_drag.area_m2", "appendage_drag.x_m"
-COMMON, OWN = 0.2, 0.13
-"""Relative standard deviations of a simulator's speed and yaw: between robots, where thrust and
-drag are off together, and between swims of one (``reports/twin``: 3 to 13 %)."""
+COMMON_SD, SWIM_SD = 0.2, 0.13
+"""Relative standard deviations of a simulator's speed and yaw, chosen: between robots, where thrust
+and drag are off together, and between swims of one (``reports/twin``: 3 to 13 %)."""
 _LEAST_M_S, _LEAST_RAD_S = 0.01, 0.02
 """Least figures, as their logarithms are compared: a robot that stands still has none."""
 
@@ -85,36 +85,36 @@ def resistance(
     """
     grid = grid_of(robot)
     models = [with_values(model, {AREA: area, PLACE: place}) for area, place in grid]
-    said = np.stack([figures(signals(models, swim)) for swim in swims], axis=1)
-    return from_figures(np.array([figures(swim.signals) for swim in swims]), said, grid)
+    predicted = np.stack([figures(signals(models, swim)) for swim in swims], axis=1)
+    return from_figures(np.array([figures(swim.signals) for swim in swims]), predicted, grid)
 
 
-def from_figures(measured: Array, said: Array, grid: Array) -> Resistance:
+def from_figures(measured: Array, predicted: Array, grid: Array) -> Resistance:
     """Estimate the area from figures that were simulated before.
 
     Args:
         measured: Figures of S swims, shape (S, 2).
-        said: The simulated ones for each area and place, shape (G, S, 2).
+        predicted: The simulated ones for each area and place, shape (G, S, 2).
         grid: Areas and places, shape (G, 2); the first has no area.
     """
-    weight, log_odds = _weights(measured, said)
+    weight, log_odds = _weights(measured, predicted)
     area, place = (_estimate(values, weight) for values in grid[1:].T)
     left_out = np.full((2, len(measured)), np.nan)
     for k in range(len(measured)) if len(measured) > 1 else ():
         others = np.arange(len(measured)) != k
-        best = 1 + int(np.argmax(_weights(measured[others], said[:, others])[0]))
-        left_out[:, k] = np.abs(said[[0, best], k, 0] - measured[k, 0])
+        best = 1 + int(np.argmax(_weights(measured[others], predicted[:, others])[0]))
+        left_out[:, k] = np.abs(predicted[[0, best], k, 0] - measured[k, 0])
     return Resistance(area, place, log_odds, left_out)
 
 
-def _weights(measured: Array, said: Array) -> tuple[Array, float]:
+def _weights(measured: Array, predicted: Array) -> tuple[Array, float]:
     """Posterior of each area and place, shape (G - 1,), and the evidence of any against none."""
     least = np.array([_LEAST_M_S, _LEAST_RAD_S])
-    off = np.log(np.maximum(said, least) / np.maximum(measured, least))
+    off = np.log(np.maximum(predicted, least) / np.maximum(measured, least))
     off = np.where(np.isfinite(off), off, np.log(1 / least[0]))
     best = int(np.argmin((off**2).sum(axis=(1, 2))))
     deviation = off[best] - off[best].mean(axis=0)
-    own = np.maximum(OWN, np.sqrt((deviation**2).mean(axis=0)))
+    own = np.maximum(SWIM_SD, np.sqrt((deviation**2).mean(axis=0)))
     log_likelihood = np.array([_log_likelihood(one, own) for one in off])
     some = log_likelihood[1:]
     weight = np.exp(some - logsumexp(some))
@@ -126,7 +126,7 @@ def _log_likelihood(off: Array, own: Array) -> float:
     """Of deviations (S, 2), independent between the figures and with a common part in each."""
     total = 0.0
     for column, sd in zip(off.T, own, strict=True):
-        covariance = sd**2 * np.eye(column.size) + COMMON**2
+        covariance = sd**2 * np.eye(column.size) + COMMON_SD**2
         total -= 0.5 * float(column @ np.linalg.solve(covariance, column))
         total -= 0.5 * float(np.linalg.slogdet(covariance)[1])
     return total

@@ -6,9 +6,9 @@ from typing import Any
 
 import warp as wp
 
-from sim.fluid.ghost import ghosts
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, within
 from sim.lattice.collision import collision
+from sim.lattice.ghost import ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 

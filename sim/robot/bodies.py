@@ -231,8 +231,8 @@ class Bodies:
         if self.wall.ghosts:
             marked = [fluid.flags, fluid.box, fluid.covered, self.middle, grid.pose]
             self._launch(self._cover.mark, columns, [*marked, *shape, fluid.stopped])
-            inputs = [*water, touch, rough, *place, *shape[:2]]
-            self._launch(self._cover.cover, columns, [*inputs, grid.sums, fluid.stopped])
+            inputs = [*water, touch, rough, *place, grid.sums, fluid.stopped]
+            self._launch(self._cover.cover, columns, inputs)
         else:
             inputs = [*water, self.middle, touch, rough, grid.kept, *place, *shape]
             self._launch(self._cover, columns, [*inputs, grid.sums, fluid.stopped])

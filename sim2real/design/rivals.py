@@ -99,7 +99,8 @@ class RivalObjective:
         noise = np.repeat(self._noise(batch)[None], N, axis=0)
         seen = batch.evaluate(problems, blocks=parts, autoregression=noise, keep=True)
         assert seen.residual is not None
-        products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
+        with np.errstate(over="ignore"):  # of a simulation that diverges
+            products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
         square = self._torque(seen.residual[:, 0]) ** 2
         torque2 = [part.sum(axis=1) for part in np.array_split(square, parts, axis=1)]
         mean = np.stack(torque2, axis=1)[:, :, None] / commands.shape[1]

@@ -98,8 +98,10 @@ def best(
         progress((k + 1) / total)
     score = np.concatenate(scores)
     history = [float(score.max())]
-    if additive is not None:
-        assembled = within(_assembled(additive, pool, np.concatenate(sums), score, rng), limits)
+    finite = np.isfinite(score)  # parts of simulations that diverge are not exchanged
+    if additive is not None and finite.any():
+        parts_of = np.concatenate(sums)[finite]
+        assembled = within(_assembled(additive, pool[finite], parts_of, score[finite], rng), limits)
         pool, score = np.vstack([pool, assembled]), np.append(score, objective(assembled))
         evaluated += len(assembled)
         history.append(float(score.max()))

@@ -81,7 +81,7 @@ class VirtualDynamixel(RegisterServo):
         if instruction == DynamixelInstruction.SYNC_READ and everyone:
             return self._sync_read(data, now)
         if instruction == DynamixelInstruction.SYNC_WRITE and everyone:
-            self._sync_write(data, now)
+            self.write_own(_word(data), _word(data[2:]), data[4:], now)
         elif instruction == DynamixelInstruction.READ and not everyone:
             return self._read_reply(data, now)
         elif instruction == DynamixelInstruction.WRITE:
@@ -94,13 +94,6 @@ class VirtualDynamixel(RegisterServo):
 
     def _sync_read(self, data: bytes, now: float) -> DynamixelPacket | None:
         return self._read_reply(data[:4], now) if self.servo_id in data[4:] else None
-
-    def _sync_write(self, data: bytes, now: float) -> None:
-        count = _word(data[2:])
-        blocks = data[4:]
-        for start in range(0, len(blocks) - count, count + 1):
-            if blocks[start] == self.servo_id:
-                self.write(_word(data), blocks[start + 1 : start + 1 + count], now)
 
     def _read_reply(self, data: bytes, now: float) -> DynamixelPacket | None:
         if self.get("status_level") == 0:

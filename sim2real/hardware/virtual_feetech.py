@@ -69,7 +69,8 @@ class VirtualFeetech(RegisterServo):
             listed = self._layout.sync_read and self.servo_id in data[2:]
             return self._read_reply(data[:2], now) if listed else None
         if instruction == FeetechInstruction.SYNC_WRITE and everyone:
-            self._sync_write(data, now)
+            if len(data) > 1:
+                self.write_own(data[0], data[1], data[2:], now)
         elif instruction == FeetechInstruction.READ and not everyone:
             return self._read_reply(data, now)
         elif instruction == FeetechInstruction.WRITE and data:
@@ -77,14 +78,6 @@ class VirtualFeetech(RegisterServo):
             if not everyone and self.get("status_level") == 1:
                 return self._status()
         return None
-
-    def _sync_write(self, data: bytes, now: float) -> None:
-        if len(data) < 2:
-            return
-        count, blocks = data[1], data[2:]
-        for start in range(0, len(blocks) - count, count + 1):
-            if blocks[start] == self.servo_id:
-                self.write(data[0], blocks[start + 1 : start + 1 + count], now)
 
     def _read_reply(self, data: bytes, now: float) -> FeetechPacket | None:
         found = self.read(data[0], data[1], now) if len(data) == 2 else None

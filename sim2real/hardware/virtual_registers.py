@@ -109,6 +109,12 @@ class RegisterServo:
         self._refresh(now)
         return bytes(self.memory[address : address + count])
 
+    def write_own(self, address: int, count: int, blocks: bytes, now: float) -> None:
+        """Write this servo's part of a sync write: blocks of an identity and ``count`` bytes."""
+        for start in range(0, len(blocks) - count, count + 1):
+            if blocks[start] == self.servo_id:
+                self.write(address, blocks[start + 1 : start + 1 + count], now)
+
     def write(self, address: int, data: bytes, now: float) -> Refusal | None:
         """Write to the memory, with all effects; the reason if it is refused."""
         end = address + len(data)

@@ -126,7 +126,11 @@ def judged_together(
     """The findings of one robot's joints, see ``judged``; its link is as likely on all of them."""
     pairs = list(zip(findings, unseen, strict=True))
     on_link = [f.link is not None and len(f.link.shares) > 1 for f in findings]
-    odds = [_link_probability(*pair) for pair, shared in zip(pairs, on_link, strict=True) if shared]
+    odds = [
+        _link_probability(odds_features(*pair))
+        for pair, shared in zip(pairs, on_link, strict=True)
+        if shared
+    ]
     likeliest = max(odds, default=0.0)
     return [
         judged(*pair, link_probability=likeliest if shared else 0.0)
@@ -134,10 +138,9 @@ def judged_together(
     ]
 
 
-def _link_probability(finding: Finding, unseen: Mapping[Set, Unseen]) -> float:
+def _link_probability(features: OddsFeatures) -> float:
     """Probability of irregular command timing by its curve; 0 where the timing is regular."""
-    features = odds_features(finding, unseen).link
-    return 0.0 if features is None else ODDS["link"].probability(features)
+    return 0.0 if features.link is None else ODDS["link"].probability(features.link)
 
 
 def _without_link(whole: Features, finding: Finding) -> Features:
@@ -168,7 +171,7 @@ def judged(
         link_probability: Probability of the link's effect as other joints show it.
     """
     features = odds_features(finding, unseen)
-    link_probability = max(link_probability, _link_probability(finding, unseen))
+    link_probability = max(link_probability, _link_probability(features))
     named_link = link_probability >= DECISION.named
     whole = _without_link(features.whole, finding) if named_link else features.whole
     unknown = ODDS["uncatalogued"].probability(whole)
