@@ -254,7 +254,9 @@ def _identify_joint(
         optima = [other.values for other in as_good(rivals, best, spread)]
         notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
     if motor is not None and servo is not None:
-        motor_spread = uncertainty(motor.fit, motor.units, fitted)
+        motor_spread = spread
+        if best is not motor.fit:
+            motor_spread = uncertainty(motor.fit, motor.units, fitted)
         notes += advice.on_motor(motor, motor_spread, servo)
         ends = motor_intervals(motor, motor_spread) | ends
         wait = 0.5 * motor.values.get("loop_period_s", 0.0)

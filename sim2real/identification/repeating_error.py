@@ -80,7 +80,7 @@ def repeating_error(
 
 
 def variance_components(
-    error: Array, slopes: Array, prior: Array, groups: Sequence[Array], *, rounds: int = 25
+    error: Array, slopes: Array, prior: Array, groups: Sequence[Array], *, rounds: int = 15
 ) -> tuple[Array, Array]:
     """Variances of the coefficients of groups of functions in a residual, beside white noise.
 
