@@ -22,10 +22,6 @@ from sim.lattice.velocities import Lattice
 REACH = 1.2
 """Least distance in cells from the surface of the water that ghost cells continue."""
 
-STIFFNESS = 0.05
-"""Weight of the velocity outside beside the spread of a cell's links: at 0.01 the flow breaks down,
-at 0.3 water that streams past a body at rest still feeds jets at its tail."""
-
 
 class Ghosts(NamedTuple):
     """Warp functions for one lattice.
@@ -46,8 +42,13 @@ class Ghosts(NamedTuple):
 
 
 @cache
-def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
-    """The functions for a lattice."""
+def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.05) -> Ghosts:
+    """The functions for a lattice.
+
+    ``stiffness`` is the weight of the velocity outside beside the spread of a cell's links, in the
+    velocity along the surface: at 0.01 the flow breaks down, at 0.3 water that streams past a body
+    at rest still feeds jets at its tail.
+    """
     c, w, Q = lattice.velocities, lattice.weights, lattice.Q
     pop = populations(lattice, storage, wide)
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
@@ -138,7 +139,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         """``water`` with the velocity along the surface that exchanges no momentum along it.
 
         The least-squares fit of an equilibrium to the populations that arrive through the links;
-        ``STIFFNESS`` keeps the velocity of ``water`` in directions that few links tell.
+        ``stiffness`` keeps the velocity of ``water`` in directions that few links tell.
         """
         n = wp.vec3(face[0], face[1], face[2])
         rho = face[3]
@@ -168,7 +169,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         square = square / weight - wp.outer(mean, mean)
         moment = moment / weight - (excess / weight) * mean
         flat = wp.identity(n=3, dtype=wp.float32) - wp.outer(n, n)
-        whole = flat * square * flat + wp.outer(n, n) + wp.static(STIFFNESS) * flat
+        whole = flat * square * flat + wp.outer(n, n) + wp.static(stiffness) * flat
         change = (wp.inverse(whole) * (flat * moment)) / (3.0 * rho)
         return water - wp.vec4(change[0], change[1], change[2], 0.0)
 
