@@ -5,9 +5,10 @@ at equilibrium. Across the surface their velocity is the body's; along it, that 
 of the cell exchange no momentum along the surface, or, where few links do not tell, that of the
 water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
 passes but what the moving surface displaces. Uniform flow along a plane of any direction is an
-exact solution. Cells that the body uncovers hold water that continues the water outside. Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481
-(ghost cells in a lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that
-displace what the surface displaces).
+exact solution. Cells that the body uncovers hold water that continues the water outside.
+Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
+lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that displace what the surface
+displaces).
 """
 
 from functools import cache
