@@ -19,7 +19,7 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
@@ -59,6 +59,7 @@ POLICIES = [
 ]  # fmt: skip
 FIRST = 0
 """The policy with more trials, for the update."""
+Add = Callable[[str, float], None]
 SCORED = ("time_s", "energy", "success")
 
 
@@ -222,9 +223,7 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     few = dict(list(controllers.items())[:2])
     water = Water(at_once=draws, threads=1)
     settings: dict[str, Any] = {"trials": 2, "seed": 1, "water": water}
-    # the swim is of this day: its latencies are the model's
-    joints = {n: replace(j, latency_s=model.joints[n].latency_s) for n, j in model.joints.items()}
-    model = with_density(replace(model, joints=joints), robot)
+    model = with_density(model, robot)
     drawn = draw_realities(robot, model, ranges, sample, draws, rng)
     content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}
     swum = swim(robot, task, drawn, controllers, residuals=residuals, **settings)
@@ -287,8 +286,8 @@ def score(out: Path) -> dict[str, Any]:
 
 
 def scored(
-    made: dict[str, Forecast], real: dict[str, Array], who: Array, ok: Array, add: Any
-) -> None:  # noqa: ANN401, E501
+    made: dict[str, Forecast], real: dict[str, Array], who: Array, ok: Array, add: Add
+) -> None:
     """The ranking of policies, and the regret of the first choice."""
     full = made["full"]
     for name in ("reward", "time_s", "energy"):
@@ -300,7 +299,7 @@ def scored(
             add(f"ranking {name} first within 5 %", lost <= 0.05)
 
 
-def updated(full: Forecast, real: dict[str, Array], who: Array, ok: Array, add: Any) -> None:  # noqa: ANN401
+def updated(full: Forecast, real: dict[str, Array], who: Array, ok: Array, add: Add) -> None:
     """The update by three trials of the first policy, held against its other trials."""
     mine = np.flatnonzero((who == FIRST) & ok)
     if len(mine) < 6:

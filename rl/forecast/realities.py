@@ -106,11 +106,23 @@ def draw_realities(
 def _with_bodies(
     models: Sequence[Model], model: Model, error: LawError, rng: np.random.Generator
 ) -> list[Model]:
-    """Models with bodies drawn from their calibration, or from laws of other robots."""
+    """Models with bodies drawn from their calibration, or from laws of other robots.
+
+    A calibration fits latencies together with the body, so that they are drawn together; the
+    spread of the models' latencies, between days, is added.
+    """
     posterior = model.body.get("posterior")
+    late = np.zeros(())
     if posterior is not None:
-        own = [k for k, name in enumerate(posterior["names"]) if name.split(".")[0] == "twin"]
+        heads = {"twin", *model.joints}
+        own = [k for k, name in enumerate(posterior["names"]) if name.split(".")[0] in heads]
         names = [posterior["names"][k] for k in own]
+        table = {n: [one.joints[n].latency_s for one in models] for n in model.joints}
+        known = [
+            table[n.split(".")[0]] if n.endswith(".latency_s") else np.zeros(len(models))
+            for n in names
+        ]
+        late = np.transpose(known) - np.mean(known, axis=1)
         mean = np.array(posterior["mean"])[own]
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)]
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
@@ -127,7 +139,7 @@ def _with_bodies(
             mean = np.array([error.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
             sd = np.array([error.unknown[k] for k in names])
         drawn = mean + sd * rng.standard_normal((len(models), len(names)))
-    drawn = np.maximum(drawn, 0.0)  # no coefficient of the law is negative
+    drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
     rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)
     return [with_values(one, row) if row else one for one, row in zip(models, rows, strict=True)]
 
