@@ -36,7 +36,7 @@ from rl.forecast.make import named_controllers
 from rl.forecast.realities import Realities, draw_realities
 from rl.forecast.residuals import residuals_of
 from rl.forecast.statistics import expected
-from rl.forecast.swims import FIGURES, Water, measured, swim
+from rl.forecast.swims import FIGURES, SimulationSettings, measured, swim
 from rl.forecast.trials import OBSERVED, Trials
 from rl.randomize import Noise, with_density
 from rl.sac.recipes import RECIPES
@@ -221,8 +221,8 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     residuals = residuals_of([recording], model, robot)
     controllers = named_controllers(POLICIES, robot)
     few = dict(list(controllers.items())[:2])
-    water = Water(at_once=draws, threads=1)
-    settings: dict[str, Any] = {"trials": 2, "seed": 1, "water": water}
+    simulation = SimulationSettings(at_once=draws, threads=1)
+    settings: dict[str, Any] = {"trials": 2, "seed": 1, "settings": simulation}
     model = with_density(model, robot)
     drawn = draw_realities(robot, model, ranges, sample, draws, rng)
     content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}

@@ -78,7 +78,7 @@ def forecast(
     check_whole("forecast", "repeats", repeats, 2)
     check_choice("forecast", "fidelity", fidelity, ("twin", "fluid"))
     from rl.forecast.make import make_forecast
-    from rl.forecast.swims import Water
+    from rl.forecast.swims import SimulationSettings
     from rl.task import TASKS
 
     check_choice("forecast", "task", task, TASKS)
@@ -97,7 +97,7 @@ def forecast(
         limits=names_of("forecast", "limit", limit),
         rank_by=rank_by,
         count=(realities, repeats),
-        water=Water(fidelity, device, threads, cell_m),
+        settings=SimulationSettings(fidelity, device, threads, cell_m),
         kept=None if kept is None else Path(kept),
         seed=seed,
         inputs=(robot, model, ranges, diagnosis, trials),

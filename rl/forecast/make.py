@@ -18,7 +18,7 @@ from rl.forecast.forecast import Forecast
 from rl.forecast.limits import limit_of
 from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
 from rl.forecast.residuals import residuals_of
-from rl.forecast.swims import Water, swim
+from rl.forecast.swims import SimulationSettings, swim
 from rl.forecast.trials import read_trials
 from rl.sac.recipes import RECIPES
 from rl.task import CONTROL_S, Task
@@ -46,7 +46,7 @@ def make_forecast(
     limits: Sequence[str],
     rank_by: str,
     count: tuple[int, int],
-    water: Water,
+    settings: SimulationSettings,
     kept: Path | None,
     seed: int,
     inputs: Sequence[object],
@@ -65,10 +65,12 @@ def make_forecast(
     residuals = residuals_of(recordings, model, robot)
     rng = np.random.default_rng(seed)
     drawn = draw_realities(robot, model, ranges, sample, count[0], rng, diagnosed=diagnosed)
-    key = repr((_digest(drawn, residuals), _files(policies), robot, task.name, steps, water))
+    origin = provenance([*inputs, *recordings, *_files(policies)], seed)
+    swimmers = [origin["inputs"][str(path)] for path in _files(policies)]
+    key = repr((_digest(drawn, residuals), swimmers, robot, task.name, steps, settings))
     with progress_bar("forecast") as progress:
         swum = swim(
-            robot, task, drawn, controllers, trials=count[1], seed=seed, water=water,
+            robot, task, drawn, controllers, trials=count[1], seed=seed, settings=settings,
             residuals=residuals, file=kept, key=key, progress=progress,
         )  # fmt: skip
     made = Forecast(
@@ -84,7 +86,7 @@ def make_forecast(
         rank_by=rank_by,
         limits=stated,
         notes=_notes(model, drawn, bool(residuals)),
-        provenance=provenance([*inputs, *_files(policies), *recordings], seed),
+        provenance=origin,
     )
     return made.after(observed) if observed else made
 

@@ -44,16 +44,10 @@ def sections(forecast: Forecast) -> list[Section]:
         for figure in UNITS:
             mean, low, high = forecast.interval(policy, figure)
             _, least, most = forecast.interval(policy, figure, 1)
-            following = "" if figure == "success" else f"{least:.3g} to {most:.3g}"
-            cells = (f"{mean:.3g}", f"{low:.3g} to {high:.3g}", following)
+            next_trial = "" if figure == "success" else f"{least:.3g} to {most:.3g}"
+            cells = (f"{mean:.3g}", f"{low:.3g} to {high:.3g}", next_trial)
             rows.append((policy, _NAMES[figure], *cells))
-    header: tuple[str, ...] = (
-        "policy",
-        "figure",
-        "expected",
-        "mean, 90 % interval",
-        "next trial, 90 %",
-    )
+    header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
         "The interval of the mean is that of many trials of the real robot; that of the next trial "
         "contains the chance of a single one. Trials without arrival count with the full time."
@@ -82,16 +76,16 @@ def sections(forecast: Forecast) -> list[Section]:
         lead = f"By {_NAMES[forecast.rank_by]}, best first."
         table = Table(("policy", "probability to be the best"), order)
         out.append(Section("Which policy", lead, [table]))
-    shrinking = [
-        (x.what, x.how, f"{100 * x.mean:.0f} %", *(f"{100 * y:.0f} %" for y in x.shrinks.values()))
-        for x in forecast.next_measurements()
-        if len(x.shrinks) == max(len(y.shrinks) for y in forecast.next_measurements())
-    ]
-    if shrinking:
-        figures = list(forecast.next_measurements()[0].shrinks)
-        header = ("what", "measurement", "mean", *(_NAMES[name] for name in figures))
+    following = forecast.next_measurements()
+    if following:
+        narrower = [
+            (x.what, x.how, *(f"{100 * y:.0f} %" for y in (x.mean, *x.shrinks.values())))
+            for x in following
+        ]
+        figures = [_NAMES[name] for name in following[0].shrinks]
         lead = "By how much narrower the intervals of the means are expected to be after it."
-        out.append(Section("What to measure next", lead, [Table(header, shrinking)]))
+        table = Table(("what", "measurement", "mean", *figures), narrower)
+        out.append(Section("What to measure next", lead, [table]))
     return out
 
 

@@ -30,7 +30,7 @@ FIGURES = ("success", "time_s", "energy", "reward", "path_m")
 
 
 @dataclass(frozen=True)
-class Water:
+class SimulationSettings:
     """How realities are simulated.
 
     Attributes:
@@ -48,7 +48,7 @@ class Water:
 
 
 @dataclass(frozen=True)
-class Swum:
+class SimulatedTrials:
     """Results of K policies in N realities, T trials in each.
 
     Attributes:
@@ -71,13 +71,13 @@ def swim(
     *,
     trials: int,
     seed: int,
-    water: Water,
+    settings: SimulationSettings,
     residuals: Sequence[Array] = (),
     file: Path | None = None,
     key: str = "",
     shown: int = 20,
     progress: Progress = lambda share: None,
-) -> Swum:
+) -> SimulatedTrials:
     """Run all policies in all realities; starts, noise and disturbances are common to the policies.
 
     Args:
@@ -87,7 +87,7 @@ def swim(
         controllers: By name, a function of the number of robots to their controller.
         trials: Trials in each reality.
         seed: Seed of starts, noise and disturbances.
-        water: How they are simulated.
+        settings: How they are simulated.
         residuals: Residuals of recordings, of which the disturbances are made; without them, random
             signals of the size that the fit leaves unexplained.
         file: Results so far; the trials in it are not run again if its key is the same.
@@ -103,13 +103,13 @@ def swim(
         "paths": np.full((K, n, samples, 2), np.nan),
         "targets": np.full((n, task.waypoints, 2), np.nan),
     }
-    parts = range(0, N, water.at_once)
+    parts = range(0, N, settings.at_once)
     for part, first in enumerate(parts):
-        rows = np.arange(first, min(N, first + water.at_once))
+        rows = np.arange(first, min(N, first + settings.at_once))
         for k, make in enumerate(controllers.values()):
             if np.isnan(table["success"][k, rows]).any():
                 episodes = _episodes(
-                    robot, task, realities, rows, make, trials, [seed, part], water, residuals
+                    robot, task, realities, rows, make, trials, [seed, part], settings, residuals
                 )
                 for name, values in measured(episodes, task).items():
                     table[name][k, rows] = values.reshape(-1, trials)
@@ -124,7 +124,7 @@ def swim(
                     write_whole(file, stream.getvalue())
             progress((part * K + k + 1) / (K * len(parts)))
     figures = {name: table[name] for name in FIGURES}
-    return Swum(figures, table["paths"], table["targets"])
+    return SimulatedTrials(figures, table["paths"], table["targets"])
 
 
 def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
@@ -152,7 +152,7 @@ def _episodes(
     make: Callable[[int], Controller],
     trials: int,
     seeds: list[int],
-    water: Water,
+    settings: SimulationSettings,
     residuals: Sequence[Array],
 ) -> Episodes:
     """Trials of one policy in some of the realities."""
@@ -164,11 +164,11 @@ def _episodes(
     else:
         disturbance = disturbances(realities.unexplained, task.steps, E, rng)
     draws = [Draws((realities.models[d],), realities.noise) for d in each]
-    with own_stream(water.device):
+    with own_stream(settings.device):
         world = make_world(
             robot, replace(task, place=lambda *_: start), draws, n_envs=E,
-            fidelity=water.fidelity, device=water.device, cell_m=water.cell_m,
-            threads=water.threads, seed=int(rng.integers(2**31)),
+            fidelity=settings.fidelity, device=settings.device, cell_m=settings.cell_m,
+            threads=settings.threads, seed=int(rng.integers(2**31)),
             around=lambda simulator: Inexact(simulator, realities.law[each], disturbance),
         )  # fmt: skip
         return run_episodes(world, make(E), name="forecast")

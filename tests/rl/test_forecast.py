@@ -18,7 +18,7 @@ from rl.forecast.limits import limit_of
 from rl.forecast.make import named_controllers
 from rl.forecast.realities import draw_realities, unexplained
 from rl.forecast.statistics import best, effective, expected, interval
-from rl.forecast.swims import Water, swim
+from rl.forecast.swims import SimulationSettings, swim
 from rl.forecast.trials import Trials, read_trials, update
 from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.twin import Twin
@@ -220,7 +220,7 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     )
 
     def go(file, progress=lambda share: None):
-        water = Water(at_once=3)
+        settings = SimulationSettings(at_once=3)
         return swim(
             robot,
             task,
@@ -228,7 +228,7 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
             policies,
             trials=2,
             seed=1,
-            water=water,
+            settings=settings,
             file=file,
             shown=4,
             progress=progress,
