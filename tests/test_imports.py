@@ -25,7 +25,6 @@ LIGHT = (
     "sim2real/verbs.py",
     "sim/commands/options.py",
     "sim/verbs.py",
-    "rl/verbs.py",
 )
 HEAVY = {"torch", "warp", "cv2", "serial", "matplotlib", "casadi", "scipy", "pandas", "numpy"}
 ONLY_IN = {

@@ -117,12 +117,11 @@ def _with_bodies(
         heads = {"twin", *model.joints}
         own = [k for k, name in enumerate(posterior["names"]) if name.split(".")[0] in heads]
         names = [posterior["names"][k] for k in own]
-        table = {n: [one.joints[n].latency_s for one in models] for n in model.joints}
-        known = [
-            table[n.split(".")[0]] if n.endswith(".latency_s") else np.zeros(len(models))
-            for n in names
-        ]
-        late = np.transpose(known) - np.mean(known, axis=1)
+        late = np.zeros((len(models), len(names)))
+        for k, name in enumerate(names):
+            if name.endswith(".latency_s"):
+                late[:, k] = [one.joints[name.split(".")[0]].latency_s for one in models]
+        late -= late.mean(axis=0)
         mean = np.array(posterior["mean"])[own]
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)]
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
