@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import with_values
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, RivalSet, read_rival_sets
-from sim2real.effects import BODY, CATALOGUE
+from sim2real.effects import BODY, CAMERA, CATALOGUE, find
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN, stated
 from sim2real.structured import Fields, read_json
@@ -34,6 +35,14 @@ class Possible:
     probability: float
     mean: Mapping[str, float]
     sd: Mapping[str, float]
+
+    def drawn(self, rng: np.random.Generator) -> dict[str, float]:
+        """Its parameters, within their bounds."""
+        bounds = {p.name: p for p in find((*CATALOGUE, *BODY), self.effect, "diagnosis").parameters}
+        return {
+            k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
+            for k, mean in self.mean.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -59,23 +68,21 @@ class Diagnosed:
         body = values(model)
         for one in self.possible:
             present = rng.random() < one.probability
-            drawn = {k: _positive(m, rng.normal(m, one.sd[k])) for k, m in one.mean.items()}
-            if one.component in joints:
-                servo = joints[one.component]
-                others = tuple(e for e in servo.effects if e.effect != one.effect)
-                extra = (FittedEffect(one.effect, drawn),) if present else ()
-                joints[one.component] = replace(servo, effects=others + extra)
-            elif one.effect in {effect.name for effect in BODY}:
-                body = {k: x for k, x in body.items() if k.partition(".")[0] != one.effect}
+            drawn = one.drawn(rng)
+            if one.effect in {effect.name for effect in CATALOGUE}:
+                # what the supply or the link does, it does to all joints
+                for name in [one.component] if one.component in joints else list(joints):
+                    others = tuple(e for e in joints[name].effects if e.effect != one.effect)
+                    extra = (FittedEffect(one.effect, drawn),) if present else ()
+                    joints[name] = replace(joints[name], effects=others + extra)
+            else:
+                effect = find(BODY, one.effect, "diagnosis")
+                place = f"{effect.name}.{one.component}" if effect.by_material else effect.name
+                body = {k: x for k, x in body.items() if not k.startswith(f"{place}.")}
                 if present:
-                    body |= {f"{one.effect}.{k}": x for k, x in drawn.items()}
+                    body |= {f"{place}.{k}": x for k, x in drawn.items()}
         bare = replace(model, joints=joints, body={**model.body, "effects": []})
         return with_values(bare, body)
-
-
-def _positive(mean: float, value: float) -> float:
-    """A draw with the sign of its mean: an effect does not reverse its direction."""
-    return float(value if value * mean >= 0 else 0.0)
 
 
 def _servo(servo: JointModel, joint: JointRivals, rng: np.random.Generator) -> JointModel:
@@ -113,11 +120,13 @@ def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
     """Read ``diagnosis.json``.
 
     An effect that was considered and not named is at most as large as the recordings could have
-    hidden: its size is half of its detection limit, give or take as much.
+    hidden: its size is half of its detection limit, give or take as much; in swims, which have no
+    such limits, that of the twin's error which imitates it. Effects of the camera are left out.
 
     Raises:
         InputError: If the file is no diagnosis.
     """
+    camera = {effect.name for effect in CAMERA}
     top = Fields(path, "", read_json(path, SCHEMA))
     rivals = read_rival_sets(top) if top.content.get("rival_sets") else ()
     settled = {joint.component for joint in rivals}
@@ -130,11 +139,14 @@ def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
     for key in ("effects", "negligible", "rivals"):
         for entry in top.tables(key) if top.content.get(key) else []:
             effect, component = entry.text("effect"), entry.text("component")
-            if component in settled:
+            if component in settled or effect in camera:
                 continue
             if key == "rivals":
                 mean = {k: x / 2 for k, x in limits.get((effect, component), {}).items()}
-                sd = mean
+                sd = dict(mean)
+                for name, size in LAW_ERROR.imitated.items():
+                    if not limits and name.startswith(f"{effect}."):
+                        mean[name.partition(".")[2]], sd[name.partition(".")[2]] = 0.0, size
             else:
                 fields = entry.table("parameters")
                 mean = {k: fields.table(k).number("mean") for k in fields.content}

@@ -22,6 +22,7 @@ from rl.forecast.swims import SimulationSettings, swim
 from rl.forecast.trials import Trials, read_trials, update
 from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.twin import Twin
+from sim2real.body import values
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
@@ -158,11 +159,14 @@ def test_effects_are_drawn_with_their_probabilities(model):
     friction = Possible("coulomb_friction", "j1", 0.7, {"torque_Nm": 0.05}, {"torque_Nm": 0.01})
     skin = {"stiffness_Nm_per_rad": 0.4}
     elastic = Possible("skin_elasticity", "body", 0.3, skin, {"stiffness_Nm_per_rad": 0.0})
-    diagnosed, rng = Diagnosed((), (friction, elastic), {}), np.random.default_rng(7)
+    rough = Possible("surface_friction", "rubber", 1.0, {"coefficient": 0.02}, {"coefficient": 0.0})
+    diagnosed, rng = Diagnosed((), (friction, elastic, rough), {}), np.random.default_rng(7)
     models = [diagnosed.drawn(model, rng) for _ in range(400)]
     rubbing = [m.joints["j1"].effects for m in models]
     assert abs(np.mean([bool(effects) for effects in rubbing]) - 0.7) < 0.08
-    assert abs(np.mean([bool(m.body["effects"]) for m in models]) - 0.3) < 0.08
+    named = [values(m) for m in models]
+    assert abs(np.mean(["skin_elasticity.stiffness_Nm_per_rad" in x for x in named]) - 0.3) < 0.08
+    assert all(x["surface_friction.rubber.coefficient"] == 0.02 for x in named)
     torque = [effects[0].parameters["torque_Nm"] for effects in rubbing if effects]
     assert abs(np.mean(torque) - 0.05) < 0.003 and np.std(torque) > 0.005
 
