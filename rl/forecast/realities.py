@@ -123,7 +123,8 @@ def _with_bodies(
                 late[:, k] = [one.joints[name.split(".")[0]].latency_s for one in models]
         late -= late.mean(axis=0)
         mean = np.array(posterior["mean"])[own]
-        covariance = np.array(posterior["covariance"])[np.ix_(own, own)]
+        covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
+        mean, covariance = _with_prior(names, mean, covariance, error)
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
         interval = model.body.get("interval", {})
@@ -141,6 +142,30 @@ def _with_bodies(
     drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
     rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)
     return [with_values(one, row) if row else one for one, row in zip(models, rows, strict=True)]
+
+
+def _overfit(model: Model) -> float:
+    """Factor on the covariance of a calibration that predicts worse than it fits, at least 1.
+
+    The mean square error of the body's velocities on held-out data over that on fitted data.
+    """
+    fits = [model.fit[f"body.{name}"] for name in _BODY if f"body.{name}" in model.fit]
+    ratios = [held / max(train, 1e-9) for one in fits
+              if (held := one.get("heldout")) and (train := one.get("train"))]  # fmt: skip
+    return max(1.0, float(np.mean(np.square(ratios)))) if ratios else 1.0
+
+
+def _with_prior(
+    names: Sequence[str], mean: Array, covariance: Array, error: LawError
+) -> tuple[Array, Array]:
+    """A calibration combined with what the law's coefficients of other robots are (Bayes)."""
+    scale = np.sqrt(np.diag(covariance))
+    precision = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    prior = np.array([1 / error.unknown.get(n, np.inf) ** 2 if n.startswith("twin.") else 0.0
+                      for n in names])  # fmt: skip
+    usual = np.array([error.usual.get(name, 0.0) for name in names])
+    combined = np.linalg.inv(precision + np.diag(prior))
+    return combined @ (precision @ mean + prior * usual), combined
 
 
 def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[str]) -> Array:
