@@ -280,6 +280,7 @@ def score(out: Path) -> dict[str, Any]:
                     add(f"{kind} mean {name} width", most - least)
                     _, low, high = one.interval(policy, name, 1)
                     add(f"{kind} next {name} held", low - 1e-9 <= values[0] <= high + 1e-9)
+                    add(f"{kind} next {name} width", high - low)
         scored(made, real, who, ok, add)
         updated(made["full"], real, who, ok, add)
     return summary(rows)
@@ -325,7 +326,7 @@ def summary(rows: dict[str, Sequence[float]]) -> dict[str, Any]:
         out[name] = float(np.mean(values) if share else np.median(values))
         print(f"{name:<34} {out[name]:8.3g}   ({len(values)})")
     for name in SCORED[:2]:
-        full, hand = (np.median(rows[f"{kind} mean {name} width"]) for kind in ("full", "hand"))
+        full, hand = (np.median(rows[f"{kind} next {name} width"]) for kind in ("full", "hand"))
         out[f"width of {name} over hand-set"] = float(full / hand)
         print(f"width of {name} over hand-set: {full / hand:.2f}")
     return out

@@ -114,9 +114,9 @@ def update(
     """Weights of the draws after trials.
 
     The mean of a policy's n trials is normal about the mean of a draw, with the covariance of
-    trials in one reality by 1 / n. Where few draws agree, the likelihood is flattened until
-    ``least`` of them count: intervals then are wider than they need be, and not too narrow by
-    chance.
+    simulated trials in one reality, or their own scatter where that is larger, by 1 / n. Where
+    few draws agree, the likelihood is flattened until ``least`` of them count: intervals then are
+    wider than they need be, and not too narrow by chance.
 
     Args:
         trials: Trials, by policy.
@@ -133,13 +133,18 @@ def update(
         own = (drawn - drawn.mean(axis=1, keepdims=True)).reshape(-1, F)
         # figures whose trials hardly differ would decide alone: a hundredth of their spread is kept
         floor = np.diag(1e-4 * drawn.reshape(-1, F).var(axis=0) + 1e-12)
-        noise = own.T @ own / max(N * (T - 1), 1) / len(one.values) + floor
+        n, noise = len(one.values), own.T @ own / max(N * (T - 1), 1)
+        if n > 1:  # real trials may scatter more than simulated ones
+            scatter = one.values.var(axis=0, ddof=1)
+            more = np.sqrt(np.maximum(scatter / np.diag(noise + floor), 1.0))
+            noise = noise * np.outer(more, more)
+        noise = noise / n + floor
         off = one.values.mean(axis=0) - mean
         log -= 0.5 * _squares(off, noise)
         whole = np.cov(mean.T).reshape(F, F) + noise
         observed += float(_squares((off + mean)[:1] - mean.mean(axis=0), whole)[0])
-        scatter = rng.multivariate_normal(np.zeros(F), noise, size=N)
-        predicted += _squares(mean + scatter - mean.mean(axis=0), whole)
+        chance = rng.multivariate_normal(np.zeros(F), noise, size=N)
+        predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
     return Update(*_flattened(log, least), p_value, sum(len(one.values) for one in trials))
 
