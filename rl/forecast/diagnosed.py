@@ -14,6 +14,9 @@ from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, RivalSet, read_rival_sets
 from sim2real.effects import BODY, CAMERA, CATALOGUE, find
+from sim2real.effects.body_effect import BodyEffect
+from sim2real.effects.effect import Effect
+from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN, stated
 from sim2real.structured import Fields, read_json
@@ -38,7 +41,12 @@ class Possible:
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        bounds = {p.name: p for p in find((*CATALOGUE, *BODY), self.effect, "diagnosis").parameters}
+        known: dict[str, Effect | BodyEffect] = {e.name: e for e in (*CATALOGUE, *BODY)}
+        if self.effect not in known:
+            raise InputError(
+                "diagnosis", "effects", repr(self.effect), "an effect of the catalogue"
+            )
+        bounds = {p.name: p for p in known[self.effect].parameters}
         return {
             k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
             for k, mean in self.mean.items()
