@@ -41,11 +41,11 @@ class Possible:
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        known: dict[str, Effect | BodyEffect] = {e.name: e for e in (*CATALOGUE, *BODY)}
+        known: dict[str, Effect | BodyEffect] = {effect.name: effect for effect in CATALOGUE}
+        known |= {effect.name: effect for effect in BODY}
         if self.effect not in known:
-            raise InputError(
-                "diagnosis", "effects", repr(self.effect), "an effect of the catalogue"
-            )
+            expected = "an effect of servo or body"
+            raise InputError("diagnosis", "effects", repr(self.effect), expected)
         bounds = {p.name: p for p in known[self.effect].parameters}
         return {
             k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
