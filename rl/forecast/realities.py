@@ -91,7 +91,10 @@ def draw_realities(
     table = table[:, varied]
     if law.any():
         names, table = [*names, *DEVIATIONS], np.concatenate([table, law], axis=1)
-    fit = model.fit if diagnosed is None else {**model.fit, **diagnosed.fit}
+    fit = dict(model.fit)
+    if diagnosed is not None:  # errors of a bench do not replace those of swims
+        swims = any(signal.startswith("body.") for signal in diagnosed.fit)
+        fit = {**fit, **diagnosed.fit} if swims else {**diagnosed.fit, **fit}
     joints = [joint.name for joint in robot.joints]
     return Realities(
         models=tuple(models),

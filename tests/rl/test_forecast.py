@@ -24,10 +24,13 @@ from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.twin import Twin
 from sim2real.body import values
 from sim2real.cli import main
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.posterior.posteriors import JointSample, write_sample
 from sim2real.ranges.entry import Ranges, normal, uniform, write_ranges
+from sim2real.recording import Load
+from sim2real.servo.parameters import COLUMNS
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 POLICY = POOL / "agents" / "ablation" / "all-0" / "policy.npz"
@@ -169,6 +172,26 @@ def test_effects_are_drawn_with_their_probabilities(model):
     assert all(x["surface_friction.rubber.coefficient"] == 0.02 for x in named)
     torque = [effects[0].parameters["torque_Nm"] for effects in rubbing if effects]
     assert abs(np.mean(torque) - 0.05) < 0.003 and np.std(torque) > 0.005
+
+
+def test_a_set_of_effects_is_drawn_with_its_gains(model):
+    kp, torque = COLUMNS.index("kp_Nm_per_rad"), COLUMNS.index("coulomb_friction.torque_Nm")
+    plain, rubbing = np.zeros(len(COLUMNS)), np.zeros(len(COLUMNS))
+    plain[:4] = rubbing[:4] = 2.0, 0.07, 0.1, 0.002
+    rubbing[[kp, torque]] = 2.2, 0.05
+    columns = np.array([kp, torque], dtype=np.int32)
+    precision = np.diag([0.02**-2, 0.005**-2])
+    none = RivalSet((), 0.25, 0.0, plain, columns[:1], precision[:1, :1])
+    some = RivalSet(("coulomb_friction",), 0.75, 9.0, rubbing, columns, precision)
+    joint = JointRivals("j1", Load(0.002), 0.02, 0.001, np.zeros(1), (some, none))
+    diagnosed, rng = Diagnosed((joint,), (), {}), np.random.default_rng(10)
+    drawn = [diagnosed.drawn(model, rng).joints["j1"] for _ in range(400)]
+    with_it = np.array([bool(one.effects) for one in drawn])
+    assert abs(with_it.mean() - 0.75) < 0.07
+    gain = np.array([one.kp_Nm_per_rad for one in drawn])
+    assert abs(gain[with_it].mean() - 2.2) < 0.01 and abs(gain[~with_it].mean() - 2.0) < 0.01
+    assert abs(gain[with_it].std() - 0.02) < 0.004
+    assert all(one.latency_s == model.joints["j1"].latency_s for one in drawn)
 
 
 def test_what_is_unexplained_has_no_noise_in_it():
