@@ -134,5 +134,6 @@ def paths_figure(forecast: Forecast, policy: str | None = None) -> Figure:
                 axes.plot([-away], [0], "o", mfc="none", mec=FAINT)
             axes.plot([0], [0], "o", color=INK, markersize=3)
             axes.set(aspect="equal", xlabel="m")
+            axes.locator_params(nbins=5)
             axes.set_title(name)
     return figure
