@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SCHEMA = "sim2real.forecast/1"
 UNITS = {"success": "", "time_s": "s", "energy": "rad2/s2", "reward": "", "path_m": "m"}
 """Units of the figures, in the order of tables."""
+DIGITS = {"success": ".2f", "time_s": ".2f", "energy": ",.0f", "reward": ".1f", "path_m": ".2f"}
+"""Format of each figure."""
 BETTER = {"success": 1, "time_s": -1, "energy": -1, "reward": 1, "path_m": -1}
 """1 where more of a figure is better, else -1."""
 
@@ -157,7 +159,7 @@ class Forecast(NotebookDisplay):
             for figure, unit in UNITS.items():
                 mean, low, high = self.interval(policy, figure)
                 _, least, most = self.interval(policy, figure, 1)
-                shape = ".2f" if figure == "success" else ".4g"
+                shape = DIGITS[figure]
                 row = f"  {figure:<8} {mean:>9{shape}} {unit:<8}"
                 row += f" mean {low:{shape}} to {high:{shape}}"
                 if figure != "success":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rl.experiments.ablation_report import aligned, picture
-from rl.forecast.forecast import UNITS, Forecast
+from rl.forecast.forecast import DIGITS, UNITS, Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Note, Section, Table, write_page
 
@@ -44,8 +44,9 @@ def sections(forecast: Forecast) -> list[Section]:
         for figure in UNITS:
             mean, low, high = forecast.interval(policy, figure)
             _, least, most = forecast.interval(policy, figure, 1)
-            next_trial = "" if figure == "success" else f"{least:.3g} to {most:.3g}"
-            cells = (f"{mean:.3g}", f"{low:.3g} to {high:.3g}", next_trial)
+            shape = DIGITS[figure]
+            next_trial = "" if figure == "success" else f"{least:{shape}} to {most:{shape}}"
+            cells = (f"{mean:{shape}}", f"{low:{shape}} to {high:{shape}}", next_trial)
             rows.append((policy, _NAMES[figure], *cells))
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
