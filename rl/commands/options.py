@@ -12,15 +12,9 @@ from sim2real.commands.verb import add_verb
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
 _ARMS = (
-    "all",
-    "no-servo",
-    "no-density",
-    "no-randomization",
-    "all-and-effects",
-    "ceiling",
-    "none",
+    "all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling", "none",
     "midway",
-)
+)  # fmt: skip
 
 
 def _water(command: argparse.ArgumentParser) -> None:

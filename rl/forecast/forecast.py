@@ -192,9 +192,12 @@ class Forecast(NotebookDisplay):
 
     def plot(self, policy: str | None = None) -> Figure:
         """Paths of twenty realities over the pool; of all policies, or of one."""
-        from rl.forecast.page import paths_figure
+        from rl.forecast.paths import paths_figure
 
-        return paths_figure(self, policy)
+        shown = self.policies if policy is None else (policy,)
+        which = [self.policies.index(one) for one in shown]
+        arrived = self.figures["success"][which, : len(self.targets), 0] > 0
+        return paths_figure(shown, self.paths[which], self.targets, arrived)
 
 
 def _ends(name: str, values: tuple[float, float, float]) -> dict[str, Any]:

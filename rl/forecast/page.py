@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from rl.experiments.ablation_report import aligned, picture
+from rl.experiments.ablation_report import picture
 from rl.forecast.forecast import DIGITS, UNITS, Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Note, Section, Table, write_page
@@ -69,7 +67,7 @@ def sections(forecast: Forecast) -> list[Section]:
             "Paths",
             "The first trial in twenty realities, with the start at the right and the target at "
             "the left; grey where it is not reached.",
-            [picture(paths_figure(forecast))],
+            [picture(forecast.plot())],
         ),
     ]
     if len(forecast.policies) > 1:
@@ -109,32 +107,4 @@ def interval_figure(forecast: Forecast) -> Figure:
             axes.set_ylim(K - 0.5, -0.5)
             axes.margins(x=0.06)
             axes.set_xlabel(_NAMES[name])
-    return figure
-
-
-def paths_figure(forecast: Forecast, policy: str | None = None) -> Figure:
-    """Paths in the first realities, a panel for each policy or for one."""
-    from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
-
-    shown = [policy] if policy is not None else list(forecast.policies)
-    rows = -(-len(shown) // 2)
-    with house_style():
-        figure = new_figure(200 * rows + 20, "Paths over the pool in the first realities")
-        panels = figure.subplots(rows, min(2, len(shown)), squeeze=False, sharex=True, sharey=True)
-        for axes in panels.ravel()[len(shown) :]:
-            axes.set_visible(False)
-        for axes, name in zip(panels.ravel(), shown, strict=False):
-            k = forecast.policies.index(name)
-            for path, targets, won in zip(
-                forecast.paths[k], forecast.targets, forecast.figures["success"][k], strict=False
-            ):
-                drawn = aligned(path[np.isfinite(path).all(axis=1)], targets[0])
-                colour = ACCENT if won[0] else MUTED
-                axes.plot(*drawn.T, color=colour, lw=0.7, alpha=0.7)
-                away = float(np.linalg.norm(targets[0] - path[0]))
-                axes.plot([-away], [0], "o", mfc="none", mec=FAINT)
-            axes.plot([0], [0], "o", color=INK, markersize=3)
-            axes.set(aspect="equal", xlabel="m")
-            axes.locator_params(nbins=5)
-            axes.set_title(name)
     return figure
