@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Literal, get_args
 
@@ -51,6 +51,7 @@ def make_world(
     cell_m: float = 0.02,
     seed: int = 0,
     threads: int = 1,
+    around: Callable[[Simulator], Simulator] = lambda simulator: simulator,
     **options: Any,  # noqa: ANN401 - those of Twin or Swimmer
 ) -> World:
     """A world of robots in the fluid or in its twin.
@@ -66,6 +67,7 @@ def make_world(
         cell_m: Side of a cell of the fluid.
         seed: Seed of everything random.
         threads: CPU threads.
+        around: Wraps the simulator, to add errors that it does not have.
         options: Further options of the simulator.
 
     Raises:
@@ -89,4 +91,4 @@ def make_world(
         simulator = Swimmer(
             robot, models, n_envs=n_envs, device=device, cell_m=cell_m, threads=threads, **options
         )
-    return World(simulator, task, draws=blocks, seed=seed)
+    return World(around(simulator), task, draws=blocks, seed=seed)

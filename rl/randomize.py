@@ -13,6 +13,7 @@ from sim2real.density import normalised_density
 from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, Model
+from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Range, Ranges
 from sim2real.robot import Robot
 
@@ -44,9 +45,23 @@ def noise_of(ranges: Ranges, joints: Sequence[str]) -> Noise:
 
 
 def draw_models(
-    model: Model, ranges: Ranges, robot: Robot, n: int, rng: np.random.Generator
+    model: Model,
+    ranges: Ranges,
+    robot: Robot,
+    n: int,
+    rng: np.random.Generator,
+    sample: JointSample | None = None,
 ) -> list[Model]:
     """Models for n episodes: the calibrated model with values drawn from each range.
+
+    Args:
+        model: The calibrated model.
+        ranges: The ranges.
+        robot: The robot.
+        n: Number of models.
+        rng: Random number generator.
+        sample: Posterior sample, whose rows replace independent draws of the parameters that it
+            shares with the ranges.
 
     Raises:
         InputError: If the parameter of a range is neither of the model nor of the robot.
@@ -55,6 +70,9 @@ def draw_models(
     links = [link.name for link in robot.links]
     entries = [entry for entry in ranges.entries if entry.period == "episode"]
     columns = {entry.parameter: _draw(entry, n, rng) for entry in entries}
+    if sample is not None:
+        rows = sample.values[rng.integers(len(sample.values), size=n)]
+        columns |= {p: rows[:, k] for k, p in enumerate(sample.names) if p in columns}
     draws = ({name: float(x[i]) for name, x in columns.items()} for i in range(n))
     return [_with(model, links, draw) for draw in draws]
 

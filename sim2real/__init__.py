@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rl.verbs import forecast as forecast
     from sim.verbs import calibrate as calibrate
     from sim.verbs import diagnose as diagnose
     from sim.verbs import simulate as simulate
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from sim2real.version import __version__ as __version__
 
 _NAMES = {
+    "rl.verbs": ("forecast",),
     "sim.verbs": ("calibrate", "diagnose", "simulate"),
     "sim2real.check": ("check",),
     "sim2real.errors": ("InputError",),
@@ -53,8 +55,9 @@ _NAMES = {
     "sim2real.version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-"""Module of each name. Three verbs need the fluid, in the package ``sim`` one layer up; they are
-imported when a program uses them. Besides the command line, only this module imports upwards."""
+"""Module of each name. Four verbs need the fluid or policies, in the packages ``sim`` and ``rl``
+above; they are imported when a program uses them. Besides the command line, only this module
+imports upwards."""
 
 __all__ = sorted(name for name in _HOMES if not name.startswith("_"))
 

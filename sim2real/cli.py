@@ -36,6 +36,7 @@ COMMANDS = {
         "train policies with soft actor-critic in the fluid or its reduced-order twin",
     ),
     "evaluate": (_LEARNING, "measure policies and classical controllers on a task"),
+    "forecast": (_LEARNING, "predict what policies will do on the real robot, with intervals"),
     "ablate": (_LEARNING, "train with and without each technique, and report the effect of each"),
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = ("sim2real", "sim", "rl")  # from the ground up
 REACHES_UP = {
     "sim2real/cli.py": "a command may live on any floor, and is loaded when it runs",
-    "sim2real/__init__.py": "verbs that need the water are offered here, and loaded when used",
+    "sim2real/__init__.py": "verbs of the floors above are offered here, and loaded when used",
 }
 LIGHT = (
     *REACHES_UP,

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BENCH, POOL = ROOT / "datasets" / "servo_steps", ROOT / "datasets" / "pool"
 VERBS = (
     "identify", "diagnose", "calibrate", "density", "posterior", "ranges", "predict", "design",
-    "simulate",
+    "simulate", "forecast",
 )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import torch
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes, run_episodes, summary
 from rl.experiments.film import Film
-from rl.experiments.named import controller_of, with_price
+from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.trials import UNSEEN, run_trials
 from rl.make import draws_of, make_world, own_stream
 from rl.sac.recipes import RECIPES
@@ -80,13 +80,6 @@ def run(options: argparse.Namespace) -> int:
                     with Film(video, world, shown(name)) as film:
                         run_episodes(world, controller, name=name, watch=film)
     return 0
-
-
-def shown(name: str) -> str:
-    """Display name of a policy: that of its file, or of its folder if the file is ``policy``."""
-    file, price = with_price(name)
-    path, suffix = Path(file), "" if price is None else f" at {price:g}"
-    return (path.parent.name if path.stem == "policy" and path.parent.name else path.stem) + suffix
 
 
 def table_line(name: str, row: dict[str, Any]) -> str:

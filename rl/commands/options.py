@@ -5,20 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rl import verbs
 from sim2real.commands.command import Command
 from sim2real.commands.placement import add_executor
+from sim2real.commands.verb import add_verb
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
 _ARMS = (
-    "all",
-    "no-servo",
-    "no-density",
-    "no-randomization",
-    "all-and-effects",
-    "ceiling",
-    "none",
+    "all", "no-servo", "no-density", "no-randomization", "all-and-effects", "ceiling", "none",
     "midway",
-)
+)  # fmt: skip
 
 
 def _water(command: argparse.ArgumentParser) -> None:
@@ -239,6 +235,14 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _forecast(command: argparse.ArgumentParser) -> None:
+    add_verb(command, verbs.forecast, positional=("policies",), leave_out=("kept",))
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="JSON", help="forecast to write (forecast.json)"
+    )
+    command.add_argument("--no-page", action="store_true", help="do not write the HTML page")
+
+
 def _export(command: argparse.ArgumentParser) -> None:
     command.add_argument("policy", type=Path, metavar="POLICY", help="trained policy (POLICY.zip)")
     command.add_argument(
@@ -369,6 +373,14 @@ COMMANDS = (
         _ablate,
         "sim2real ablate --robot fish.toml --model model.json --ranges ranges.json "
         "--reality reality.py --out runs/ablation",
+        resumes=True,
+    ),
+    Command(
+        "forecast",
+        "rl.commands.forecast",
+        _forecast,
+        "sim2real forecast policy.zip --robot fish.toml --model model.json --ranges ranges.json "
+        "--limit 'time_s<=6@0.95' --out forecast.json",
         resumes=True,
     ),
     Command(

@@ -137,7 +137,7 @@ def sections(results: Results, plan: Plan) -> list[Section]:
     returns = Section(
         "Effect of each technique",
         retention_text(by_arm),
-        [_picture(return_figure(table)), Table(header, cells, caption=note)],
+        [picture(return_figure(table)), Table(header, cells, caption=note)],
     )
     losses = differences(results)
     notes: list[Block] = [
@@ -145,7 +145,7 @@ def sections(results: Results, plan: Plan) -> list[Section]:
         for arm, loss in losses.items()
     ]
     if losses:
-        notes.insert(0, _picture(difference_figure(losses)))
+        notes.insert(0, picture(difference_figure(losses)))
         notes += [Note("info", seeds_text(losses)), Note("info", floored_text(results))]
     if not any(row["reality"]["success"] for row in table):
         warning = (
@@ -155,7 +155,7 @@ def sections(results: Results, plan: Plan) -> list[Section]:
     trajectories = Section(
         "The turns",
         "Trajectories of the head in reality: two turns of each agent.",
-        [_picture(trajectory_figure(results))],
+        [picture(trajectory_figure(results))],
     )
     method = Text(
         f"Each agent: {plan.steps} steps of soft actor-critic at the task “{plan.task.name}”, "
@@ -172,7 +172,7 @@ def sections(results: Results, plan: Plan) -> list[Section]:
     ]
 
 
-def _picture(figure: Figure) -> Picture:
+def picture(figure: Figure) -> Picture:
     """A figure for a page, with a narrow version for small screens."""
     from sim2real.report.drawing import svg
     from sim2real.report.style import NARROW
@@ -299,7 +299,7 @@ def trajectory_figure(results: Results) -> Figure:
                 if agent["arm"] != arm:
                     continue
                 for n, path in enumerate(agent["reality"]["path"]):
-                    path_m = _aligned(np.array(path), np.array(results["targets"]["reality"][n]))
+                    path_m = aligned(np.array(path), np.array(results["targets"]["reality"][n]))
                     axes.plot(*path_m.T, color=ACCENT if arm == "all" else INK, lw=0.7, alpha=0.7)
             axes.plot([-1.5], [0], "o", mfc="none", mec=FAINT)
             axes.plot([0], [0], "o", color=INK, markersize=3)
@@ -308,7 +308,7 @@ def trajectory_figure(results: Results) -> Figure:
     return figure
 
 
-def _aligned(path: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def aligned(path: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """The trajectory with its start at the origin and the target on the negative x axis."""
     direction = target - path[0]
     direction = direction / np.linalg.norm(direction)

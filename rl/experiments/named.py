@@ -35,6 +35,13 @@ def with_price(name: str) -> tuple[str, float | None]:
         raise InputError(file, "price", repr(price), "a number, as in policy.zip@0.5") from None
 
 
+def shown(name: str) -> str:
+    """Display name of a policy: that of its file, or of its folder if the file is ``policy``."""
+    file, price = with_price(name)
+    path, suffix = Path(file), "" if price is None else f" at {price:g}"
+    return (path.parent.name if path.stem == "policy" and path.parent.name else path.stem) + suffix
+
+
 def controller_of(
     name: str,
     limits_rad: Sequence[tuple[float, float]],

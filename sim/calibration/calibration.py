@@ -213,14 +213,14 @@ def _with_errors(fit: Calibrated | InFluid, robot: Robot, cell_m: float | None =
         p.name: [float(low), float(high)]
         for p, (low, high) in zip(fit.free, fit.interval(), strict=True)
     }
-    body = {**fit.model.body, "interval": interval}
-    if isinstance(fit, InFluid):
-        body["posterior"] = {
-            "cell_m": cell_m,
-            "names": list(interval),
-            "mean": [float(x) for x in fit.best],
-            "covariance": [[float(x) for x in row] for row in fit.fitted.covariance],
-        }
+    covariance = (fit.fitted if isinstance(fit, InFluid) else fit).covariance
+    posterior = {
+        "cell_m": cell_m,
+        "names": list(interval),
+        "mean": [float(x) for x in fit.best],
+        "covariance": [[float(x) for x in row] for row in covariance],
+    }
+    body = {**fit.model.body, "interval": interval, "posterior": posterior}
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
     return replace(fit.model, body=body, fit={**fit.model.fit, **errors})

@@ -40,7 +40,7 @@ class Calibrated:
         model: The calibrated model.
         free: The F fitted parameters.
         best: Their values, shape (F,).
-        sd: Their standard deviations, shape (F,).
+        covariance: Their covariance, shape (F, F).
         rmse: Held-out root mean square error of each signal, before and after, shape (2, 3 + J), or
             (2, K) of another view.
         train: Likewise on the fitted part.
@@ -49,9 +49,14 @@ class Calibrated:
     model: Model
     free: tuple[Parameter, ...]
     best: Array
-    sd: Array
+    covariance: Array
     rmse: Array
     train: Array
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of the parameters, shape (F,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def interval(self, level: float = _LEVEL) -> Array:
         """Central intervals, shape (F, 2)."""
@@ -102,21 +107,21 @@ def calibrate(
         model=problem.with_values(best),
         free=free,
         best=best,
-        sd=_sandwich(minimum, problem, weight.size),
+        covariance=_sandwich(minimum, problem, weight.size),
         rmse=np.concatenate([problem.rmse(e, held=True) for e in pair]),
         train=np.concatenate([problem.rmse(e, held=False) for e in pair]),
     )
 
 
 def _sandwich(minimum: Minimum, problem: SwimProblem, signals: int) -> Array:
-    """Standard deviations from the scatter of the scores over two seconds, shape (F,)."""
+    """Covariance from the scatter of the scores over two seconds, shape (F, F)."""
     bread = np.linalg.inv(minimum.curvature)
     score = (minimum.slope * minimum.error[:, None]).reshape(-1, signals, len(minimum.values))
     ends = np.cumsum(problem.cut)[:-1]
     parts = np.split(score.sum(axis=1), ends)
     meat = np.linalg.inv(problem.prior.covariance)
     meat = meat + np.sum([long_run(scores, min(BLOCK, len(scores))) for scores in parts], axis=0)
-    return np.asarray(np.sqrt(np.diag(bread @ meat @ bread)))
+    return np.asarray(bread @ meat @ bread)
 
 
 __all__ = ["Calibrated", "calibrate"]

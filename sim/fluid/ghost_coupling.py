@@ -4,7 +4,9 @@ Ghost cells exchange with the water outside what they send to it and what arrive
 send is linear in the body's velocity. Its sums over each link are those of ``coupling``: E v is
 part of what they send to the water, R v + b what they send to each other, which arrives in them in
 the next step, and a the rest of both less all that arrives in them. So the momentum of bodies and
-water is conserved. Friction acts on the water within a cell of the surface.
+water is conserved. The mass that all links together would bring into the water, as a mean over
+``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains.
+Friction acts on the water within a cell of the surface.
 """
 
 from functools import cache
@@ -12,7 +14,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from sim.fluid.coupling import NEAR, add_matrix, add_vector
+from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
 from sim.fluid.section import along, position_on, surface
 from sim.fluid.wall import Touch, friction
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, neighbour, within
@@ -61,6 +63,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     neighbours, moments = pop.neighbours, pop.moments
     water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
+    slipping, passing = ghost.slipping, ghost.passing
     c, Q = lattice.velocities, lattice.Q
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -147,6 +150,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         pose: wp.array2d(dtype=wp.vec4),
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
+        kept: wp.array2d(dtype=wp.float32),
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
@@ -167,6 +171,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         keeps = wp.mat22()
         given = wp.vec2()
         held = wp.vec2()
+        passed = wp.vec2()
+        leak = float(0.0)
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         for layer in range(covered.tall):
             z = covered.low + layer
@@ -176,6 +182,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             if (flag & wp.static(BODY | GHOST)) != 0:
                 if link < 0:  # the same in all cells of a column
                     link = int(covered.share[slot])
+                    leak = kept[e, link]
                     r = wp.vec2(float(X), float(Y)) - centre[e, link]
                     v = twist[e, link]
                     body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
@@ -191,6 +198,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                     sliding = body - u - wp.dot(body - u, o) * o
                     share = friction(wp.length(sliding), float(rough[e, link]), touch)
                     covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
+                    covered.more[slot] = wp.vec3()
                     even = share * (1.0 + m[0])
                     sends += even * wp.mat22(
                         1.0 - o[0] * o[0], -o[0] * o[1], -o[0] * o[1], 1.0 - o[1] * o[1]
@@ -215,11 +223,14 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                     if near + far != 0:
                         at = wp.vec3(float(X), float(Y), float(z))
                         facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
+                        water = slipping(p, near, facing, water)
+                        passed += passing(near, facing, water)
                         covered.face[slot] = facing
                         covered.water[slot] = water
+                        covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
                         still = Vector()
-                        out = emitted(p, near, facing, water, water[3])
-                        rate = emitted(still, near, facing, wp.vec4(), 1.0)
+                        out = emitted(p, near, facing, water, water[3], leak)
+                        rate = emitted(still, near, facing, wp.vec4(), 1.0, 0.0)
                         s = momentum(out, near)
                         ds = momentum(rate, near)
                         among = wp.static(2**lattice.Q - 1) - near - far
@@ -235,10 +246,12 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                             facing, water = continued(
                                 f, flags, box, t, e, at, o, covered.back[slot][3], body
                             )
+                            water = slipping(p, far, facing, water)
+                            passed += passing(far, facing, water)
                             covered.back[slot] = facing
                             covered.beyond[slot] = water
-                            s = momentum(emitted(p, far, facing, water, water[3]), far)
-                            ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0), far)
+                            s = momentum(emitted(p, far, facing, water, water[3], leak), far)
+                            ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0, 0.0), far)
                             sends += wp.outer(ds, wp.vec2(o[0], o[1]))
                             given += s - water[3] * ds
         if link >= 0:
@@ -246,5 +259,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             add_vector(sums, e, link, 18, r, given + held)
             add_matrix(sums, e, link, 9, r, keeps)
             add_vector(sums, e, link, 21, r, held)
+            add(sums, e, link, 24, wp.float64(passed[0]))
+            add(sums, e, link, 25, wp.float64(passed[1]))
 
     return GhostKernels(mark, cover)

@@ -32,7 +32,8 @@ class Covered:
         face: Normal of the surface there, and the share of the velocity along it that the body
             takes away in a step, (E side side tall,); of ghost cells the density of the water
             outside in place of that share.
-        more: Additional change of the cell's velocity, (E side side tall,).
+        more: Additional change of the cell's velocity; of ghost cells first the density that they
+            lack so that no mass passes, (E side side tall,).
         water: Of ghost cells, the velocity along the surface of the water outside, and the
             velocity across it that the body had before, (E side side tall,).
         beyond: Density and velocity likewise at the other side of a thin part.

@@ -85,11 +85,12 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
             return Vector()
         face = covered.face[slot]
         across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-        out = emitted(p, links[0], face, covered.water[slot], across)
+        leak = covered.more[slot][0]
+        out = emitted(p, links[0], face, covered.water[slot], across, leak)
         if links[1] != 0:
             face = covered.back[slot]
             across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-            beyond = emitted(p, links[1], face, covered.beyond[slot], across)
+            beyond = emitted(p, links[1], face, covered.beyond[slot], across, leak)
             for k in range(wp.static(lattice.Q)):
                 if (links[1] & wp.static(1 << k)) != 0:
                     out[k] = beyond[k]

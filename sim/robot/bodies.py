@@ -148,7 +148,7 @@ class Bodies:
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
         grid.sums = room((E, L, SUMS), wp.int64)
         grid.kept = room((E, L), wp.float32)
-        grid.memory = wp.float32(MEMORY)
+        grid.memory, grid.whole = wp.float32(MEMORY), int(wall.ghosts)
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
@@ -231,7 +231,7 @@ class Bodies:
         if self.wall.ghosts:
             marked = [fluid.flags, fluid.box, fluid.covered, self.middle, grid.pose]
             self._launch(self._cover.mark, columns, [*marked, *shape, fluid.stopped])
-            inputs = [*water, touch, rough, *place, grid.sums, fluid.stopped]
+            inputs = [*water, touch, rough, *place, grid.kept, grid.sums, fluid.stopped]
             self._launch(self._cover.cover, columns, inputs)
         else:
             inputs = [*water, self.middle, touch, rough, grid.kept, *place, *shape]

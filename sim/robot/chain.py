@@ -113,7 +113,8 @@ class OnGrid:
     """The robots in lattice units, for the fluid, and the fluid's sums over them.
 
     ``kept`` is the velocity along each link's axis that is given back to the cells at its surface
-    in a step (``coupling``), a mean over ``memory`` steps, (E, L).
+    in a step (``coupling``), a mean over ``memory`` steps, (E, L). Where ``whole`` is not 0, it is
+    the density that the surface of all links lacks, alike for each (``ghost_coupling``).
     """
 
     cell: wp.float64
@@ -128,5 +129,6 @@ class OnGrid:
     position: wp.array(dtype=wp.vec2)
     sums: wp.array3d(dtype=wp.int64)
     kept: wp.array2d(dtype=wp.float32)
+    whole: int
     memory: wp.float32
     scale: wp.float64

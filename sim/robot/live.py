@@ -42,7 +42,10 @@ class Simulator(Protocol):
 
     robot: Robot
     n_envs: int
-    outside: Outside
+
+    @property
+    def outside(self) -> Outside:
+        """Effects on the robots."""
 
     def live(self) -> Live:
         """The live state."""

@@ -270,6 +270,12 @@ def advance(
     for k in range(L):
         s.before[e, k] = s.twist[e, k]
     move_links(e, chain, s)
+    passed = wp.float64(0.0)
+    weight = wp.float64(1.0)
+    for k in range(L):
+        passed += wp.float64(grid.sums[e, k, 24])
+        weight += wp.float64(grid.sums[e, k, 25])
+    leak = float(passed / weight)
     for k in range(L):
         V = s.twist[e, k]
         hold(e, k, chain, s)
@@ -284,6 +290,8 @@ def advance(
             grid.sums[e, k, 25] > wp.int64(0) and s.fresh[e] == 0
         ):  # inner cells that moved with the body
             share = float(wp.float64(grid.sums[e, k, 24]) / wp.float64(grid.sums[e, k, 25]))
+        if grid.whole != 0:
+            share = leak
         grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
         grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)

@@ -22,8 +22,6 @@ SCHEMA = "sim2real.decision/1"
 CURVES = ("effect", "mismatch", "uncatalogued", "link")
 """What a curve is the odds of: an effect, any mismatch, a mismatch that no effect of the catalogue
 explains, irregular command timing."""
-EFFECT_PREFIX = "is "
-"""Prefix of features that state which effect it is; an effect without a weight counts as 0."""
 T = TypeVar("T")
 
 
@@ -130,14 +128,12 @@ class Odds:
         """Probability by the curve; log odds are clipped to what a float distinguishes.
 
         Raises:
-            ValueError: If a feature has no weight, or a weight no feature; effects excepted.
+            ValueError: If a feature has no weight, or a weight no feature.
         """
-        unmatched = sorted(
-            x for x in features.keys() ^ self.weights.keys() if not x.startswith(EFFECT_PREFIX)
-        )
+        unmatched = sorted(features.keys() ^ self.weights.keys())
         if unmatched:
             raise ValueError(f"features and weights differ: {', '.join(unmatched)}")
-        odds = sum(self.weights.get(name, 0.0) * value for name, value in features.items())
+        odds = sum(self.weights[name] * value for name, value in features.items())
         return float(1 / (1 + np.exp(-np.clip(odds, -largest_log_odds, largest_log_odds))))
 
 

@@ -232,7 +232,7 @@ def _identify_joint(
         without = {f"{key}_without_effects": figures[key] for key in ("train", "heldout")}
         best = fit_effects(fitted, best, extra, rng)
         units = column(best.parameters, "typical")
-        spread = uncertainty(best, units)
+        spread = uncertainty(best, units, fitted)
         ends = symmetric_intervals(best, spread, units)
         figures = _figures(best, residuals(best.row, scored), fitted, noise) | without
         if not shows_inertia(fitted) and any(e.name == "unmodelled_inertia" for e in extra):
@@ -240,7 +240,7 @@ def _identify_joint(
                 "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
             )
     elif motor is not None and motor.with_gains:
-        spread = uncertainty(best, motor.units)
+        spread = uncertainty(best, motor.units, fitted)
         ends = motor_intervals(motor, spread)
         optima = list(motor.other_values)
         notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
@@ -249,12 +249,14 @@ def _identify_joint(
             notes += advice.on_inertia(best, _with_inertia(fitted, best), scored, load)
         free = plain_parameters(fitted, best.row)
         units = np.array([p.typical for p in free if p.name in best.names])
-        spread = uncertainty(best, units)
+        spread = uncertainty(best, units, fitted)
         ends = intervals(best, rivals, spread, units, fitted)
         optima = [other.values for other in as_good(rivals, best, spread)]
         notes += advice.on_optima(best.names, best.values, spread.half_width, optima)
     if motor is not None and servo is not None:
-        motor_spread = uncertainty(motor.fit, motor.units)
+        motor_spread = spread
+        if best is not motor.fit:
+            motor_spread = uncertainty(motor.fit, motor.units, fitted)
         notes += advice.on_motor(motor, motor_spread, servo)
         ends = motor_intervals(motor, motor_spread) | ends
         wait = 0.5 * motor.values.get("loop_period_s", 0.0)

@@ -80,8 +80,14 @@ def _fit_continuous(
     noise: float,
     rng: np.random.Generator,
     servo_type: ServoType | None,
+    *,
+    least_gain: float = 2.0,
 ) -> MotorFit:
-    """Fit a motor with a continuous controller."""
+    """Fit a motor with a continuous controller.
+
+    Losses are not searched further where the first steps of all searches decrease half the loss by
+    less than ``least_gain``, a fifth of what they need to be chosen; nor is gradual friction then.
+    """
     line: tuple[str, ...] = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
     if servo_type is not None and set(servo_type.parameters) & set(LOSSES):  # no selection
         softness = SOFT if set(servo_type.parameters) & set(SOFT) else ()
@@ -102,9 +108,11 @@ def _fit_continuous(
         first_steps=40,
         later_steps=25,
         behind=200.0,
+        least_gain=least_gain,
     )
     chosen = _better(first, full)
-    if rms(chosen.fit.residuals) < EXPLAINED * noise:
+    without = _gain(first, full) < 2 * least_gain  # and so without friction that could be gradual
+    if without or rms(chosen.fit.residuals) < EXPLAINED * noise:
         return chosen
     soft = fit_motor(fitted, plain, prior, (*line, *LOSSES, *SOFT), rng, starts=_soft_starts(full))
     return _better(chosen, soft)
@@ -114,11 +122,15 @@ def _better(
     fewer: MotorFit, more: MotorFit, added: int | None = None, *, beyond_chance: float = 6.0
 ) -> MotorFit:
     """The fit with more parameters if they decrease the loss significantly, else the other."""
-    scale, inflation = more.fit.scale_rad, more.inflation
-    gain = fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
     if added is None:
         added = len(more.problem.free) - len(fewer.problem.free)
-    return more if gain > 2 * added + beyond_chance else fewer
+    return more if _gain(fewer, more) > 2 * added + beyond_chance else fewer
+
+
+def _gain(fewer: MotorFit, more: MotorFit) -> float:
+    """Decrease of the loss by more parameters, for residuals like theirs."""
+    scale, inflation = more.fit.scale_rad, more.inflation
+    return fewer.loss_at(scale, inflation) - more.loss_at(scale, inflation)
 
 
 def _soft_starts(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
 from sim2real.identification.fit import Fit, scale_inertia, split_by_trace
 from sim2real.identification.motor_prior import MotorPrior
-from sim2real.identification.motor_problem import MotorProblem
+from sim2real.identification.motor_problem import MotorProblem, robust_order
 from sim2real.inference.least_squares import (
     OUTLIER_SD,
     Expansion,
@@ -155,6 +154,7 @@ def fit_motor(
     first_steps: int = 20,
     later_steps: int = 10,
     behind: float = 30.0,
+    least_gain: float = 0.0,
     longest_substep_s: float = 0.002,
     steps_per_radian: float = 32.0,
 ) -> MotorFit:
@@ -163,7 +163,7 @@ def fit_motor(
     Candidates drawn from the prior about the plain servo are ranked by their error. Simultaneous
     Levenberg-Marquardt searches start from the best ones and from the plain servo without a limit.
     With losses among the parameters the loss has many minima, as a servo sticks or just does not;
-    of those that fit the recordings the one is taken whose neighbours fit best (``_robust_order``).
+    of those that fit the recordings the one is taken whose neighbours fit best (``robust_order``).
     The likelihood counts correlated residuals as fewer samples, so that misfit does not outweigh
     the prior; its scale is estimated again between rounds.
 
@@ -182,6 +182,8 @@ def fit_motor(
         first_steps: Largest number of steps of a search in the first round.
         later_steps: Largest number of steps of a search in later rounds.
         behind: Largest difference of log-likelihood to the best search at which one continues.
+        least_gain: Decrease of half the loss, from the first start, without which a few steps of
+            all searches are enough: their best is returned as it is.
         longest_substep_s: Longest sub-step of a rollout, s.
         steps_per_radian: Sub-steps per radian of the fastest mode.
     """
@@ -209,16 +211,19 @@ def fit_motor(
         before = scale
         scale, inflation = robust_scale(error), problem.inflation(error)
         searched, steps = (problem, later_steps) if number else (problem.coarse, first_steps)
-        x, loss = _search(searched, x, scale, inflation, steps)
+        least = 0.0 if number else least_gain
+        x, loss, gain = _search(searched, x, scale, inflation, steps, least)
         order = np.argsort(loss)
         x, loss = x[order], loss[order]
+        if gain < least:
+            return _result(problem, x[:1], loss[:1], scale, inflation)
         error = problem.residuals(x[:1])[0]
         if number:
             x, loss = x[loss < loss[0] + behind], loss[loss < loss[0] + behind]
         if number and abs(scale / before - 1) < 0.05:
             break
     if not set(LOSSES).isdisjoint(free_names):
-        order = _robust_order(problem, x, scale, inflation, rng)
+        order = robust_order(problem, x, scale, inflation, rng)
         x, loss = x[order], loss[order]
     return _result(problem, x, loss, scale, inflation)
 
@@ -231,7 +236,7 @@ def refitted(motor: MotorFit, x: Array, steps: int | None = None) -> MotorFit:
     steps = motor.problem.steps if steps is None else steps
     period = motor.problem.prior.index(LOOP[0])
     problem = replace(motor.problem, free=tuple(sorted({*motor.problem.free, period})))
-    x, loss = _search(problem, x, motor.fit.scale_rad, motor.inflation, steps)
+    x, loss, _ = _search(problem, x, motor.fit.scale_rad, motor.inflation, steps)
     best = np.argsort(loss)[:1]
     inflation = problem.inflation(problem.residuals(x[best])[0])
     return _result(problem, x[best], loss[best], motor.fit.scale_rad, inflation)
@@ -271,12 +276,23 @@ def _candidates(
 
 
 def _search(
-    problem: MotorProblem, x: Array, scale: float, inflation: float, steps: int
-) -> tuple[Array, Array]:
-    """Searches from all of ``x`` (S, F), and their losses (S,)."""
+    problem: MotorProblem,
+    x: Array,
+    scale: float,
+    inflation: float,
+    steps: int,
+    least_gain: float = 0.0,
+    *,
+    patience: int = 8,
+) -> tuple[Array, Array, float]:
+    """Searches from all of ``x`` (S, F), their losses (S,), and what the best gains on the first.
+
+    They end after ``patience`` steps if that is less than ``least_gain``, in half losses.
+    """
     *ends, unit = problem.box
     free = list(problem.free)
     latest: dict[int, Array] = {}
+    first: list[float] = []  # loss of the first search, at every look
 
     def servos_at(points: Array, index: Index) -> Array:
         servos = x[index].copy()
@@ -306,61 +322,25 @@ def _search(
         curvature = slopes.T @ weighted + prior_slopes.T @ prior_slopes
         return Expansion(loss, slope[None], curvature[None], {})
 
+    def hopeless(active: Index, points: Array, losses: Array, promised: Array) -> Mask:
+        first.append(float(losses[0]))
+        if len(first) == patience and first[0] - losses.min() < least_gain:
+            return np.ones(active.size, dtype=bool)
+        return cannot_win(active, points, losses, promised, behind=problem.behind)
+
     minimum = minimise(
         expand,
         x[:, free] / unit,
         *(np.tile(end / unit, (len(x), 1)) for end in ends),
         evaluations=steps,
         settled=1e-3,
-        hopeless=partial(cannot_win, behind=problem.behind),
+        hopeless=hopeless,
         losses=losses,
         look_every=1,
     )
-    return servos_at(minimum.x, np.arange(len(x))), 2 * minimum.expansion.loss
-
-
-def _robust_order(
-    problem: MotorProblem,
-    x: Array,
-    scale: float,
-    inflation: float,
-    rng: np.random.Generator,
-    *,
-    neighbours: int = 128,
-    distance: float = 0.1,
-) -> Index:
-    """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
-
-    Neighbours differ in rotor inertia and losses by a small share of the prior's width. A narrow
-    minimum owes its small loss to a coincidence, for instance of the moment at which the shaft
-    sticks, and predicts other motions badly; so the expected loss of uncertain parameters is what
-    counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied Mechanics and
-    Engineering 196 (2007) 3190-3218, sec. 2.2).
-
-    Args:
-        problem: The problem.
-        x: The minima as searched.
-        scale: Scale of the residual in rad.
-        inflation: Number of samples per independent sample.
-        rng: Generator for the neighbours.
-        neighbours: Number of neighbours of a minimum.
-        distance: Their standard deviation relative to the prior's.
-    """
-    free = list(problem.free)
-    varied = [k for k in free if problem.prior.names[k] in (ROTOR, *LOSSES)]
-    width = distance * column([problem.prior.parameters[k] for k in varied], "prior_sd")
-    offset = width * rng.standard_normal((neighbours, len(varied)))
-    low, high, _ = problem.box
-    means = np.empty(len(x))
-    for k, minimum in enumerate(x):
-        nearby = np.tile(minimum, (neighbours, 1))
-        nearby[:, varied] += offset
-        # A loss below 0 is reflected.
-        moved = np.maximum(nearby[:, free], 2 * low - nearby[:, free])
-        nearby[:, free] = np.minimum(moved, high)
-        error = problem.coarse.residuals(nearby)
-        means[k] = problem.loss(nearby, error, scale, inflation).mean()
-    return np.argsort(means)
+    loss = minimum.expansion.loss
+    gain = first[0] - float(loss.min()) if first else 0.0
+    return servos_at(minimum.x, np.arange(len(x))), 2 * loss, gain
 
 
 def _result(

@@ -14,6 +14,7 @@ from scipy.special import stdtrit
 from sim2real.arrays import Array
 from sim2real.identification.fit import Fit, fit, gains
 from sim2real.identification.motor_fit import MotorFit
+from sim2real.identification.repeating_error import repeating_error
 from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.servo.parameters import COLUMNS
@@ -48,18 +49,28 @@ class Uncertainty:
 
 
 def uncertainty(
-    best: Fit, units: Array, *, probability: float = 0.90, open_sd: float = 1.0, part: float = 0.25
+    best: Fit,
+    units: Array,
+    traces: Sequence[Trace] = (),
+    *,
+    probability: float = 0.90,
+    open_sd: float = 1.0,
+    part: float = 0.25,
 ) -> Uncertainty:
     """Sandwich covariance of a robust fit whose residuals are correlated in time.
 
     The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
     gradient (Bartlett weights: Newey and West, Econometrica 55 (1987) 703-708). It is never taken
-    smaller than the covariance for independent residuals. Intervals use Student's t with the
-    effective number of samples. The prior counts as an additional measurement.
+    smaller than the covariance for independent residuals. With ``traces``, errors that repeat with
+    the angle add to S (``repeating_error``). Intervals use Student's t with the effective number
+    of samples and, of repeating errors, of coefficients, combined for each parameter
+    (Satterthwaite, Biometrics Bulletin 2 (1946) 110-114). The prior counts as an additional
+    measurement.
 
     Args:
         best: The fit.
         units: Natural units of the free parameters, shape (F,).
+        traces: The fitted recordings; none if no errors repeat with the angle.
         probability: Probability of the intervals.
         open_sd: Standard deviation in natural units above which a direction is open.
         part: Share of an open direction from which a parameter counts as part of it.
@@ -86,6 +97,13 @@ def uncertainty(
         prior_precision = best.tempering * best.prior * np.outer(units, units)
         curvature += prior_precision
         spread += best.tempering * prior_precision
+    parts, freedoms = spread[None], np.array([max(effective - units.size, 1.0)])
+    if traces:
+        slopes = np.concatenate(best.jacobians) * units
+        repeating, coefficients = repeating_error(best, traces, slopes, prior_precision)
+        parts = np.concatenate([parts, repeating])
+        freedoms = np.append(freedoms, np.maximum(coefficients, 1.0))
+        spread = parts.sum(axis=0)
     samples = sum(error.size for error in best.residuals)
     level, directions = np.linalg.eigh(curvature)
     least = 1e-12 * max(level[-1], 1e-300)
@@ -102,8 +120,10 @@ def uncertainty(
     at_least = inverse @ independent @ inverse
     covariance = _raised_to(inverse @ spread @ inverse, at_least)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    freedom = max(effective - units.size, 1.0)
-    student = float(stdtrit(freedom, 0.5 + probability / 2))
+    variances = np.einsum("ij,cjk,ki->ci", inverse, parts, inverse)
+    weights = _ratio(variances**2, np.maximum(variances.sum(axis=0), 1e-300) ** 2)
+    freedom = _ratio(np.ones(units.size), (weights / freedoms[:, None]).sum(axis=0))
+    student = stdtrit(freedom, 0.5 + probability / 2)
     quantile = student * fixed_b(float(np.mean(spans)), samples)
     correlation = covariance / np.where(np.outer(sd, sd) > 0, np.outer(sd, sd), 1.0)
     return Uncertainty(

@@ -229,7 +229,13 @@ class Batch:
         def run(substep: Array, selected: Index | None = None) -> None:
             latency, on = problems.theta[problem, variant, 2], active[problem, variant]
             longest = substep[problem, recording]
-            simulate(on, latency, theta, signal, self._signals, longest, angle, selected)
+            inputs = on, latency, theta, signal, self._signals, longest, angle
+            if N > 1 or dev != "cpu":
+                return simulate(*inputs, selected)
+            # A lone problem has its variants simulated side by side.
+            shares = np.array_split(rows if selected is None else selected, self.threads)
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(lambda share: simulate(*inputs, share), shares))
 
         servos = variant == 0
         long_steps = V > 1 and dev == "cpu"

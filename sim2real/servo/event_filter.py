@@ -11,6 +11,7 @@ IEEE Transactions on Automatic Control 15 (1970) 10-17).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -157,16 +158,27 @@ class EventFilter:
         speed = np.array([abs(x.modes.fast * x.modes.slow) ** 0.5 for x in channels])
         self._tolerance = np.stack([sd, sd * speed], axis=1)
 
-    def run(self, options: Sequence[Arrivals], *, width: int = 32) -> list[list[Filtered]]:
+    def run(
+        self, options: Sequence[Arrivals], *, width: int = 32, threads: int = 2
+    ) -> list[list[Filtered]]:
         """Filter every group under each model of arrivals.
 
         Args:
             options: Models of arrivals.
             width: Hypotheses that are kept.
+            threads: CPU threads to share the models.
 
         Returns:
             For each model the result of each group.
         """
+        if len(options) == 1:
+            return self._run(options, width)
+        with ThreadPoolExecutor(threads) as pool:
+            parts = pool.map(lambda k: self._run(options[k::threads], width), range(threads))
+            shares = list(parts)
+        return [shares[k % threads][k // threads] for k in range(len(options))]
+
+    def _run(self, options: Sequence[Arrivals], width: int) -> list[list[Filtered]]:
         G, S, n, K = len(self.groups), len(options), self.order + 3, int(self._slots.max())
         rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s, x.correlation] for x in options])
         pool = 3 * width  # those kept, and two continuations of each

@@ -80,7 +80,7 @@ def test_the_fifth_arm_needs_an_enriched_model(tmp_path, capsys):
     assert "--enriched" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate", "ablate"])
+@pytest.mark.parametrize("name", ["train", "evaluate", "ablate", "forecast"])
 def test_the_options_offer_every_name_that_there_is(name):
     """They repeat the names, as what defines them imports PyTorch."""
     known = {"task": TASKS, "arms": ARMS, "recipe": RECIPES}

@@ -270,19 +270,30 @@ def exact(track, timing):
     return np.logaddexp.reduce(total)
 
 
+def short_track():
+    rng = np.random.default_rng(5)
+    t = np.arange(12) / 50
+    source = fitted_servo(t, rng.normal(size=12), 0.02 * rng.normal(size=12), 0.043)
+    return Channel(
+        t, source.trace.command, source.latency_s, servo_modes(source), source.residual,
+        rng.uniform(0.5, 2.0, size=12), np.zeros(12, dtype=bool), np.zeros(1), 1e-4,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "timing", [Arrivals(0.2, 0.4), Arrivals(0.1, 0.1, 0.004), Arrivals(1e-12, 1e-12, 0.006, 0.7)]
 )
 def test_the_filter_sums_over_all_histories(timing):
-    rng = np.random.default_rng(5)
-    t = np.arange(12) / 50
-    source = fitted_servo(t, rng.normal(size=12), 0.02 * rng.normal(size=12), 0.043)
-    track = Channel(
-        t, source.trace.command, source.latency_s, servo_modes(source), source.residual,
-        rng.uniform(0.5, 2.0, size=12), np.zeros(12, dtype=bool), np.zeros(1), 1e-4,
-    )  # fmt: skip
+    track = short_track()
     ((found,),) = EventFilter([[track]], alike=0.0).run([timing], width=2000)
     assert found.loglikelihood == pytest.approx(exact(track, timing), abs=1e-6)
+
+
+def test_models_of_arrivals_are_filtered_each_by_itself():
+    track, timing = short_track(), [Arrivals(delay_sd_s=x) for x in (1e-3, 3e-3, 5e-3)]
+    together = [found.loglikelihood for (found,) in EventFilter([[track]]).run(timing)]
+    alone = [EventFilter([[track]]).run([one])[0][0].loglikelihood for one in timing]
+    assert together == alone and len(set(alone)) == 3
 
 
 def test_propagator_is_the_servo_equation():

@@ -43,7 +43,8 @@ def test_features_and_weights_must_have_the_same_names():
     odds = Odds({"intercept": 0.0, "gain": 1.0})
     with pytest.raises(ValueError, match="gain, gains"):
         odds.probability({"intercept": 1.0, "gains": 2.0})
-    assert odds.probability({"intercept": 1.0, "gain": 0.0, "is new_effect": 1.0}) == 0.5
+    with pytest.raises(ValueError, match="extra"):
+        odds.probability({"intercept": 1.0, "gain": 0.0, "extra": 1.0})
 
 
 @pytest.mark.parametrize("extreme", [np.inf, -np.inf, 1e12, 0.0])
@@ -90,9 +91,7 @@ def test_a_large_error_on_left_out_data_that_nothing_lowers_has_no_name():
 def test_the_effect_that_explains_all_of_a_large_error_is_likely():
     sure = {**EFFECT, "probability": 0.99, "evidence": 2000.0, "error_change": 0.9}
     weak = {**EFFECT, "probability": 0.6, "evidence": 6.0, "error_change": 0.02}
-    strong, faint = (
-        ODDS["effect"].probability(scaled(**x) | JOINT | {"is backlash": 1.0}) for x in (sure, weak)
-    )
+    strong, faint = (ODDS["effect"].probability(scaled(**x) | JOINT) for x in (sure, weak))
     assert strong > 0.8
     assert faint < strong
 

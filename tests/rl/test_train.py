@@ -13,12 +13,11 @@ import torch
 from stable_baselines3 import SAC
 
 import rl.sac.train
-from rl.commands.evaluate import shown
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, read_agent, set_price
 from rl.experiments import paces, selection
 from rl.experiments.evaluate import summary
-from rl.experiments.named import controller_of, with_price
+from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.trials import run_trials
 from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of

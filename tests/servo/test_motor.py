@@ -332,8 +332,8 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
 
 
 def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
-    from sim2real.identification.motor_fit import MotorProblem, _robust_order
     from sim2real.identification.motor_prior import MotorPrior
+    from sim2real.identification.motor_problem import MotorProblem, robust_order
     from sim2real.inference.parameters import Parameter
 
     class Problem(MotorProblem):
@@ -351,5 +351,31 @@ def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
     problem = Problem((), MotorPrior((friction,), None), (0,), 0.001, None, 10, 30.0)
     minima = np.array([[0.2], [0.6]])
     assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
-    order = _robust_order(problem, minima, 0.1, 1.0, np.random.default_rng(0))
+    order = robust_order(problem, minima, 0.1, 1.0, np.random.default_rng(0))
     assert list(order) == [1, 0]
+
+
+def test_losses_that_no_first_step_shows_are_not_searched_further():
+    from sim2real.identification.fit import plain_row, refitted
+    from sim2real.identification.motor_fit import fit_motor
+    from sim2real.identification.motor_prior import motor_prior
+    from sim2real.servo.parameters import LINE, LOSSES
+    from sim2real.servo.trace import traces
+
+    def fitted(recording, least_gain):
+        data = traces([recording], "j1")
+        plain, rng = refitted(data, plain_row(KP, KD, LATENCY)), np.random.default_rng(0)
+        prior, sizes = motor_prior(bench().joints[0].servo, data), {"candidates": 32}
+        few = fit_motor(data, plain, prior, LINE, rng)
+        sizes |= {"start": few.x, "least_gain": least_gain}
+        more = fit_motor(data, plain, prior, (*LINE, *LOSSES), rng, **sizes)
+        return few.loss_at(more.fit.scale_rad, more.inflation), more
+
+    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
+    loss, without = fitted(recorded(**line), 2.0)
+    assert len(without.others) == 0
+    assert loss - without.loss_at(without.fit.scale_rad, without.inflation) < 4.0
+    rubbing = recorded(Load(INERTIA, 0.3, 0.1), **line, motor_friction=0.25)
+    loss, some = fitted(rubbing, 2.0)
+    assert loss - some.loss_at(some.fit.scale_rad, some.inflation) > 20.0
+    assert np.array_equal(some.x, fitted(rubbing, 0.0)[1].x)  # followed to the same end

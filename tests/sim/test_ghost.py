@@ -8,7 +8,7 @@ from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
-from sim.robot.bodies import FREE, Bodies, Masses
+from sim.robot.bodies import FREE, HELD, Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim2real.errors import InputError
 
@@ -57,6 +57,28 @@ def test_a_towed_spheroid_has_no_drag_without_friction(monkeypatch):
     monkeypatch.setattr(spheroid, "_LENGTHS", 0.5)
     moved, found = spheroid.drag(18, SLIPS)
     assert abs(found[moved > moved[-1] / 2].mean()) < 0.01
+
+
+def test_a_stream_neither_pushes_a_body_at_rest_nor_fills_its_box():
+    """D'Alembert's paradox again, in the frame of the body: an ellipse four cells thick."""
+    length, speed = 24, 0.05
+    fluid = Fluid(D2Q9, (72, 48), viscosity=1e-3, smagorinsky=0.1)
+    fluid.set(velocity=np.array([-speed, 0.0, 0.0]))
+    hull = spheroid.prolate(float(length))
+    links = hull.length.size
+    bodies = Bodies(
+        fluid, hull, Masses(np.ones(links), np.ones(links), np.zeros(links)), LATTICE, wall=SLIPS
+    )
+    start = np.zeros((1, 2 + links))
+    start[0, :2] = 48.0, 24.2
+    bodies.place(start)
+    force = []
+    for _ in range(round(length / speed)):
+        bodies.step(HELD)
+        force.append(-bodies.motion.force.numpy()[0, :, 0].sum())
+    coefficient = np.mean(force[len(force) // 2 :]) / (0.5 * speed**2 * 2 * length)
+    assert abs(coefficient) < 0.01
+    assert abs(fluid.moments()[0].mean() - 1) < 5e-4
 
 
 def test_ghost_cells_need_slip():

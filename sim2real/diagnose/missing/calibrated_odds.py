@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.diagnose.decision import DECISION, EFFECT_PREFIX, ODDS
+from sim2real.diagnose.decision import DECISION, ODDS
 from sim2real.diagnose.joint_result import includes_zero
 from sim2real.diagnose.missing.effect_probabilities import Group
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
@@ -106,8 +106,7 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
             excess=finding.excess,
             uncatalogued_lead=lead,
         )
-        of_effect = {f"{EFFECT_PREFIX}{name}": 1 / len(group.members) for name in group.members}
-        of_groups.append((group, features | of_joint | of_effect))
+        of_groups.append((group, features | of_joint))
     of_link = None
     if link is not None:
         of_link = scaled(

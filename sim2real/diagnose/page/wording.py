@@ -158,7 +158,8 @@ def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate
     for name in estimates[0] if estimates else ():
         means = np.array([entry[name].mean for entry in estimates])
         sds = np.array([entry[name].sd for entry in estimates])
-        weight = 1 / np.maximum(sds, 1e-9 * (np.abs(means) + 1e-12)) ** 2
+        # An unbounded standard deviation keeps a weight, so that not all weights are 0.
+        weight = 1 / np.clip(sds, 1e-9 * (np.abs(means) + 1e-12), 1e100) ** 2
         mean = float(np.sum(weight * means) / weight.sum())
         # Never narrower than the joints' own disagreement.
         spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))

@@ -1,0 +1,366 @@
+"""Forecasts of policies in concealed realities: do the intervals hold, and is the ranking right?
+
+    python benchmarks/forecast_realities.py swim OUT --device cuda:0     # a minute or two on a GPU
+    python benchmarks/forecast_realities.py forecast OUT --processes 32  # some minutes
+    python benchmarks/forecast_realities.py score OUT
+
+Realities are those of ``datasets/pool``: fluid in cells of its own with another viscosity and wall,
+servos, skins and faults written apart from the library's laws. Of each, a swim of twelve seconds
+and bench values that are off by up to 5 % are known (``inputs``); the trials of the policies are in
+``answers``, whose hashes are printed before anything is forecast, and which only ``score`` reads.
+Each reality is calibrated in the twin and forecast three times: from all that is known, from the
+calibrated model alone, and from hand-set ranges (Lin, Liu, Wang 2024, Table II: latency and sensor
+noise). All stages resume.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import kendalltau
+
+from rl.experiments.real_episodes import Starts, run_real_episodes
+from rl.experiments.testbeds import Controllers
+from rl.forecast.forecast import BETTER, Forecast
+from rl.forecast.make import named_controllers
+from rl.forecast.realities import Realities, draw_realities
+from rl.forecast.residuals import residuals_of
+from rl.forecast.statistics import expected
+from rl.forecast.swims import FIGURES, SimulationSettings, measured, swim
+from rl.forecast.trials import OBSERVED, Trials
+from rl.randomize import Noise, with_density
+from rl.sac.recipes import RECIPES
+from rl.task import CONTROL_S, TASKS, Task
+from sim.verbs import calibrate
+from sim2real.arrays import Array
+from sim2real.model import JointModel, Model, read_model, write_model
+from sim2real.output import write_json
+from sim2real.posterior.posteriors import JointSample
+from sim2real.ranges.entry import Ranges, normal, uniform
+from sim2real.recording import Recording, read_recording, write_recording
+from sim2real.robot import read_robot
+
+POOL = Path(__file__).parents[1] / "datasets" / "pool"
+AGENTS = POOL / "agents" / "ablation"
+POLICIES = [
+    *(str(AGENTS / name / "policy.npz") for name in (
+        "all-0", "all-1", "no-servo-0", "no-density-0", "no-randomization-0", "no-randomization-1",
+    )), "pnl", "adrc",
+]  # fmt: skip
+FIRST = 0
+"""The policy with more trials, for the update."""
+Add = Callable[[str, float], None]
+SCORED = ("time_s", "energy", "success")
+
+
+def task_of(seconds: float) -> Task:
+    """The turn, with a limit of time."""
+    steps = round(seconds / CONTROL_S)
+    return replace(TASKS["turn"], steps=steps, energy=RECIPES["default"].energy)
+
+
+def concealed(rng: np.random.Generator) -> tuple[Any, dict[str, list[float]]]:
+    """A reality, and what a bench gives for its servos."""
+    from drawn import NOMINAL, OUTSIDE, WEAKEST  # type: ignore[import-not-found]
+    from truth import Truth  # type: ignore[import-not-found]
+
+    kp = np.array([2.1, 2.0, 1.9]) * rng.uniform(0.85, 1.15, 3)
+    kd = np.array([0.075, 0.07, 0.066]) * rng.uniform(0.85, 1.15, 3)
+    latency = np.array([0.062, 0.066, 0.071]) + rng.uniform(-0.012, 0.012)
+    effects: dict[str, dict[str, float]] = {}
+    choices = [n for n in NOMINAL if not n.startswith(("camera", "marker", "pose", "dropped"))]
+    if rng.random() < 0.6:
+        name = choices[rng.integers(len(choices))]
+        strength = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(1.5))))
+        effects[name] = {k: float(x) for k, x in NOMINAL[name](rng, strength).items()}
+    servo = {
+        "coulomb_friction": {"torque_Nm": rng.uniform(0.01, 0.05)},
+        "backlash": {"gap_rad": rng.uniform(0.005, 0.03)},
+        "latency_drift": {"sd_s": rng.uniform(0.003, 0.01), "time_s": 3.0},
+    }
+    effects |= {name: values for name, values in servo.items() if rng.random() < 0.5}
+    if rng.random() < 0.2:
+        name = ("seiche", "leaking_float", "loose_fin")[rng.integers(3)]
+        effects[name] = {k: float(x) for k, x in OUTSIDE[name](rng).items()}
+        effects[name] = {k: 1.0 if k == "from_s" else x for k, x in effects[name].items()}
+    bench = {
+        "kp": kp * rng.uniform(0.95, 1.05, 3),
+        "kd": kd * rng.uniform(0.95, 1.05, 3),
+        "latency": latency + rng.uniform(-0.004, 0.004, 3),
+    }
+    rows = (tuple(map(float, row)) for row in (kp, kd, latency))
+    return Truth("reality", effects, *rows), {k: x.tolist() for k, x in bench.items()}
+
+
+def swim_group(options: argparse.Namespace, g: int) -> None:
+    """The known swims and the trials of one group of realities, which share their water."""
+    from camera import filmed, reported  # type: ignore[import-not-found]
+    from drawn import command_of
+    from reality import Pool  # type: ignore[import-not-found]
+    from world import Water as PoolWater  # type: ignore[import-not-found]
+    from world import World
+
+    rng, robot = np.random.default_rng([options.seed, g]), read_robot(POOL / "robot.toml")
+    R, J, P = options.in_group, len(robot.joints), len(POLICIES)
+    truths, benches = zip(*(concealed(rng) for _ in range(R)), strict=True)
+    water = PoolWater(
+        viscosity_m2_s=float(np.exp(rng.uniform(np.log(2e-5), np.log(8e-5)))),
+        smagorinsky=float(rng.uniform(0.12, 0.16)), magic=float(rng.choice([1e-2, 5e-2])),
+        line=str(rng.choice(["laminar", "turbulent"])), box_m=(1.15, 0.8, 0.36),
+    )  # fmt: skip
+    cells = {"device": options.device, "cell_m": options.cell_m * rng.uniform(0.9, 1.1)}
+    known = World(truths, rng=rng, robot=robot, water=water, **cells)
+    command = np.stack([command_of(rng, J, CONTROL_S, options.known_s) for _ in range(R)], axis=1)
+    known.reset(np.column_stack([rng.uniform(-0.5, 0.5, (R, 2)), rng.uniform(-3, 3, R)]))
+    pose, angle = [], []
+    for row in command:
+        at, joint = known.where()
+        pose.append(filmed(at, rng))
+        angle.append(reported(joint, rng))
+        known.step(row)
+    lost = known.stopped()
+    names = tuple(joint.name for joint in robot.joints)
+    for r in range(R):
+        folder = options.out / "inputs" / f"{g:02d}-{r:02d}"
+        if lost[r]:
+            continue
+        rows = zip(*(benches[r][n] for n in ("kp", "kd", "latency")), strict=True)
+        servos = {n: JointModel(*row, 0.002) for n, row in zip(names, rows, strict=True)}
+        write_model(Model(servos), folder / "bench.json")
+        columns = dict(
+            zip(("body.x_m", "body.y_m", "body.yaw_rad"), np.array(pose)[:, r].T, strict=True)
+        )
+        recording = Recording(
+            name="known", kind="pool", joints=names, t=CONTROL_S * np.arange(len(command)),
+            command=command[:, r], position=np.array(angle)[:, r], columns=columns, medium="water",
+            source="Simulated, not measured: benchmarks/forecast_realities.py. MIT licence.",
+        )  # fmt: skip
+        write_recording(recording, folder / "known.csv")
+    # trials: two of each policy, from the same starts, and four more of the first policy
+    task, T = task_of(options.seconds), 2
+    who = np.array([*np.repeat(np.arange(P), T), *[FIRST] * 4])
+    which = np.array([*np.tile(np.arange(T), P), *range(T, T + 4)])
+    starts = [task.place(rng, T + 4, J) for _ in range(R)]
+    parts = (np.concatenate([one[k][which] for one in starts]) for k in range(3))
+    world = World(
+        [truth for truth in truths for _ in who], rng=rng, robot=robot, water=water, **cells
+    )
+    controllers = named_controllers(POLICIES, robot)
+    owner = np.tile(who, R)
+    made = [make(int((owner == k).sum())) for k, make in enumerate(controllers.values())]
+    steering = Controllers(made, 1)
+    steering.owner = owner
+    episodes = run_real_episodes(Pool(world, rng), steering, robot, task, Starts(*parts))
+    figures = {name: x.reshape(R, len(who)) for name, x in measured(episodes, task).items()}
+    stopped = world.stopped().reshape(R, len(who))
+    answers = options.out / "answers" / f"{g:02d}.json"
+    content = {name: x.tolist() for name, x in figures.items()}
+    effects = [truth.effects for truth in truths]
+    about = {"who": who.tolist(), "stopped": stopped.tolist(), "lost": lost.tolist()}
+    write_json(answers, {**content, **about, "effects": effects, "water": vars(water)})
+    print(g, hashlib.sha256(answers.read_bytes()).hexdigest(), int(stopped.sum()), flush=True)
+
+
+def known_of(bench: Model, rng: np.random.Generator) -> tuple[Ranges, JointSample]:
+    """Ranges and posterior of a bench whose values are off by up to 5 %, and 4 ms."""
+    gains = ("kp_Nm_per_rad", "kd_Nms_per_rad")
+    names = tuple(f"{joint}.{gain}" for joint in bench.joints for gain in gains)
+    value = np.array([getattr(bench.joints[n.split(".")[0]], n.split(".")[1]) for n in names])
+    sample = value / rng.uniform(0.95, 1.05, (2000, len(names)))
+    latency = np.array([joint.latency_s for joint in bench.joints.values()])
+    entries = [uniform(n, 0.95 * v, 1.05 * v, "", "") for n, v in zip(names, value, strict=True)]
+    entries.append(uniform("command_latency_s", latency.mean(), latency.mean(), "s", ""))
+    for joint, at in zip(bench.joints, latency - latency.mean(), strict=True):
+        entries.append(uniform(f"{joint}.latency_offset_s", at - 0.004, at + 0.004, "s", ""))
+        entries.append(normal(f"{joint}.position_noise_rad", 0, 0.0019, "rad", "", "step"))
+    entries.append(normal("body.position_noise_m", 0, 0.002, "m", "", "step"))
+    entries.append(normal("body.yaw_noise_rad", 0, 0.009, "rad", "", "step"))
+    return Ranges(tuple(entries)), JointSample(names, ("",) * len(names), sample)
+
+
+def hand_set(ranges: Ranges) -> Ranges:
+    """The paper's Table II: latency 68 +- 20 ms; noise of 5 cm, 3 degrees, joints 2 degrees."""
+    noise = {"body.position_noise_m": 0.05, "body.yaw_noise_rad": np.deg2rad(3.0)}
+    entries = [uniform("command_latency_s", 0.048, 0.088, "s", "")]
+    for entry in ranges.entries:
+        if entry.period == "step":
+            sd = noise.get(entry.parameter, np.deg2rad(2.0))
+            entries.append(replace(entry, second=float(sd)))
+    return Ranges(tuple(entries))
+
+
+def alone(model: Model, n: int, noise: Noise) -> Realities:
+    """The calibrated model as the only reality."""
+    parameters = np.random.default_rng(0).standard_normal((n, 1))
+    return Realities((model,) * n, noise, ("none",), parameters, np.zeros((n, 3)), np.zeros(6))
+
+
+def forecast_one(folder: Path, draws: int, seconds: float) -> str:
+    """Calibrate and forecast one reality from its inputs."""
+    import torch
+
+    torch.set_num_threads(1)
+    out = folder.parents[1] / "forecasts" / f"{folder.name}.npz"
+    if out.exists():
+        return f"{folder.name}: kept"
+    robot, bench = read_robot(POOL / "robot.toml"), read_model(folder / "bench.json")
+    recording, task = read_recording(folder / "known.csv"), task_of(seconds)
+    rng = np.random.default_rng(0)
+    ranges, sample = known_of(bench, rng)
+    model = calibrate([recording], robot, bench).model
+    residuals = residuals_of([recording], model, robot)
+    controllers = named_controllers(POLICIES, robot)
+    few = dict(list(controllers.items())[:2])
+    simulation = SimulationSettings(at_once=draws, threads=1)
+    settings: dict[str, Any] = {"trials": 2, "seed": 1, "settings": simulation}
+    model = with_density(model, robot)
+    drawn = draw_realities(robot, model, ranges, sample, draws, rng)
+    content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}
+    swum = swim(robot, task, drawn, controllers, residuals=residuals, **settings)
+    content |= {f"full.{name}": swum.figures[name] for name in FIGURES}
+    one = alone(model, 20, drawn.noise)
+    content |= {f"alone.{n}": x for n, x in swim(robot, task, one, few, **settings).figures.items()}
+    by_hand = draw_realities(robot, model, hand_set(ranges), sample, draws, rng)
+    flat = replace(by_hand, law=np.zeros((draws, 3)), unexplained=np.zeros(6))
+    body = {k: x for k, x in model.body.items() if k not in ("posterior", "interval")}
+    models = tuple(replace(m, body={**body, "effects": []}) for m in flat.models)
+    flat = replace(flat, models=models)
+    content |= {f"hand.{n}": x for n, x in swim(robot, task, flat, few, **settings).figures.items()}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(out.with_suffix(".part.npz"), **content)
+    out.with_suffix(".part.npz").rename(out)
+    return f"{folder.name}: {model.fit['body.surge']['heldout']:.3f} m/s"
+
+
+def forecast_of(kept: Any, kind: str) -> Forecast:  # noqa: ANN401 - an open npz
+    """A forecast from what was kept of it."""
+    figures = {name: kept[f"{kind}.{name}"] for name in FIGURES}
+    K, N, _ = figures["time_s"].shape
+    parameters = kept["parameters"] if kind == "full" else np.zeros((N, 1))
+    names = tuple(map(str, kept["names"])) if kind == "full" else ("none",)
+    none, joints = np.zeros((K, 0, 0, 2)), ("j1", "j2", "j3")
+    policies = tuple(map(str, range(K)))
+    return Forecast("", "turn", policies, joints, figures, names, parameters, none, none)
+
+
+def score(out: Path) -> dict[str, Any]:
+    """Compare the forecasts with the answers."""
+    rows: dict[str, list[float]] = {}
+
+    def add(name: str, value: float) -> None:
+        rows.setdefault(name, []).append(float(value))
+
+    for path in sorted((out / "forecasts").glob("??-??.npz")):
+        g, r = map(int, path.stem.split("-"))
+        answers = json.loads((out / "answers" / f"{g:02d}.json").read_text())
+        who, ok = np.array(answers["who"]), ~np.array(answers["stopped"])[r]
+        real = {name: np.array(answers[name], dtype=np.float64)[r] for name in FIGURES}
+        with np.load(path, allow_pickle=False) as kept:
+            made = {kind: forecast_of(kept, kind) for kind in ("full", "alone", "hand")}
+        for kind, one in made.items():
+            for k, policy in enumerate(one.policies):
+                mine = (who == k) & ok
+                for name in SCORED:
+                    if not mine.any():
+                        continue
+                    values, n = real[name][mine], int(mine.sum())
+                    _, low, high = one.interval(policy, name, n)
+                    add(f"{kind} mean {name} held", low - 1e-9 <= values.mean() <= high + 1e-9)
+                    _, least, most = one.interval(policy, name)
+                    add(f"{kind} mean {name} width", most - least)
+                    _, low, high = one.interval(policy, name, 1)
+                    add(f"{kind} next {name} held", low - 1e-9 <= values[0] <= high + 1e-9)
+                    add(f"{kind} next {name} width", high - low)
+        scored(made, real, who, ok, add)
+        updated(made["full"], real, who, ok, add)
+    return summary(rows)
+
+
+def scored(
+    made: dict[str, Forecast], real: dict[str, Array], who: Array, ok: Array, add: Add
+) -> None:
+    """The ranking of policies, and the regret of the first choice."""
+    full = made["full"]
+    for name in ("reward", "time_s", "energy"):
+        predicted = np.array([expected(x).mean() for x in BETTER[name] * full.figures[name]])
+        found = np.array([BETTER[name] * real[name][(who == k) & ok][:2].mean() for k in set(who)])
+        if np.isfinite(found).all():
+            add(f"ranking tau {name}", kendalltau(predicted, found).statistic)
+            lost = (found.max() - found[predicted.argmax()]) / abs(found.max())
+            add(f"ranking {name} first within 5 %", lost <= 0.05)
+
+
+def updated(full: Forecast, real: dict[str, Array], who: Array, ok: Array, add: Add) -> None:
+    """The update by three trials of the first policy, held against its other trials."""
+    mine = np.flatnonzero((who == FIRST) & ok)
+    if len(mine) < 6:
+        return
+    seen = np.stack([real[name][mine[:3]] for name in OBSERVED], axis=1)
+    after = full.after([Trials(FIRST, OBSERVED, seen)])
+    assert after.update is not None
+    add("update contradicted", after.update.contradicted)
+    add("update effective", after.update.effective)
+    for name in ("time_s", "energy"):
+        left = real[name][mine[3:]]
+        _, low, high = after.interval("0", name, len(left))
+        add(f"update {name} held", low <= left.mean() <= high)
+        (_, a, b), (_, c, d) = full.interval("0", name), after.interval("0", name)
+        add(f"update {name} narrower", 1 - (d - c) / max(b - a, 1e-9))
+
+
+def summary(rows: dict[str, Sequence[float]]) -> dict[str, Any]:
+    """Shares of what held, medians of all else."""
+    out: dict[str, Any] = {}
+    for name, values in rows.items():
+        share = name.endswith(("held", "within 5 %", "contradicted"))
+        out[name] = float(np.mean(values) if share else np.median(values))
+        print(f"{name:<34} {out[name]:8.3g}   ({len(values)})")
+    for name in SCORED[:2]:
+        full, hand = (np.median(rows[f"{kind} next {name} width"]) for kind in ("full", "hand"))
+        out[f"width of {name} over hand-set"] = float(full / hand)
+        print(f"width of {name} over hand-set: {full / hand:.2f}")
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """One stage."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("stage", choices=("swim", "forecast", "score"))
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=20261126)
+    parser.add_argument("--groups", type=int, default=4)
+    parser.add_argument("--in-group", type=int, default=25)
+    parser.add_argument("--cell-m", type=float, default=0.016)
+    parser.add_argument("--seconds", type=float, default=10.0, help="longest trial")
+    parser.add_argument("--known-s", type=float, default=12.0, help="length of the known swim")
+    parser.add_argument("--draws", type=int, default=100)
+    options = parser.parse_args(arguments)
+    if options.stage == "swim":
+        sys.path.insert(0, str(POOL))
+        for g in range(options.groups):
+            if not (options.out / "answers" / f"{g:02d}.json").exists():
+                swim_group(options, g)
+    elif options.stage == "forecast":
+        folders = sorted((options.out / "inputs").iterdir())
+        with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+            jobs = [pool.submit(forecast_one, f, options.draws, options.seconds) for f in folders]
+            for done in as_completed(jobs):
+                print(done.exception() or done.result(), flush=True)
+    else:
+        write_json(options.out / "score.json", score(options.out))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""What the uncertainty of a forecast comes from, and the measurements that would reduce it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rl.forecast.realities import DEVIATIONS
+from rl.forecast.statistics import between_within, expected
+from sim2real.arrays import Array
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A measurement that would reduce the uncertainty of a forecast.
+
+    Attributes:
+        what: Name of what it determines.
+        how: What to do.
+        shrinks: By figure, the share by which the interval of the mean is expected to become
+            narrower if it determines its parameters exactly, 0 to 1.
+    """
+
+    what: str
+    how: str
+    shrinks: dict[str, float]
+
+    @property
+    def mean(self) -> float:
+        """Mean over the figures."""
+        return float(np.mean(list(self.shrinks.values())))
+
+
+def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
+    """What a parameter of a reality belongs to, and what measures it."""
+    head, _, tail = parameter.partition(".")
+    if parameter in DEVIATIONS:
+        return "law of the twin", "calibrate in the fluid (sim2real calibrate --fluid)"
+    if head in joints and tail == "latency_s":
+        return "latency", "record steps through the robot's own link, on several days"
+    if head in joints:
+        return f"servo {head}", f"record {head} on the bench, as sim2real design suggests"
+    if parameter.startswith("body.normalised_density"):
+        return "density", "weigh the links"
+    if head == "twin":
+        return "water", "record further swims in the pool and calibrate with them"
+    return "effects of the body", "record the swim that sim2real diagnose suggests"
+
+
+def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
+    """Share of an outcome's variance that each group of parameters explains by itself.
+
+    The outcome is a sum of linear and quadratic functions of the parameters; by a ridge penalty
+    that predicts left-out draws best (leave-one-out error in closed form: Golub, Heath and Wahba,
+    Technometrics 21 (1979) 215), parameters that do not matter have no share. The share of a group
+    is the variance of its functions, its first-order index where groups are independent (Sobol,
+    Math. Comput. Simul. 55 (2001) 271).
+
+    Args:
+        parameters: Shape (N, P).
+        outcome: Shape (N,).
+        groups: Group of each parameter.
+    """
+    names = list(dict.fromkeys(groups))
+    sd = parameters.std(axis=0)
+    used = np.flatnonzero(sd > 0)
+    total = outcome.var()
+    if not used.size or total <= 0:
+        return dict.fromkeys(names, 0.0)
+    z = (parameters[:, used] - parameters[:, used].mean(axis=0)) / sd[used]
+    squares = z**2 - 1
+    columns = np.concatenate([z, squares - squares.mean(axis=0)], axis=1)
+    member = np.tile(np.array(groups)[used], 2)
+    left, singular, right = np.linalg.svd(columns, full_matrices=False)
+    centred = outcome - outcome.mean()
+    projected = left.T @ centred
+    found = (np.inf, np.zeros(columns.shape[1]))
+    for penalty in len(outcome) * np.logspace(-3, 3, 25):
+        kept = singular**2 / (singular**2 + penalty)
+        lever = (left**2) @ kept + 1 / len(outcome)
+        error = float(np.mean(((centred - left @ (kept * projected)) / (1 - lever)) ** 2))
+        if error < found[0]:
+            found = error, right.T @ (kept / np.maximum(singular, 1e-12) * projected)
+    if found[0] >= total:
+        return dict.fromkeys(names, 0.0)
+    return {
+        name: float((columns[:, member == name] @ found[1][member == name]).var() / total)
+        for name in names
+    }
+
+
+def ranked(
+    names: Sequence[str],
+    parameters: Array,
+    figures: dict[str, Array],
+    weights: Array,
+    joints: Sequence[str],
+    trials: int = 3,
+) -> list[Measurement]:
+    """Measurements, the one that is expected to shrink the intervals most first.
+
+    Args:
+        names: Names of the P parameters.
+        parameters: Their values in each draw, shape (N, P).
+        figures: Figures of one policy, shape (N, T) each.
+        weights: Of the draws, shape (N,).
+        joints: Names of the robot's joints.
+        trials: Number of trials on the real robot, which are a measurement too.
+    """
+    kinds = [group_of(name, joints) for name in names]
+    how = dict(kinds)
+    shrinks: dict[str, dict[str, float]] = {name: {} for name in how}
+    label = f"{trials} trials"
+    shrinks[label], how[label] = {}, "swim with this policy and give the results as --trials"
+    even = np.allclose(weights, weights[0])
+    rows = np.arange(len(weights))
+    if not even:
+        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
+    for figure, values in figures.items():
+        between, within = between_within(values)
+        if between <= 0:
+            continue
+        reliable = between / (between + within / values.shape[1])
+        mean = expected(values)[rows]
+        shares = first_order(parameters[rows], mean, [name for name, _ in kinds])
+        for name, share in shares.items():
+            shrinks[name][figure] = 1 - float(np.sqrt(1 - min(share / reliable, 1.0)))
+        left = (within / trials) / (float(mean.var()) + within / trials)
+        shrinks[label][figure] = 1 - float(np.sqrt(left))
+    rows_ = [Measurement(name, how[name], found) for name, found in shrinks.items() if found]
+    return sorted(rows_, key=lambda one: -one.mean)

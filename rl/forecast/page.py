@@ -1,0 +1,110 @@
+"""The page of a forecast."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from rl.experiments.ablation_report import picture
+from rl.forecast.forecast import DIGITS, UNITS, Forecast
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Block, Note, Section, Table, write_page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_NAMES = {
+    "success": "share that arrives",
+    "time_s": "time (s)",
+    "energy": "energy (rad²/s²)",
+    "reward": "reward",
+    "path_m": "path (m)",
+}
+
+
+@result_section.register
+def _forecast(forecast: Forecast) -> Section:
+    return sections(forecast)[0]
+
+
+def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> None:
+    """Write the page: intervals, paths, ranking, and what to measure next."""
+    N = len(forecast.parameters)
+    title = f"Forecast of {forecast.robot}"
+    subtitle = f"The task “{forecast.task}” in {N} realities that agree with what is known"
+    write_page(path, title, subtitle, sections(forecast), forecast.provenance)
+
+
+def sections(forecast: Forecast) -> list[Section]:
+    """Sections of the page."""
+    rows = []
+    for policy in forecast.policies:
+        for figure in UNITS:
+            mean, low, high = forecast.interval(policy, figure)
+            _, least, most = forecast.interval(policy, figure, 1)
+            shape = DIGITS[figure]
+            next_trial = "" if figure == "success" else f"{least:{shape}} to {most:{shape}}"
+            cells = (f"{mean:{shape}}", f"{low:{shape}} to {high:{shape}}", next_trial)
+            rows.append((policy, _NAMES[figure], *cells))
+    header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
+    caption = (
+        "The interval of the mean is that of many trials of the real robot; that of the next trial "
+        "contains the chance of a single one. Trials without arrival count with the full time."
+    )
+    blocks: list[Block] = [picture(interval_figure(forecast)), Table(header, rows, caption)]
+    blocks += [
+        Note("info", f"{policy}: P({limit}) = {forecast.probability(policy, limit):.2f}")
+        for policy in forecast.policies
+        for limit in forecast.limits
+    ]
+    blocks += [Note("warn", note) for note in forecast.notes]
+    if forecast.update is not None:
+        kind: Any = "warn" if forecast.update.contradicted else "good"
+        blocks.insert(0, Note(kind, forecast.verdict))
+    out = [
+        Section("What to expect", "", blocks),
+        Section(
+            "Paths",
+            "The first trial in twenty realities, with the start at the right and the target at "
+            "the left; grey where it is not reached.",
+            [picture(forecast.plot())],
+        ),
+    ]
+    if len(forecast.policies) > 1:
+        order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
+        lead = f"By {_NAMES[forecast.rank_by]}, best first."
+        table = Table(("policy", "probability to be the best"), order)
+        out.append(Section("Which policy", lead, [table]))
+    following = forecast.next_measurements()
+    if following:
+        narrower = [
+            (x.what, x.how, *(f"{100 * y:.0f} %" for y in (x.mean, *x.shrinks.values())))
+            for x in following
+        ]
+        figures = [_NAMES[name] for name in following[0].shrinks]
+        lead = "By how much narrower the intervals of the means are expected to be after it."
+        table = Table(("what", "measurement", "mean", *figures), narrower)
+        out.append(Section("What to measure next", lead, [table]))
+    return out
+
+
+def interval_figure(forecast: Forecast) -> Figure:
+    """Intervals of the mean (thick) and of the next trial (thin) of each policy."""
+    from sim2real.report.style import ACCENT, MUTED, house_style, new_figure
+
+    K = len(forecast.policies)
+    with house_style():
+        figure = new_figure(70 + 34 * K, "Intervals of time and energy")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, name in zip(panels, ("time_s", "energy"), strict=True):
+            for y, policy in enumerate(forecast.policies):
+                mean, low, high = forecast.interval(policy, name)
+                _, least, most = forecast.interval(policy, name, 1)
+                axes.plot([least, most], [y, y], color=MUTED, lw=1.0)
+                axes.plot([low, high], [y, y], color=ACCENT, lw=3.0)
+                axes.plot([mean], [y], "o", color=ACCENT, ms=4)
+            axes.set_yticks(range(K), forecast.policies)
+            axes.set_ylim(K - 0.5, -0.5)
+            axes.margins(x=0.06)
+            axes.set_xlabel(_NAMES[name])
+    return figure

@@ -1,0 +1,264 @@
+"""Realities that agree with everything known of a robot: one draw of all that is uncertain each.
+
+A draw has servos from the joint posterior sample and the ranges, effects with the probabilities of
+a diagnosis, a body from the covariance of its calibration, the error of the twin's law as measured
+against the fluid, and what the fit leaves unexplained (Kennedy and O'Hagan, J. R. Stat. Soc. B 63
+(2001) 425: parameters, discrepancy and noise are kept apart).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rl.forecast.diagnosed import Diagnosed
+from rl.randomize import Noise, draw_models, noise_of
+from sim.inference.law_error import LAW_ERROR, LawError
+from sim.inference.swims import Coefficients, with_values
+from sim2real.arrays import Array
+from sim2real.body import values
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.posterior.posteriors import JointSample, read_sample
+from sim2real.ranges.entry import Range, Ranges
+from sim2real.robot import Robot
+
+_BODY = ("surge", "sway", "yaw_rate")
+DEVIATIONS = tuple(f"law error.{name}" for name in _BODY)
+"""Parameters of a draw that are relative errors of the simulated velocities."""
+
+
+@dataclass(frozen=True)
+class Realities:
+    """N draws of what the real robot may be.
+
+    Attributes:
+        models: The models.
+        noise: Noise of camera and joints.
+        names: Names of the P parameters in which the draws differ.
+        values: Their values, shape (N, P).
+        law: Relative errors of surge, sway and yaw rate, constant in a reality, shape (N, 3).
+        unexplained: Standard deviation of what the fit leaves unexplained in surge and sway in m/s,
+            yaw rate in rad/s and joint angles in rad, shape (3 + J,).
+    """
+
+    models: tuple[Model, ...]
+    noise: Noise
+    names: tuple[str, ...]
+    values: Array
+    law: Array
+    unexplained: Array
+
+
+def draw_realities(
+    robot: Robot,
+    model: Model,
+    ranges: Ranges,
+    sample: JointSample,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    diagnosed: Diagnosed | None = None,
+    error: LawError = LAW_ERROR,
+) -> Realities:
+    """Draw realities.
+
+    Args:
+        robot: The robot.
+        model: Its fitted servos and body.
+        ranges: Its ranges; their noise is that of the realities.
+        sample: The joint posterior sample of its servos.
+        n: Number of draws.
+        rng: Random number generator.
+        diagnosed: Effects with their probabilities, if they were diagnosed.
+        error: Error of the twin. Velocities of a calibrated body have its relative error; a body
+            that was not calibrated has laws as different as those of the robots in ``error``.
+    """
+    models = draw_models(model, ranges, robot, n, rng, sample)
+    if diagnosed is not None:
+        models = [diagnosed.drawn(one, rng) for one in models]
+    models = _with_bodies(models, model, error, rng)
+    law = np.zeros((n, 3))
+    if "twin" in model.body:
+        # the mean speed and turn are slow; sway is zero on average, what matters of it is its beat
+        law = rng.standard_normal((n, 3)) * error.shares[(0, 1, 2), (0, 1, 0)]
+    names, table = parameters_of(models)
+    varied = table.std(axis=0) > 1e-9 * np.abs(table).mean(axis=0)
+    names = [name for name, one in zip(names, varied, strict=True) if one]
+    table = table[:, varied]
+    if law.any():
+        names, table = [*names, *DEVIATIONS], np.concatenate([table, law], axis=1)
+    fit = dict(model.fit)
+    if diagnosed is not None:  # errors of a bench do not replace those of swims
+        swims = any(signal.startswith("body.") for signal in diagnosed.fit)
+        fit = {**fit, **diagnosed.fit} if swims else {**diagnosed.fit, **fit}
+    joints = [joint.name for joint in robot.joints]
+    return Realities(
+        models=tuple(models),
+        noise=noise_of(ranges, joints),
+        names=tuple(names),
+        values=table,
+        law=law,
+        unexplained=unexplained(fit, joints),
+    )
+
+
+def _with_bodies(
+    models: Sequence[Model], model: Model, error: LawError, rng: np.random.Generator
+) -> list[Model]:
+    """Models with bodies drawn from their calibration, or from laws of other robots.
+
+    A calibration fits latencies together with the body, so that they are drawn together; the
+    spread of the models' latencies, between days, is added.
+    """
+    posterior = model.body.get("posterior")
+    late = np.zeros(())
+    if posterior is not None:
+        heads = {"twin", *model.joints}
+        own = [k for k, name in enumerate(posterior["names"]) if name.split(".")[0] in heads]
+        names = [posterior["names"][k] for k in own]
+        late = np.zeros((len(models), len(names)))
+        for k, name in enumerate(names):
+            if name.endswith(".latency_s"):
+                late[:, k] = [one.joints[name.split(".")[0]].latency_s for one in models]
+        late -= late.mean(axis=0)
+        mean = np.array(posterior["mean"])[own]
+        covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
+        mean, covariance = _with_prior(names, mean, covariance, error)
+        drawn = rng.multivariate_normal(mean, covariance, size=len(models))
+    else:
+        interval = model.body.get("interval", {})
+        if "twin" in model.body:
+            ends = {k: v for k, v in interval.items() if k.startswith("twin.")}
+            names, normal_width = list(ends), 2 * 1.645
+            mean = np.array([np.mean(ends[k]) for k in names])
+            sd = np.array([np.ptp(ends[k]) / normal_width for k in names])
+        else:
+            names = [k for k in error.usual if k in error.unknown]
+            law = vars(Coefficients.of(model.body))
+            mean = np.array([error.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
+            sd = np.array([error.unknown[k] for k in names])
+        drawn = mean + sd * rng.standard_normal((len(models), len(names)))
+    drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
+    rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)
+    return [with_values(one, row) if row else one for one, row in zip(models, rows, strict=True)]
+
+
+def _overfit(model: Model) -> float:
+    """Factor on the covariance of a calibration that predicts worse than it fits, at least 1.
+
+    The mean square error of the body's velocities on held-out data over that on fitted data.
+    """
+    fits = [model.fit[f"body.{name}"] for name in _BODY if f"body.{name}" in model.fit]
+    ratios = [held / max(train, 1e-9) for one in fits
+              if (held := one.get("heldout")) and (train := one.get("train"))]  # fmt: skip
+    return max(1.0, float(np.mean(np.square(ratios)))) if ratios else 1.0
+
+
+def _with_prior(
+    names: Sequence[str], mean: Array, covariance: Array, error: LawError
+) -> tuple[Array, Array]:
+    """A calibration combined with what the law's coefficients of other robots are (Bayes)."""
+    scale = np.sqrt(np.diag(covariance))
+    precision = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    prior = np.array([1 / error.unknown.get(n, np.inf) ** 2 if n.startswith("twin.") else 0.0
+                      for n in names])  # fmt: skip
+    usual = np.array([error.usual.get(name, 0.0) for name in names])
+    combined = np.linalg.inv(precision + np.diag(prior))
+    return combined @ (precision @ mean + prior * usual), combined
+
+
+def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[str]) -> Array:
+    """What a fit leaves unexplained beyond noise, shape (3 + J,); 0 for signals without a fit.
+
+    Args:
+        fit: Errors by signal, as ``Model.fit``; those on held-out data count where there are any.
+        joints: Names of the J joints.
+    """
+    out = []
+    for signal in (*(f"body.{name}" for name in _BODY), *(f"{j}.position_rad" for j in joints)):
+        errors = fit.get(signal, {})
+        error, noise = errors.get("heldout") or errors.get("train"), errors.get("noise")
+        out.append(np.sqrt(max((error or 0.0) ** 2 - (noise or 0.0) ** 2, 0.0)))
+    return np.array(out)
+
+
+def parameters_of(models: Sequence[Model]) -> tuple[list[str], Array]:
+    """Names and values (N, P) of all numbers of models; 0 where a model lacks an effect."""
+    rows = [_flat(model) for model in models]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return names, np.array([[row.get(name, 0.0) for name in names] for row in rows])
+
+
+def _flat(model: Model) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for name, joint in model.joints.items():
+        for gain in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
+            out[f"{name}.{gain}"] = getattr(joint, gain)
+        out |= {f"{name}.motor.{key}": value for key, value in joint.motor.items()}
+        for effect in joint.effects:
+            out |= {f"{name}.{effect.effect}.{k}": v for k, v in effect.parameters.items()}
+    for link, value in enumerate(model.body.get("normalised_density", ())):
+        out[f"body.normalised_density.{link}"] = float(value)
+    out |= {f"twin.{key}": float(value) for key, value in model.body.get("twin", {}).items()}
+    return out | {f"body.{key}": value for key, value in values(model).items()}
+
+
+def sample_of(ranges: Ranges, path: Path) -> JointSample:
+    """The posterior sample that a file of ranges names.
+
+    Raises:
+        InputError: If it names none.
+    """
+    if not ranges.posterior:
+        expected = "ranges of bench recordings, which sample the posterior"
+        raise InputError(path, "posterior", "none", expected)
+    return read_sample(path.with_name(ranges.posterior))
+
+
+def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.0) -> None:
+    """Check that the ranges are those of the model.
+
+    Args:
+        ranges: The ranges.
+        model: The model.
+        path: File of the ranges, for messages.
+        widths: A value may be outside a range by this many of its widths (a 90 % interval is
+            narrower than a posterior), and by 5 % of itself.
+
+    Raises:
+        InputError: If a value of the model is further outside, or a joint is not of the model.
+    """
+    known = _flat(model)
+    shared = ranges.named("command_latency_s")
+    for entry in ranges.entries:
+        joint, _, tail = entry.parameter.partition(".")
+        if tail == "latency_offset_s" and shared is not None:
+            at, value = _shifted(shared, entry), known.get(f"{joint}.latency_s")
+        else:
+            at, value = entry, known.get(entry.parameter)
+        if tail == "latency_offset_s" and joint not in model.joints:
+            joints = ", ".join(model.joints)
+            raise InputError(path, entry.parameter, "a joint not of the model", joints)
+        if value is None:
+            continue
+        low, high = _ends(at)
+        slack = widths * (high - low) + 0.05 * abs(value)
+        if not low - slack <= value <= high + slack:
+            found = f"{low:.4g} to {high:.4g}"
+            raise InputError(path, entry.parameter, found, f"the model's {value:.4g} within")
+
+
+def _ends(entry: Range) -> tuple[float, float]:
+    if entry.distribution == "uniform":
+        return entry.first, entry.second
+    return entry.first - 1.645 * entry.second, entry.first + 1.645 * entry.second
+
+
+def _shifted(shared: Range, offset: Range) -> Range:
+    """The range of one joint's latency: that of all, by its offset."""
+    (low, high), (least, most) = _ends(shared), _ends(offset)
+    return replace(shared, distribution="uniform", first=low + least, second=high + most)

@@ -1,0 +1,124 @@
+"""Predictive distributions from trials in drawn realities: N draws, T trials in each.
+
+A figure differs between realities (variance B) and between trials in one reality (variance W), the
+variance components of a one-way layout with random effects (Searle, Casella and McCulloch, Variance
+Components, 1992, ch. 3). More trials average W away and not B.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import beta
+
+from sim2real.arrays import Array, Mask
+
+
+def between_within(values: Array) -> tuple[float, float]:
+    """Variance between realities and mean variance within one, of a figure (N, T)."""
+    T = values.shape[1]
+    within = float(values.var(axis=1, ddof=1).mean()) if T > 1 else 0.0
+    return max(float(values.mean(axis=1).var(ddof=1)) - within / T, 0.0), within
+
+
+def expected(values: Array) -> Array:
+    """The mean of all trials that each draw would have, shape (N,).
+
+    The means of T trials are drawn towards their mean until their variance is B. Shares of trials
+    (values of 0 and 1) have a beta distribution between realities.
+
+    Args:
+        values: A figure, shape (N, T).
+    """
+    if _binary(values):
+        return _shares(values)
+    between, within = between_within(values)
+    mean = values.mean(axis=1)
+    variance = between + within / values.shape[1]
+    shrink = np.sqrt(between / variance) if variance > 0 else 0.0
+    return np.asarray(mean.mean() + shrink * (mean - mean.mean()))
+
+
+def _binary(values: Array) -> bool:
+    return bool(np.isin(values, (0.0, 1.0)).all())
+
+
+def _shares(values: Array, least: float = 0.1) -> Array:
+    """The probability of 1 in each draw, in the order of its share of ones, shape (N,).
+
+    The mean is that of Jeffreys's prior. Where ones or zeros are rare, the trials don't show
+    whether they have a common cause: a share ``least`` of the variance is between realities.
+    """
+    N, T = values.shape
+    mean = (values.sum() + 0.5) / (N * T + 1)
+    common = max(between_within(values)[0] / (mean * (1 - mean)), least)
+    size = 1 / min(common, 0.99) - 1
+    order = np.argsort(values.mean(axis=1), kind="stable")
+    out = np.empty(N)
+    out[order] = beta.ppf((np.arange(N) + 0.5) / N, mean * size, (1 - mean) * size)
+    return out
+
+
+def means(values: Array, trials: float = np.inf) -> Array:
+    """Draws of the mean of a number of trials in one reality.
+
+    Args:
+        values: A figure, shape (N, T).
+        trials: Number of trials; by default so many that only the reality counts.
+
+    Returns:
+        Shape (N, M), with M draws for each reality; within the range of the figure.
+    """
+    centre = expected(values)[:, None]
+    if _binary(values):
+        if not np.isfinite(trials):
+            return centre
+        chance = np.broadcast_to(centre, (len(centre), 32))  # so many that quantiles are smooth
+        return np.random.default_rng(0).binomial(int(trials), chance) / trials
+    T = values.shape[1]
+    if np.isfinite(trials) and T > 1:
+        own = np.sqrt(T / (T - 1)) * (values - values.mean(axis=1, keepdims=True))
+        centre = centre + own / np.sqrt(trials)
+    return np.asarray(np.clip(centre, values.min(), values.max()))
+
+
+def quantiles(values: Array, weights: Array, levels: Array) -> Array:
+    """Quantiles of draws (N, M) with weights (N,), linear between the draws, shape (levels,)."""
+    flat = values.ravel()
+    order = np.argsort(flat)
+    mass = np.repeat(weights / values.shape[1], values.shape[1])[order]
+    return np.interp(levels, np.cumsum(mass) - mass / 2, flat[order])
+
+
+def interval(
+    values: Array, weights: Array, trials: float = np.inf, level: float = 0.9
+) -> tuple[float, float, float]:
+    """Mean and central interval of the mean of a number of trials.
+
+    Args:
+        values: A figure, shape (N, T).
+        weights: Of the draws, shape (N,), with sum 1.
+        trials: Number of trials.
+        level: Probability of the interval.
+    """
+    drawn = means(values, trials)
+    low, high = quantiles(drawn, weights, np.array([0.5 - level / 2, 0.5 + level / 2]))
+    return float(weights @ expected(values)), float(low), float(high)
+
+
+def best(scores: Array, weights: Array) -> Array:
+    """Probability of each of K policies that its mean is the largest, shape (K,).
+
+    Starts and disturbances are the same for all policies, so that what they have in common cancels.
+
+    Args:
+        scores: Shape (K, N, T).
+        weights: Of the draws, shape (N,), with sum 1.
+    """
+    drawn = np.stack([expected(one) for one in scores])
+    winner: Mask = drawn == drawn.max(axis=0)
+    return np.asarray((winner / winner.sum(axis=0)) @ weights)
+
+
+def effective(weights: Array) -> float:
+    """Effective number of draws (Kong, Liu and Wong, J. Am. Stat. Assoc. 89 (1994) 278)."""
+    return float(weights.sum() ** 2 / (weights @ weights))

@@ -1,0 +1,172 @@
+"""Trials of the real robot: they sharpen a forecast, or contradict it.
+
+Draws are weighted by the likelihood of what was observed (importance sampling: Gordon, Salmond and
+Smith, IEE Proc. F 140 (1993) 107).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rl.forecast.statistics import effective, expected
+from sim2real.arrays import Array
+from sim2real.csv_columns import read_table
+from sim2real.errors import InputError
+
+OBSERVED = ("time_s", "energy", "reward")
+"""Figures that trials are compared by; success is part of the time."""
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Trials of one policy.
+
+    Attributes:
+        policy: Its place in the forecast.
+        figures: Names of the F figures that were observed.
+        values: Shape (n, F).
+    """
+
+    policy: int
+    figures: tuple[str, ...]
+    values: Array
+
+
+@dataclass(frozen=True)
+class Update:
+    """A forecast's weights after trials.
+
+    Attributes:
+        weights: Of the draws, shape (N,), with sum 1.
+        effective: Effective number of draws.
+        p_value: Probability that the forecast gives to trials at least as far from its mean.
+        trials: Number of trials.
+    """
+
+    weights: Array
+    effective: float
+    p_value: float
+    trials: int
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the forecast hardly allows what was observed."""
+        return self.p_value < 0.05
+
+
+def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Trials]:
+    """Read a CSV with a row for each trial: policy, success, and of time_s, energy, reward some.
+
+    A trial without arrival (``success`` 0) counts with the full time of the task, whatever
+    ``time_s`` says; its energy is that of the full time.
+
+    Args:
+        path: The CSV.
+        policies: Names of the forecast's policies.
+        limit_s: Full time of the task.
+
+    Raises:
+        InputError: If a column or a value is missing, or a policy is not of the forecast.
+    """
+    table = read_table(path)
+    for column in ("policy", "success"):
+        if column not in table:
+            found = ", ".join(map(str, table.columns))
+            raise InputError(path, "header", found, f"a column {column}")
+    figures = tuple(name for name in OBSERVED if name in table)
+    if not figures:
+        raise InputError(path, "header", "no figure", f"one of {', '.join(OBSERVED)}")
+    values = np.empty((len(table), len(figures)))
+    won = np.empty(len(table), dtype=bool)
+    for row in range(len(table)):
+        policy = str(table["policy"][row])
+        if policy not in policies:
+            raise InputError(path, f"row {row + 2}", policy, f"one of {', '.join(policies)}")
+        flag = str(table["success"][row]).strip().lower()
+        if flag not in ("0", "1", "0.0", "1.0", "true", "false"):
+            raise InputError(path, f"row {row + 2}, success", flag, "0 or 1")
+        won[row] = flag in ("1", "1.0", "true")
+        for k, name in enumerate(figures):
+            try:
+                number = float(table[name][row])
+            except (TypeError, ValueError):
+                number = np.nan
+            if name == "time_s" and not won[row]:
+                number = limit_s
+            if not np.isfinite(number):
+                raise InputError(path, f"row {row + 2}, {name}", str(table[name][row]), "a number")
+            values[row, k] = number
+    named = np.array([str(name) for name in table["policy"]])
+    return [
+        Trials(k, figures, values[named == policy])
+        for k, policy in enumerate(policies)
+        if (named == policy).any()
+    ]
+
+
+def update(
+    trials: Sequence[Trials], figures: Mapping[str, Array], *, least: float = 20.0
+) -> Update:
+    """Weights of the draws after trials.
+
+    The mean of a policy's n trials is normal about the mean of a draw, with the covariance of
+    simulated trials in one reality, or their own scatter where that is larger, by 1 / n. Where
+    few draws agree, the likelihood is flattened until ``least`` of them count: intervals then are
+    wider than they need be, and not too narrow by chance.
+
+    Args:
+        trials: Trials, by policy.
+        figures: The forecast's figures, shape (K, N, T) each.
+        least: Least effective number of draws.
+    """
+    N = next(iter(figures.values())).shape[1]
+    rng = np.random.default_rng(0)
+    log, observed, predicted = np.zeros(N), 0.0, np.zeros(N)
+    for one in trials:
+        drawn = np.stack([figures[name][one.policy] for name in one.figures], axis=2)
+        N, T, F = drawn.shape
+        mean = np.stack([expected(drawn[:, :, f]) for f in range(F)], axis=1)
+        own = (drawn - drawn.mean(axis=1, keepdims=True)).reshape(-1, F)
+        # figures whose trials hardly differ would decide alone: a hundredth of their spread is kept
+        floor = np.diag(1e-4 * drawn.reshape(-1, F).var(axis=0) + 1e-12)
+        n, noise = len(one.values), own.T @ own / max(N * (T - 1), 1)
+        if n > 1:  # real trials may scatter more than simulated ones
+            scatter = one.values.var(axis=0, ddof=1)
+            more = np.sqrt(np.maximum(scatter / np.diag(noise + floor), 1.0))
+            noise = noise * np.outer(more, more)
+        noise = noise / n + floor
+        off = one.values.mean(axis=0) - mean
+        log -= 0.5 * _squares(off, noise)
+        whole = np.cov(mean.T).reshape(F, F) + noise
+        observed += float(_squares((off + mean)[:1] - mean.mean(axis=0), whole)[0])
+        chance = rng.multivariate_normal(np.zeros(F), noise, size=N)
+        predicted += _squares(mean + chance - mean.mean(axis=0), whole)
+    p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
+    return Update(*_flattened(log, least), p_value, sum(len(one.values) for one in trials))
+
+
+def _squares(off: Array, covariance: Array) -> Array:
+    """Squared Mahalanobis distances of rows (N, F), shape (N,)."""
+    return np.asarray(np.einsum("ni,in->n", off, np.linalg.solve(covariance, off.T)))
+
+
+def _flattened(log: Array, least: float) -> tuple[Array, float]:
+    """Weights, and their effective number, of log-likelihoods flattened as far as necessary."""
+    low, high = 0.0, 1.0
+    least = min(least, len(log) / 2)
+    weights = _weights(log)
+    if effective(weights) < least:
+        for _ in range(40):
+            power = (low + high) / 2
+            low, high = (power, high) if effective(_weights(power * log)) > least else (low, power)
+        weights = _weights(low * log)
+    return weights, effective(weights)
+
+
+def _weights(log: Array) -> Array:
+    weights = np.exp(log - log.max())
+    return np.asarray(weights / weights.sum())

@@ -1,0 +1,139 @@
+"""Errors that repeat with the angle: what they add to the uncertainty of a fit.
+
+Cogging, friction that varies with the angle and a sensor that is not straight make the same error
+at every pass of an angle. However often the joint passes, such errors do not average out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import cont2discrete, lfilter
+
+from sim2real.arrays import Array
+from sim2real.identification.fit import Fit
+from sim2real.inference.least_squares import OUTLIER_SD
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, ROTOR_INERTIA
+from sim2real.servo.trace import Trace
+
+
+def repeating_error(
+    best: Fit,
+    traces: Sequence[Trace],
+    slopes: Array,
+    prior: Array,
+    *,
+    slow_per_rad: float = 2.0,
+    finest_per_rad: float = 12.5,
+    most_waves: int = 40,
+) -> tuple[Array, Array]:
+    """Covariances of the gradient of the loss by errors that are functions of the angle.
+
+    The residual contains an error of the measured angle and a torque that act through the closed
+    loop of gains, inertia and gravity, both random functions of the simulated angle: Fourier series
+    over the visited range with independent coefficients. Each has one variance for slow and one
+    for fine waves; the four are estimated from the residual by ``variance_components``.
+
+    Args:
+        best: The fit.
+        traces: The fitted recordings.
+        slopes: Derivatives of the residuals by the free parameters in units, shape (n, F).
+        prior: Precision of the prior in units, times the variance of a residual, shape (F, F).
+        slow_per_rad: Cycles per radian up to which waves are slow: eccentric sensors, gravity.
+        finest_per_rad: Cycles per radian of the finest wave: 79 a turn, cogging behind gears.
+        most_waves: Largest number of waves, for joints that visit many radians.
+
+    Returns:
+        The covariance of each kind of error, shape (C, F, F), and the effective number of
+        coefficients from which its variance is estimated, shape (C,).
+    """
+    error = np.concatenate(best.residuals)
+    traces = [trace for trace in traces if trace.used.any()]
+    none = np.zeros((0, *prior.shape)), np.zeros(0)
+    if best.scale_rad <= 0.0 or not traces:
+        return none
+    errors = [e for e in best.residuals if e.size]
+    angles = [_simulated(t, e) for t, e in zip(traces, errors, strict=True)]
+    low, high = min(a.min() for a in angles), max(a.max() for a in angles)
+    if high - low < best.scale_rad:
+        return none
+    length = 1.3 * (high - low)  # a longer period than the range lets the ends differ
+    waves = np.arange(1, np.clip(round(finest_per_rad * length), 1, most_waves) + 1)
+    slow = np.tile(waves / length <= slow_per_rad, 2)
+    of_angle, of_torque = [], []
+    for trace, angle in zip(traces, angles, strict=True):
+        phase = 2 * np.pi * np.outer(angle - low, waves) / length
+        series = np.hstack([np.cos(phase), np.sin(phase)])
+        of_angle.append(series[trace.used])
+        of_torque.append(_through_loop(best, trace, series)[trace.used])
+    kinds = [np.vstack(of_angle), np.vstack(of_torque)]
+    groups = [kind[:, part] for kind in kinds for part in (slow, ~slow) if part.any()]
+    weight = (1 + (error / (OUTLIER_SD * best.scale_rad)) ** 2)[:, None] ** -1.5
+    root = np.sqrt(weight)
+    variances, freedom = variance_components(
+        root[:, 0] * error, root * slopes, prior, [root * group for group in groups]
+    )
+    gradients = [(weight * slopes).T @ group for group in groups]
+    covariances = [v * g @ g.T for v, g in zip(variances, gradients, strict=True)]
+    return np.array(covariances), freedom
+
+
+def variance_components(
+    error: Array, slopes: Array, prior: Array, groups: Sequence[Array], *, rounds: int = 15
+) -> tuple[Array, Array]:
+    """Variances of the coefficients of groups of functions in a residual, beside white noise.
+
+    Restricted maximum likelihood, which allows for what the fit has absorbed (Patterson and
+    Thompson, Biometrika 58 (1971) 545-554), by fixed-point steps (MacKay, Neural Computation 4
+    (1992) 415-447): a variance is the sum of squared coefficients over their effective number.
+
+    Args:
+        error: Residual, shape (n,).
+        slopes: Its derivatives by the fitted parameters, shape (n, F).
+        prior: Precision of their prior times the variance of a residual, shape (F, F).
+        groups: Functions of each group at the samples, shapes (n, m).
+        rounds: Number of steps.
+
+    Returns:
+        The variance of each group, and its effective number of coefficients, shapes (C,).
+    """
+    group = np.repeat(np.arange(len(groups)), [g.shape[1] for g in groups])
+    start = np.cumsum(np.bincount(group)) - np.bincount(group)
+    functions = np.hstack(groups)
+    curvature = slopes.T @ slopes + prior
+    curvature += 1e-12 * np.trace(curvature) * np.eye(len(prior))
+    both = np.column_stack([functions, error])
+    both -= slopes @ np.linalg.solve(curvature, slopes.T @ both)
+    products, target = functions.T @ both[:, :-1], functions.T @ both[:, -1]
+    products = 0.5 * (products + products.T)
+    square = float(error @ both[:, -1])
+    noise = square / error.size
+    variances, freedom = np.full(len(groups), 0.3 * noise), np.zeros(len(groups))
+    for _ in range(rounds):
+        variance = np.maximum(variances[group], 1e-16 * noise)
+        sd = np.sqrt(variance)
+        reduced = sd[:, None] * products * sd / noise
+        remaining = np.linalg.inv(np.eye(group.size) + reduced)
+        coefficients = sd * (remaining @ (sd * target)) / noise
+        freedom = np.add.reduceat(1 - np.diag(remaining), start)
+        variances = np.add.reduceat(coefficients**2, start) / np.maximum(freedom, 1e-9)
+        left = square - 2 * coefficients @ target + coefficients @ products @ coefficients
+        free = max(error.size - len(prior) - freedom.sum(), 1.0)
+        noise = max(left / free, 1e-3 * noise)
+    return variances, freedom
+
+
+def _simulated(trace: Trace, error: Array) -> Array:
+    """Simulated angle in rad at all samples of a trace, shape (T,), from its residual."""
+    used = np.flatnonzero(trace.used)
+    return np.interp(np.arange(trace.t.size), used, trace.position[used] + error)
+
+
+def _through_loop(best: Fit, trace: Trace, torque: Array) -> Array:
+    """Angle in rad by torques (T, m), in units of the proportional gain, on a servo at rest."""
+    kp, kd = (float(x) for x in best.row[:2])
+    inertia = trace.load.inertia_kgm2 + float(best.row[INERTIA_LEFT_OUT] + best.row[ROTOR_INERTIA])
+    law = np.array([kp]), np.array([inertia, kd, kp + trace.load.gravity_Nm])
+    numerator, denominator, _ = cont2discrete(law, trace.period_s)
+    return np.asarray(lfilter(numerator[0], denominator, torque, axis=0))
