@@ -3,23 +3,24 @@
 python benchmarks/design_rivals.py --benches 150 --processes 32 --out DIR
 
 Benches of one servo are drawn from the plants of ``datasets/foreign``, which share no dynamics with
-the library; one or two effects of the servo are hidden in each. Benches stay that a first recording
-leaves ambiguous, unexplained with the truth among the sets that are open, or with one of two
-effects found. Then each arm makes a second recording of the same bench and length, with the same
-loads to choose from, and both recordings are diagnosed together:
+the library, with one or two effects and a short, gentle first recording (``open_cases.py`` there).
+Benches stay that it leaves ambiguous, unexplained with the truth among the sets that are open, or
+with one of two effects found. Then each arm makes a second recording of the same bench and length,
+with the same loads to choose from, and both recordings are diagnosed together:
 
 designed   ``sim2real.design``: commands and load with the least expected entropy over the open sets
 random     one command of the families that designs start from, drawn at random, the load as it is
 menu       command and load of ``diagnose``'s menu that separate the closest rivals most
 
 A designed recording states the sets that were open, and the diagnosis of both recordings tries
-them in any case. As the others state nothing, they are diagnosed once more with the same sets
-stated: what remains of the difference is due to the commands and the load alone.
+them in any case. The others state nothing; with ``--stated`` they are diagnosed once more with the
+same sets stated: what remains of the difference is due to the commands and the load alone.
 
 A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
 effects, if each has an entry of its own. What can be told is what an oracle tells from the same
 recordings: it knows the plant, its parameters and its noise (``datasets/foreign/knower.py``).
-Answers are kept, one file a bench, and a bench that has one is not made again.
+Answers are kept, one file a bench, and a bench that has one is not made again: ``--benches 0`` only
+writes the table of those that are there.
 """
 
 from __future__ import annotations
@@ -50,21 +51,12 @@ sys.path[:] = [
 
 import knower  # noqa: E402
 from bench import Load as StatedLoad  # noqa: E402
+from bus import draw_bus, draw_packets  # noqa: E402
 from files import answer, robot_toml, sidecar, table  # noqa: E402
-from foreign_cases import (  # noqa: E402
-    CAN,
-    ForeignCase,
-    Take,
-    _ticks,
-    acting_on,
-    draw_bus,
-    draw_case,
-    draw_packets,
-    nuisances,
-    recorded,
-)  # fmt: skip
-from foreign_servos import PLANTS  # noqa: E402
+from foreign_cases import ForeignCase, _ticks, nuisances  # noqa: E402
+from foreign_world import Take, acting_on, recorded  # noqa: E402
 from grade import DETECTABLE, LIKELY, _both, _entry, _named  # noqa: E402
+from open_cases import draw_open_case  # noqa: E402
 
 from sim2real.design.candidates import draw  # noqa: E402
 from sim2real.design.contexts import AS_IT_IS, Context  # noqa: E402
@@ -94,8 +86,6 @@ CONTEXTS = ("none", "added_inertia", "added_weight")
 """Loads that are to be had, as the menu names them."""
 LEFT = 0.05
 """Probability from which an effect that was not named remains a rival."""
-UNPREDICTABLE = ("latency_jitter", "packet_loss", "encoder_quantization")
-"""Effects that a servo's set-points do not tell: of the link, and of the recorded digits."""
 STATES = ("ambiguous", "unexplained", "one of two")
 """What a first recording says of a bench that asks for a second."""
 JOINT = "j1"
@@ -112,19 +102,6 @@ class Bench:
     findings: JointFindings
     state: str
     seed: list[int]
-
-
-def draw_bench(seed: Sequence[int]) -> ForeignCase:
-    """A bench of one servo with one or two hidden effects."""
-    rng = np.random.default_rng([*seed, 0])
-    while True:
-        plant = PLANTS[int(rng.integers(len(PLANTS)))]
-        kind = "single" if rng.random() < 0.6 else "double"
-        names = [name for name in CAN[plant] if name not in UNPREDICTABLE]
-        case = draw_case(plant, kind, str(rng.choice(names)) if kind == "single" else "", rng)
-        of_servo = all(h.effect not in UNPREDICTABLE and h.joint == 0 for h in case.hidden)
-        if len(case.servos) == 1 and of_servo and not case.disturbed and not case.model:
-            return case
 
 
 def write_take(case: ForeignCase, name: str, folder: Path) -> Path:
@@ -189,7 +166,7 @@ def state_of(case: ForeignCase, found: Diagnosis, verdict: Row) -> str:
 
 def looked_at(seed: list[int], folder: Path) -> Bench | str:
     """A bench that asks for a second recording, or the verdict of one that does not."""
-    case = draw_bench(seed)
+    case = draw_open_case(np.random.default_rng([*seed, 0]))
     path = write_take(case, "a", folder)
     (folder / "robot.toml").write_text(robot_toml(case))
     robot = read_robot(folder / "robot.toml")
@@ -259,7 +236,9 @@ def _of_menu(bench: Bench, limits: CommandLimits) -> tuple[np.ndarray, str]:
     return within(plan.signal[place][None], limits)[0], plan.context
 
 
-def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) -> dict[str, Row]:
+def recorded_again(
+    bench: Bench, arm: str, command: np.ndarray, context: str, *, stated: bool
+) -> dict[str, Row]:
     """Record a second time, diagnose both recordings, and ask the oracle; rows by arm."""
     case, rng = bench.case, np.random.default_rng([*bench.seed, 2])
     period = bench.first.rival_sets[0].period_s
@@ -273,7 +252,7 @@ def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) ->
     reading = case.readings("b")[:, 0]
     if not np.isfinite(reading).all():
         unstable = {"right": False, "unstable": True}
-        return {label: unstable for label in dict.fromkeys((arm, arm + STATED))}
+        return {label: unstable for label in (arm, arm + STATED)}
     case.takes["b"].measured = recorded(
         case.takes["b"], reading, servo, acting_on(case.hidden, 0), rng
     )[:, None]
@@ -286,8 +265,10 @@ def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) ->
     path = write_take(case, "b", folder)
     plain = json.loads(path.with_suffix(".json").read_text())
     sets = [one.content() for one in bench.first.rival_sets[0].sets]
-    stated = plain | {"rivals": [{"component": JOINT, "sets": sets}]}
-    contents = {arm: plain, arm + STATED: stated} if arm != "designed" else {arm: stated}
+    with_sets = plain | {"rivals": [{"component": JOINT, "sets": sets}]}
+    contents = {arm: with_sets if arm == "designed" else plain}
+    if stated and arm != "designed":
+        contents[arm + STATED] = with_sets
     rows = {}
     for label, content in contents.items():
         path.with_suffix(".json").write_text(json.dumps(content))
@@ -297,12 +278,14 @@ def recorded_again(bench: Bench, arm: str, command: np.ndarray, context: str) ->
     return rows
 
 
-def answered(seed: list[int]) -> Row:
-    """All that is to be said of one bench."""
+def answered(seed: list[int], *, stated: bool = False) -> Row:
+    """All that is to be said of one bench; ``stated`` as the option."""
+    start = time.process_time()
     with tempfile.TemporaryDirectory() as name:
         bench = looked_at(seed, Path(name))
         if isinstance(bench, str):
-            return {"seed": seed, "state": "", "verdict": bench}
+            spent = time.process_time() - start
+            return {"seed": seed, "state": "", "verdict": bench, "processor_s": spent}
         case, first = bench.case, bench.first
         row: Row = {
             "seed": seed,
@@ -314,9 +297,9 @@ def answered(seed: list[int]) -> Row:
         }
         for arm in ARMS:
             command, context, note = second(bench, arm)
-            found = recorded_again(bench, arm, command, context)
+            found = recorded_again(bench, arm, command, context, stated=stated)
             row |= {label: note | {"context": context} | one for label, one in found.items()}
-    return row
+    return row | {"processor_s": time.process_time() - start}
 
 
 def summary(rows: Sequence[Row]) -> Row:
@@ -329,6 +312,8 @@ def summary(rows: Sequence[Row]) -> Row:
         out[name] = {"benches": len(some)}
         same = [r for r in some if r["designed"].get("llr", 0) >= DETECTABLE]
         for arm in (*ARMS, *(arm + STATED for arm in ARMS[1:])):
+            if any(arm not in r for r in some):
+                continue
             told = [r for r in some if r[arm].get("llr", 0) >= DETECTABLE]
             matter = [r for r in told if r[arm]["practical"]]
             out[name][arm] = {
@@ -364,6 +349,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, metavar="N")
     parser.add_argument("--seed", type=int, default=1, help="development: below 1000")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--stated", action="store_true", help="state the open sets to all arms too")
     parser.add_argument("--most", type=int, default=100_000, help="benches drawn at most")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -377,11 +363,10 @@ def main() -> None:
         running: dict[Future[Row], int] = {}
         while True:
             wanted = len(rows) < options.benches
-            # The first bench compiles the kernels for all processes.
-            most = options.processes if drawn > len(running) else 1
-            while wanted and len(running) < most and drawn < options.most:
+            while wanted and len(running) < options.processes and drawn < options.most:
                 k, drawn = next(numbers), drawn + 1
-                running[pool.submit(answered, [options.seed, k])] = k
+                job = pool.submit(answered, [options.seed, k], stated=options.stated)
+                running[job] = k
             if not running:
                 break
             for done in wait(running, return_when=FIRST_COMPLETED).done:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,14 +23,19 @@ PRACTICAL = 0.05
 """Share of the held-out error by which an effect must change it to matter."""
 
 
-def consult(case: ForeignCase) -> dict[str, Any]:
-    """What the answers say under ``oracle``; rms in rad, ratios in natural logarithms."""
+def consult(case: ForeignCase, given: Sequence[str] = GIVEN) -> dict[str, Any]:
+    """What the answers say under ``oracle``; rms in rad, ratios in natural logarithms.
+
+    Args:
+        case: The bench.
+        given: Names of the recordings that are known; ``c`` is held out.
+    """
     said: dict[str, Any] = {"heldout_floor_rad": _floor(case)}
     if not case.hidden:
         return said
     said |= {"llr": {}, "missing_rms_rad": {}, "heldout_plain_rad": {}, "heldout_share": {}}
     for j in _affected(case, case.hidden):
-        llr, rms, plain, bare = _told(case, case.hidden, [], j)
+        llr, rms, plain, bare = _told(case, case.hidden, [], j, given)
         name = JOINTS[j]
         said["llr"][name], said["missing_rms_rad"][name] = llr, rms
         said["heldout_plain_rad"][name] = plain
@@ -41,7 +47,7 @@ def consult(case: ForeignCase) -> dict[str, Any]:
         said["llr_of_each"], said["practical_of_each"] = {}, {}
         for one in case.hidden:
             rest = [h for h in case.hidden if h is not one]
-            told = [_told(case, case.hidden, rest, j) for j in _affected(case, [one])]
+            told = [_told(case, case.hidden, rest, j, given) for j in _affected(case, [one])]
             label = f"{one.effect}@{one.component}"
             said["llr_of_each"][label] = float(sum(t[0] for t in told))
             said["practical_of_each"][label] = bool(max(t[2] / t[3] - 1 for t in told) > PRACTICAL)
@@ -71,7 +77,7 @@ def _readings(
 
 
 def _told(
-    case: ForeignCase, hidden: list[Hidden], without: list[Hidden], j: int
+    case: ForeignCase, hidden: list[Hidden], without: list[Hidden], j: int, given: Sequence[str]
 ) -> tuple[float, float, float, float]:
     """Log-likelihood ratio, rms apart, and held-out error without and with; nuisances as noise."""
     servo, zero = case.servos[j], np.zeros(3)
@@ -82,7 +88,7 @@ def _told(
 
     def white(offsets: Array, world: list[Hidden], rounding: float) -> tuple[Array, float]:
         parts, total = [], 0.0
-        for recording in GIVEN:
+        for recording in given:
             take = case.takes[recording]
             left = take.measured[:, j] - _readings(case, recording, world, j, offsets)
             one, likely = whiten(left, take.t, sensor, rounding)
@@ -107,7 +113,7 @@ def _told(
         slope = np.stack(columns, axis=1)
         offsets = offsets - np.clip(np.linalg.lstsq(slope, residual, rcond=1e-8)[0], -0.5, 0.5)
     apart = np.concatenate(
-        [_readings(case, r, hidden, j, zero) - _readings(case, r, without, j, kept) for r in GIVEN]
+        [_readings(case, r, hidden, j, zero) - _readings(case, r, without, j, kept) for r in given]
     )
     take = case.takes["c"]
     unseen = take.measured[:, j] - _readings(case, "c", without, j, kept)

@@ -62,6 +62,7 @@ def best(
     batch: int = 32,
     elite: int = 8,
     part_s: float = 2.0,
+    assemblies: int = 8,
     start: Array | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> SearchResult:
@@ -77,6 +78,7 @@ def best(
         batch: Number of commands that are evaluated together.
         elite: Number of the best commands that are varied.
         part_s: Length of the parts that are exchanged, s.
+        assemblies: Number of the best commands whose parts are exchanged.
         start: Commands (M, T) that are evaluated in addition to the random ones.
         progress: Called with the share that is done.
     """
@@ -101,7 +103,8 @@ def best(
     finite = np.isfinite(score)  # parts of simulations that diverge are not exchanged
     if additive is not None and finite.any():
         parts_of = np.concatenate(sums)[finite]
-        assembled = within(_assembled(additive, pool[finite], parts_of, score[finite], rng), limits)
+        simulated = pool[finite], parts_of, score[finite]
+        assembled = within(_assembled(additive, *simulated, rng, copies=assemblies), limits)
         pool, score = np.vstack([pool, assembled]), np.append(score, objective(assembled))
         evaluated += len(assembled)
         history.append(float(score.max()))
@@ -124,7 +127,7 @@ def _assembled(
     score: Array,
     rng: np.random.Generator,
     *,
-    copies: int = 8,
+    copies: int,
     tried: int = 160,
     passes: int = 2,
 ) -> Array:

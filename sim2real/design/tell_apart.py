@@ -199,6 +199,7 @@ def design_for_rivals(
     file: str | os.PathLike[str] = "diagnosis",
     samples: float = 6e5,
     change_gain: float = 0.02,
+    assemblies: int = 2,
     progress: Advance = lambda share: None,
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
@@ -218,6 +219,8 @@ def design_for_rivals(
         samples: Number of set-points that are simulated for a joint, over all commands: a third of
             them for random commands, in all contexts, the rest for variations of the best.
         change_gain: Entropy in nats that a change of context must save to be asked for.
+        assemblies: Number of the best commands whose parts are exchanged, see ``search.best``. Here
+            eight cost more than twice the time of two, and save no entropy.
         progress: Called with the share that is done.
 
     Raises:
@@ -253,7 +256,8 @@ def design_for_rivals(
         [
             best(
                 objective_of(one, context), limits[one.component], seconds,
-                rng=rng, drawn=few, rounds=0, batch=min(few, 32), progress=stage(),
+                rng=rng, drawn=few, rounds=0, batch=min(few, 32), assemblies=assemblies,
+                progress=stage(),
             )
             for one in rivals
         ]
@@ -268,7 +272,7 @@ def design_for_rivals(
         last = best(
             objective, limits[one.component], seconds,
             rng=rng, drawn=few, rounds=commands // 2 // 32, start=first.command[None],
-            progress=stage(),
+            assemblies=assemblies, progress=stage(),
         )  # fmt: skip
         joints.append(forecast(objective, last.command))
     return RivalDesign(offered[k], tuple(joints), least)
