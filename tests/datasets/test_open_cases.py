@@ -1,4 +1,4 @@
-"""Benches that a short first recording leaves open: gentle, at rest at both ends, of stated size."""
+"""Benches that a short first recording leaves open: gentle, at rest at both ends."""
 
 import importlib
 import sys
