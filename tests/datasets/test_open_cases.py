@@ -1,29 +1,24 @@
-"""Benches that a short first recording leaves open: gentle, at rest at both ends."""
+"""Benches that a first recording leaves open: gentle, at rest at both ends, of stated size."""
 
-import importlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-DATASETS = Path(__file__).resolve().parents[2] / "datasets"
+pytest.importorskip("numba", reason="generating cases needs numba")
+pytest.importorskip("mujoco", reason="one of the plants is MuJoCo's")
+
+DATASETS = Path(__file__).parents[2] / "datasets"
 
 
-@pytest.fixture
-def open_cases(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    before = set(sys.modules)
-    for folder in ("concealed", "foreign"):
-        monkeypatch.syspath_prepend(str(DATASETS / folder))
-    yield importlib.import_module("open_cases")
-    for name in set(sys.modules) - before:
-        if str(DATASETS) in str(getattr(sys.modules[name], "__file__", "")):
-            del sys.modules[name]
+@pytest.fixture(scope="module")
+def open_cases(scripts):
+    folders = DATASETS / "foreign", DATASETS / "concealed"
+    with scripts(*folders, names=("open_cases",)) as modules:
+        yield modules["open_cases"]
 
 
-def test_a_first_recording_is_small_and_at_rest_at_both_ends(open_cases: ModuleType) -> None:
+def test_a_first_recording_is_small_and_at_rest_at_both_ends(open_cases):
     t = np.arange(0.0, 9.0, 0.02)
     for seed in range(40):
         command = open_cases.gentle(t, np.random.default_rng(seed))
@@ -31,7 +26,7 @@ def test_a_first_recording_is_small_and_at_rest_at_both_ends(open_cases: ModuleT
         assert not command[t <= 0.8].any() and not command[t >= t[-1] - 0.8].any()
 
 
-def test_a_hidden_effect_shows_to_one_who_knows_the_plant(open_cases: ModuleType) -> None:
+def test_a_hidden_effect_shows_to_one_who_knows_the_plant(open_cases):
     case = open_cases.draw_open_case(np.random.default_rng([2, 1, 0]))
     told = open_cases.knower.consult(case, ["a"])
     assert len(case.servos) == 1 and set(case.takes) == {"a", "c"}
