@@ -31,12 +31,13 @@ from scipy.stats import kendalltau
 
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.testbeds import Controllers
-from rl.forecast.forecast import BETTER, Forecast
+from rl.forecast.figures import FIGURES
+from rl.forecast.forecast import Forecast
 from rl.forecast.make import named_controllers
 from rl.forecast.realities import Realities, draw_realities
 from rl.forecast.residuals import residuals_of
 from rl.forecast.statistics import expected
-from rl.forecast.swims import FIGURES, SimulationSettings, measured, swim
+from rl.forecast.swims import SimulationSettings, measured, swim
 from rl.forecast.trials import OBSERVED, Trials
 from rl.randomize import Noise, with_density
 from rl.sac.recipes import RECIPES
@@ -292,8 +293,9 @@ def scored(
     """The ranking of policies, and the regret of the first choice."""
     full = made["full"]
     for name in ("reward", "time_s", "energy"):
-        predicted = np.array([expected(x).mean() for x in BETTER[name] * full.figures[name]])
-        found = np.array([BETTER[name] * real[name][(who == k) & ok][:2].mean() for k in set(who)])
+        sign = FIGURES[name].better
+        predicted = np.array([expected(x).mean() for x in sign * full.figures[name]])
+        found = np.array([sign * real[name][(who == k) & ok][:2].mean() for k in set(who)])
         if np.isfinite(found).all():
             add(f"ranking tau {name}", kendalltau(predicted, found).statistic)
             lost = (found.max() - found[predicted.argmax()]) / abs(found.max())

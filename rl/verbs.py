@@ -77,11 +77,13 @@ def forecast(
     check_whole("forecast", "realities", realities, 20)
     check_whole("forecast", "repeats", repeats, 2)
     check_choice("forecast", "fidelity", fidelity, ("twin", "fluid"))
+    from rl.forecast.figures import FIGURES
     from rl.forecast.make import make_forecast
     from rl.forecast.swims import SimulationSettings
     from rl.task import TASKS
 
     check_choice("forecast", "task", task, TASKS)
+    check_choice("forecast", "rank_by", rank_by, FIGURES)
     if seconds is not None and not 0.1 <= seconds <= 600:
         raise InputError("forecast", "seconds", f"{seconds:g}", "0.1 to 600")
     return make_forecast(

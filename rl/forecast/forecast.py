@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rl.forecast.causes import Measurement, ranked
+from rl.forecast.figures import FIGURES
 from rl.forecast.limits import Limit
-from rl.forecast.statistics import best, effective, expected, interval
+from rl.forecast.statistics import best, expected, interval
 from rl.forecast.trials import Trials, Update, update
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
@@ -20,12 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.forecast/1"
-UNITS = {"success": "", "time_s": "s", "energy": "rad2/s2", "reward": "", "path_m": "m"}
-"""Units of the figures, in the order of tables."""
-DIGITS = {"success": ".2f", "time_s": ".2f", "energy": ",.0f", "reward": ".1f", "path_m": ".2f"}
-"""Format of each figure."""
-BETTER = {"success": 1, "time_s": -1, "energy": -1, "reward": 1, "path_m": -1}
-"""1 where more of a figure is better, else -1."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +89,7 @@ class Forecast(NotebookDisplay):
 
     def ranking(self) -> list[tuple[str, float]]:
         """Policies, best expected figure first, with the probability of each to be the best."""
-        scores = BETTER[self.rank_by] * self.figures[self.rank_by]
+        scores = FIGURES[self.rank_by].better * self.figures[self.rank_by]
         mean = np.array([self.weights @ expected(one) for one in scores])
         chance = best(scores, self.weights)
         return [(self.policies[k], float(chance[k])) for k in np.argsort(-mean, kind="stable")]
@@ -118,11 +113,11 @@ class Forecast(NotebookDisplay):
         table = {
             policy: {
                 figure: {
-                    "unit": unit,
+                    "unit": measure.unit,
                     **_ends("mean", self.interval(policy, figure)),
                     **_ends("next_trial", self.interval(policy, figure, 1)),
                 }
-                for figure, unit in UNITS.items()
+                for figure, measure in FIGURES.items()
             }
             | {"limits": {str(x): self.probability(policy, x) for x in self.limits}}
             for policy in self.policies
@@ -144,7 +139,7 @@ class Forecast(NotebookDisplay):
         if self.update is not None:
             out["update"] = {
                 "trials": self.update.trials,
-                "effective_realities": effective(self.weights),
+                "effective_realities": self.update.effective,
                 "p_value": self.update.p_value,
                 "contradicted": self.update.contradicted,
             }
@@ -156,11 +151,11 @@ class Forecast(NotebookDisplay):
         lines = [f"{self.task} of {self.robot} in {N} realities; 90 % intervals", ""]
         for policy in self.policies:
             lines.append(policy)
-            for figure, unit in UNITS.items():
+            for figure, measure in FIGURES.items():
                 mean, low, high = self.interval(policy, figure)
                 _, least, most = self.interval(policy, figure, 1)
-                shape = DIGITS[figure]
-                row = f"  {figure:<8} {mean:>9{shape}} {unit:<8}"
+                shape = measure.digits
+                row = f"  {figure:<8} {mean:>9{shape}} {measure.unit:<8}"
                 row += f" mean {low:{shape}} to {high:{shape}}"
                 if figure != "success":
                     row += f", next trial {least:{shape}} to {most:{shape}}"
@@ -183,7 +178,7 @@ class Forecast(NotebookDisplay):
         found = f"p = {self.update.p_value:.3f}"
         if self.update.contradicted:
             return f"trials: contradict the forecast ({found}): record a swim, then diagnose it"
-        number = f"{effective(self.weights):.0f} of {len(self.weights)} realities"
+        number = f"{self.update.effective:.0f} of {len(self.weights)} realities"
         return f"trials: {self.update.trials} agree with the forecast ({found}), {number} count"
 
     def _repr_html_(self) -> str | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rl.forecast.swims import FIGURES
+from rl.forecast.figures import FIGURES
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 

@@ -6,20 +6,13 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from rl.experiments.ablation_report import picture
-from rl.forecast.forecast import DIGITS, UNITS, Forecast
+from rl.forecast.figures import FIGURES
+from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Note, Section, Table, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_NAMES = {
-    "success": "share that arrives",
-    "time_s": "time (s)",
-    "energy": "energy (rad²/s²)",
-    "reward": "reward",
-    "path_m": "path (m)",
-}
 
 
 @result_section.register
@@ -39,13 +32,13 @@ def sections(forecast: Forecast) -> list[Section]:
     """Sections of the page."""
     rows = []
     for policy in forecast.policies:
-        for figure in UNITS:
+        for figure, measure in FIGURES.items():
             mean, low, high = forecast.interval(policy, figure)
             _, least, most = forecast.interval(policy, figure, 1)
-            shape = DIGITS[figure]
+            shape = measure.digits
             next_trial = "" if figure == "success" else f"{least:{shape}} to {most:{shape}}"
             cells = (f"{mean:{shape}}", f"{low:{shape}} to {high:{shape}}", next_trial)
-            rows.append((policy, _NAMES[figure], *cells))
+            rows.append((policy, measure.label, *cells))
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
         "The interval of the mean is that of many trials of the real robot; that of the next trial "
@@ -72,7 +65,7 @@ def sections(forecast: Forecast) -> list[Section]:
     ]
     if len(forecast.policies) > 1:
         order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
-        lead = f"By {_NAMES[forecast.rank_by]}, best first."
+        lead = f"By {FIGURES[forecast.rank_by].label}, best first."
         table = Table(("policy", "probability to be the best"), order)
         out.append(Section("Which policy", lead, [table]))
     following = forecast.next_measurements()
@@ -81,7 +74,7 @@ def sections(forecast: Forecast) -> list[Section]:
             (x.what, x.how, *(f"{100 * y:.0f} %" for y in (x.mean, *x.shrinks.values())))
             for x in following
         ]
-        figures = [_NAMES[name] for name in following[0].shrinks]
+        figures = [FIGURES[name].label for name in following[0].shrinks]
         lead = "By how much narrower the intervals of the means are expected to be after it."
         table = Table(("what", "measurement", "mean", *figures), narrower)
         out.append(Section("What to measure next", lead, [table]))
@@ -106,5 +99,5 @@ def interval_figure(forecast: Forecast) -> Figure:
             axes.set_yticks(range(K), forecast.policies)
             axes.set_ylim(K - 0.5, -0.5)
             axes.margins(x=0.06)
-            axes.set_xlabel(_NAMES[name])
+            axes.set_xlabel(FIGURES[name].label)
     return figure

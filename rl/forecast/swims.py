@@ -14,6 +14,7 @@ import numpy as np
 
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes, run_episodes, spent
+from rl.forecast.figures import FIGURES
 from rl.forecast.inexact import Inexact, blocks, disturbances
 from rl.forecast.realities import Realities
 from rl.make import Fidelity, make_world, own_stream
@@ -24,9 +25,6 @@ from sim2real.arrays import Array
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
-
-FIGURES = ("success", "time_s", "energy", "reward", "path_m")
-"""What is forecast of a trial: see ``measured``."""
 
 
 @dataclass(frozen=True)

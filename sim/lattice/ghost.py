@@ -2,8 +2,8 @@
 
 A cell whose centre lies inside a body sends out, towards each neighbour in the water, populations
 at equilibrium. Across the surface their velocity is the body's; along it, that with which the links
-of the cell exchange no momentum along the surface, or, where few links do not tell, that of the
-water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
+of the cell exchange no momentum along the surface, or, where the links do not determine it, that of
+the water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
 passes but what the moving surface displaces. Uniform flow along a plane of any direction is an
 exact solution. Cells that the body uncovers hold water that continues the water outside.
 Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
@@ -46,9 +46,9 @@ class Ghosts(NamedTuple):
 def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.05) -> Ghosts:
     """The functions for a lattice.
 
-    ``stiffness`` is the weight of the velocity outside beside the spread of a cell's links, in the
-    velocity along the surface: at 0.01 the flow breaks down, at 0.3 water that streams past a body
-    at rest still feeds jets at its tail.
+    ``stiffness`` is the weight of the velocity outside relative to the spread of a cell's links, in
+    the velocity along the surface: at 0.01 the flow breaks down, at 0.3 water that streams past a
+    body at rest still feeds jets at its tail.
     """
     c, w, Q = lattice.velocities, lattice.weights, lattice.Q
     pop = populations(lattice, storage, wide)
@@ -140,7 +140,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.05) 
         """``water`` with the velocity along the surface that exchanges no momentum along it.
 
         The least-squares fit of an equilibrium to the populations that arrive through the links;
-        ``stiffness`` keeps the velocity of ``water`` in directions that few links tell.
+        ``stiffness`` keeps the velocity of ``water`` in directions that few links determine.
         """
         n = wp.vec3(face[0], face[1], face[2])
         rho = face[3]

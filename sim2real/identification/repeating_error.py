@@ -1,6 +1,6 @@
 """Errors that repeat with the angle: what they add to the uncertainty of a fit.
 
-Cogging, friction that varies with the angle and a sensor that is not straight make the same error
+Cogging, friction that varies with the angle and a nonlinear sensor make the same error
 at every pass of an angle. However often the joint passes, such errors do not average out.
 """
 
