@@ -43,12 +43,11 @@ BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
 )
 """What is measured, and the bars of the tiers, of T2 and T3 from the third sets on; None is only
 reported. In T2 what counts as detectable is what the oracle could see (``real_oracle.py``)."""
-BARS_OF_SET = {
-    "sixth": {
-        "detection": 0.97, "group_first": 0.94, "outside_abstains": 0.90, "at_noise": 0.92,
-        "doubles_both": 0.85,
-    },
+SINCE_SIXTH = {
+    "detection": 0.97, "group_first": 0.94, "outside_abstains": 0.90, "at_noise": 0.92,
+    "doubles_both": 0.85,
 }  # fmt: skip
+BARS_OF_SET = {"sixth": SINCE_SIXTH, "seventh": SINCE_SIXTH}
 """Bars of a set by itself, where they differ from those of its tier."""
 ALSO = (
     ("Null cases with another verdict", "nulls_flagged"),
