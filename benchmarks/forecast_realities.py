@@ -8,7 +8,7 @@ Realities are those of ``datasets/pool``: fluid in cells of its own with another
 servos, skins and faults written apart from the library's laws. Of each, a swim of twelve seconds
 and bench values that are off by up to 5 % are known (``inputs``); the trials of the policies are in
 ``answers``, whose hashes are printed before anything is forecast, and which only ``score`` reads.
-Each reality is calibrated in the twin and forecast three times: from all that is known, from the
+Each reality is diagnosed and calibrated in the twin, and forecast three times: from all that is known, from the
 calibrated model alone, and from hand-set ranges (Lin, Liu, Wang 2024, Table II: latency and sensor
 noise). All stages resume.
 """
@@ -31,6 +31,7 @@ from scipy.stats import kendalltau
 
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.testbeds import Controllers
+from rl.forecast.diagnosed import read_diagnosed
 from rl.forecast.figures import FIGURES
 from rl.forecast.forecast import Forecast
 from rl.forecast.make import named_controllers
@@ -42,8 +43,9 @@ from rl.forecast.trials import OBSERVED, Trials
 from rl.randomize import Noise, with_density
 from rl.sac.recipes import RECIPES
 from rl.task import CONTROL_S, TASKS, Task
-from sim.verbs import calibrate
+from sim.verbs import calibrate, diagnose
 from sim2real.arrays import Array
+from sim2real.diagnose.result import write_diagnosis
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
 from sim2real.posterior.posteriors import JointSample
@@ -214,18 +216,23 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     out = folder.parents[1] / "forecasts" / f"{folder.name}.npz"
     if out.exists():
         return f"{folder.name}: kept"
+    out.parent.mkdir(parents=True, exist_ok=True)
     robot, bench = read_robot(POOL / "robot.toml"), read_model(folder / "bench.json")
     recording, task = read_recording(folder / "known.csv"), task_of(seconds)
     rng = np.random.default_rng(0)
     ranges, sample = known_of(bench, rng)
-    model = calibrate([recording], robot, bench).model
+    found = diagnose([recording], robot, bench)
+    diagnosis = out.with_suffix(".json")
+    write_diagnosis(found, diagnosis, "enriched.json")
+    model = calibrate([recording], robot, found.model).model
     residuals = residuals_of([recording], model, robot)
     controllers = named_controllers(POLICIES, robot)
     few = dict(list(controllers.items())[:2])
     simulation = SimulationSettings(at_once=draws, threads=1)
     settings: dict[str, Any] = {"trials": 2, "seed": 1, "settings": simulation}
     model = with_density(model, robot)
-    drawn = draw_realities(robot, model, ranges, sample, draws, rng)
+    diagnosed = read_diagnosed(diagnosis)
+    drawn = draw_realities(robot, model, ranges, sample, draws, rng, diagnosed=diagnosed)
     content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}
     swum = swim(robot, task, drawn, controllers, residuals=residuals, **settings)
     content |= {f"full.{name}": swum.figures[name] for name in FIGURES}
@@ -237,7 +244,6 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     models = tuple(replace(m, body={**body, "effects": []}) for m in flat.models)
     flat = replace(flat, models=models)
     content |= {f"hand.{n}": x for n, x in swim(robot, task, flat, few, **settings).figures.items()}
-    out.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(out.with_suffix(".part.npz"), **content)
     out.with_suffix(".part.npz").rename(out)
     return f"{folder.name}: {model.fit['body.surge']['heldout']:.3f} m/s"
