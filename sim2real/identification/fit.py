@@ -33,7 +33,7 @@ from sim2real.servo.rollout import (
     Simulator,
     active_effects,
     coarse_substep,
-    factors,
+    contexts,
     longest_substep,
     rollout,
 )
@@ -160,7 +160,8 @@ def _guess_errors(
     else:
         substep = longest_substep(theta, theta[:, 3], steps_per_radian=6.0, longest_s=4e-3)
         step = np.maximum(substep, shortest_s)  # the fast mode of strong damping decays within it
-        rows = theta * factors([trace])
+        factor, offset = contexts([trace])
+        rows = theta * factor + offset
         angle = rollout(
             rows, trace.t, trace.command, varying=trace.varying, substep_s=step, threads=2
         )
