@@ -310,13 +310,17 @@ def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
 def train_at_rest(
     state: wp.vec4d, u: wp.float64, kp: wp.float64, p: Row, z: Row, active: wp.int64
 ) -> wp.vec4d:
-    """State of a train whose motor holds the first set-point, the load on one flank."""
+    """State of a train whose motor holds the first set-point.
+
+    The load rests on one flank, or where friction of the output holds it in the middle of the gap:
+    it may then be anywhere.
+    """
     cell = train_cell(active)
     q = state[0]
     for _ in range(8):
         carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried
-        if carried != wp.float64(0.0):  # else in the middle of the gap
+        if wp.abs(carried) > p[wp.static(_GAP + 2)]:
             z[cell] += wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
         q = u - carried / kp
     return wp.vec4d(q, state[1], kp * (u - q), state[3])
