@@ -101,7 +101,7 @@ class Export:
 def rotor_inertia(servo: Actuator) -> float:
     """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
     rotor = servo.value("backlash", "rotor_inertia_kgm2")
-    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2")
+    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2") or servo.armature
     total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
     if rotor == 0 and servo.effects.get("backlash"):
         rotor = total  # an output without inertia

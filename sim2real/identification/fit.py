@@ -232,9 +232,16 @@ def plain_parameters(traces: Sequence[Trace], row: Array) -> tuple[Parameter, ..
     return (*gains(row, inertia), rotor)
 
 
-def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
-    """Every parameter of some effects, scaled to a servo like ``row`` (P,)."""
-    pairs = [(e.name, scaled(p, float(row[0]), inertia)) for e in effects for p in e.parameters]
+def of_effects(
+    effects: Sequence[Effect], row: Array, inertia: float, known: Sequence[str] = ()
+) -> tuple[Parameter, ...]:
+    """Every parameter of some effects, scaled to a servo like ``row`` (P,), but those ``known``."""
+    pairs = [
+        (effect.name, scaled(p, float(row[0]), inertia))
+        for effect in effects
+        for p in effect.parameters
+        if p.name not in known
+    ]
     return tuple(
         Parameter(f"{effect}.{p.name}", p.low, p.high, p.typical or p.high / 10, p.typical)
         for effect, p in pairs

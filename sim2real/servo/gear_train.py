@@ -28,7 +28,13 @@ from sim2real.servo.effect_chain import (
     motor_torque,
 )
 from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, LOAD_CELL
+from sim2real.servo.parameters import (
+    FIRST_CELL,
+    FIRST_COLUMN,
+    INERTIA_LEFT_OUT,
+    LOAD_CELL,
+    ROTOR_INERTIA,
+)
 from sim2real.servo.torques import pendulum_torque, slide
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
@@ -291,6 +297,8 @@ def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
     rotor = p[wp.static(_GAP + 1)]
     if rotor == wp.float64(0.0):
         rotor = p[wp.static(_SPRING + 1)]
+    if rotor == wp.float64(0.0):
+        rotor = wp.max(p[wp.static(ROTOR_INERTIA)] + p[wp.static(INERTIA_LEFT_OUT)], rotor)
     if rotor == wp.float64(0.0) and p[wp.static(_GAP)] > wp.float64(0.0):
         rotor = inertia  # an output without inertia
     g.motor = wp.clamp(rotor, least * inertia, (wp.float64(1.0) - least) * inertia)
