@@ -139,12 +139,7 @@ def time_to(x: wp.float64, v: wp.float64, a: wp.float64) -> wp.float64:
 
 @wp.func
 def across_gap(
-    state: vec4,
-    drive: Drive,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
+    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """A sub-step of a train whose flanks are rigid, divided where they meet."""
     zero = wp.float64(0.0)
@@ -193,12 +188,7 @@ def across_gap(
 
 @wp.func
 def through_spring(
-    state: vec4,
-    drive: Drive,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
+    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """A sub-step of a train that is a spring: the midpoint rule, friction as impulses."""
     zero = wp.float64(0.0)
@@ -269,12 +259,7 @@ def through_spring(
 
 @wp.func
 def train_step(
-    state: vec4,
-    drive: Drive,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
+    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
     if g.stiffness > wp.float64(0.0):
