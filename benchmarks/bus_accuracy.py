@@ -1,6 +1,7 @@
 """How well servos on each bus are identified, through losses and noise.
 
 python benchmarks/bus_accuracy.py [--seeds 8] [--processes 2] [--buses lx dynamixel feetech]
+                                  [--baud 57600]
 
 Each virtual servo has gains and a latency of its own and runs in a program of its own; ``record``
 plays 30 s of steps, and ``identify`` fits the plain servo (``pd``) that it is. Prints the errors.
@@ -53,7 +54,9 @@ def truth(seed: int) -> dict[str, float]:
     return {"kp": kp, "kd": kd, "latency": float(rng.uniform(0.01, 0.08))}
 
 
-def errors(bus: str, seed: int, seconds: float) -> tuple[float, float, float, float]:
+def errors(
+    bus: str, seed: int, seconds: float, baud: int | None
+) -> tuple[float, float, float, float]:
     """Errors of kp and kd in % and of the latency in ms, and the share of missing positions."""
     servo = truth(seed)
     with TemporaryDirectory() as folder:
@@ -63,12 +66,13 @@ def errors(bus: str, seed: int, seconds: float) -> tuple[float, float, float, fl
         program = [sys.executable, "-m", "sim2real"]
         given = [f"--{name}={value!r}" for name, value in servo.items()]
         given += ["--inertia", str(INERTIA_KGM2), "--loss", str(LOSS), "--noise", str(NOISE)]
-        command = [*program, "virtual-servo", "--bus", bus, "--seed", str(seed), *given]
+        rate = [] if baud is None else ["--baud", str(baud)]
+        command = [*program, "virtual-servo", *rate, "--bus", bus, "--seed", str(seed), *given]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as servos:
             assert servos.stdout is not None
             port = servos.stdout.readline().removeprefix("port: ").strip()
             record = [
-                *program, "record", "steps", "--bus", bus, "--port", port, "--ids", "1",
+                *program, "record", "steps", *rate, "--bus", bus, "--port", port, "--ids", "1",
                 "--robot", str(robot), "--inertia", str(INERTIA_KGM2), "--seed", str(seed),
                 "--seconds", str(seconds), "--out", str(out),
             ]  # fmt: skip
@@ -106,10 +110,13 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--buses", nargs="+", choices=BUSES, default=BUSES)
+    parser.add_argument("--baud", type=int, help="bits per second; by default the bus's usual rate")
     options = parser.parse_args()
     cases = [(bus, seed) for bus in options.buses for seed in range(options.seeds)]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(errors, bus, seed, options.seconds) for bus, seed in cases]
+        jobs = [
+            pool.submit(errors, bus, seed, options.seconds, options.baud) for bus, seed in cases
+        ]
         found = [job.result() for job in tqdm(jobs, unit="servo", disable=None)]
     table = np.array(found).reshape(len(options.buses), options.seeds, 4)
     for bus, values in zip(options.buses, table, strict=True):

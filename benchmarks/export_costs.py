@@ -1,4 +1,7 @@
-"""What it costs that a simulator lacks an effect: servos of the library, refitted for each target.
+"""What it costs that a simulator lacks an effect: servos, refitted for each target.
+
+Servos of the library, and that of ``mujoco_agreement`` with play (``play``), also with dry friction
+(``play_and_friction``), both of typical size.
 
     python -m benchmarks.export_costs [SERVO ...]
 
@@ -13,12 +16,18 @@ import sys
 
 from tqdm import tqdm
 
+from benchmarks.mujoco_agreement import servo
 from sim2real.commands.export_servo import TARGETS
 from sim2real.exporters.expressible import expressible
 from sim2real.model import Model
+from sim2real.recording import Load
 from sim2real.servo_library.catalogue import shipped
 
-SERVOS = ("xl330_gain800", "xl330_bam_m5", "mx64_bam_m1", "mx64_bam_m5")
+PLAY = {
+    "play": servo(Load(0.002), "backlash"),
+    "play_and_friction": servo(Load(0.002), "backlash", "coulomb_friction"),
+}
+SERVOS = ("xl330_gain800", "xl330_bam_m5", "mx64_bam_m1", "mx64_bam_m5", *PLAY)
 SIMULATORS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf")
 
 
@@ -38,9 +47,10 @@ def main() -> None:
     known: dict[tuple[str, frozenset[str]], str] = {}
     print("| servo | " + " | ".join(SIMULATORS) + " |\n|---" + "|---" * len(SIMULATORS) + "|")
     for name in tqdm(names, disable=None):
-        model, cells = library[name].model, []
+        model, cells = PLAY[name] if name in PLAY else library[name].model, []
+        (joint,) = model.joints.values()
         for target in SIMULATORS:
-            has = frozenset(TARGETS[target].expressed(library[name].joint)) - {"latency_jitter"}
+            has = frozenset(TARGETS[target].expressed(joint)) - {"latency_jitter"}
             if (name, has) not in known:
                 known[name, has] = cost(model, target)
             cells.append(known[name, has])

@@ -11,7 +11,6 @@ the exported text says.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ import genesis
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.mujoco_agreement import parts, print_differences, signals
+from benchmarks.mujoco_agreement import print_agreement_at_once
 from sim2real.arrays import Array
 from sim2real.exporters.genesis import genesis as exported
 from sim2real.model import Model
@@ -69,20 +68,8 @@ def simulate(servos: Sequence[Model], times: Array, commands: Array) -> Array:
 
 def main() -> None:
     """Print a table of RMS differences in mrad."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--seconds", type=float, default=12.0, help="length of the signals")
-    t, sent = signals()
-    t = t[t <= options.parse_args().seconds]
-    sent = {kind: command[: t.size] for kind, command in sent.items()}
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
-    models = parts()
-    pairs = [(name, kind) for name in models for kind in sent]
-    commands = np.stack([sent[kind] for _, kind in pairs], axis=1)
-    angles = simulate([models[name] for name, _ in pairs], t, commands)
-    seen: dict[str, dict[str, Array]] = {name: {} for name in models}
-    for (name, kind), angle in zip(pairs, angles.T, strict=True):
-        seen[name][kind] = angle
-    print_differences(models, seen, t, sent)
+    print_agreement_at_once(simulate)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ Run: ``python -m benchmarks.mujoco_agreement``. Random steps and a sine that qui
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import argparse
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -52,6 +53,30 @@ def print_agreement(
         name: {kind: simulate(model, t, command, 0.0) for kind, command in sent.items()}
         for name, model in models.items()
     }
+    print_differences(models, seen, t, sent)
+
+
+def print_agreement_at_once(simulate: Callable[[Sequence[Model], Array, Array], Array]) -> None:
+    """Print how far another simulator is from ``predict`` for the servos of ``parts``.
+
+    The option ``--seconds`` is the length of the signals.
+
+    Args:
+        simulate: Angles in rad of N models of the joint ``j1`` at times in s, shape (T,), on their
+            set-points in rad; angles and set-points of shape (T, N).
+    """
+    options = argparse.ArgumentParser()
+    options.add_argument("--seconds", type=float, default=12.0, help="length of the signals")
+    t, sent = signals()
+    t = t[t <= options.parse_args().seconds]
+    sent = {kind: command[: t.size] for kind, command in sent.items()}
+    models = parts()
+    pairs = [(name, kind) for name in models for kind in sent]
+    commands = np.stack([sent[kind] for _, kind in pairs], axis=1)
+    angles = simulate([models[name] for name, _ in pairs], t, commands)
+    seen: dict[str, dict[str, Array]] = {name: {} for name in models}
+    for (name, kind), angle in zip(pairs, angles.T, strict=True):
+        seen[name][kind] = angle
     print_differences(models, seen, t, sent)
 
 

@@ -11,8 +11,7 @@ MuJoCo itself. Every servo and signal is a joint of one model. The signals are t
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import newton
@@ -21,7 +20,7 @@ import warp as wp
 from newton.solvers import SolverMuJoCo
 from tqdm import tqdm
 
-from benchmarks.mujoco_agreement import parts, print_differences, signals
+from benchmarks.mujoco_agreement import print_agreement_at_once
 from sim2real.arrays import Array
 from sim2real.exporters.newton import newton as exported
 from sim2real.model import Model
@@ -45,9 +44,9 @@ def bench(servos: Mapping[str, Model]) -> newton.Model:
     return builder.finalize(device="cpu")
 
 
-def simulate(servos: Mapping[str, Model], times: Array, commands: Array) -> Array:
+def simulate(servos: Sequence[Model], times: Array, commands: Array) -> Array:
     """Angles in rad at ``times`` of N exported servos on their set-points, both of shape (T, N)."""
-    model = bench(servos)
+    model = bench({f"servo{k}": servo for k, servo in enumerate(servos)})
     solver = SolverMuJoCo(
         model, use_mujoco_cpu=True, integrator="implicitfast", disable_contacts=True
     )
@@ -70,19 +69,7 @@ def simulate(servos: Mapping[str, Model], times: Array, commands: Array) -> Arra
 
 def main() -> None:
     """Print a table of RMS differences in mrad."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--seconds", type=float, default=12.0, help="length of the signals")
-    t, sent = signals()
-    t = t[t <= options.parse_args().seconds]
-    sent = {kind: command[: t.size] for kind, command in sent.items()}
-    models = parts()
-    pairs = [(name, kind) for name in models for kind in sent]
-    servos = {f"servo{k}": models[name] for k, (name, _) in enumerate(pairs)}
-    angles = simulate(servos, t, np.stack([sent[kind] for _, kind in pairs], axis=1))
-    seen: dict[str, dict[str, Array]] = {name: {} for name in models}
-    for (name, kind), angle in zip(pairs, angles.T, strict=True):
-        seen[name][kind] = angle
-    print_differences(models, seen, t, sent)
+    print_agreement_at_once(simulate)
 
 
 if __name__ == "__main__":

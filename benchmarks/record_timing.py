@@ -12,7 +12,7 @@ import argparse
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -66,7 +66,7 @@ def recorded(port: str, seconds: float, *, plain: bool) -> Array:
     with (
         TemporaryDirectory() as folder,
         nullcontext(False) if plain else priority() as granted,
-        LxBus(open_transport(port)) as bus,
+        closing(LxBus(open_transport(port))) as bus,
         RowStream(Path(folder) / "run.csv", columns(mountings), sidecar) as stream,
         tqdm(total=signal.t.size, unit="row", disable=None) as bar,
     ):

@@ -79,7 +79,8 @@ def test_the_citation_has_the_version():
 def test_the_conda_recipe_needs_what_the_wheel_needs():
     yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
     recipe = yaml.safe_load((ROOT / ".github" / "conda" / "recipe.yaml").read_text())
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = content["project"]
     wanted = [*project["dependencies"], *project["optional-dependencies"]["report"]]
     wanted.append(f"python{project['requires-python']}")
     found = {line.replace(" ", "") for line in recipe["requirements"]["run"]}
@@ -87,6 +88,9 @@ def test_the_conda_recipe_needs_what_the_wheel_needs():
     assert recipe["build"]["python"]["entry_points"] == [
         f"{name} = {home}" for name, home in project["scripts"].items()
     ]
+    host = {line.replace(" ", "") for line in recipe["requirements"]["host"]}
+    assert set(content["build-system"]["requires"]) <= host
+    assert recipe["about"]["license_file"] == project["license-files"]
 
 
 def test_a_release_has_a_section_of_the_changelog_as_its_text():

@@ -42,14 +42,15 @@ def coupled_motion(
     *,
     tolerance_rad: float = 1e-5,
     impact_tolerance_rad: float = 3e-4,
-    impact_cutoff_hz: float = 20.0,
+    impact_cutoffs_hz: Sequence[float] = (20.0, 40.0, 80.0, 160.0),
     iterations: int = 80,
     threads: int = 2,
 ) -> tuple[ArmMotion, Array]:
     """Simulate an arm from rest on its first commands.
 
     With play, the flanks of one joint's gears hit one another a little earlier or later in every
-    iteration. The others then see its motion without frequencies above ``impact_cutoff_hz``.
+    iteration. The others then see its motion without frequencies above a cut-off, which is raised
+    as long as the iteration converges.
 
     Args:
         multibody: Dynamics of the arm, with J joints.
@@ -58,15 +59,15 @@ def coupled_motion(
         command: Set-points in rad, shape (T, J).
         tolerance_rad: Change of an angle between iterations at which they end.
         impact_tolerance_rad: The same where a servo has play.
-        impact_cutoff_hz: Cut-off frequency of motions where a servo has play.
-        iterations: Largest number of iterations.
+        impact_cutoffs_hz: Cut-off frequencies of motions where a servo has play, ascending.
+        iterations: Largest number of iterations, of each cut-off.
         threads: CPU threads.
 
     Returns:
         The motion of the shafts, and the measured angles in rad at ``t``, shape (T, J).
 
     Raises:
-        InputError: If the iteration does not converge.
+        InputError: If the iteration does not converge, with play that of the lowest cut-off.
     """
     fine = grid(t)
     times = np.unique(np.concatenate([t, fine]))
@@ -94,20 +95,33 @@ def coupled_motion(
     play = any(row is not None and row[_GAP] > 0 for row in rows)
     tolerance = impact_tolerance_rad if play else tolerance_rad
     shafts = [None if row is None else _without_sensor(row) for row in rows]
-    with ThreadPoolExecutor(threads) as pool:
+    largest = np.inf
+
+    def converged(motion: ArmMotion, cutoff_hz: float | None) -> ArmMotion | None:
+        nonlocal largest
         for _ in range(iterations):
-            loads = loads_on(multibody, motion)
-            angle = all_joints(shafts, loads)[on_grid]
-            if play:
-                angle[:, free] = low_pass(angle[:, free], STEP_S, impact_cutoff_hz)
+            angle = all_joints(shafts, loads_on(multibody, motion))[on_grid]
+            if cutoff_hz is not None:
+                angle[:, free] = low_pass(angle[:, free], STEP_S, cutoff_hz)
             change = angle - motion.angle
             change[:, [j for j, row in enumerate(rows) if row is None]] = 0.0
             largest = float(np.abs(change).max())
             if largest < tolerance:
-                return motion, all_joints(rows, loads)[at_samples]
+                return motion
             if not np.isfinite(largest):
                 break
             motion = ArmMotion(motion.start_s, motion.angle + weight * change)
+        return None
+
+    best = None
+    with ThreadPoolExecutor(threads) as pool:
+        for cutoff_hz in impact_cutoffs_hz if play else (None,):
+            finer = converged(best or motion, cutoff_hz)
+            if finer is None:
+                break
+            best = finer
+        if best is not None:
+            return best, all_joints(rows, loads_on(multibody, best))[at_samples]
     found = f"motions that still change by {largest:.2g} rad after {iterations} iterations"
     raise InputError("model", "arm", found, "servos that hold the arm in every joint")
 

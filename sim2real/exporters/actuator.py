@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from xml.etree import ElementTree
 
 from sim2real.effects import named
 from sim2real.errors import InputError
@@ -53,6 +54,16 @@ class Actuator:
         return self.effects.get(effect, {}).get(parameter, 0.0)
 
     @property
+    def armature(self) -> float:
+        """Inertia that the stated load leaves out, kg m2; 0 where it is negative."""
+        return max(self.value("unmodelled_inertia", "inertia_kgm2"), 0.0)
+
+    @property
+    def stopping_times(self) -> tuple[float, float]:
+        """Times in which dry friction stops the shaft, s: ``soft_friction.constraint``."""
+        return self.motor.get("stick_time_s", 0.0), self.motor.get("creep_time_s", 0.0)
+
+    @property
     def stall_torque(self) -> float | None:
         """Identified torque limit, else that of the data sheet, N m."""
         if self.limit is not None:
@@ -90,7 +101,7 @@ class Export:
 def rotor_inertia(servo: Actuator) -> float:
     """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
     rotor = servo.value("backlash", "rotor_inertia_kgm2")
-    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2")
+    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2") or servo.armature
     total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
     if rotor == 0 and servo.effects.get("backlash"):
         rotor = total  # an output without inertia
@@ -189,32 +200,80 @@ MOTOR_LACKS = {
 }
 """Meaning of parameters of the law ``motor``; the others are load-dependent friction."""
 
+LACKS = {
+    "stribeck_friction": "its friction is a constant torque",
+    "presliding_friction": "its friction is a constant torque",
+    "asymmetric_friction": "its friction is the same both ways",
+    "load_friction": "its friction does not depend on the load",
+    "quadratic_drag": "its damping is linear in the speed",
+    "gravity_load": "add the weight to the link",
+    "torque_saturation": "the limit of the drive is the motor's own",
+    "sensor_offset": "add it to the observation",
+    "sensor_gain": "scale the observation",
+    "sensor_filter": "filter the observation",
+    "encoder_quantization": "round the observation",
+    "packet_loss": "omit actions in the environment",
+}
+"""Why a target lacks an effect, where it has no reason of its own."""
+
 PER_INERTIA = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"
 
 
 def left_out(
-    servo: Actuator, has: Iterable[str], lacks: Mapping[str, str], target: str
+    servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str] | None = None
 ) -> list[LeftOut]:
     """What a target does not express of one actuator.
 
     Args:
         servo: The actuator.
-        has: The effects that the target expresses.
-        lacks: Reasons for the effects that it lacks, where there is a specific one.
         target: Name of the target.
+        has: The effects that it expresses, and ``motor.NAME`` of parameters of the motor.
+        lacks: Reasons for the effects that it lacks, where those of ``LACKS`` do not fit.
     """
-    expressed = set(has)
+    expressed, reasons = set(has), {**LACKS, **(lacks or {})}
     lines = [LeftOut(servo.joint, "unit of the gains", PER_INERTIA)] if servo.per_inertia else []
     for effect, values in servo.effects.items():
         if effect not in expressed:
             shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items() if value)
-            why = lacks.get(effect, f"{target} has no equivalent")
+            why = reasons.get(effect, f"{target} has no equivalent")
             lines.append(LeftOut(servo.joint, f"{effect} ({shown})", why))
     for name, value in servo.motor.items():
-        meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
-        why = f"{target} has no equivalent: {meaning}"
-        lines.append(LeftOut(servo.joint, f"motor.{name} ({value:.6g})", why))
+        if f"motor.{name}" not in expressed:
+            meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
+            why = f"{target} has no equivalent: {meaning}"
+            lines.append(LeftOut(servo.joint, f"motor.{name} ({value:.6g})", why))
     return lines
+
+
+def link_left_out(servo: Actuator) -> list[LeftOut]:
+    """What belongs to the link of a robot, not to its actuator: the load, negative armature."""
+    lines = []
+    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
+        why = "an armature cannot be negative; subtract it from the link's inertia"
+        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
+    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
+    return [*lines, LeftOut(servo.joint, load, "it belongs to the link")]
+
+
+def delay_left_out(servo: Actuator) -> list[LeftOut]:
+    """What a delay of whole physics steps lacks of the latency."""
+    why = "a delay is a whole number of physics steps"
+    what = "fractions of a step of the latency"
+    return [LeftOut(servo.joint, what, why)] if servo.latency else []
+
+
+def limit_with_back_emf(servo: Actuator, damping: str) -> tuple[Actuator, list[LeftOut]]:
+    """The actuator with its back-EMF inside the limit where its controller reduces the damping.
+
+    Args:
+        servo: The actuator.
+        damping: The target's name of the damping of its drive, which cannot be negative.
+    """
+    if servo.kd >= 0:
+        return servo, []
+    why = f"{damping} cannot be negative: the limit applies to the sum of drive and back-EMF"
+    moved = replace(servo, kd=servo.kd + servo.back_emf, back_emf=0.0)
+    return moved, [LeftOut(servo.joint, "a drive that clips before the back-EMF", why)]
 
 
 def quantity(joint: str, name: str, value: float, unit: str, why: str) -> list[LeftOut]:
@@ -237,8 +296,17 @@ def comment(lines: Sequence[str], mark: str = "# ") -> str:
     return "".join(f"{mark}{' '.join(line.splitlines())}".rstrip() + "\n" for line in lines)
 
 
-def listed(lines: Sequence[LeftOut]) -> list[str]:
-    """Lines for the head of an exported file on what it does not express."""
+def head(lines: Sequence[LeftOut], what: str = "Actuators identified") -> list[str]:
+    """Lines for the head of an exported file: what it is, and what it does not express."""
+    title = f"{what} by sim2real; SI units, radians."
     if not lines:
-        return ["Everything that was identified is expressed."]
-    return ["Not expressed here:", *(f"  {line}" for line in lines)]
+        return [title, "Everything that was identified is expressed."]
+    return [title, "Not expressed here:", *(f"  {line}" for line in lines)]
+
+
+def xml_text(root: ElementTree.Element, lines: Sequence[LeftOut]) -> str:
+    """An XML file with its head as a comment."""
+    ElementTree.indent(root)
+    told = (f"  {line.replace('--', '- -')}" for line in head(lines))
+    body = ElementTree.tostring(root, encoding="unicode")
+    return "\n".join(["<!--", *told, "-->", body, ""])

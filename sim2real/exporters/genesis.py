@@ -13,8 +13,9 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     comment,
+    head,
     left_out,
-    listed,
+    link_left_out,
     quantity,
     shared_left_out,
 )
@@ -23,15 +24,6 @@ from sim2real.robot import Robot
 
 HAS = ("coulomb_friction", "unmodelled_inertia")
 """Effects of the catalogue that Genesis expresses."""
-
-LACKS = {
-    "stribeck_friction": "its friction is a constant torque",
-    "presliding_friction": "its friction is a constant torque",
-    "asymmetric_friction": "its friction is the same both ways",
-    "load_friction": "its friction does not depend on the load",
-    "quadratic_drag": "its damping is linear in the speed",
-    "gravity_load": "add the weight to the link",
-}
 
 
 def genesis(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
@@ -48,9 +40,8 @@ def genesis(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut]
     servos = actuators(model, robot)
     lines = [line for actuator in servos for line in _left_out(actuator)]
     lines += [*dropped, *shared_left_out(model)]
-    head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
     names = ", ".join(repr(actuator.joint) for actuator in servos)
-    text = comment(head) + f"\nJOINTS = [{names}]\n\n\n"
+    text = comment(head(lines)) + f"\nJOINTS = [{names}]\n\n\n"
     text += "def set_actuators(entity):\n"
     text += '    """Gains and losses, for entity.control_dofs_position(angles, dofs)."""\n'
     text += "    dofs = [entity.get_joint(name).dofs_idx_local[0] for name in JOINTS]\n"
@@ -63,13 +54,12 @@ def _calls(servos: tuple[Actuator, ...]) -> dict[str, str]:
     def listing(values: list[float]) -> str:
         return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
 
-    armature = [max(servo.value("unmodelled_inertia", "inertia_kgm2"), 0.0) for servo in servos]
     friction = [servo.value("coulomb_friction", "torque_Nm") for servo in servos]
     calls = {
         "set_dofs_kp": listing([servo.kp for servo in servos]),
         "set_dofs_kv": listing([servo.kd for servo in servos]),
         "set_dofs_damping": listing([servo.back_emf for servo in servos]),
-        "set_dofs_armature": listing(armature),
+        "set_dofs_armature": listing([servo.armature for servo in servos]),
         "set_dofs_frictionloss": listing(friction),
     }
     limits = [servo.stall_torque for servo in servos]
@@ -81,12 +71,7 @@ def _calls(servos: tuple[Actuator, ...]) -> dict[str, str]:
 
 
 def _left_out(servo: Actuator) -> list[LeftOut]:
-    lines = left_out(servo, HAS, LACKS, "Genesis")
+    lines = left_out(servo, "Genesis", HAS)
     why = "position control has no delay; delay the set-points by this time"
     lines += quantity(servo.joint, "latency", servo.latency, "s", why)
-    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
-        why = "an armature cannot be negative; subtract it from the link's inertia"
-        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
-    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
-    lines.append(LeftOut(servo.joint, load, "it belongs to the link"))
-    return lines
+    return lines + link_left_out(servo)

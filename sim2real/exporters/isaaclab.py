@@ -15,8 +15,10 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     comment,
+    delay_left_out,
+    head,
     left_out,
-    listed,
+    link_left_out,
     quantity,
     shared_left_out,
 )
@@ -25,19 +27,6 @@ from sim2real.robot import Robot
 
 HAS = ("coulomb_friction", "latency_jitter", "stribeck_friction", "unmodelled_inertia")
 """Effects of the catalogue that a configuration expresses, some of them in part."""
-
-LACKS = {
-    "presliding_friction": "its friction is rigid until it slips",
-    "asymmetric_friction": "its friction is the same both ways",
-    "load_friction": "its friction does not depend on the load",
-    "quadratic_drag": "its viscous friction is linear in the speed",
-    "gravity_load": "add the weight to the link",
-    "sensor_offset": "add it to the observation",
-    "sensor_gain": "scale the observation",
-    "sensor_filter": "filter the observation",
-    "encoder_quantization": "round the observation",
-    "packet_loss": "omit actions in the environment",
-}
 
 
 def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
@@ -58,8 +47,7 @@ def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut
     lines = [line for actuator in servos for line in _left_out(actuator)]
     lines += [*dropped, *shared_left_out(model)]
     kinds = sorted({_kind(actuator) for actuator in servos})
-    head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + f"from isaaclab.actuators import {', '.join(kinds)}\n\n\n"
+    text = comment(head(lines)) + f"from isaaclab.actuators import {', '.join(kinds)}\n\n\n"
     text += "def actuators(physics_dt):\n"
     text += '    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s."""\n'
     text += "    return {\n"
@@ -88,8 +76,8 @@ def _entry(servo: Actuator) -> str:
         spread = servo.value("latency_jitter", "halfwidth_s")
         ends = max(servo.latency - spread, 0.0), servo.latency + spread
         fields["min_delay"], fields["max_delay"] = (f"round({x:.9g} / physics_dt)" for x in ends)
-    if (armature := servo.value("unmodelled_inertia", "inertia_kgm2")) > 0:
-        fields["armature"] = f"{armature:.9g}"
+    if servo.armature > 0:
+        fields["armature"] = f"{servo.armature:.9g}"
     sliding = servo.value("coulomb_friction", "torque_Nm")
     sticking = sliding + servo.value("stribeck_friction", "breakaway_Nm")
     sliding += servo.value("stribeck_friction", "torque_Nm")
@@ -100,7 +88,7 @@ def _entry(servo: Actuator) -> str:
 
 
 def _left_out(servo: Actuator) -> list[LeftOut]:
-    lines = left_out(servo, HAS, LACKS, "Isaac Lab")
+    lines = left_out(servo, "Isaac Lab", HAS)
 
     def add(what: str, why: str) -> None:
         lines.append(LeftOut(servo.joint, what, why))
@@ -111,14 +99,9 @@ def _left_out(servo: Actuator) -> list[LeftOut]:
         if "latency_jitter" in servo.effects:
             add("latency_jitter", "DCMotorCfg has no delay")
     else:
-        if servo.latency:
-            add("fractions of a step of the latency", "a delay is a whole number of physics steps")
+        lines += delay_left_out(servo)
         if "latency_jitter" in servo.effects:
             add("part of latency_jitter", "the delay is drawn at a reset, not for each set-point")
     if "stribeck_friction" in servo.effects:
         add("velocity_rad_s of stribeck_friction", "friction drops as soon as the joint moves")
-    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
-        why = "an armature cannot be negative; subtract it from the link's inertia"
-        add("unmodelled_inertia", why)
-    add(f"inertia of the load ({servo.inertia:.6g} kg m2)", "it belongs to the link")
-    return lines
+    return lines + link_left_out(servo)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 
 from sim2real.exporters.actuator import (
     Actuator,
@@ -15,8 +14,11 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     comment,
+    delay_left_out,
+    head,
     left_out,
-    listed,
+    limit_with_back_emf,
+    link_left_out,
     shared_left_out,
 )
 from sim2real.exporters.soft_friction import constraint
@@ -26,20 +28,6 @@ from sim2real.servo.parameters import SOFT
 
 HAS = ("coulomb_friction", "latency_jitter", "unmodelled_inertia")
 """Effects of the catalogue that a configuration expresses, one of them in part."""
-
-LACKS = {
-    "stribeck_friction": "frictionloss is a constant torque",
-    "presliding_friction": "frictionloss is a constant torque",
-    "asymmetric_friction": "frictionloss is the same both ways",
-    "load_friction": "frictionloss does not depend on the load",
-    "quadratic_drag": "viscous_damping is linear in the speed",
-    "gravity_load": "add the weight to the link",
-    "torque_saturation": "effort_limit is the limit of the motor's drive",
-    "sensor_offset": "add it to the observation",
-    "sensor_gain": "scale the observation",
-    "encoder_quantization": "round the observation",
-    "packet_loss": "omit actions in the environment",
-}
 
 FRICTION = '''
 
@@ -70,13 +58,16 @@ def mjlab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] =
     lines: list[LeftOut] = []
     servos = []
     for identified in actuators(model, robot):
-        servo, moved = _limit_with_back_emf(identified)
+        servo, moved = limit_with_back_emf(identified, "damping")
         servos.append(servo)
         lines += [*moved, *_left_out(servo)]
     lines += [*dropped, *shared_left_out(model)]
-    head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + "from mjlab.actuator import BuiltinPositionActuatorCfg\n"
-    soft = {servo.joint: _soft(servo) for servo in servos if _friction(servo) > 0}
+    text = comment(head(lines)) + "from mjlab.actuator import BuiltinPositionActuatorCfg\n"
+    soft = {
+        servo.joint: constraint(*servo.stopping_times, 0.0)
+        for servo in servos
+        if _friction(servo) > 0
+    }
     if soft:
         rows = "".join(f"    {joint!r}: ({t:.9g}, {d:.9g}),\n" for joint, (t, d) in soft.items())
         text += f"\nFRICTION = {{  # time constant in s and impedance of each joint\n{rows}}}\n"
@@ -88,22 +79,8 @@ def mjlab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] =
     return Export(text + (FRICTION if soft else ""), tuple(lines))
 
 
-def _limit_with_back_emf(servo: Actuator) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF inside the limit where its controller reduces the damping."""
-    if servo.kd >= 0:
-        return servo, []
-    why = "damping is not negative: the limit applies to the sum of drive and back-EMF"
-    moved = replace(servo, kd=servo.kd + servo.back_emf, back_emf=0.0)
-    return moved, [LeftOut(servo.joint, "a drive that clips before the back-EMF", why)]
-
-
 def _friction(servo: Actuator) -> float:
     return servo.value("coulomb_friction", "torque_Nm")
-
-
-def _soft(servo: Actuator) -> tuple[float, float]:
-    stick, creep = (servo.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
-    return constraint(stick, creep, 0.0)
 
 
 def _entry(servo: Actuator) -> str:
@@ -114,7 +91,7 @@ def _entry(servo: Actuator) -> str:
         "stiffness": f"{servo.kp:.9g}",
         "damping": f"{servo.kd:.9g}",
         "viscous_damping": f"{servo.back_emf:.9g}",
-        "armature": f"{max(servo.value('unmodelled_inertia', 'inertia_kgm2'), 0.0):.9g}",
+        "armature": f"{servo.armature:.9g}",
         "frictionloss": f"{_friction(servo):.9g}",
         "delay_min_lag": f"round({ends[0]:.9g} / physics_dt)",
         "delay_max_lag": f"round({ends[1]:.9g} / physics_dt)",
@@ -126,17 +103,8 @@ def _entry(servo: Actuator) -> str:
 
 
 def _left_out(servo: Actuator) -> list[LeftOut]:
-    hard = {name: x for name, x in servo.motor.items() if f"motor.{name}" not in SOFT}
-    lines = left_out(replace(servo, motor=hard), HAS, LACKS, "mjlab")
-    if servo.latency:
-        why = "a delay is a whole number of physics steps"
-        lines.append(LeftOut(servo.joint, "fractions of a step of the latency", why))
+    lines = [*left_out(servo, "mjlab", (*HAS, *SOFT)), *delay_left_out(servo)]
     if "latency_jitter" in servo.effects:
         why = "the delay is drawn at each physics step, not for each set-point"
         lines.append(LeftOut(servo.joint, "part of latency_jitter", why))
-    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
-        why = "an armature cannot be negative; subtract it from the link's inertia"
-        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
-    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
-    lines.append(LeftOut(servo.joint, load, "it belongs to the link"))
-    return lines
+    return lines + link_left_out(servo)

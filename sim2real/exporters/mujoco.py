@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from sim2real.exporters.actuator import (
@@ -20,9 +18,10 @@ from sim2real.exporters.actuator import (
     actuators,
     left_out,
     limit_effects,
-    listed,
+    limit_with_back_emf,
     rotor_inertia,
     shared_left_out,
+    xml_text,
 )
 from sim2real.exporters.soft_friction import constraint
 from sim2real.model import JointModel, Model
@@ -54,9 +53,10 @@ HAS = (
 )
 """Effects of the catalogue that an MJCF file expresses."""
 
+PID = {"integral_action", "rate_limit"}
+"""Effects whose drive is a ``pid``."""
+
 LACKS = {
-    "torque_saturation": "the motor's own limit is the actuator's forcerange",
-    "load_friction": "MuJoCo's frictionloss is a constant torque",
     "torque_asymmetry": "an actuator has one gain for both directions",
     "sensor_eccentricity": "add a sine of the angle to the observation",
     "deadband": "an actuator's bias is linear in the angle",
@@ -77,7 +77,7 @@ def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
     has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
-    return has - {"command_filter"} if names & {"integral_action", "rate_limit"} else has
+    return has - {"command_filter"} if names & PID else has
 
 
 def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
@@ -108,9 +108,10 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
     parts = {name: Element(name) for name in ("worldbody", "tendon", "actuator", "sensor")}
     custom = SubElement(root, "custom")
     lines: list[LeftOut] = []
-    for servo in servos:
-        actuator, moved = _limit_with_back_emf(servo)
-        lines += moved
+    for actuator in servos:
+        if actuator.effects.keys() & PID:
+            actuator, moved = limit_with_back_emf(actuator, "the velocity gain of a pid")
+            lines += moved
         numeric = {"name": f"{actuator.joint}_latency_s", "data": _text(actuator.latency)}
         SubElement(custom, "numeric", numeric)
         _shaft(actuator, parts["worldbody"], parts["tendon"])
@@ -118,17 +119,13 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
         lines += _delay(actuator, parts["actuator"][-1])
         lines += _passive(actuator, parts["actuator"])
         _sensor(actuator, parts["sensor"])
-        hard = {name: x for name, x in actuator.motor.items() if f"motor.{name}" not in SOFT}
-        lines += left_out(replace(actuator, motor=hard), HAS, LACKS, "MuJoCo")
+        lines += left_out(actuator, "MuJoCo", (*HAS, *SOFT), LACKS)
         if actuator.effects.keys() >= {"backlash", "compliance"}:
             why = "the stops of a joint with play are rigid"
             lines.append(LeftOut(actuator.joint, "compliance with backlash", why))
     root.extend(part for part in parts.values() if len(part))
     lines += [*dropped, *shared_left_out(model)]
-    ElementTree.indent(root)
-    head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
-    text = "\n".join(["<!--", *(f"  {line.replace('--', '- -')}" for line in head), "-->"])
-    return Export(f"{text}\n{ElementTree.tostring(root, encoding='unicode')}\n", tuple(lines))
+    return Export(xml_text(root, lines), tuple(lines))
 
 
 def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
@@ -184,18 +181,6 @@ def _train(servo: Actuator) -> dict[str, str]:
     return {}
 
 
-def _limit_with_back_emf(servo: Actuator) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF inside the limit, if a ``pid`` requires it."""
-    if servo.kd >= 0 or not servo.effects.keys() & {"integral_action", "rate_limit"}:
-        return servo, []
-    why = (
-        "the velocity gain of a pid cannot be negative: the limit applies to the sum of drive and "
-        "back-EMF"
-    )
-    moved = replace(servo, kd=servo.kd + servo.back_emf, back_emf=0.0)
-    return moved, [LeftOut(servo.joint, "a drive that clips before the back-EMF", why)]
-
-
 def _losses(servo: Actuator) -> dict[str, str]:
     """Attributes of dry friction and damping of the motor's side: of a joint or a tendon."""
     friction = servo.value("coulomb_friction", "torque_Nm")
@@ -203,9 +188,7 @@ def _losses(servo: Actuator) -> dict[str, str]:
     attributes = {}
     if friction > 0:
         attributes["frictionloss"] = _text(friction)
-        attributes |= _softness(
-            *(servo.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
-        )
+        attributes |= _softness(*servo.stopping_times)
     if servo.back_emf > 0:
         attributes["damping"] = _text(servo.back_emf)
     return attributes
@@ -254,7 +237,7 @@ def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
     slew = servo.value("rate_limit", "limit_rad_s")
     smooth = servo.value("command_filter", "time_constant_s")
     bias = constant + servo.kp * _offset(servo)
-    if not ki and not slew:
+    if not servo.effects.keys() & PID:
         attributes |= {"gaintype": "fixed", "gainprm": _text(servo.kp), "biastype": "affine"}
         # With equal kp in gain and bias, MuJoCo reads a positive biasprm[2] as a damping ratio.
         stiff = servo.kp * (1 + 1e-7) if servo.kd < 0 else servo.kp

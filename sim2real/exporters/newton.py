@@ -8,7 +8,6 @@ branch, in no release yet; they are not used.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from sim2real.exporters.actuator import (
     Actuator,
@@ -16,8 +15,10 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     comment,
+    delay_left_out,
+    head,
     left_out,
-    listed,
+    link_left_out,
     shared_left_out,
 )
 from sim2real.exporters.soft_friction import constraint
@@ -29,13 +30,6 @@ HAS = ("coulomb_friction", "unmodelled_inertia")
 """Effects of the catalogue that Newton expresses."""
 
 LACKS = {
-    "stribeck_friction": "its joint friction is a constant torque",
-    "presliding_friction": "its joint friction is a constant torque",
-    "asymmetric_friction": "its joint friction is the same both ways",
-    "load_friction": "its joint friction does not depend on the load",
-    "quadratic_drag": "its joint damping is linear in the speed",
-    "gravity_load": "add the weight to the link",
-    "torque_saturation": "the motor's own line is the limit",
     "backlash": "its processor for backlash is in no release yet",
     "latency_jitter": "a delay is constant",
 }
@@ -92,8 +86,7 @@ def newton(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
     lines = [line for servo in servos for line in _left_out(servo)]
     lines += [*dropped, *shared_left_out(model)]
     used = sorted({"DrivePD", *(name for servo in servos for name in _clamping(servo)[:1])})
-    head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + f"from newton.actuators import {', '.join(used)}\n\n"
+    text = comment(head(lines)) + f"from newton.actuators import {', '.join(used)}\n\n"
     text += "SERVOS = {\n" + "".join(map(_entry, servos)) + "}\n"
     return Export(text + FUNCTION, tuple(lines))
 
@@ -116,13 +109,12 @@ def _dictionary(values: dict[str, float]) -> str:
 
 
 def _entry(servo: Actuator) -> str:
-    stick, creep = (servo.motor.get(name.removeprefix("motor."), 0.0) for name in SOFT)
-    time_constant, impedance = constraint(stick, creep, 0.0)
+    time_constant, impedance = constraint(*servo.stopping_times, 0.0)
     fields = {
         "kp": f"{servo.kp:.9g}",
         "kd": f"{servo.kd + servo.back_emf:.9g}",
         "latency_s": f"{servo.latency:.9g}",
-        "armature": f"{max(servo.value('unmodelled_inertia', 'inertia_kgm2'), 0.0):.9g}",
+        "armature": f"{servo.armature:.9g}",
         "friction": f"{servo.value('coulomb_friction', 'torque_Nm'):.9g}",
         "stop": f"({time_constant:.9g}, {impedance:.9g}),  # time constant in s and impedance",
         "clamping": "[(" + ", ".join(_clamping(servo)) + ")]" if _clamping(servo) else "[]",
@@ -135,14 +127,5 @@ def _entry(servo: Actuator) -> str:
 
 
 def _left_out(servo: Actuator) -> list[LeftOut]:
-    hard = {name: x for name, x in servo.motor.items() if f"motor.{name}" not in SOFT}
-    lines = left_out(replace(servo, motor=hard), HAS, LACKS, "Newton")
-    if servo.latency:
-        why = "a delay is a whole number of physics steps"
-        lines.append(LeftOut(servo.joint, "fractions of a step of the latency", why))
-    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
-        why = "an armature cannot be negative; subtract it from the link's inertia"
-        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
-    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
-    lines.append(LeftOut(servo.joint, load, "it belongs to the link"))
-    return lines
+    lines = left_out(servo, "Newton", (*HAS, *SOFT), LACKS)
+    return [*lines, *delay_left_out(servo), *link_left_out(servo)]

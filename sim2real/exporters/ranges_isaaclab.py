@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from sim2real.exporters.actuator import Export, comment, listed
+from sim2real.exporters.actuator import Export, comment, head
 from sim2real.exporters.ranges import Term, delays, noise_sds, split, table, terms
 from sim2real.ranges.entry import Ranges
 
@@ -46,8 +46,7 @@ def isaaclab_ranges(ranges: Ranges) -> Export:
     joint_delays, lines = delays(all_terms)
     mapped, others = split(all_terms, TERMS)
     lines += [term.left_out("Isaac Lab") for term in others]
-    head = ["Randomization ranges by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + HEADER
+    text = comment(head(lines, "Randomization ranges")) + HEADER
     text += table("DELAY_S", "ends of the delay, s: drawn at reset", joint_delays)
     text += table(
         "JOINT_POS_NOISE_SD", "of GaussianNoiseCfg on joint_pos, rad", noise_sds(all_terms)

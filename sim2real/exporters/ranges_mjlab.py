@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from sim2real.exporters.actuator import Export, LeftOut, comment, listed
+from sim2real.exporters.actuator import Export, LeftOut, comment, head
 from sim2real.exporters.ranges import Term, delays, noise_sds, split, table, terms
 from sim2real.ranges.entry import Ranges
 
@@ -68,8 +68,7 @@ def mjlab_ranges(ranges: Ranges) -> Export:
     gains, alone, changed = _gains(mapped)
     lines += [*changed, *(term.left_out("mjlab") for term in (*others, *alone))]
     of_joints = [term for term in mapped if term.quantity in JOINT]
-    head = ["Randomization ranges by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + HEADER
+    text = comment(head(lines, "Randomization ranges")) + HEADER
     text += table("DELAY_S", "ends of the delay, s", joint_delays)
     text += table("JOINT_POS_NOISE_SD", "of GaussianNoiseCfg on joint_pos", noise_sds(all_terms))
     text += DELAY_LAGS if joint_delays else ""

@@ -5,7 +5,7 @@ Fields: ``newton.Model`` and ``newton.actuators``, release 1.8.
 
 from __future__ import annotations
 
-from sim2real.exporters.actuator import Export, comment, listed
+from sim2real.exporters.actuator import Export, comment, head
 from sim2real.exporters.ranges import Term, delays, noise_sds, split, table, terms
 from sim2real.ranges.entry import Ranges
 
@@ -64,8 +64,7 @@ def newton_ranges(ranges: Ranges) -> Export:
     joint_delays, lines = delays(all_terms)
     mapped, others = split(all_terms, FIELDS)
     lines += [term.left_out("Newton") for term in others]
-    head = ["Randomization ranges by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + HEADER
+    text = comment(head(lines, "Randomization ranges")) + HEADER
     text += table("DELAY_S", "ends of the delay, s: draw one when building", joint_delays)
     text += table("JOINT_POS_NOISE_SD", "of each measured angle, rad", noise_sds(all_terms))
     rows = "".join(map(_row, mapped))

@@ -5,7 +5,7 @@ Form: ``randomization_fn`` of https://github.com/google-deepmind/mujoco_playgrou
 
 from __future__ import annotations
 
-from sim2real.exporters.actuator import Export, comment, listed
+from sim2real.exporters.actuator import Export, comment, head
 from sim2real.exporters.ranges import Term, delays, noise_sds, split, table, terms
 from sim2real.ranges.entry import Ranges
 
@@ -48,8 +48,7 @@ def playground_ranges(ranges: Ranges) -> Export:
     mapped, others = split(all_terms, SET)
     lines += [term.left_out("an mjx.Model") for term in others]
     fields = sorted({field for term in mapped for field in FIELDS[term.quantity]})
-    head = ["Randomization ranges by sim2real; SI units, radians.", *listed(lines)]
-    text = comment(head) + "import jax\nimport jax.numpy as jp\n\n"
+    text = comment(head(lines, "Randomization ranges")) + "import jax\nimport jax.numpy as jp\n\n"
     text += table("DELAY_S", "ends of the delay, s: draw one per episode", joint_delays)
     text += table("JOINT_POS_NOISE_SD", "of each measured angle, rad", noise_sds(all_terms))
     text += "\ndef randomizer(mj_model):\n"

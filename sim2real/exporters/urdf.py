@@ -11,7 +11,6 @@ negative.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from sim2real.exporters.actuator import (
@@ -20,9 +19,9 @@ from sim2real.exporters.actuator import (
     LeftOut,
     actuators,
     left_out,
-    listed,
     quantity,
     shared_left_out,
+    xml_text,
 )
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -53,11 +52,7 @@ def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = 
         _joint(actuator, root)
         lines += _left_out(actuator)
     lines += [*dropped, *shared_left_out(model)]
-    ElementTree.indent(root)
-    head = ["Actuators identified by sim2real; SI units, radians.", *listed(lines)]
-    text = "\n".join(["<!--", *(f"  {line.replace('--', '- -')}" for line in head), "-->"])
-    body = ElementTree.tostring(root, encoding="unicode")
-    return Export(f'<?xml version="1.0"?>\n{text}\n{body}\n', tuple(lines))
+    return Export(f'<?xml version="1.0"?>\n{xml_text(root, lines)}', tuple(lines))
 
 
 def _joint(servo: Actuator, root: Element) -> None:
@@ -111,4 +106,4 @@ def _left_out(servo: Actuator) -> list[LeftOut]:
     inertia = servo.value("unmodelled_inertia", "inertia_kgm2")
     why = "a URDF has no armature: it is added to the inertia of the link here; do so for yours"
     lines += quantity(servo.joint, "unmodelled_inertia", inertia, "kg m2", why)
-    return lines + left_out(servo, HAS, LACKS, "URDF")
+    return lines + left_out(servo, "URDF", HAS, LACKS)

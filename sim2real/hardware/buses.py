@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 
@@ -77,12 +76,12 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
     except InputError:
         transport.close()
         raise
-    with contextlib.closing(journal):
+    with closing(journal):
         if pending := journal.pending():
             transport.close()
             _restore(port, pending, journal)
             transport = open_transport(port, baud=rate)
-        with _on(transport, name, rate) as bus:
+        with closing(_on(transport, name, rate)) as bus:
             yield Connection(bus, journal, rate)
 
 
@@ -96,7 +95,7 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
     silent = list[int]()
     for name, baud in {(entry.bus, entry.baud): None for entry in pending}:
         entries = {e.servo_id: e for e in pending if (e.bus, e.baud) == (name, baud)}
-        with _on(open_transport(port, baud=baud), name, baud) as bus:
+        with closing(_on(open_transport(port, baud=baud), name, baud)) as bus:
             left = release(bus, {servo_id: entry.values for servo_id, entry in entries.items()})
         journal.forget([entry for servo_id, entry in entries.items() if servo_id not in left])
         silent += left

@@ -88,19 +88,11 @@ def encode(packet: DynamixelPacket) -> bytes:
 
 
 class DynamixelDecoder(FrameDecoder[DynamixelPacket]):
-    """Decoder of Protocol 2.0.
-
-    Args:
-        longest: Largest number of bytes of a frame; a larger length is an error. The smaller it is,
-            the fewer packets a corrupted length hides.
-    """
+    """Decoder of Protocol 2.0."""
 
     header = HEADER
     head_bytes = _FIXED
-
-    def __init__(self, longest: int = LONGEST) -> None:
-        super().__init__()
-        self._longest = longest
+    largest = LONGEST
 
     def size(self, head: bytes) -> int:
         """Bytes of the frame with these first bytes; 0 if there is no such frame."""

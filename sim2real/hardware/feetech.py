@@ -61,19 +61,11 @@ def encode(packet: FeetechPacket) -> bytes:
 
 
 class FeetechDecoder(FrameDecoder[FeetechPacket]):
-    """Decoder of this protocol.
-
-    Args:
-        longest: Largest number of bytes of a frame; a larger length is an error. The smaller it is,
-            the fewer packets a corrupted length hides.
-    """
+    """Decoder of this protocol."""
 
     header = HEADER
     head_bytes = _FIXED
-
-    def __init__(self, longest: int = LONGEST) -> None:
-        super().__init__()
-        self._longest = longest
+    largest = LONGEST
 
     def size(self, head: bytes) -> int:
         """Bytes of the frame with these first bytes; 0 if there is no such frame."""

@@ -14,17 +14,24 @@ class FrameDecoder(ABC, Generic[P]):
     After a wrong length or checksum it continues at the next byte, so that a packet after noise, or
     after the start of another, is found. It buffers at most one frame.
 
+    Args:
+        longest: Largest number of bytes of a frame, by default that of the protocol; a larger
+            length is an error. The smaller it is, the fewer packets a corrupted length hides.
+
     Attributes:
         header: First bytes of every frame.
         head_bytes: Number of bytes from which the size of a frame is known.
+        largest: Largest number of bytes of a frame in the protocol.
         garbled: Number of headers without a valid packet.
         skipped: Number of bytes outside packets.
     """
 
     header: ClassVar[bytes]
     head_bytes: ClassVar[int]
+    largest: ClassVar[int]
 
-    def __init__(self) -> None:
+    def __init__(self, longest: int | None = None) -> None:
+        self._longest = self.largest if longest is None else longest
         self._waiting = bytearray()
         self.garbled = 0
         self.skipped = 0

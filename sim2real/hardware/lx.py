@@ -152,14 +152,16 @@ def supply_V(reply: Packet) -> float:
 
 
 class Decoder(FrameDecoder[Packet]):
-    """Decoder of this protocol; it buffers at most nine bytes."""
+    """Decoder of this protocol."""
 
     header = HEADER
     head_bytes = 4
+    largest = LONGEST + 3
 
     def size(self, head: bytes) -> int:
         """Bytes of the frame with these first bytes; 0 if there is no such frame."""
-        return head[3] + 3 if SHORTEST <= head[3] <= LONGEST else 0
+        size = head[3] + 3
+        return size if SHORTEST + 3 <= size <= self._longest else 0
 
     def packet(self, frame: bytes) -> Packet | None:
         """The packet in a frame; None if its checksum does not agree."""

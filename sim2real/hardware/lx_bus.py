@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from types import TracebackType
-from typing import Any, ClassVar, Self
+from functools import partial
+from typing import Any, ClassVar
 
 from sim2real.hardware import lx
 from sim2real.hardware.lx import BusCommand, Packet, expects_reply, is_reply, load, move
 from sim2real.hardware.servo_bus import (
-    INSISTENCE,
     PATIENCE_S,
     BusServo,
     Cycle,
@@ -21,14 +20,14 @@ from sim2real.hardware.servo_bus import (
     Stopped,
 )
 from sim2real.hardware.transport import Transport
-from sim2real.hardware.wire import Wire
+from sim2real.hardware.wire_bus import WireBus
 
 USUAL_S = 0.0025
 """Typical time of a servo's set-point, request and reply on the wire, with the adapter."""
 SCALE = Scale(lx.TICK_RAD, lx.CENTRE_TICKS, 0, lx.LARGEST_TICKS)
 
 
-class LxBus:
+class LxBus(WireBus[Packet]):
     """A bus of LX servos, which are addressed one after the other.
 
     The position of each is requested directly after its set-point, so that both have the same time;
@@ -44,13 +43,8 @@ class LxBus:
     largest_id: ClassVar[int] = lx.LARGEST_ID
 
     def __init__(self, transport: Transport, baud: int = lx.BAUD_RATES[0]) -> None:
-        self.wire: Wire[Packet] = Wire(transport, lx.Decoder())
-        self._baud, self._turn = baud, 0
-
-    @property
-    def garbled(self) -> int:
-        """Number of corrupted packets until now."""
-        return self.wire.garbled
+        super().__init__(transport, lx.Decoder(), baud)
+        self._turn = 0
 
     def exchange(self, packets: Sequence[Packet], deadline: float) -> list[Packet | None]:
         """Send packets together and wait for the replies.
@@ -85,8 +79,7 @@ class LxBus:
         """
 
         def ask(command: BusCommand) -> Packet | None:
-            replies = (self.ask(servo_id, command, patience_s) for _ in range(INSISTENCE // 2))
-            return next((reply for reply in replies if reply is not None), None)
+            return self._insisted(partial(self.ask, servo_id, command, patience_s))
 
         position, supply = ask(BusCommand.POS_READ), ask(BusCommand.VIN_READ)
         temperature, powered = ask(BusCommand.TEMP_READ), ask(BusCommand.LOAD_READ)
@@ -120,13 +113,13 @@ class LxBus:
 
     def saved(self, servo_id: int) -> dict[str, int]:
         """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
-        self._insist(servo_id, BusCommand.LOAD_READ)
+        self._must_tell(servo_id, BusCommand.LOAD_READ)
         return {}
 
     def reading(self, servo_id: int) -> Reading:
         """Position and temperature of a servo that must answer."""
-        temperature = self._insist(servo_id, BusCommand.TEMP_READ)
-        position = self._insist(servo_id, BusCommand.POS_READ)
+        temperature = self._must_tell(servo_id, BusCommand.TEMP_READ)
+        position = self._must_tell(servo_id, BusCommand.POS_READ)
         ticks = lx.signed_word(position)
         return Reading(position_ticks=ticks, temperature_C=float(temperature.parameters[0]))
 
@@ -184,37 +177,23 @@ class LxBus:
 
     def cycle_s(self, count: int) -> float:
         """Time on the wire of a cycle with so many servos."""
-        return (24 * count + 14) * 10 / self._baud
+        return self._wire_s(24 * count + 14)
 
     def sample_delay_s(self, count: int) -> float:
         """Time on the wire of the request for a position, which follows each set-point."""
-        return 6 * 10 / self._baud
+        return self._wire_s(6)
 
     def _set_load(self, servo_id: int, *, on: bool) -> bool:
-        for _ in range(INSISTENCE):
-            request = [load(servo_id, on), Packet(servo_id, BusCommand.LOAD_READ)]
+        request = [load(servo_id, on), Packet(servo_id, BusCommand.LOAD_READ)]
+
+        def confirmed() -> Packet | None:
             reply = self.exchange(request, time.monotonic() + PATIENCE_S)[1]
-            if reply is not None and bool(reply.parameters[0]) == on:
-                return True
-        return False
+            return reply if reply is not None and bool(reply.parameters[0]) == on else None
 
-    def _insist(self, servo_id: int, command: BusCommand) -> Packet:
-        for _ in range(INSISTENCE):
-            reply = self.ask(servo_id, command, PATIENCE_S)
-            if reply is not None:
-                return reply
-        raise Stopped(f"no reply from servo {servo_id} ({self.name}, {self._baud} baud)")
+        return self._insisted(confirmed) is not None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.wire.__exit__(kind, error, trace)
+    def _must_tell(self, servo_id: int, command: BusCommand) -> Packet:
+        return self._insist(servo_id, partial(self.ask, servo_id, command, PATIENCE_S))
 
 
 def lx_servo(servo_id: int) -> BusServo:

@@ -7,8 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from types import TracebackType
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar
 
 from sim2real.errors import InputError
 from sim2real.hardware import servo_models
@@ -27,22 +26,18 @@ from sim2real.hardware.servo_bus import (
 )
 from sim2real.hardware.servo_models import ServoModel
 from sim2real.hardware.transport import Transport
-from sim2real.hardware.wire import Wire
+from sim2real.hardware.wire_bus import P, T, WireBus
 
-P = TypeVar("P")
-T = TypeVar("T")
 FIRST_SHARE = 0.7
 """Share of a cycle's time after which an answer counts as missing."""
 TURNS = 7
 """Turns to each side that are used of servos that do several."""
-QUIET_S = 0.02
-"""Silence after a missing answer before the next request."""
 ADAPTER_S = 0.003
 """Longest usual time of adapter and servo besides the time on the wire."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
 
 
-class RegisterBus(ABC, Generic[P]):
+class RegisterBus(WireBus[P], ABC):
     """A bus of servos with registers, which are set and read together.
 
     A write is confirmed by reading the register, so that it does not matter whether the servo
@@ -53,13 +48,11 @@ class RegisterBus(ABC, Generic[P]):
         baud: Bits per second.
     """
 
-    name: ClassVar[str]
     baud_rates: ClassVar[tuple[int, ...]]
     largest_id: ClassVar[int]
 
     def __init__(self, transport: Transport, baud: int) -> None:
-        self.wire: Wire[P] = Wire(transport, self._decoder())
-        self._baud = baud
+        super().__init__(transport, self._decoder(), baud)
         self._models: dict[int, ServoModel] = {}
 
     @abstractmethod
@@ -93,11 +86,6 @@ class RegisterBus(ABC, Generic[P]):
     @abstractmethod
     def _status_bytes(self, count: int) -> int:
         """Length of a status packet with ``count`` bytes of data."""
-
-    @property
-    def garbled(self) -> int:
-        """Number of corrupted packets until now."""
-        return self.wire.garbled
 
     def answers(self, servo_id: int, patience_s: float) -> bool:
         """Whether a servo has this identity; one request."""
@@ -231,15 +219,15 @@ class RegisterBus(ABC, Generic[P]):
         register = layout[name]
         if register.address < layout.volatile_from:
             raise ValueError(f"{name} is in the EEPROM")
-        data = register.encode(value, layout.order)
-        for _ in range(INSISTENCE):
-            self._exchange(self._write(servo_id, register.address, data), servo_id, 0, PATIENCE_S)
-            names = _restored(layout) if name in _restored(layout) else (name,)
+        write = self._write(servo_id, register.address, register.encode(value, layout.order))
+        names = _restored(layout) if name in _restored(layout) else (name,)
+
+        def confirmed() -> bytes | None:
+            self._exchange(write, servo_id, 0, PATIENCE_S)
             block = self._block(servo_id, names)
-            if block is not None and layout.decode(names, block)[name] == value:
-                return True
-            self.wire.drain(QUIET_S)
-        return False
+            return block if block and layout.decode(names, block)[name] == value else None
+
+        return self._insisted(confirmed) is not None
 
     def _block(self, servo_id: int, names: Sequence[str]) -> bytes | None:
         """The smallest block of the memory with these registers; one request."""
@@ -344,36 +332,8 @@ class RegisterBus(ABC, Generic[P]):
             answer = again
         return answer
 
-    def _insist(self, servo_id: int, ask: Callable[[], T | None]) -> T:
-        answer = self._insisted(ask)
-        if answer is None:
-            raise Stopped(f"no reply from servo {servo_id} ({self.name}, {self._baud} baud)")
-        return answer
-
-    def _insisted(self, ask: Callable[[], T | None]) -> T | None:
-        for _ in range(INSISTENCE):
-            answer = ask()
-            if answer is not None:
-                return answer
-            self.wire.drain(QUIET_S)  # a late answer would pass for that to another request
-        return None
-
     def _goal(self, layout: Layout, ticks: int) -> bytes:
         return layout["goal_position"].encode(ticks, layout.order)
-
-    def _wire_s(self, count: int) -> float:
-        return 10 * count / self._baud
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.wire.__exit__(kind, error, trace)
 
 
 def _restored(layout: Layout) -> tuple[str, ...]:

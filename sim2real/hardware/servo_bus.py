@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol
 
 INSISTENCE = 10
 """Attempts at a request to a servo that must answer."""
@@ -200,14 +199,8 @@ class ServoBus(Protocol):
     def sample_delay_s(self, count: int) -> float:
         """Time from the arrival of set-points to the sampling of positions, of so many servos."""
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    def close(self) -> None:
+        """Close the port."""
 
 
 def mean_known(values: Sequence[float]) -> float:

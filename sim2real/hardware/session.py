@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -25,7 +24,6 @@ from sim2real.robot import Robot
 from sim2real.signals import Excitation
 
 RATE_HZ = 50.0
-LONGEST_SAMPLE_DELAY_S = 0.001  # that needs no remark
 
 
 @dataclass(frozen=True)
@@ -100,13 +98,6 @@ def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mount
     if takes > longest:
         found = f"{connection.baud} baud, {1e3 * takes:.1f} ms to address {len(servos)} servos"
         raise InputError("--baud", "", found, f"at most {1e3 * longest:.0f} ms: a faster rate")
-    delay = connection.bus.sample_delay_s(len(servos))
-    if delay > LONGEST_SAMPLE_DELAY_S:
-        print(
-            f"at {connection.baud} baud positions are sampled {1e3 * delay:.1f} ms after the "
-            "set-points arrive, by which identified latencies are too small",
-            file=sys.stderr,
-        )
     return mountings
 
 
@@ -122,7 +113,6 @@ def bus_settings(
         "name": connection.bus.name,
         "port": port,
         "baud": connection.baud,
-        "sample_delay_s": round(connection.bus.sample_delay_s(len(mountings)), 6),
         "ids": [mounting.servo_id for mounting in mountings],
         "trim_ticks": [mounting.trim_ticks for mounting in mountings],
         "sign": [mounting.sign for mounting in mountings],
@@ -154,6 +144,8 @@ def drive(
     """
     bus, outcome, rows = connection.bus, Outcome.of(mountings), 0
     changed: list[Changed] = []
+    delay = round(bus.sample_delay_s(len(mountings)), 6)
+    sidecar["context"] = {**sidecar.get("context", {}), "sample_delay_s": delay}
     with interruption() as interrupted:
         try:
             changed = note_changes(connection, mountings)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Generic, TypeVar
 
 from sim2real.hardware.frames import FrameDecoder
@@ -93,13 +92,6 @@ class Wire(Generic[P]):
             pass
         self._decoder.clear()
 
-    def __enter__(self) -> Wire[P]:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Close the transport."""
         self._transport.close()

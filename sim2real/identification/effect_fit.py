@@ -43,7 +43,7 @@ def fit_effects(
 
     def fitted(row: Array, *, rounds: int, evaluations: int) -> Fit:
         own = plain_parameters(traces, row)
-        free = (*own, *of_effects(effects, row, plain.inertia))
+        free = (*own, *of_effects(effects, row, plain.inertia, _known(traces)))
         return fit(traces, row, free, rounds=rounds, evaluations=evaluations)
 
     def loss(candidate: Fit) -> float:
@@ -53,6 +53,11 @@ def fit_effects(
     short = sorted((fitted(row, rounds=0, evaluations=12) for row in starts), key=loss)
     longer = [fitted(start.row, rounds=0, evaluations=40) for start in short[:finalists]]
     return fitted(min(longer, key=loss).row, rounds=3, evaluations=40)
+
+
+def _known(traces: Sequence[Trace]) -> tuple[str, ...]:
+    """Parameters of effects that are not fitted: on an arm the load is what the rotor is not."""
+    return () if traces[0].varying is None else ("rotor_inertia_kgm2",)
 
 
 def _starts(
@@ -86,7 +91,7 @@ def _starts(
         apart: Smallest distance between starting points, as the logarithm of a ratio.
         most: Largest number of starting points.
     """
-    added = of_effects(effects, plain.row, plain.inertia)
+    added = of_effects(effects, plain.row, plain.inertia, _known(traces))
     columns = [COLUMNS.index(p.name) for p in added]
     choices = [[min(max(s * p.nominal, p.low), p.high) for s in STRENGTHS] for p in added]
     full_grid = len(STRENGTHS) ** len(choices) <= grid_points
@@ -103,7 +108,7 @@ def _starts(
         row[0] = plain.inertia * frequency**2
         row[1] = 2 * ratio * plain.inertia * frequency
         row[2] *= latency[0] + (latency[1] - latency[0]) * point[2]
-        own = of_effects(effects, row, plain.inertia)
+        own = of_effects(effects, row, plain.inertia, _known(traces))
         for k, (p, share) in enumerate(zip(own, point[3:], strict=True)):
             strength = STRENGTHS[0] * (STRENGTHS[-1] / STRENGTHS[0]) ** (share * 4 / 3)
             value = np.clip(strength * p.nominal, p.low, p.high)

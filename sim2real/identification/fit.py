@@ -33,7 +33,7 @@ from sim2real.servo.rollout import (
     Simulator,
     active_effects,
     coarse_substep,
-    factors,
+    contexts,
     longest_substep,
     rollout,
 )
@@ -160,7 +160,8 @@ def _guess_errors(
     else:
         substep = longest_substep(theta, theta[:, 3], steps_per_radian=6.0, longest_s=4e-3)
         step = np.maximum(substep, shortest_s)  # the fast mode of strong damping decays within it
-        rows = theta * factors([trace])
+        factor, offset = contexts([trace])
+        rows = theta * factor + offset
         angle = rollout(
             rows, trace.t, trace.command, varying=trace.varying, substep_s=step, threads=2
         )
@@ -231,9 +232,16 @@ def plain_parameters(traces: Sequence[Trace], row: Array) -> tuple[Parameter, ..
     return (*gains(row, inertia), rotor)
 
 
-def of_effects(effects: Sequence[Effect], row: Array, inertia: float) -> tuple[Parameter, ...]:
-    """Every parameter of some effects, scaled to a servo like ``row`` (P,)."""
-    pairs = [(e.name, scaled(p, float(row[0]), inertia)) for e in effects for p in e.parameters]
+def of_effects(
+    effects: Sequence[Effect], row: Array, inertia: float, known: Sequence[str] = ()
+) -> tuple[Parameter, ...]:
+    """Every parameter of some effects, scaled to a servo like ``row`` (P,), but those ``known``."""
+    pairs = [
+        (effect.name, scaled(p, float(row[0]), inertia))
+        for effect in effects
+        for p in effect.parameters
+        if p.name not in known
+    ]
     return tuple(
         Parameter(f"{effect}.{p.name}", p.low, p.high, p.typical or p.high / 10, p.typical)
         for effect, p in pairs

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.inference.correlated_noise import WANDER, autoregression, counting, lags
 from sim2real.servo import whitening
-from sim2real.servo.parameters import BASE, COLUMNS
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import (
     active_effects,
     coarse_substep,
-    factors,
+    contexts,
     longest_substep,
     padded,
     simulate,
@@ -35,7 +35,6 @@ _SAME_RAD = 5e-3
 """Largest root-mean-square change of a servo's angles by long sub-steps, rad."""
 _BYTES = {"cpu": 100e6, "cuda": 16e9}
 """Bytes of angles in memory at once, for each CPU thread or for the whole GPU."""
-_INERTIA = BASE.index("inertia_kgm2")
 
 
 @dataclass(frozen=True)
@@ -125,8 +124,8 @@ class Batch:
         self._span_s = np.array([trace.duration_s for trace in all_traces])
         self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
-        self._length, self._load = self._signals[2], to_warp(self.load, device)
-        self._factors = to_warp(factors(all_traces), device)
+        self._length = self._signals[2]
+        self._contexts = [to_warp(x, device) for x in contexts(all_traces)]
 
     def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""
@@ -218,7 +217,7 @@ class Batch:
         wp.launch(
             whitening.expand,
             dim=rows.size,
-            inputs=[table, table_row, signals, self._factors, self._load, _INERTIA],
+            inputs=[table, table_row, signals, *self._contexts],
             outputs=[theta],
             device=dev,
         )

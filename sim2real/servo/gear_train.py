@@ -28,7 +28,13 @@ from sim2real.servo.effect_chain import (
     motor_torque,
 )
 from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, LOAD_CELL
+from sim2real.servo.parameters import (
+    FIRST_CELL,
+    FIRST_COLUMN,
+    INERTIA_LEFT_OUT,
+    LOAD_CELL,
+    ROTOR_INERTIA,
+)
 from sim2real.servo.torques import pendulum_torque, slide
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
@@ -133,12 +139,7 @@ def time_to(x: wp.float64, v: wp.float64, a: wp.float64) -> wp.float64:
 
 @wp.func
 def across_gap(
-    state: vec4,
-    drive: Drive,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
+    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """A sub-step of a train whose flanks are rigid, divided where they meet."""
     zero = wp.float64(0.0)
@@ -187,12 +188,7 @@ def across_gap(
 
 @wp.func
 def through_spring(
-    state: vec4,
-    drive: Drive,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
+    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """A sub-step of a train that is a spring: the midpoint rule, friction as impulses."""
     zero = wp.float64(0.0)
@@ -263,12 +259,7 @@ def through_spring(
 
 @wp.func
 def train_step(
-    state: vec4,
-    drive: Drive,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
+    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
     if g.stiffness > wp.float64(0.0):
@@ -291,6 +282,8 @@ def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
     rotor = p[wp.static(_GAP + 1)]
     if rotor == wp.float64(0.0):
         rotor = p[wp.static(_SPRING + 1)]
+    if rotor == wp.float64(0.0):
+        rotor = wp.max(p[wp.static(ROTOR_INERTIA)] + p[wp.static(INERTIA_LEFT_OUT)], rotor)
     if rotor == wp.float64(0.0) and p[wp.static(_GAP)] > wp.float64(0.0):
         rotor = inertia  # an output without inertia
     g.motor = wp.clamp(rotor, least * inertia, (wp.float64(1.0) - least) * inertia)
@@ -310,13 +303,17 @@ def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
 def train_at_rest(
     state: wp.vec4d, u: wp.float64, kp: wp.float64, p: Row, z: Row, active: wp.int64
 ) -> wp.vec4d:
-    """State of a train whose motor holds the first set-point, the load on one flank."""
+    """State of a train whose motor holds the first set-point.
+
+    The load rests on one flank, or where friction of the output holds it in the middle of the gap:
+    it may then be anywhere.
+    """
     cell = train_cell(active)
     q = state[0]
     for _ in range(8):
         carried = -pendulum_torque(q - z[cell], p[4]) - z[wp.static(LOAD_CELL)]
         z[cell] = p[wp.static(_SPRING)] * carried
-        if carried != wp.float64(0.0):  # else in the middle of the gap
+        if wp.abs(carried) > p[wp.static(_GAP + 2)]:
             z[cell] += wp.float64(0.5) * p[wp.static(_GAP)] * wp.sign(carried)
         q = u - carried / kp
     return wp.vec4d(q, state[1], kp * (u - q), state[3])

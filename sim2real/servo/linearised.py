@@ -84,6 +84,11 @@ class Residual:
     kd: float
     latency_s: float
 
+    @property
+    def arrival_s(self) -> float:
+        """Time from a row of the recording to the effect of its set-point on the sampled angles."""
+        return self.latency_s - self.trace.sample_delay_s
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -128,7 +133,7 @@ def gain_derivatives(residual: Residual) -> Array:
     modes, t, T = servo_modes(residual), residual.trace.t, residual.trace.t.size
     period = residual.trace.period_s
     change = np.diff(residual.trace.command, prepend=residual.trace.command[0])
-    arrival = t + residual.latency_s
+    arrival = t + residual.arrival_s
     offset = (np.searchsorted(t, arrival) - np.arange(T))[arrival <= t[-1]]
     first = int(offset.min()) if offset.size else 0
     rate = max(min(-modes.slow.real, -modes.fast.real), _LEAST_RATE)

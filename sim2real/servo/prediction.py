@@ -15,7 +15,7 @@ from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.recording import Load, Recording
 from sim2real.servo.parameters import joint_row
-from sim2real.servo.trace import split, traces
+from sim2real.servo.trace import sample_delay_s, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,11 +122,22 @@ def predict_recordings(recordings: Sequence[Recording], model: Model) -> Predict
     """
     angles = []
     for recording in recordings:
+        sampled = _as_sampled(model, recording)
         predicted = predict(
-            model, recording.t, recording.commands, recording.loads, where=recording.file
+            sampled, recording.t, recording.commands, recording.loads, where=recording.file
         )
         angles.append(np.stack(list(predicted.values()), axis=1))
     return Prediction(tuple(recordings), tuple(angles))
+
+
+def _as_sampled(model: Model, recording: Recording) -> Model:
+    """The model with its latencies relative to the times at which the recording's angles are."""
+    late = sample_delay_s(recording)
+    joints = {
+        name: replace(joint, latency_s=joint.latency_s - late)
+        for name, joint in model.joints.items()
+    }
+    return replace(model, joints=joints)
 
 
 @dataclass(frozen=True)
@@ -162,7 +173,8 @@ def replay(
         recording = by_file[file]
         modelled = model.joints if model.arm is None else {*model.joints, *model.arm.names}
         commands = {j: x for j, x in recording.commands.items() if j in modelled}
-        return predict(model, recording.t, commands, recording.loads, where=file)
+        sampled = _as_sampled(model, recording)
+        return predict(sampled, recording.t, commands, recording.loads, where=file)
 
     by_file = {recording.file: recording for recording in recordings}
     replays = []

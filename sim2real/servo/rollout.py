@@ -37,6 +37,7 @@ _LONGEST_COARSE_SUBSTEP_S = 0.004
 _LANES = 4
 """Coefficients of the autoregression are padded to a multiple of this."""
 Signals = tuple[Array, Array, Integers, Array, Array]
+_LATENCY = BASE.index("latency_s")
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 
 
@@ -101,8 +102,8 @@ def rollout_on(
 
     ``substep_s`` and ``threads`` are those of ``rollout``.
     """
-    rows = np.array(theta) * factors([trace])
-    rows[:, _LOAD] = trace.load.inertia_kgm2, trace.load.gravity_Nm
+    factor, offset = contexts([trace])
+    rows = theta * factor + offset
     return rollout(
         rows,
         trace.t,
@@ -186,9 +187,17 @@ def padded_loads(loads: Sequence[VaryingLoad | None], start: Array) -> tuple[Arr
     return grid, values
 
 
-def factors(traces: Sequence[Trace]) -> Array:
-    """Factors on the parameters of a servo by the contexts of S recordings, shape (S, P)."""
-    return np.array([context_factors(trace.supply_ratio, trace.gain_ratio) for trace in traces])
+def contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:
+    """Factors and offsets of a servo's parameters on S recordings, both of shape (S, P).
+
+    A recording states a supply voltage, a firmware gain and a load, and when angles are sampled.
+    """
+    factor = np.array([context_factors(trace.supply_ratio, trace.gain_ratio) for trace in traces])
+    factor[:, _LOAD] = 0.0
+    offset = np.zeros_like(factor)
+    offset[:, _LOAD] = [[x.load.inertia_kgm2, x.load.gravity_Nm] for x in traces]
+    offset[:, _LATENCY] = [-trace.sample_delay_s for trace in traces]
+    return factor, offset
 
 
 class Simulator:
@@ -203,7 +212,7 @@ class Simulator:
         """
         self.traces, self.threads = traces, threads
         signals, position, self._load = padded(traces)
-        self._factors = factors(traces)
+        self._factor, self._offset = contexts(traces)
         self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
         self._pool = _pool(threads)
@@ -242,8 +251,7 @@ class Simulator:
         if np.isinf(substep_s) and not self.is_linear(theta):
             raise ValueError("no exact solution with effects, a pendulum or a varying load")
         S = len(self.traces)
-        rows = np.repeat(theta, S, axis=0) * np.tile(self._factors, (theta.shape[0], 1))
-        rows[:, _LOAD] = np.tile(self._load, (theta.shape[0], 1))
+        rows = (theta[:, None] * self._factor + self._offset).reshape(-1, theta.shape[1])
         signal = np.tile(np.arange(S, dtype=np.int32), theta.shape[0])
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")

@@ -35,6 +35,8 @@ class Trace:
         drive: Controller that the reported drive shows; None if the servo does not report it.
         supply_ratio: Supply voltage, relative to that of the other recordings.
         gain_ratio: Proportional gain of the firmware, relative to that of the other recordings.
+        sample_delay_s: Time from ``t`` to the sampling of the angles, by which set-points take
+            effect earlier relative to the angles.
         varying: Load that varies with time, as on an arm; None if it is constant.
     """
 
@@ -48,6 +50,7 @@ class Trace:
     drive: ReportedDrive | None = None
     supply_ratio: float = 1.0
     gain_ratio: float = 1.0
+    sample_delay_s: float = 0.0
     varying: VaryingLoad | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
@@ -99,7 +102,7 @@ def trace(recording: Recording, joint: str) -> Trace:
     position = recording.position[powered, j]
     t, command = recording.t[powered], recording.command[powered, j]
     load = recording.columns.get(f"{joint}.load")
-    context = Fields(recording.file, "", recording.metadata).table("context")
+    context = _context(recording)
     stated, varying = recording.loads.get(joint, PER_INERTIA), recording.varying_loads.get(joint)
     return Trace(
         name=recording.name,
@@ -113,7 +116,21 @@ def trace(recording: Recording, joint: str) -> Trace:
         drive=None if load is None else reported_drive(t, command, position, load[powered]),
         supply_ratio=context.number("supply_ratio", 1.0, above=0.0),
         gain_ratio=context.number("gain_ratio", 1.0, above=0.0),
+        sample_delay_s=sample_delay_s(recording),
     )
+
+
+def sample_delay_s(recording: Recording) -> float:
+    """Time in s from the arrival of set-points to the sampling of angles, as the recording states.
+
+    Raises:
+        InputError: If the context that the recording states is of another form.
+    """
+    return _context(recording).number("sample_delay_s", 0.0, low=0.0)
+
+
+def _context(recording: Recording) -> Fields:
+    return Fields(recording.file, "", recording.metadata).table("context")
 
 
 def sensor_noise(traces: Sequence[Trace]) -> float:

@@ -20,17 +20,14 @@ def expand(
     theta: Table,
     variant: Rows,
     signal: Rows,
-    factors: Table,
-    load: Table,
-    inertia: int,
+    factor: Table,
+    offset: Table,
     out: Table,
 ) -> None:
     """Copy the parameters of its variant to each row, in the context of its recording."""
     row = wp.tid()
     for k in range(out.shape[1]):
-        out[row, k] = theta[variant[row], k] * factors[signal[row], k]
-    out[row, inertia] = load[signal[row], 0]
-    out[row, inertia + 1] = load[signal[row], 1]
+        out[row, k] = theta[variant[row], k] * factor[signal[row], k] + offset[signal[row], k]
 
 
 @wp.kernel(enable_backward=False)

@@ -3,6 +3,7 @@
 import math
 import socket
 import threading
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -112,7 +113,8 @@ def test_a_serial_port_over_the_network():
 
         thread = threading.Thread(target=serve)
         thread.start()
-        with LxBus(open_transport(f"socket://127.0.0.1:{listener.getsockname()[1]}")) as bus:
+        port = f"socket://127.0.0.1:{listener.getsockname()[1]}"
+        with closing(LxBus(open_transport(port))) as bus:
             assert bus.ask(1, BusCommand.POS_READ, 5.0) == Packet(
                 1, BusCommand.POS_READ, b"\xf4\x01"
             )

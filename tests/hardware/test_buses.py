@@ -75,6 +75,8 @@ def test_a_recording_stores_settings_and_restores_limits(tmp_path, bus):
     assert max(lost.values()) <= 2, "none, but for late answers"
     stored = recording.metadata["bus"]
     assert stored["name"] == bus and stored["baud"] == 1_000_000
+    request_bytes = {"dynamixel": 14, "feetech": 8}[bus] + 2  # of a sync read of two servos
+    assert recording.metadata["context"]["sample_delay_s"] == pytest.approx(1e-5 * request_bytes)
     for settings in stored["servos"]:
         registers = settings["registers"]
         assert registers["position_p"] == (400 if bus == "dynamixel" else 32)

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from good_input import message
-from simulated import INERTIA, KP, recording, row, steps, traced
+from simulated import INERTIA, KP, LATENCY, recording, row, steps, traced
 
 from sim2real.identification.fit import fit, gains
+from sim2real.model import Model
+from sim2real.recording import Load
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS, context_factors
+from sim2real.servo.parameters import COLUMNS, context_factors, stated
+from sim2real.servo.prediction import predict_recordings
 from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import trace
 
@@ -28,9 +31,10 @@ def test_supply_scales_what_the_voltage_gives_and_gain_the_gain():
 
 def test_every_simulation_heeds_the_context():
     plain = traced()
-    soft = replace(plain, gain_ratio=0.25)
+    soft = replace(plain, gain_ratio=0.25, sample_delay_s=0.003)
     weak = row()
     weak[0] *= 0.25
+    weak[COLUMNS.index("latency_s")] -= 0.003
     expected = rollout(weak[None], plain.t, plain.command)[0]
     np.testing.assert_allclose(rollout_on(soft, row()[None])[0], expected, atol=1e-9)
     still = replace(soft, position=np.zeros_like(plain.t))
@@ -57,6 +61,20 @@ def test_recordings_of_two_gains_are_fitted_together():
     start[0] *= 1.3
     found = fit(both, start, gains(start, INERTIA))
     assert found.row[0] == pytest.approx(KP, rel=0.02)
+
+
+def test_a_recording_that_samples_late_shows_the_whole_latency():
+    delay, sent = 0.0026, recording(seconds=6.0, noise=0.0)
+    times = np.sort(np.concatenate([sent.t, sent.t + delay]))
+    angle = rollout(row()[None], times, np.repeat(sent.command[:, 0], 2))[0][1::2]
+    angle += np.random.default_rng(1).normal(0, 0.0005, angle.size)
+    late = replace(sent, position=angle[:, None], metadata={"context": {"sample_delay_s": delay}})
+    start = row()
+    found = fit([trace(late, "j1")], start, gains(start, INERTIA))
+    assert column(found.row, "latency_s") == pytest.approx(LATENCY, abs=2e-4)
+    model = Model({"j1": stated(row(), Load(INERTIA))})
+    (rmse,) = predict_recordings([late], model).rmse.values()
+    assert rmse < 0.0006
 
 
 def test_a_context_that_is_none_is_refused_in_one_line():

@@ -60,6 +60,18 @@ def test_a_spring_agrees_with_small_steps(dry):
     assert rms(angle - reference(dry, 0.0, compliance=0.05)) < 1e-4
 
 
+def test_the_rotor_is_what_the_load_leaves_out():
+    effects = (
+        FittedEffect("unmodelled_inertia", {"inertia_kgm2": ROTOR}),
+        FittedEffect("backlash", {"gap_rad": GAP}),
+    )
+    joint = JointModel(KP, KD, 0.0, INERTIA - ROTOR, effects=effects)
+    row = joint_row(joint, Load(INERTIA - ROTOR))
+    seen = rollout(row[None], T, COMMAND, substep_s=0.001)[0]
+    stated = simulated(0.0, "backlash", {"gap_rad": GAP}, substep_s=0.001)
+    np.testing.assert_allclose(seen, stated, atol=1e-9)
+
+
 def test_contacts_are_of_second_order():
     play = {"gap_rad": GAP, "output_friction_Nm": 0.06}
     exact, *angles = (

@@ -353,6 +353,6 @@ def channel_of(segment: Segment, noise: Noise) -> Channel:
     of, residual = segment.source, segment.corrected(noise.refit)
     scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
     return Channel(
-        of.trace.t, of.trace.command, of.latency_s, servo_modes(of), residual, scale, segment.rests,
+        of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale, segment.rests,
         noise.model, noise.variance,
     )  # fmt: skip

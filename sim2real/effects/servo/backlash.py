@@ -3,8 +3,9 @@
 Two masses and a dead zone with rigid flanks, dry friction on either side: ``servo.gear_train``,
 after Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2. ``output_friction_Nm`` acts on the
 output's side, and holds the output in the gap; the friction of other effects acts on the motor's
-side. The angle is measured from the middle of the gap. Where the rotor's inertia is not known, the
-output has none, and crossing the gap does not change the motor's motion.
+side. The angle is measured from the middle of the gap. Where the effect does not state the rotor's
+inertia, it is what the load leaves out: that of the motor's law and of ``unmodelled_inertia``. If
+that is 0 too, the output has none, and crossing the gap does not change the motor's motion.
 
 The terms below are those of an articulated robot, whose joints are one mass each. With r the
 rotor's share of the total inertia J, T the motor's torque and g the weight of the load, the common
