@@ -102,24 +102,28 @@ class MotorProblem:
         return float(np.average(times, weights=[part.size for part in parts]))
 
     def slopes(self, x: Array, *, difference: float = 1e-3) -> tuple[Array, Array]:
-        """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
+        """Residuals (B, n) at ``x`` (B, F) and derivatives by what is free, in units, (B, n, F)."""
         _, high, unit = self.box
-        ahead = x[list(self.free)] + difference * unit
+        ahead = x[:, self.free] + difference * unit
         step = np.where(ahead > high, -difference, difference)
         return self._differences(self.residuals, x, step)
 
     def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
-        """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        return self._differences(self.terms, x, np.full(len(self.free), difference))
+        """The prior's residuals (B, m) and their derivatives, in units, (B, m, F)."""
+        return self._differences(self.terms, x, np.full((len(x), len(self.free)), difference))
 
     def _differences(
         self, evaluate: Callable[[Array], Array], x: Array, step: Array
     ) -> tuple[Array, Array]:
-        """Values at ``x`` and their derivatives by steps (F,) of each free parameter, in units."""
-        points = np.tile(x, (len(self.free), 1))
-        points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        base, *moved = evaluate(np.stack([x, *points]))
-        return base, np.asarray((np.array(moved) - base).T / step)
+        """Values at ``x`` and their derivatives by steps (B, F) of each free parameter, in units.
+
+        All points are evaluated in one call.
+        """
+        points = np.repeat(x[:, None], 1 + len(self.free), axis=1)
+        points[:, np.arange(1, 1 + len(self.free)), self.free] += step * self.box[2]
+        values = evaluate(points.reshape(-1, x.shape[1])).reshape(*points.shape[:2], -1)
+        base, moved = values[:, 0], values[:, 1:]
+        return base, ((moved - base[:, None]) / step[:, :, None]).swapaxes(1, 2)
 
 
 def robust_order(

@@ -21,7 +21,6 @@ from sim2real.servo.parameters import (
     FIRST_COLUMN,
     FIRST_MOTOR_COLUMN,
     INERTIA_LEFT_OUT,
-    MOTOR,
     ROTOR_INERTIA,
     context_factors,
 )
@@ -322,13 +321,10 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 def active_effects(rows: Array) -> NDArray[np.int64]:
     """Bit mask of the active effects and of the motor's law for each parameter row, (N,)."""
-    motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
-    active: NDArray[np.int64] = np.where(motor, MOTOR_BIT, 0).astype(np.int64)
-    for k, effect in enumerate(CATALOGUE):
-        first = FIRST_COLUMN[effect.name]
-        on = rows[:, first : first + len(effect.parameters)].any(axis=1)
-        active |= on.astype(np.int64) << np.int64(k)
-    return active
+    firsts = [FIRST_MOTOR_COLUMN, *FIRST_COLUMN.values()]
+    bits = np.array([MOTOR_BIT, *(1 << k for k in range(len(CATALOGUE)))])
+    on = np.logical_or.reduceat(rows != 0, firsts, axis=1)
+    return np.asarray(np.where(on, bits, 0).sum(axis=1))
 
 
 def simulate(
@@ -376,5 +372,6 @@ def simulate(
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     """A copy as a Warp array of int32 or float64 on a device."""
-    kind = wp.int32 if values.dtype == np.int32 else wp.float64
-    return wp.from_numpy(np.ascontiguousarray(values), dtype=kind, device=device)
+    kind = np.int32 if values.dtype == np.int32 else np.float64
+    copied = np.array(values, dtype=kind, order="C")  # costs less than a copy by Warp
+    return wp.array(copied, dtype=wp.dtype_from_numpy(kind), device=device, copy=False)
