@@ -89,7 +89,7 @@ def rollout(
     if len(parts) == 1:
         simulate_part(parts[0])
     else:
-        list(_pool(len(parts)).map(simulate_part, parts))
+        list(workers(len(parts)).map(simulate_part, parts))
     return position
 
 
@@ -205,7 +205,7 @@ class Simulator:
         self._factors = factors(traces)
         self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
-        self._pool = _pool(threads)
+        self._pool = workers(threads)
 
     def is_linear(self, theta: Array) -> bool:
         """Whether servos (B, P) have an exact solution: no effect, no pendulum, constant load."""
@@ -315,7 +315,8 @@ class WhitenedServo(Simulator):
 
 
 @cache
-def _pool(threads: int) -> ThreadPoolExecutor:
+def workers(threads: int) -> ThreadPoolExecutor:
+    """Threads that rollouts share; none of their tasks may wait for another."""
     return ThreadPoolExecutor(threads)
 
 
