@@ -290,6 +290,7 @@ def _search(
     """
     *ends, unit = problem.box
     free = list(problem.free)
+    is_coarse = problem.coarse.substep_s == problem.substep_s
     latest: dict[int, Array] = {}
     first: list[float] = []  # loss of the first search, at every look
 
@@ -308,7 +309,7 @@ def _search(
         if not set(index.tolist()) <= latest.keys():
             losses(points, index)
         servos, error = servos_at(points, index), np.array([latest[k] for k in index.tolist()])
-        _, slopes = problem.coarse.slopes(servos)
+        _, slopes = problem.coarse.slopes(servos, error if is_coarse else None)
         prior, prior_slopes = problem.prior_slopes(servos)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
         weighted = slopes * weight[:, :, None]
