@@ -248,7 +248,6 @@ def minimise(
     blocks: int = 1,
     white: bool = False,
     hopeless: least_squares.Hopeless | None = None,
-    look_every: int = 4,
 ) -> Fits:
     """Fit all servos simultaneously (``inference.least_squares``), with one launch per round.
 
@@ -262,7 +261,6 @@ def minimise(
         blocks: Number of blocks of each recording for ``Fits.gram``.
         white: Whether to assume white noise.
         hopeless: Selects servos to stop, see ``inference.least_squares.minimise``.
-        look_every: Evaluations between calls of ``hopeless``.
     """
 
     def expand(x: Array, index: Index) -> Expansion:
@@ -285,7 +283,6 @@ def minimise(
         free=servos.free,
         evaluations=iterations,
         hopeless=hopeless,
-        look_every=look_every,
     )
     aside = minimum.expansion.aside
     return Fits(

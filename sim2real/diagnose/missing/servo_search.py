@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -180,34 +180,56 @@ class ServoSearch:
             )
             for ledger, members, theta in jobs
         ]
-        keys = [(ledger.case, members) for ledger, members, _ in jobs]
-        known = {ledger.case: float(ledger.best.fit.loglikelihood[0]) for ledger, _, _ in jobs}
+        rough = minimise(self.batch, stacked(servos), iterations=5, blocks=BLOCKS)
+        best: dict[tuple[int, Set], int] = {}
+        for k, (ledger, members, _) in enumerate(jobs):
+            key = (ledger.case, members)
+            if key not in best or rough.error2[k] < rough.error2[best[key]]:
+                best[key] = k
+        fits = {key: rough.single(k) for key, k in best.items()}
+        keys = [key for key, k in best.items() if not rough.converged[k]]
+        goal = self._goals(jobs, fits)
+        promised = {key: _promised(fits[key]) for key in keys}
+        keys = [
+            key
+            for key in keys
+            if float(fits[key].loglikelihood[0]) + self.limits.promise * promised[key] > goal[key]
+        ]
+        if keys:
+            index = np.array([best[key] for key in keys])
+            goals = np.array([goal[key] for key in keys])
 
-        def hopeless(active: Index, _: Array, losses: Array, promised: Array) -> Mask:
-            best = _least(keys, losses)
-            top = dict(known)
-            for (case, _members), k in best.items():
-                top[case] = max(top[case], -float(losses[k]))
-            # Sets with another gain of the sensor are compared however far behind they are.
-            goal = np.array(
-                [-np.inf if _GAIN in s else top[case] - self.limits.near for case, s in keys]
+            def hopeless(places: Index, _: Array, losses: Array, promised: Array) -> Mask:
+                reachable = self.limits.promise * promised - losses[places]
+                return np.asarray(reachable < goals[places])
+
+            fine = minimise(
+                self.batch, rough.servos[index], iterations=15, blocks=BLOCKS, hopeless=hopeless
             )
-            behind = self.limits.promise * promised - losses[active] < goal[active]
-            return np.asarray(behind | ~np.isin(active, list(best.values())))
-
-        fits = minimise(
-            self.batch,
-            stacked(servos),
-            iterations=20,
-            blocks=BLOCKS,
-            hopeless=hopeless,
-            look_every=5,
-        )
-        best = {key: fits.single(k) for key, k in _least(keys, -fits.loglikelihood).items()}
+            fits.update((key, fine.single(n)) for n, key in enumerate(keys))
         return [
-            Hypothesis(s, best[ledger.case, s], _evidence(best[ledger.case, s], s - ledger.base))
+            Hypothesis(s, fits[ledger.case, s], _evidence(fits[ledger.case, s], s - ledger.base))
             for ledger, s, _ in jobs
         ]
+
+    def _goals(
+        self, jobs: Sequence[Job], fits: Mapping[tuple[int, Set], Fits]
+    ) -> dict[tuple[int, Set], float]:
+        """Log-likelihood from which each set matters, among those of its case.
+
+        Sets with another gain of the sensor are compared however far behind they are.
+        """
+        top: dict[int, float] = {}
+        for ledger, members, _ in jobs:
+            here = float(fits[ledger.case, members].loglikelihood[0])
+            known = float(ledger.best.fit.loglikelihood[0])
+            top[ledger.case] = max(here, known, top.get(ledger.case, -np.inf))
+        return {
+            (ledger.case, members): -np.inf
+            if _GAIN in members
+            else top[ledger.case] - self.limits.near
+            for ledger, members, _ in jobs
+        }
 
     def release(self, ledgers: Sequence[Tried]) -> None:
         """Refit the likeliest sets of each case, and the plain one, with nothing held.
@@ -293,13 +315,12 @@ def _likely(ledger: Tried, limits: SearchLimits) -> list[Hypothesis]:
     return [tried[s] for s in dict.fromkeys(sets) if s in tried]
 
 
-def _least(keys: Sequence[tuple[int, Set]], losses: Array) -> dict[tuple[int, Set], int]:
-    """Index of the start with the least loss, of those of each set of effects of a case."""
-    best: dict[tuple[int, Set], int] = {}
-    for k, key in enumerate(keys):
-        if key not in best or losses[k] < losses[best[key]]:
-            best[key] = k
-    return best
+def _promised(fit: Fits) -> float:
+    """Gain in log-likelihood that the next full step of a lone fit promises."""
+    total = fit.gram[0].sum(axis=0)
+    inverse = np.linalg.pinv(total[1:, 1:], rcond=1e-10, hermitian=True)
+    share = float(total[0, 1:] @ inverse @ total[1:, 0]) / max(float(total[0, 0]), 1e-300)
+    return -0.5 * float(fit.count[0]) * float(np.log1p(-min(share, 1 - 1e-9)))
 
 
 def _evidence(fit: Fits, added: Set) -> float:
