@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
 
 from sim2real.arrays import Array
 from sim2real.recording import Recording
@@ -103,6 +101,8 @@ def corrected_motion(
 
 def low_pass(values: Array, step_s: float, cutoff_hz: float, *, order: int = 4) -> Array:
     """Values (K, J) filtered forwards and backwards by a Butterworth filter; constant beyond."""
+    from scipy.signal import butter, sosfiltfilt  # takes half a second to load
+
     filtered = butter(order, cutoff_hz, fs=1 / step_s, output="sos")
     ends = min(len(values) - 1, int(2 / (cutoff_hz * step_s)))
     return np.asarray(sosfiltfilt(filtered, values, axis=0, padtype="constant", padlen=ends))
@@ -110,6 +110,8 @@ def low_pass(values: Array, step_s: float, cutoff_hz: float, *, order: int = 4) 
 
 def _interpolated(t: Array, samples: Array, values: Array, otherwise: float) -> Array:
     """Values at times ``t`` by a cubic spline through those present; constant beyond the ends."""
+    from scipy.interpolate import CubicSpline  # slow to load
+
     present = np.isfinite(values)
     if present.sum() < 2:
         return np.full(t.size, float(values[present][0]) if present.any() else otherwise)

@@ -17,7 +17,6 @@ from sim2real.inference.least_squares import (
     cannot_win,
     minimise,
     robust_scale,
-    stacked,
 )
 from sim2real.inference.parameters import column
 from sim2real.model import FittedEffect, Law
@@ -291,6 +290,7 @@ def _search(
     """
     *ends, unit = problem.box
     free = list(problem.free)
+    is_coarse = problem.coarse.substep_s == problem.substep_s
     latest: dict[int, Array] = {}
     first: list[float] = []  # loss of the first search, at every look
 
@@ -308,19 +308,15 @@ def _search(
     def expand(points: Array, index: Index) -> Expansion:
         if not set(index.tolist()) <= latest.keys():
             losses(points, index)
-        servos = servos_at(points, index)
-        pairs = zip(servos, index, strict=True)
-        return stacked([expansion_at(servo, latest[k]) for servo, k in pairs])
-
-    def expansion_at(servo: Array, error: Array) -> Expansion:
-        _, slopes = problem.coarse.slopes(servo)
-        prior, prior_slopes = problem.prior_slopes(servo)
+        servos, error = servos_at(points, index), np.array([latest[k] for k in index.tolist()])
+        _, slopes = problem.coarse.slopes(servos, error if is_coarse else None)
+        prior, prior_slopes = problem.prior_slopes(servos)
         weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
-        weighted = slopes * weight[:, None]
-        loss = 0.5 * problem.loss(servo[None], error[None], scale, inflation)
-        slope = weighted.T @ error + prior_slopes.T @ prior
-        curvature = slopes.T @ weighted + prior_slopes.T @ prior_slopes
-        return Expansion(loss, slope[None], curvature[None], {})
+        weighted = slopes * weight[:, :, None]
+        loss = 0.5 * problem.loss(servos, error, scale, inflation)
+        slope = _products(weighted, error[:, :, None]) + _products(prior_slopes, prior[:, :, None])
+        curvature = _products(slopes, weighted) + _products(prior_slopes, prior_slopes)
+        return Expansion(loss, slope[:, :, 0], curvature, {})
 
     def hopeless(active: Index, points: Array, losses: Array, promised: Array) -> Mask:
         first.append(float(losses[0]))
@@ -343,6 +339,11 @@ def _search(
     return servos_at(minimum.x, np.arange(len(x))), 2 * loss, gain
 
 
+def _products(first: Array, second: Array) -> Array:
+    """Inner products of columns, (M, n, F) and (M, n, G) to (M, F, G)."""
+    return np.asarray(first.swapaxes(1, 2) @ second)
+
+
 def _result(
     problem: MotorProblem,
     minima: Array,
@@ -358,11 +359,11 @@ def _result(
     larger by less than ``as_good``.
     """
     x = minima[0]
-    error, slopes = problem.slopes(x)
+    (error,), (slopes,) = problem.slopes(minima[:1])
     row, unit = problem.rows(x[None])[0], problem.box[2]
     values = problem.prior.values(x)
     factor = np.array([values[k] if problem.prior.parameters[k].log else 1.0 for k in problem.free])
-    prior_slope = problem.prior_slopes(x)[1] / unit / factor
+    prior_slope = problem.prior_slopes(minima[:1])[1][0] / unit / factor
     fit = Fit(
         parameters=problem.parameters,
         row=row,

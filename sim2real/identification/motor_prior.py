@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class MotorPrior:
     back_emf_sd: float = 0.3
     damping_share: tuple[float, float] | None = None
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)

@@ -101,25 +101,41 @@ class MotorProblem:
         times = [correlation_samples(part) for part in parts]
         return float(np.average(times, weights=[part.size for part in parts]))
 
-    def slopes(self, x: Array, *, difference: float = 1e-3) -> tuple[Array, Array]:
-        """Residuals (n,) and their derivatives by the free parameters, in units, (n, F)."""
+    def slopes(
+        self, x: Array, error: Array | None = None, *, difference: float = 1e-3
+    ) -> tuple[Array, Array]:
+        """Residuals (B, n) at ``x`` (B, F) and derivatives by what is free, in units, (B, n, F).
+
+        ``error`` is the residuals, where they are known.
+        """
         _, high, unit = self.box
-        ahead = x[list(self.free)] + difference * unit
+        ahead = x[:, self.free] + difference * unit
         step = np.where(ahead > high, -difference, difference)
-        return self._differences(self.residuals, x, step)
+        return self._differences(self.residuals, x, step, error)
 
     def prior_slopes(self, x: Array, *, difference: float = 1e-5) -> tuple[Array, Array]:
-        """The prior's residuals (m,) and derivatives, in units, (m, F)."""
-        return self._differences(self.terms, x, np.full(len(self.free), difference))
+        """The prior's residuals (B, m) and their derivatives, in units, (B, m, F)."""
+        return self._differences(self.terms, x, np.full((len(x), len(self.free)), difference))
 
     def _differences(
-        self, evaluate: Callable[[Array], Array], x: Array, step: Array
+        self,
+        evaluate: Callable[[Array], Array],
+        x: Array,
+        step: Array,
+        base: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Values at ``x`` and their derivatives by steps (F,) of each free parameter, in units."""
-        points = np.tile(x, (len(self.free), 1))
-        points[np.arange(len(self.free)), self.free] += step * self.box[2]
-        base, *moved = evaluate(np.stack([x, *points]))
-        return base, np.asarray((np.array(moved) - base).T / step)
+        """Values at ``x`` and their derivatives by steps (B, F) of each free parameter, in units.
+
+        All points are evaluated in one call, except ``x`` where its values ``base`` are known.
+        """
+        points = np.repeat(x[:, None], 1 + len(self.free), axis=1)
+        points[:, np.arange(1, 1 + len(self.free)), self.free] += step * self.box[2]
+        if base is not None:
+            points = points[:, 1:]
+        values = evaluate(points.reshape(-1, x.shape[1])).reshape(*points.shape[:2], -1)
+        if base is None:
+            base, values = values[:, 0], values[:, 1:]
+        return base, ((values - base[:, None]) / step[:, :, None]).swapaxes(1, 2)
 
 
 def robust_order(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
+from scipy.linalg import expm
 
 from sim2real.arrays import Array
 from sim2real.identification.fit import Fit
@@ -134,6 +134,14 @@ def _through_loop(best: Fit, trace: Trace, torque: Array) -> Array:
     """Angle in rad by torques (T, m), in units of the proportional gain, on a servo at rest."""
     kp, kd = (float(x) for x in best.row[:2])
     inertia = trace.load.inertia_kgm2 + float(best.row[INERTIA_LEFT_OUT] + best.row[ROTOR_INERTIA])
-    law = np.array([kp]), np.array([inertia, kd, kp + trace.load.gravity_Nm])
-    numerator, denominator, _ = cont2discrete(law, trace.period_s)
-    return np.asarray(lfilter(numerator[0], denominator, torque, axis=0))
+    rate = np.array([[0.0, 1.0, 0.0], [-kp - trace.load.gravity_Nm, -kd, kp], [0.0, 0.0, 0.0]]) / [
+        [1.0],
+        [inertia],
+        [1.0],
+    ]
+    step = expm(trace.period_s * rate)[:2]  # a torque is held for a sampling period
+    state, angle = np.zeros((3, torque.shape[1])), np.empty_like(torque)
+    for row, held in zip(angle, torque, strict=True):  # quicker than loading scipy.signal
+        row[:], state[2] = state[0], held
+        state[:2] = step @ state
+    return angle

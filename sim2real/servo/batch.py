@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +22,7 @@ from sim2real.servo.rollout import (
     padded,
     simulate,
     to_warp,
+    workers,
 )
 from sim2real.servo.trace import Trace
 
@@ -33,8 +33,8 @@ _MOST_SUBSTEPS = 64
 strongly has decayed within a sample, and the trapezoidal rule for the damping stays stable."""
 _SAME_RAD = 5e-3
 """Largest root-mean-square change of a servo's angles by long sub-steps, rad."""
-_BYTES = {"cpu": 100e6, "cuda": 16e9}
-"""Bytes of angles in memory at once, for each CPU thread or for the whole GPU."""
+_BYTES = {"cpu": 200e6, "cuda": 16e9}
+"""Bytes of angles in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,6 @@ class Batch:
         capacity = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
         size = max(1, int(capacity / per_problem))
-        if self.device == "cpu":
-            size = min(size, max(1, -(-N // self.threads)))
         parts = [slice(k, min(k + size, N)) for k in range(0, N, size)]
 
         def evaluate_part(part: slice) -> tuple[Array, ...]:
@@ -171,11 +169,7 @@ class Batch:
             piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
             return self._evaluate(piece, (blocks, deep or V), coefficients, keep=keep, rough=rough)
 
-        if self.device == "cpu" and len(parts) > 1:
-            with ThreadPoolExecutor(self.threads) as pool:
-                results = list(pool.map(evaluate_part, parts))
-        else:
-            results = [evaluate_part(part) for part in parts]
+        results = [evaluate_part(part) for part in parts]
         gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
         return Normal(gram, square, self.count(problems.joint), model, *extras)
 
@@ -229,12 +223,12 @@ class Batch:
             latency, on = problems.theta[problem, variant, 2], active[problem, variant]
             longest = substep[problem, recording]
             inputs = on, latency, theta, signal, self._signals, longest, angle
-            if N > 1 or dev != "cpu":
+            if dev != "cpu":
                 return simulate(*inputs, selected)
-            # A lone problem has its variants simulated side by side.
-            shares = np.array_split(rows if selected is None else selected, self.threads)
-            with ThreadPoolExecutor(self.threads) as pool:
-                list(pool.map(lambda share: simulate(*inputs, share), shares))
+            # Neighbouring rows take as long as each other: each thread has every second one.
+            chosen = rows if selected is None else selected
+            shares = [chosen[k :: self.threads] for k in range(self.threads)]
+            list(workers(self.threads).map(lambda share: simulate(*inputs, share), shares))
 
         servos = variant == 0
         long_steps = V > 1 and dev == "cpu"

@@ -21,7 +21,6 @@ from sim2real.servo.parameters import (
     FIRST_COLUMN,
     FIRST_MOTOR_COLUMN,
     INERTIA_LEFT_OUT,
-    MOTOR,
     ROTOR_INERTIA,
     context_factors,
 )
@@ -91,7 +90,7 @@ def rollout(
     if len(parts) == 1:
         simulate_part(parts[0])
     else:
-        list(_pool(len(parts)).map(simulate_part, parts))
+        list(workers(len(parts)).map(simulate_part, parts))
     return position
 
 
@@ -215,7 +214,7 @@ class Simulator:
         self._factor, self._offset = contexts(traces)
         self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
-        self._pool = _pool(threads)
+        self._pool = workers(threads)
 
     def is_linear(self, theta: Array) -> bool:
         """Whether servos (B, P) have an exact solution: no effect, no pendulum, constant load."""
@@ -324,19 +323,17 @@ class WhitenedServo(Simulator):
 
 
 @cache
-def _pool(threads: int) -> ThreadPoolExecutor:
+def workers(threads: int) -> ThreadPoolExecutor:
+    """Threads that rollouts share; none of their tasks may wait for another."""
     return ThreadPoolExecutor(threads)
 
 
 def active_effects(rows: Array) -> NDArray[np.int64]:
     """Bit mask of the active effects and of the motor's law for each parameter row, (N,)."""
-    motor = rows[:, FIRST_MOTOR_COLUMN : FIRST_MOTOR_COLUMN + len(MOTOR)].any(axis=1)
-    active: NDArray[np.int64] = np.where(motor, MOTOR_BIT, 0).astype(np.int64)
-    for k, effect in enumerate(CATALOGUE):
-        first = FIRST_COLUMN[effect.name]
-        on = rows[:, first : first + len(effect.parameters)].any(axis=1)
-        active |= on.astype(np.int64) << np.int64(k)
-    return active
+    firsts = [FIRST_MOTOR_COLUMN, *FIRST_COLUMN.values()]
+    bits = np.array([MOTOR_BIT, *(1 << k for k in range(len(CATALOGUE)))])
+    on = np.logical_or.reduceat(rows != 0, firsts, axis=1)
+    return np.asarray(np.where(on, bits, 0).sum(axis=1))
 
 
 def simulate(
@@ -384,5 +381,7 @@ def simulate(
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     """A copy as a Warp array of int32 or float64 on a device."""
-    kind = wp.int32 if values.dtype == np.int32 else wp.float64
-    return wp.from_numpy(np.ascontiguousarray(values), dtype=kind, device=device)
+    whole = values.dtype == np.int32
+    copied = np.array(values, dtype=np.int32 if whole else np.float64, order="C")
+    kind = wp.int32 if whole else wp.float64
+    return wp.array(copied, dtype=kind, device=device, copy=False)  # Warp's own copy costs more

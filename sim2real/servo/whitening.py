@@ -93,6 +93,14 @@ def lag_products(
         out[problem, i + separation, i] = total
 
 
+@wp.func
+def four_before(k: int, x: Row) -> wp.vec4d:
+    """The samples at k - 1 to k - 4, the first one in place of those before it."""
+    return wp.vec4d(
+        x[wp.max(k - 1, 0)], x[wp.max(k - 2, 0)], x[wp.max(k - 3, 0)], x[wp.max(k - 4, 0)]
+    )
+
+
 @wp.kernel(enable_backward=False)
 def whiten(
     problem: Rows,
@@ -105,25 +113,24 @@ def whiten(
     """Replace every sample by its innovation, 0 where the sample does not count."""
     row = wp.tid()
     s = signal[row]
-    order = autoregression.shape[1]
-    fours = order - order % 4  # four sums are computed in parallel
-    for back in range(length[s]):
-        k = length[s] - 1 - back
-        if k < order or counts[s, k] == 0:
-            angle[row, k] = wp.float64(0.0)
-        else:
-            x0 = angle[row, k]
-            x1 = wp.float64(0.0)
-            x2 = wp.float64(0.0)
-            x3 = wp.float64(0.0)
-            for i in range(0, fours, 4):
-                x0 -= autoregression[problem[row], i] * angle[row, k - 1 - i]
-                x1 -= autoregression[problem[row], i + 1] * angle[row, k - 2 - i]
-                x2 -= autoregression[problem[row], i + 2] * angle[row, k - 3 - i]
-                x3 -= autoregression[problem[row], i + 3] * angle[row, k - 4 - i]
-            for i in range(fours, order):
-                x0 -= autoregression[problem[row], i] * angle[row, k - 1 - i]
-            angle[row, k] = x0 + x1 + x2 + x3
+    x = angle[row]
+    a = autoregression[problem[row]]
+    order = a.shape[0]
+    k = length[s] - 1
+    while k >= 0:
+        # Four samples at a time, for which a coefficient and a sample are read once.
+        e = four_before(k + 1, x)
+        past = four_before(k, x)
+        for i in range(order):
+            e -= a[i] * past
+            past = wp.vec4d(past[1], past[2], past[3], x[wp.max(k - 5 - i, 0)])
+        for back in range(wp.min(k + 1, 4)):
+            j = k - back
+            if j < order or counts[s, j] == 0:
+                x[j] = wp.float64(0.0)
+            else:
+                x[j] = e[back]
+        k -= 4
 
 
 @wp.kernel(enable_backward=False)

@@ -142,6 +142,10 @@ def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
     return fits
 
 
+_Alternation = tuple[EventFilter, Arrivals, list[Filtered]]
+"""A filter, the likeliest arrivals, and what the filter finds with them."""
+
+
 class LinkFit:
     """One effect fitted to the joints of a robot by expectation maximisation.
 
@@ -181,23 +185,33 @@ class LinkFit:
             self.gain = total - alone
             return
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
-        guesses = [self._climb(noises, self.arrivals, steps=1) for noises in starts]
-        if max(total for total, _, _ in guesses) < alone:
+        begun = [self._alternated(noises, self.arrivals) for noises in starts]
+        if max(_total(results) for _, _, results in begun) < alone:
             return
-        guesses = [self._climb(noises, self.arrivals, steps=2) for noises in starts]
+        guesses = [
+            self._climb(noises, self.arrivals, steps=2, first=first)
+            for noises, first in zip(starts, begun, strict=True)
+        ]
         total, arrivals, noises = max(guesses, key=lambda guess: guess[0])
         total, arrivals, noises = self._climb(noises, arrivals, steps=6)
         if total > alone:
             self.gain, self.arrivals, self.noises = total - alone, arrivals, noises
 
     def _climb(
-        self, noises: list[Noise], arrivals: Arrivals, steps: int
+        self,
+        noises: list[Noise],
+        arrivals: Arrivals,
+        steps: int,
+        first: _Alternation | None = None,
     ) -> tuple[float, Arrivals, list[Noise]]:
-        """The best log-likelihood, arrivals and noises of a few alternations between the two."""
+        """The best log-likelihood, arrivals and noises of a few alternations between the two.
+
+        ``first`` is the first alternation, where it is known.
+        """
         best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noises)
         for step in range(steps):
-            events = self._filter(noises)
-            arrivals, results = (self._losses if arrivals.loss else self._delays)(events, arrivals)
+            known = first if step == 0 else None
+            events, arrivals, results = known or self._alternated(noises, arrivals)
             total = _total(results)
             gained = total - best[0]
             if gained > 0:
@@ -206,6 +220,11 @@ class LinkFit:
                 break
             noises = self._renewed(noises, events, arrivals, results)
         return best
+
+    def _alternated(self, noises: Sequence[Noise], arrivals: Arrivals) -> _Alternation:
+        """The filter with these noises, and the arrivals that are likeliest under it."""
+        events = self._filter(noises)
+        return events, *(self._losses if arrivals.loss else self._delays)(events, arrivals)
 
     def _filter(self, noises: Sequence[Noise]) -> EventFilter:
         channels = [
@@ -229,18 +248,22 @@ class LinkFit:
 
     def _delays(self, events: EventFilter, arrivals: Arrivals) -> tuple[Arrivals, list[Filtered]]:
         """The likeliest size and correlation of the delays, of a grid that is finer once known."""
-        sizes, correlations = HALFWIDTHS_S / np.sqrt(3), np.array([0.0, 0.5, 0.8])
+
+        def likeliest(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
+            options = [
+                Arrivals(delay_sd_s=float(sd), correlation=float(r))
+                for sd in sizes
+                for r in correlations
+            ]
+            pairs = zip(options, events.run(options, width=1), strict=True)
+            return max(pairs, key=lambda pair: _total(pair[1]))
+
         if arrivals.delay_sd_s:
-            sizes = arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7)
-            correlations = np.unique(np.clip(arrivals.correlation + CORRELATION_STEPS, 0.0, 0.95))
-        options = [
-            Arrivals(delay_sd_s=float(sd), correlation=float(r))
-            for sd in sizes
-            for r in correlations
-        ]
-        return max(
-            zip(options, events.run(options, width=1), strict=True), key=lambda x: _total(x[1])
-        )
+            near = np.unique(np.clip(arrivals.correlation + CORRELATION_STEPS, 0.0, 0.95))
+            return likeliest(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
+        middle = likeliest(HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
+        others = likeliest(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
+        return max(middle, others, key=lambda pair: _total(pair[1]))
 
     def _by_joint(self, values: Sequence[T]) -> list[list[T]]:
         """Values of the filter's channels, by joint and recording."""

@@ -31,6 +31,9 @@ _CONTEXTS = {
 }
 
 
+_Pair = tuple[Hypothesis, Hypothesis]
+
+
 @dataclass(frozen=True)
 class _Plan:
     context: str
@@ -69,12 +72,16 @@ def next_experiment(
     menu = itertools.product(contexts, _signals(reach).items())
     plans = [_Plan(context, name, t, command) for context, (name, (t, command)) in menu]
     plain = np.array([plan.context == "none" for plan in plans])
+    pairs = list(itertools.combinations(rivals, 2))
     scores = np.full(len(plans), -1.0)
     for some in filter(len, (np.flatnonzero(plain), np.flatnonzero(~plain))):
         # The other contexts only where no command tells the rivals apart as things are.
-        rough = _least_separations(trace, [plans[k] for k in some], rivals, iterations=3)
-        top = some[np.argsort(-rough)[:finalists]]
-        scores[top] = _least_separations(trace, [plans[k] for k in top], rivals, iterations=8)
+        rough = _rough_separations(trace, [plans[k] for k in some], pairs)
+        for k in np.argsort(-rough.min(axis=0))[:finalists]:
+            nearest_first = np.argsort(rough[:, k])
+            scores[some[k]] = _least_separation(
+                trace, plans[some[k]], [pairs[n] for n in nearest_first], float(scores.max())
+            )
         if scores.max() >= _CLEAR:
             break
     best = int(scores.argmax())
@@ -154,18 +161,35 @@ def loaded(load: Load, context: str) -> Load:
     return load
 
 
-def _least_separations(
-    trace: Trace, plans: Sequence[_Plan], rivals: Sequence[Hypothesis], *, iterations: int
+def _rough_separations(
+    trace: Trace, plans: Sequence[_Plan], pairs: Sequence[_Pair], *, iterations: int = 3
 ) -> Array:
-    """Separation of the two rivals that are nearest to each other, by plan, shape (plans,)."""
-    staged = []  # as if recorded, with all angles 0
-    for plan in plans:
-        everywhere, still = np.ones(plan.t.size, dtype=bool), np.zeros(plan.t.size)
-        load = loaded(trace.load, plan.context)
-        staged.append(Trace("next", "next", plan.t, plan.command, still, load, everywhere))
-    pairs = itertools.permutations(rivals, 2)
-    separations = [_separations(staged, plans, *pair, iterations=iterations) for pair in pairs]
-    return np.asarray(np.min(separations, axis=0))
+    """Separation of every pair by every plan after a few steps of refits, (pairs, plans)."""
+    staged = [_staged(trace, plan) for plan in plans]
+    return np.array([_separations(staged, plans, *pair, iterations=iterations) for pair in pairs])
+
+
+def _least_separation(
+    trace: Trace, plan: _Plan, pairs: Sequence[_Pair], enough: float, *, iterations: int = 8
+) -> float:
+    """Separation of the two rivals that a plan separates least, whichever of them is true.
+
+    One that is not above ``enough`` is returned at once, as another plan is then better.
+    """
+    least, staged = np.inf, [_staged(trace, plan)]
+    for first, second in pairs:
+        for pair in ((first, second), (second, first)):
+            if least > enough:
+                (separation,) = _separations(staged, [plan], *pair, iterations=iterations)
+                least = min(least, float(separation))
+    return least
+
+
+def _staged(trace: Trace, plan: _Plan) -> Trace:
+    """A plan as if it had been recorded, with all angles 0."""
+    everywhere, still = np.ones(plan.t.size, dtype=bool), np.zeros(plan.t.size)
+    load = loaded(trace.load, plan.context)
+    return Trace("next", "next", plan.t, plan.command, still, load, everywhere)
 
 
 def _separations(
