@@ -45,13 +45,17 @@ def _binary(values: Array) -> bool:
 def _shares(values: Array, least: float = 0.1) -> Array:
     """The probability of 1 in each draw, in the order of its share of ones, shape (N,).
 
-    The mean is that of Jeffreys's prior. Where ones or zeros are rare, the trials don't show
-    whether they have a common cause: a share ``least`` of the variance is between realities.
+    The mean is that of Jeffreys's prior. Trials do not show a common cause below a share ``least``
+    of the variance, which therefore is between realities; where ones or zeros are rare they show
+    even less, and the distribution is no wider than the posterior by Jeffreys's prior when none
+    was seen (Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101): its shape parameters are at least
+    1/2, so that its central interval contains its mean.
     """
     N, T = values.shape
     mean = (values.sum() + 0.5) / (N * T + 1)
-    common = max(between_within(values)[0] / (mean * (1 - mean)), least)
-    size = 1 / min(common, 0.99) - 1
+    common = min(between_within(values)[0] / (mean * (1 - mean)), 0.99)
+    rare = 0.5 / min(mean, 1 - mean)
+    size = 1 / common - 1 if common > least else max(1 / least - 1, rare)
     order = np.argsort(values.mean(axis=1), kind="stable")
     out = np.empty(N)
     out[order] = beta.ppf((np.arange(N) + 0.5) / N, mean * size, (1 - mean) * size)
@@ -94,6 +98,9 @@ def interval(
 ) -> tuple[float, float, float]:
     """Mean and central interval of the mean of a number of trials.
 
+    The mean of many trials can be beyond a quantile of its distribution where that is very skewed,
+    as that of a rate of success which is 1 in nearly all realities; the interval then ends at it.
+
     Args:
         values: A figure, shape (N, T).
         weights: Of the draws, shape (N,), with sum 1.
@@ -102,7 +109,9 @@ def interval(
     """
     drawn = means(values, trials)
     low, high = quantiles(drawn, weights, np.array([0.5 - level / 2, 0.5 + level / 2]))
-    return float(weights @ expected(values)), float(low), float(high)
+    mean = float(weights @ expected(values))
+    ends = (low, high) if np.isfinite(trials) else (min(low, mean), max(high, mean))
+    return mean, float(ends[0]), float(ends[1])
 
 
 def best(scores: Array, weights: Array) -> Array:

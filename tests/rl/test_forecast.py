@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rl.forecast.swims
-from rl.forecast.causes import first_order, ranked
+from rl.forecast.causes import first_order, narrowed_by_trials, ranked
 from rl.forecast.diagnosed import Diagnosed, Possible
 from rl.forecast.inexact import Inexact, blocks, disturbances
 from rl.forecast.limits import limit_of
@@ -76,6 +76,15 @@ def test_rare_failures_leave_the_share_that_arrives_uncertain():
     values[3, 1] = 0
     mean, low, high = interval(values, even(200))
     assert 0.9 < low < mean <= high <= 1
+    for failed in ([], [(3, 0), (3, 1)], [(3, 0), (5, 0)]):  # none, with and without a common cause
+        values = np.ones((200, 2))
+        for at in failed:
+            values[at] = 0
+        weights = np.random.default_rng(1).dirichlet(np.full(200, 0.3))
+        for known in (even(200), weights):
+            mean, low, high = interval(values, known)
+            assert low <= mean <= high <= 1 and mean < 1
+    assert interval(np.ones((200, 2)), even(200))[1] == pytest.approx(0.9952, abs=1e-4), "Jeffreys"
     chance = expected((np.random.default_rng(0).random((3000, 2)) < 0.5).astype(float))
     assert abs(chance.mean() - 0.5) < 0.02 and chance.std() < 0.2
 
@@ -123,6 +132,17 @@ def test_the_cause_of_the_spread_is_ranked_first():
     water = next(x for x in found if x.what != "3 trials")
     assert water.what == "water" and water.shrinks["time_s"] > 0.45
     assert {x.what for x in found} >= {"servo j1", "latency", "law of the twin", "3 trials"}
+
+
+def test_three_trials_narrow_as_far_as_the_update_by_them_does():
+    rng, N = np.random.default_rng(11), 300
+    values, _ = plant(rng, N, 2, 1.0, 0.7)
+    exact, _ = plant(rng, N, 2, 1.0, 0.0)
+    found = narrowed_by_trials({"time_s": values}, even(N), 3)["time_s"]
+    assert abs(found - (1 - np.sqrt(1 / (1 + 3 / 0.49)))) < 0.1
+    assert 0.8 < narrowed_by_trials({"time_s": exact}, even(N), 3)["time_s"] < 0.99
+    same = {"success": np.eye(20).repeat(15, axis=0)[:, :2]}
+    assert narrowed_by_trials(same, even(N), 3) == {"success": 0.0}, "no figure is observed"
 
 
 def test_the_best_policy_is_that_of_the_same_realities():
