@@ -92,6 +92,31 @@ def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dic
     }
 
 
+def shares_of(
+    parameters: Array, values: Array, weights: Array, groups: Sequence[str]
+) -> dict[str, float]:
+    """Share of a figure's variance between realities that each group explains, 0 to 1.
+
+    As ``first_order``, whose share of the variance of simulated means is divided by that which is
+    not the chance of single trials.
+
+    Args:
+        parameters: Shape (N, P).
+        values: The figure, shape (N, T).
+        weights: Of the draws, shape (N,), with sum 1.
+        groups: Group of each parameter.
+    """
+    between, within = between_within(values)
+    if between <= 0:
+        return dict.fromkeys(groups, 0.0)
+    rows = np.arange(len(weights))
+    if not np.allclose(weights, weights[0]):
+        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
+    found = first_order(parameters[rows], expected(values)[rows], groups)
+    whole = max(between / (between + within / values.shape[1]), sum(found.values()))
+    return {name: share / whole for name, share in found.items()}
+
+
 def ranked(
     names: Sequence[str],
     parameters: Array,
@@ -113,21 +138,11 @@ def ranked(
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
     shrinks: dict[str, dict[str, float]] = {name: {} for name in how}
-    even = np.allclose(weights, weights[0])
-    rows = np.arange(len(weights))
-    if not even:
-        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
-    uncertain = {}
-    for figure, values in figures.items():
-        between, within = between_within(values)
-        if between <= 0:
-            continue
-        uncertain[figure] = values
-        mean = expected(values)[rows]
-        shares = first_order(parameters[rows], mean, [name for name, _ in kinds])
-        whole = max(between / (between + within / values.shape[1]), sum(shares.values()))
+    uncertain = {name: x for name, x in figures.items() if between_within(x)[0] > 0}
+    for figure, values in uncertain.items():
+        shares = shares_of(parameters, values, weights, [name for name, _ in kinds])
         for name, share in shares.items():
-            shrinks[name][figure] = 1 - float(np.sqrt(1 - share / whole))
+            shrinks[name][figure] = 1 - float(np.sqrt(1 - share))
     label = f"{trials} trials"
     how[label] = "swim with this policy and give the results as --trials"
     shrinks[label] = narrowed_by_trials(uncertain, weights, trials)
