@@ -40,8 +40,7 @@ class Forecast(NotebookDisplay):
         paths: Positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2).
         targets: Waypoints of these trials in m, shape (n, W, 2).
         rank_by: Figure that the policies are ranked by.
-        trained: By policy that states it, 5 % and 95 % quantile of each parameter of the robots that
-            it was trained with.
+        trained: By policy that states it, 5 % and 95 % quantile of each parameter in its training.
         limits: Limits whose probability is stated.
         update: Weights after trials of the real robot; None before.
         notes: Remarks, one sentence each.
