@@ -163,9 +163,18 @@ def test_each_arm_is_forecast_beside_what_it_does(ablated, trained, tmp_path, ro
         assert arm["reward"][1] < arm["reward"][0] < arm["reward"][2]
     write_report(found, PLAN, tmp_path / "run", {"inputs": {}, "versions": {}})
     assert "reward, forecast" in (tmp_path / "run" / "index.html").read_text()
-    assert (
-        f"| {forecast['all']['reward'][0]:.1f}, " in (tmp_path / "run" / "ablation.md").read_text()
+    cell = f"| {forecast['all']['reward'][0]:.1f}, "
+    assert cell in (tmp_path / "run" / "ablation.md").read_text()
+
+
+def test_an_agent_knows_what_it_was_trained_over(trained):
+    every, stiff = (
+        read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
+        for name in ("all", "no-servo")
     )
+    low, high = every["j1.kp_Nm_per_rad"]
+    assert 1.9 < low < 1.95 and 2.25 < high < 2.3
+    assert stiff["j1.kp_Nm_per_rad"] == [STIFF.kp_Nm_per_rad] * 2
 
 
 def test_the_report_is_written(run, tmp_path):
