@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rl.forecast.realities import DEVIATIONS
-from rl.forecast.statistics import between_within, expected, interval
+from rl.forecast.statistics import expected, interval, normal_scores, reliability
 from rl.forecast.trials import Trials, update
 from sim2real.arrays import Array
 
@@ -97,7 +97,7 @@ def shares_of(
 ) -> dict[str, float]:
     """Share of a figure's variance between realities that each group explains, 0 to 1.
 
-    As ``first_order``, whose share of the variance of simulated means is divided by that which is
+    As ``first_order`` of the trials' normal scores, divided by the share of the variance that is
     not the chance of single trials.
 
     Args:
@@ -106,14 +106,14 @@ def shares_of(
         weights: Of the draws, shape (N,), with sum 1.
         groups: Group of each parameter.
     """
-    between, within = between_within(values)
-    if between <= 0:
+    reliable, scores = reliability(values), normal_scores(values)
+    if reliable <= 0:
         return dict.fromkeys(groups, 0.0)
     rows = np.arange(len(weights))
     if not np.allclose(weights, weights[0]):
         rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
-    found = first_order(parameters[rows], expected(values)[rows], groups)
-    whole = max(between / (between + within / values.shape[1]), sum(found.values()))
+    found = first_order(parameters[rows], expected(scores)[rows], groups)
+    whole = max(reliable, sum(found.values()))
     return {name: share / whole for name, share in found.items()}
 
 
@@ -138,7 +138,7 @@ def ranked(
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
     shrinks: dict[str, dict[str, float]] = {name: {} for name in how}
-    uncertain = {name: x for name, x in figures.items() if between_within(x)[0] > 0}
+    uncertain = {name: x for name, x in figures.items() if reliability(x) > 0}
     for figure, values in uncertain.items():
         shares = shares_of(parameters, values, weights, [name for name, _ in kinds])
         for name, share in shares.items():

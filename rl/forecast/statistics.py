@@ -8,7 +8,7 @@ Components, 1992, ch. 3). More trials average W away and not B.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, norm, rankdata
 
 from sim2real.arrays import Array, Mask
 
@@ -20,22 +20,38 @@ def between_within(values: Array) -> tuple[float, float]:
     return max(float(values.mean(axis=1).var(ddof=1)) - within / T, 0.0), within
 
 
+def normal_scores(values: Array) -> Array:
+    """Normal scores of the ranks of all trials, shape (N, T): no trial outweighs all others."""
+    return np.asarray(norm.ppf((rankdata(values).reshape(values.shape) - 0.5) / values.size))
+
+
+def reliability(values: Array) -> float:
+    """Share of the variance of the means of T trials that is between realities, 0 to 1.
+
+    That of normal scores (Saltelli and Sobol, Reliab. Eng. Syst. Saf. 50 (1995) 225, of ranks), as
+    one failure in hundreds of trials would be most of the variance within realities.
+
+    Args:
+        values: A figure, shape (N, T).
+    """
+    between, within = between_within(normal_scores(values))
+    return between / max(between + within / values.shape[1], 1e-12)
+
+
 def expected(values: Array) -> Array:
     """The mean of all trials that each draw would have, shape (N,).
 
-    The means of T trials are drawn towards their mean until their variance is B. Shares of trials
-    (values of 0 and 1) have a beta distribution between realities.
+    The means of T trials are drawn towards their mean until the share of their variance that is the
+    chance of single trials is gone. Shares of trials (values of 0 and 1) have a beta distribution
+    between realities.
 
     Args:
         values: A figure, shape (N, T).
     """
     if _binary(values):
         return _shares(values)
-    between, within = between_within(values)
     mean = values.mean(axis=1)
-    variance = between + within / values.shape[1]
-    shrink = np.sqrt(between / variance) if variance > 0 else 0.0
-    return np.asarray(mean.mean() + shrink * (mean - mean.mean()))
+    return np.asarray(mean.mean() + np.sqrt(reliability(values)) * (mean - mean.mean()))
 
 
 def _binary(values: Array) -> bool:

@@ -75,6 +75,14 @@ def test_the_interval_of_the_mean_has_no_chance_of_single_trials_in_it():
         assert abs(high - low - 2 * 1.645 * np.sqrt(variance)) < 0.08 * 2 * np.sqrt(variance)
 
 
+def test_rare_failures_do_not_narrow_the_interval_of_the_mean():
+    rng = np.random.default_rng(14)
+    values, mean = plant(rng, 400, 2, 1.0, 0.5)
+    values[rng.random(values.shape) < 0.01] += 20.0
+    _, low, high = interval(values, even(400))
+    assert 0.85 < np.mean((low <= mean + 0.2) & (mean + 0.2 <= high)) < 0.95
+
+
 def test_rare_failures_leave_the_share_that_arrives_uncertain():
     values = np.ones((200, 2))
     values[3, 1] = 0
