@@ -35,7 +35,7 @@ def reliability(values: Array) -> float:
         values: A figure, shape (N, T).
     """
     between, within = between_within(normal_scores(values))
-    return between / max(between + within / values.shape[1], 1e-12)
+    return float(between / max(between + within / values.shape[1], 1e-12))
 
 
 def expected(values: Array) -> Array:
