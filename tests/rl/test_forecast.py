@@ -101,15 +101,17 @@ def test_rare_failures_leave_the_share_that_arrives_uncertain():
     assert abs(chance.mean() - 0.5) < 0.02 and chance.std() < 0.2
 
 
-def test_trials_sharpen_the_forecast_and_its_interval_holds():
+@pytest.mark.parametrize("failures", [0.0, 0.01])
+def test_trials_sharpen_the_forecast_and_its_interval_holds(failures):
     rng, held, narrower = np.random.default_rng(2), [], []
     for _ in range(60):
         values, _ = plant(rng, 400, 2, 1.0, 0.7)
+        values[rng.random(values.shape) < failures] += 20
         truth = 10 + rng.standard_normal()
         seen = Trials(0, ("time_s",), truth + 0.7 * rng.standard_normal((3, 1)))
         found = update([seen], {"time_s": values[None]})
         _, low, high = interval(values, found.weights)
-        held.append(low <= truth <= high)
+        held.append(low <= truth + 20 * failures <= high)
         _, least, most = interval(values, even(400))
         narrower.append((high - low) / (most - least))
     assert 0.8 <= np.mean(held) <= 0.98
