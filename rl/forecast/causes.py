@@ -156,7 +156,8 @@ def narrowed_by_trials(
     """Share by which trials are expected to narrow the interval of each figure, 0 to 1.
 
     A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): the
-    real robot is one of the draws, its trials update the forecast as real ones will.
+    real robot is one of the draws, its trials update the forecast as real ones will. The median
+    over draws, as the interval grows many times if trials are like those of a rare failure.
 
     Args:
         figures: Figures of one policy that differ between realities, shape (N, T) each.
@@ -186,5 +187,5 @@ def narrowed_by_trials(
         shares.append([width(name, belief) / max(before[name], 1e-12) for name in figures])
     return {
         name: max(0.0, float(1 - ratio))
-        for name, ratio in zip(figures, np.mean(shares, axis=0), strict=True)
+        for name, ratio in zip(figures, np.median(shares, axis=0), strict=True)
     }
