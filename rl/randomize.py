@@ -9,6 +9,7 @@ import numpy as np
 
 from sim.inference.swims import with_values
 from sim2real.arrays import Array
+from sim2real.body import values
 from sim2real.density import normalised_density
 from sim2real.effects import named
 from sim2real.errors import InputError
@@ -132,3 +133,31 @@ def _changed(
     parameters = {one.effect: dict(one.parameters) for one in effects}
     parameters.setdefault(name, {})[parameter] = value
     return tuple(FittedEffect(effect, values) for effect, values in parameters.items())
+
+
+def parameters_of(models: Sequence[Model]) -> tuple[list[str], Array]:
+    """Names and values (N, P) of all numbers of models; 0 where a model lacks an effect."""
+    rows = [numbers_of(model) for model in models]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return names, np.array([[row.get(name, 0.0) for name in names] for row in rows])
+
+
+def spread_of(models: Sequence[Model]) -> dict[str, list[float]]:
+    """5 % and 95 % quantile of each number of models, by name."""
+    names, table = parameters_of(models)
+    return dict(zip(names, np.quantile(table, (0.05, 0.95), axis=0).T.tolist(), strict=True))
+
+
+def numbers_of(model: Model) -> dict[str, float]:
+    """All numbers of a model that realities and ranges vary, by name."""
+    out: dict[str, float] = {}
+    for name, joint in model.joints.items():
+        for gain in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
+            out[f"{name}.{gain}"] = getattr(joint, gain)
+        out |= {f"{name}.motor.{key}": value for key, value in joint.motor.items()}
+        for effect in joint.effects:
+            out |= {f"{name}.{effect.effect}.{k}": v for k, v in effect.parameters.items()}
+    for link, value in enumerate(model.body.get("normalised_density", ())):
+        out[f"body.normalised_density.{link}"] = float(value)
+    out |= {f"twin.{key}": float(value) for key, value in model.body.get("twin", {}).items()}
+    return out | {f"body.{key}": value for key, value in values(model).items()}

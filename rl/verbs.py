@@ -40,6 +40,7 @@ def forecast(
     cell_m: float = 0.02,
     threads: int = 2,
     kept: File | None = None,
+    film: File | None = None,
     seed: int = 0,
 ) -> Forecast:
     """Predict what policies will do on the real robot, with intervals.
@@ -67,6 +68,8 @@ def forecast(
         cell_m: Side of a cell of the fluid, in m.
         threads: CPU threads of the simulator.
         kept: File of the trials so far (.npz), so that an interrupted call continues.
+        film: Film to write (.gif, .mp4 or .avi): a good, a median and a bad draw side by side, of
+            the policy that is ranked first.
         seed: Seed of everything random.
 
     Raises:
@@ -101,6 +104,7 @@ def forecast(
         count=(realities, repeats),
         settings=SimulationSettings(fidelity, device, threads, cell_m),
         kept=None if kept is None else Path(kept),
+        film=None if film is None else Path(film),
         seed=seed,
         inputs=(robot, model, ranges, diagnosis, trials),
     )

@@ -8,16 +8,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from rl.experiments.ablation import ablate
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
+from rl.experiments.predicted import Agents, predict
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import Real, Simulated, Testbed
+from rl.forecast.realities import check_ranges, draw_realities, sample_of
+from rl.forecast.swims import SimulationSettings
 from rl.randomize import noise_of
 from rl.sac import recipes
 from rl.sac.train import Arm, Plan, train
+from rl.task import Task
 from rl.world import Draws
 from sim2real.commands.placement import where_jobs_run
 from sim2real.errors import InputError
@@ -41,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     enriched = None if options.enriched is None else read_model(options.enriched)
+    predictor = predictor_of(options, robot, model, ranges) if options.forecast else None
     truth = known_of(options, reality)
     unavailable = {"all-and-effects"} if enriched is None else set()
     unavailable |= {"ceiling"} if truth is None else set()
@@ -59,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     results = ablate(
         options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
         sampled=options.sampled, note=note,
-        trainer=trainer_of(options),
+        trainer=trainer_of(options), predictor=predictor,
     )  # fmt: skip
     write_report(results, plan, options.out, note)
     print(markdown(results))
@@ -92,6 +98,22 @@ def trainer_of(options: argparse.Namespace) -> Callable[..., list[Path]] | None:
     if options.first:
         return partial(train, first=options.first)
     return None if options.executor is None else by_jobs(options)
+
+
+def predictor_of(
+    options: argparse.Namespace, robot: Robot, model: Model, ranges: Ranges, realities: int = 50
+) -> Callable[[Agents, Task], dict[str, Any]]:
+    """The forecast of arms in realities that agree with the model and its ranges, in the twin.
+
+    Raises:
+        InputError: If the ranges have no posterior sample, or are not those of the model.
+    """
+    sample = sample_of(ranges, options.ranges)
+    check_ranges(ranges, model, options.ranges)
+    rng = np.random.default_rng(options.seed)
+    drawn = draw_realities(robot, model, ranges, sample, realities, rng)
+    settings = SimulationSettings(device=options.device, threads=options.threads)
+    return partial(predict, robot=robot, realities=drawn, seed=options.seed, settings=settings)
 
 
 def plan_of(options: argparse.Namespace) -> Plan:

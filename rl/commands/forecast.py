@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             from rl.forecast.page import write_forecast_page
 
-            write_forecast_page(forecast, out.with_suffix(".html"))
+            write_forecast_page(forecast, out.with_suffix(".html"), film=options.film)
         except ModuleNotFoundError as error:
             print(f"no page: {error}", file=sys.stderr)
         else:

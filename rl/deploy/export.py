@@ -99,7 +99,7 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
     """
     layers = _layers(agent, where)
     low, high, joints = _actions(agent)
-    view = view_of(agent)
+    view, spread = view_of(agent), getattr(agent, "trained_over", None)
     F, J = layers[0].in_features, len(low)
     if view.size(J) != F:
         problem = f"{F} columns for {J} joints"
@@ -113,7 +113,7 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
         observation=tuple(observation_names(joints)),
         observation_limit=np.array(observation_bounds(J), dtype=np.float32),
         view=view,
-        provenance=dict(note or {}),
+        provenance={**(note or {}), **({"trained_over": spread} if spread else {})},
     )
 
 

@@ -35,7 +35,8 @@ class Policy:
         observation: Names of the O columns of the task's observation, with units, in order.
         observation_limit: Magnitude that each column was clipped to in training, shape (O,).
         view: Definition of the observations; its F columns are the inputs of the network.
-        provenance: Provenance.
+        provenance: Provenance; ``trained_over`` has the 5 % and 95 % quantile of each parameter of
+            the robots that it was trained with.
     """
 
     weights: tuple[Array32, ...]

@@ -10,15 +10,18 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rl.controllers import Controller
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
 from rl.deploy.forward import Policy, read_npz
 from rl.experiments.evaluate import Episodes, spent
+from rl.experiments.predicted import Agents
 from rl.experiments.real_episodes import same_starts
 from rl.experiments.testbeds import Controllers, Testbed
 from rl.sac.sampled import SampledController
@@ -42,6 +45,7 @@ def ablate(
     longest: int | None = None,
     note: dict[str, Any] | None = None,
     trainer: Callable[..., list[Path]] | None = None,
+    predictor: Callable[[Agents, Task], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Train and test all arms.
 
@@ -57,15 +61,23 @@ def ablate(
         longest: Maximum length of a trial in control periods; default: that of the task.
         note: Provenance.
         trainer: Training function with the arguments of ``rl.sac.train.train``, the default.
+        predictor: Forecast of the arms' agents at a task: ``rl.experiments.predicted.predict``
+            with its other arguments.
 
     Returns:
         ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
-        training), reward, success, time and energy of each repeat.
+        training), reward, success, time and energy of each repeat; ``forecast`` with a predictor.
     """
     trainer = trainer or train
     agents = trainer(folder / "train", robot, arms, plan, note)
     turn = TASKS["turn"]
     task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
+
+    def controller(k: int, _n: int = 0) -> Controller:
+        if sampled:
+            return SampledController(agents[k] / "policy.zip", seed=k)
+        return PolicyController(policy_in(agents[k]))
+
     results: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
     for testbed in testbeds:
@@ -73,19 +85,21 @@ def ablate(
         digest = inputs_digest(agents, robot, testbed, task, (repeats, seed, sampled, discount))
         result = json.loads(path.read_text()) if path.exists() else {}
         if result.get("key") != digest:
-            policies = [
-                SampledController(agent / "policy.zip", seed=k)
-                if sampled
-                else PolicyController(policy_in(agent))
-                for k, agent in enumerate(agents)
-            ]
+            policies = [controller(k) for k in range(len(agents))]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
             episodes = testbed.swim(Controllers(policies, repeats), robot, task, starts, seed)
             result = {"key": digest, **as_json(episodes, len(agents), task, discount)}
             write_json(path, result)
         results[testbed.name] = result
     names = [(arm.name, s) for arm in arms for s in plan.seeds]
+    forecast = {}
+    if predictor is not None:
+        made: Agents = {arm.name: [] for arm in arms}
+        for k, (arm_name, _) in enumerate(names):
+            made[arm_name].append(partial(controller, k))
+        forecast = {"forecast": predictor(made, task)}
     return {
+        **forecast,
         "repeats": repeats,
         "testbeds": [testbed.name for testbed in testbeds],
         "said": {testbed.name: testbed.description for testbed in testbeds},

@@ -17,6 +17,7 @@ from rl.experiments.differences import (
     differences,
     seeds_needed,
 )
+from rl.experiments.predicted import HEADER, predicted_rows
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan
 from sim2real.output import write_json, write_whole
@@ -90,6 +91,9 @@ def markdown(results: Results) -> str:
             f"| {_count(losses, arm)} | {_ends(bounded)} | {bounded.sd:.2f} "
             f"| {_count(floored_losses, arm)} |"
         )
+    if predicted := predicted_rows(results, rows(results)):
+        lines += ["", "| " + " | ".join(HEADER) + " |", "|---" * len(HEADER) + "|"]
+        lines += ["| " + " | ".join(x.replace("\n", ", ") for x in row) + " |" for row in predicted]
     return "\n".join(lines)
 
 
@@ -164,8 +168,11 @@ def sections(results: Results, plan: Plan) -> list[Section]:
         f"reality. Simulation: {results['said']['simulation']}. "
         f"Reality: {results['said']['reality']}."
     )
+    predicted = predicted_rows(results, table)
+    forecast = [Section("Forecast", _FORECAST, [Table(HEADER, predicted)])] if predicted else []
     return [
         returns,
+        *forecast,
         Section("Loss without each technique", _DIFFERENCES, notes),
         trajectories,
         Section("Method", "", [method]),
@@ -180,6 +187,11 @@ def picture(figure: Figure) -> Picture:
     return Picture(svg(figure), narrow=svg(figure, width=NARROW))
 
 
+_FORECAST = (
+    "Rewards that were predicted from the model and its ranges alone, without the reality: mean of "
+    "many turns with the 90 % interval over drawn realities, beside that measured in reality. Lost "
+    "is the reward of all techniques less that of the arm."
+)
 _DIFFERENCES = (
     "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
     "90 % interval. A difference is significant if its interval excludes zero."

@@ -79,7 +79,7 @@ def run_episodes(
     controller: Controller,
     *,
     name: str = "swim",
-    watch: Callable[[], None] | None = None,
+    watch: Callable[[Mask], None] | None = None,
 ) -> Episodes:
     """Run one episode of every robot of a world.
 
@@ -87,7 +87,7 @@ def run_episodes(
         world: The robots; all are reset.
         controller: Their controller.
         name: Label of the progress bar.
-        watch: Called at the start and after every step of the first robot's episode.
+        watch: Called at the start and after every step with the robots that took part in it, (E,).
     """
     E = world.n_envs
     observation = world.reset()
@@ -97,7 +97,7 @@ def run_episodes(
     value, going = [np.zeros(E)], np.ones(E, dtype=bool)
     reached, steps = np.zeros(E, dtype=np.int64), np.zeros(E, dtype=np.int64)
     if watch is not None:
-        watch()
+        watch(going)
     for _ in tqdm(range(world.task.steps), desc=name, unit="step", disable=None, leave=False):
         action = controller.act(observation.cpu().numpy())
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
@@ -107,8 +107,8 @@ def run_episodes(
         reached = np.where(going, step.reached.cpu().numpy(), reached)
         for recorded, values in ((pose, world.pose), (rate, world.rate)):
             recorded.append(np.where(going[:, None], _copied(values), np.nan))
-        if watch is not None and going[0]:
-            watch()
+        if watch is not None:
+            watch(going)
         going &= ~(step.terminated | step.truncated).cpu().numpy()
         if not going.any():
             break

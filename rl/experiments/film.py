@@ -1,4 +1,4 @@
-"""Video of an evaluation: the first robot of each policy from above, one policy after the other.
+"""Video of an evaluation from above: one policy after the other, or several robots side by side.
 
 It shows the pool, the targets, the past trajectory, the outline of the robot and the time; in the
 fluid also the vorticity within the simulated box, which moves with the robot.
@@ -6,11 +6,13 @@ fluid also the vorticity within the simulated box, which moves with the robot.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
+from rl.forecast.inexact import Inexact
 from rl.world import World
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
@@ -18,7 +20,7 @@ from sim.view.legend import INK, RULE, Lettering, colours
 from sim.view.plane import Plane, front_ends, plane_of
 from sim.view.render import VORTICITY
 from sim.view.video import FRAMES_PER_S, Video
-from sim2real.arrays import Array, Picture
+from sim2real.arrays import Array, Mask, Picture
 
 TARGET = (20, 120, 84)
 _MARGIN_M = 0.1
@@ -35,6 +37,30 @@ def still(world: World, *, width: int = 480) -> Picture:
     return Film(None, world, "", width=width)._picture(float(live.clock.numpy()[0]))
 
 
+class Films:
+    """Several robots of a world side by side in a video, used as ``Film``."""
+
+    def __init__(self, video: Video, world: World, names: Mapping[int, str]) -> None:
+        """Set up the cameras.
+
+        Args:
+            video: Open video that pictures are added to.
+            world: The robots.
+            names: By the index of each filmed robot, its name in the video.
+        """
+        half = 2 * (video.width // 4)
+        self._video, self._taken = video, 0
+        self._each = [Film(None, world, n, robot=e, width=half) for e, n in names.items()]
+
+    def __call__(self, going: Mask) -> None:
+        """As ``Film``; who has arrived waits in the last picture."""
+        for film in self._each:
+            film(going)
+        if self._taken < (taken := max(film.taken for film in self._each)):
+            self._taken = taken
+            self._video.add(np.concatenate([film.image for film in self._each], axis=1))
+
+
 class Film:
     """The part of a video that shows one policy; call it after every step of the world.
 
@@ -42,17 +68,24 @@ class Film:
     """
 
     def __init__(
-        self, video: Video | None, world: World, name: str, *, width: int | None = None
+        self,
+        video: Video | None,
+        world: World,
+        name: str,
+        *,
+        robot: int = 0,
+        width: int | None = None,
     ) -> None:
         """Set up the camera.
 
         Args:
             video: Open video that pictures are added to; None to discard them.
-            world: The robots; the first is filmed, from its next start on.
+            world: The robots.
             name: Name of the policy, shown in the video.
+            robot: Index of the robot that is filmed, from its next start on.
             width: Width of a picture in pixels, even; default: derived from that of the video.
         """
-        self._video, self._world, self._name = video, world, name
+        self._video, self._world, self._name, self._robot = video, world, name, robot
         wide = width or 2 * round(_SHARE * (_DRAWN_FOR if video is None else video.width) / 2)
         length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
         self._pixels = wide / length
@@ -61,22 +94,24 @@ class Film:
         self._rules = self._pool()
         self._way = np.zeros_like(self._rules)
         self._last: Array | None = None
-        self._taken = 0
-        self._image: Picture | None = None
+        self.taken = 0
+        self.image: Picture | None = None
 
-    def __call__(self) -> None:
-        """Extend the trajectory, and add a picture if the next frame is due."""
+    def __call__(self, going: Mask) -> None:
+        """Extend the trajectory if the robot swam, and add a picture if the next frame is due."""
+        if not going[self._robot]:
+            return
         live: Any = self._world.simulator.live()
-        position = self._world.pose[0, :2].cpu().double().numpy()
+        position = self._world.pose[self._robot, :2].cpu().double().numpy()
         if self._last is not None:
             ends = np.stack([self._last, position])
             add_line(self._way, ends, 2.0 * self._x.size / _DRAWN_FOR, self._x, self._y)
         self._last = position
-        clock = float(live.clock.numpy()[0])
-        if clock + 1e-6 >= self._taken / FRAMES_PER_S:
-            self._image = self._picture(clock)
-            self._add(self._image)
-            self._taken += 1
+        clock = float(live.clock.numpy()[self._robot])
+        if clock + 1e-6 >= self.taken / FRAMES_PER_S:
+            self.image = self._picture(clock)
+            self._add(self.image)
+            self.taken += 1
 
     def __enter__(self) -> Self:
         """Return the film."""
@@ -89,9 +124,9 @@ class Film:
         trace: TracebackType | None,
     ) -> None:
         """Repeat the last picture."""
-        if kind is None and self._image is not None:
+        if kind is None and self.image is not None:
             for _ in range(round(_HELD_S * FRAMES_PER_S)):
-                self._add(self._image)
+                self._add(self.image)
 
     def _add(self, image: Picture) -> None:
         if self._video is not None:
@@ -99,20 +134,24 @@ class Film:
 
     def _picture(self, clock: float) -> Picture:
         """The current picture."""
-        world, x, y = self._world, self._x, self._y
+        world, x, y, e = self._world, self._x, self._y, self._robot
         simulator: Any = world.simulator
         plane: Plane | None = None
         if isinstance(simulator, Swimmer):
-            plane = plane_of(simulator)
+            plane = plane_of(simulator, e)
             links = plane.links
             canvas = colours(zoomed(plane, x, y) / VORTICITY)
         else:
-            drift = np.broadcast_to(simulator.outside.current, (world.n_envs, 2))[0] * clock
-            links = front_ends(simulator.chain, simulator.motion, drift, 0)
+            drift = np.broadcast_to(simulator.outside.current, (world.n_envs, 2))[e] * clock
+            if isinstance(simulator, Inexact):
+                links = simulator.links(e)
+                links[:, :2] += drift
+            else:
+                links = front_ends(simulator.chain, simulator.motion, drift, e)
             canvas = np.full((y.size, x.size, 3), 255.0)
         blend(canvas, self._rules, RULE)
-        waypoint = int(world.waypoint[0])
-        for k, target in enumerate(world.targets[0].cpu().double().numpy()):
+        waypoint = int(world.waypoint[e])
+        for k, target in enumerate(world.targets[e].cpu().double().numpy()):
             draw_ring(
                 canvas, target, world.task.arrive_m, x, y, TARGET, 0.5 if k == waypoint else 0.0
             )
@@ -126,7 +165,7 @@ class Film:
         count = self._world.task.waypoints
         caption = f"{clock:.2f} s"
         if count > 1:
-            caption += f"   to target {int(self._world.waypoint[0]) + 1} of {count}"
+            caption += f"   to target {int(self._world.waypoint[self._robot]) + 1} of {count}"
         lettering.write(lettering.left, lettering.low, caption, "ls", large=True)
         lettering.scale(self._pixels)
         if plane is not None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rl.forecast.realities import DEVIATIONS
-from rl.forecast.statistics import between_within, expected
+from rl.forecast.statistics import expected, interval, normal_scores, reliability
+from rl.forecast.trials import Trials, update
 from sim2real.arrays import Array
 
 
@@ -91,6 +92,31 @@ def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dic
     }
 
 
+def shares_of(
+    parameters: Array, values: Array, weights: Array, groups: Sequence[str]
+) -> dict[str, float]:
+    """Share of a figure's variance between realities that each group explains, 0 to 1.
+
+    As ``first_order`` of the trials' normal scores, divided by the share of the variance that is
+    not the chance of single trials.
+
+    Args:
+        parameters: Shape (N, P).
+        values: The figure, shape (N, T).
+        weights: Of the draws, shape (N,), with sum 1.
+        groups: Group of each parameter.
+    """
+    reliable, scores = reliability(values), normal_scores(values)
+    if reliable <= 0:
+        return dict.fromkeys(groups, 0.0)
+    rows = np.arange(len(weights))
+    if not np.allclose(weights, weights[0]):
+        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
+    found = first_order(parameters[rows], expected(scores)[rows], groups)
+    whole = max(reliable, sum(found.values()))
+    return {name: share / whole for name, share in found.items()}
+
+
 def ranked(
     names: Sequence[str],
     parameters: Array,
@@ -112,22 +138,54 @@ def ranked(
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
     shrinks: dict[str, dict[str, float]] = {name: {} for name in how}
-    label = f"{trials} trials"
-    shrinks[label], how[label] = {}, "swim with this policy and give the results as --trials"
-    even = np.allclose(weights, weights[0])
-    rows = np.arange(len(weights))
-    if not even:
-        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
-    for figure, values in figures.items():
-        between, within = between_within(values)
-        if between <= 0:
-            continue
-        reliable = between / (between + within / values.shape[1])
-        mean = expected(values)[rows]
-        shares = first_order(parameters[rows], mean, [name for name, _ in kinds])
+    uncertain = {name: x for name, x in figures.items() if reliability(x) > 0}
+    for figure, values in uncertain.items():
+        shares = shares_of(parameters, values, weights, [name for name, _ in kinds])
         for name, share in shares.items():
-            shrinks[name][figure] = 1 - float(np.sqrt(1 - min(share / reliable, 1.0)))
-        left = (within / trials) / (float(mean.var()) + within / trials)
-        shrinks[label][figure] = 1 - float(np.sqrt(left))
+            shrinks[name][figure] = 1 - float(np.sqrt(1 - share))
+    label = f"{trials} trials"
+    how[label] = "swim with this policy and give the results as --trials"
+    shrinks[label] = narrowed_by_trials(uncertain, weights, trials)
     rows_ = [Measurement(name, how[name], found) for name, found in shrinks.items() if found]
     return sorted(rows_, key=lambda one: -one.mean)
+
+
+def narrowed_by_trials(
+    figures: dict[str, Array], weights: Array, trials: int, *, tries: int = 40
+) -> dict[str, float]:
+    """Share by which trials are expected to narrow the interval of each figure, 0 to 1.
+
+    A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): the
+    real robot is one of the draws, its trials update the forecast as real ones will. The median
+    over draws, as the interval grows many times if trials are like those of a rare failure.
+
+    Args:
+        figures: Figures of one policy that differ between realities, shape (N, T) each.
+        weights: Of the draws, shape (N,), with sum 1.
+        trials: Number of trials.
+        tries: Number of draws that stand for the real robot.
+    """
+    observed = tuple(name for name in figures if name != "success")
+    if not observed:
+        return dict.fromkeys(figures, 0.0)
+    N, T = figures[observed[0]].shape
+    mean = np.stack([expected(figures[name]) for name in observed], axis=1)
+    chance = np.stack([figures[name] for name in observed], axis=2)
+    chance = (chance - chance.mean(axis=1, keepdims=True)).reshape(N * T, -1) * np.sqrt(T / (T - 1))
+    rng, shares = np.random.default_rng(0), []
+    alone = {name: values[None] for name, values in figures.items()}
+
+    def width(name: str, belief: Array) -> float:
+        _, low, high = interval(figures[name], belief)
+        return high - low
+
+    before = {name: width(name, weights) for name in figures}
+    for truth in rng.choice(N, size=tries, p=weights):
+        seen = mean[truth] + chance[rng.integers(N * T, size=trials)]
+        belief = weights * update([Trials(0, observed, seen)], alone).weights
+        belief /= belief.sum()
+        shares.append([width(name, belief) / max(before[name], 1e-12) for name in figures])
+    return {
+        name: max(0.0, float(1 - ratio))
+        for name, ratio in zip(figures, np.median(shares, axis=0), strict=True)
+    }

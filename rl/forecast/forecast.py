@@ -13,6 +13,7 @@ from rl.forecast.causes import Measurement, ranked
 from rl.forecast.figures import FIGURES
 from rl.forecast.limits import Limit
 from rl.forecast.statistics import best, expected, interval
+from rl.forecast.training_ranges import TrainingRange, training_ranges
 from rl.forecast.trials import Trials, Update, update
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
@@ -39,6 +40,7 @@ class Forecast(NotebookDisplay):
         paths: Positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2).
         targets: Waypoints of these trials in m, shape (n, W, 2).
         rank_by: Figure that the policies are ranked by.
+        trained: By policy that states it, 5 % and 95 % quantile of each parameter in its training.
         limits: Limits whose probability is stated.
         update: Weights after trials of the real robot; None before.
         notes: Remarks, one sentence each.
@@ -55,6 +57,7 @@ class Forecast(NotebookDisplay):
     paths: Array
     targets: Array
     rank_by: str = "reward"
+    trained: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
     limits: tuple[Limit, ...] = ()
     update: Update | None = None
     notes: tuple[str, ...] = ()
@@ -104,6 +107,17 @@ class Forecast(NotebookDisplay):
         figures = {name: self.figures[name][k] for name in ("success", "time_s", "energy")}
         return ranked(self.names, self.parameters, figures, self.weights, self.joints)
 
+    def next_ranges(self, policy: str | None = None) -> list[TrainingRange]:
+        """Ranges to train with next, by the share of the figure that policies are ranked by.
+
+        Args:
+            policy: Its name; by default the first of the ranking.
+        """
+        policy = policy or self.ranking()[0][0]
+        values = self.figures[self.rank_by][self.policies.index(policy)]
+        trained = self.trained.get(policy)
+        return training_ranges(self.names, self.parameters, values, self.weights, trained)
+
     def after(self, trials: Sequence[Trials]) -> Forecast:
         """The forecast after trials of the real robot."""
         return replace(self, update=update(trials, self.figures))
@@ -132,6 +146,7 @@ class Forecast(NotebookDisplay):
             "ranked_by": self.rank_by,
             "ranking": [{"policy": p, "best": chance} for p, chance in self.ranking()],
             "next": [vars(one) for one in self.next_measurements()],
+            "train_next": [vars(one) for one in self.next_ranges()],
             "update": None,
             "notes": list(self.notes),
             "provenance": dict(self.provenance),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -14,6 +14,8 @@ from torch.utils.dlpack import from_dlpack
 from rl.task import CONTROL_S
 from sim.robot.effects import Outside
 from sim.robot.live import Live, Simulator
+from sim.robot.shape import Hull
+from sim.view.plane import front_ends
 from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.model import Model
 
@@ -26,6 +28,7 @@ class Inexact:
     everywhere, so that the path is integrated anew from the changed velocities.
 
     Attributes:
+        simulated: The simulator.
         robot, n_envs, outside: Those of the simulator.
     """
 
@@ -38,7 +41,7 @@ class Inexact:
             disturbance: Of surge and sway in m/s, yaw rate in rad/s and set-points in rad, shape
                 (T, E, 3 + J); repeated after T periods.
         """
-        self._simulator, self._live = simulator, simulator.live()
+        self.simulated, self._live = simulator, simulator.live()
         self.robot, self.n_envs = simulator.robot, simulator.n_envs
         self._q, self._command = from_dlpack(self._live.q), from_dlpack(self._live.command)
         device = self._q.device
@@ -50,22 +53,39 @@ class Inexact:
     @property
     def outside(self) -> Outside:
         """Effects on the robots."""
-        return self._simulator.outside
+        return self.simulated.outside
 
     def live(self) -> Live:
         """The live state, with the changed path."""
         shown: Any = self._shown
         return replace(self._live, q=shown)
 
+    @property
+    def hull(self) -> Hull:
+        """Shape of the links."""
+        simulated: Any = self.simulated
+        return cast(Hull, simulated.hull)
+
+    def links(self, robot: int) -> Array:
+        """Front end and heading of each link of one robot on the changed path, shape (L, 3)."""
+        bodies: Any = getattr(self.simulated, "bodies", self.simulated)
+        links = front_ends(bodies.chain, bodies.motion, np.zeros(2), robot)
+        head, shown = (q[robot, :3].cpu().numpy() for q in (self._q, self._shown))
+        turn = shown[2] - head[2]
+        c, s = np.cos(turn), np.sin(turn)
+        links[:, :2] = (links[:, :2] - head[:2]) @ np.array([[c, s], [-s, c]]) + shown[:2]
+        links[:, 2] += turn
+        return links
+
     def adopt(self, which: Index, models: Sequence[Model]) -> None:
         """As the simulator's."""
-        self._simulator.adopt(which, models)
+        self.simulated.adopt(which, models)
 
     def reset(
         self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
     ) -> None:
         """As the simulator's."""
-        self._simulator.reset(mask, pose, joint)
+        self.simulated.reset(mask, pose, joint)
         self._shown.copy_(self._q)
         self._period = 0
 
@@ -75,7 +95,7 @@ class Inexact:
         self._period += 1
         before = self._q[:, :3].clone()
         self._command += disturbance[:, 3:]
-        self._simulator.advance()
+        self.simulated.advance()
         step = self._q[:, :3] - before
         step[:, :2] = _turned(step[:, :2], -(before[:, 2] + step[:, 2] / 2))
         step = step * self._factor + CONTROL_S * disturbance[:, :3]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,15 +13,18 @@ import numpy as np
 from rl.controllers import Controller
 from rl.deploy.controller import PolicyController
 from rl.experiments.named import controller_of, shown, with_price
+from rl.forecast import swims
 from rl.forecast.diagnosed import read_diagnosed
+from rl.forecast.figures import FIGURES
 from rl.forecast.forecast import Forecast
 from rl.forecast.limits import limit_of
 from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
 from rl.forecast.residuals import residuals_of
-from rl.forecast.swims import SimulationSettings, swim
+from rl.forecast.swims import SimulationSettings
 from rl.forecast.trials import read_trials
 from rl.sac.recipes import RECIPES
 from rl.task import CONTROL_S, Task
+from sim.view.video import check_video
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -48,10 +51,13 @@ def make_forecast(
     count: tuple[int, int],
     settings: SimulationSettings,
     kept: Path | None,
+    film: Path | None,
     seed: int,
     inputs: Sequence[object],
 ) -> Forecast:
     """The forecast; arguments as for ``rl.verbs.forecast``, ``count`` realities and repeats."""
+    if film is not None:
+        check_video(film)
     ranges = read_ranges(ranges_file)
     sample = sample_of(ranges, ranges_file)
     check_ranges(ranges, model, ranges_file)
@@ -69,7 +75,7 @@ def make_forecast(
     swimmers = [origin["inputs"][str(path)] for path in _files(policies)]
     key = repr((_digest(drawn, residuals), swimmers, robot, task.name, steps, settings))
     with progress_bar("forecast") as progress:
-        swum = swim(
+        swum = swims.swim(
             robot, task, drawn, controllers, trials=count[1], seed=seed, settings=settings,
             residuals=residuals, file=kept, key=key, progress=progress,
         )  # fmt: skip
@@ -84,11 +90,35 @@ def make_forecast(
         paths=swum.paths,
         targets=swum.targets,
         rank_by=rank_by,
+        trained=_trained(controllers),
         limits=stated,
         notes=_notes(model, drawn, bool(residuals)),
         provenance=origin,
     )
-    return made.after(observed) if observed else made
+    made = made.after(observed) if observed else made
+    if film is not None:
+        best = made.ranking()[0][0]
+        names = three_draws(made, best, settings.at_once)
+        swims.film(
+            film, names, robot, task, drawn, controllers[best], trials=count[1], seed=seed,
+            settings=settings, residuals=residuals,
+        )  # fmt: skip
+    return made
+
+
+def three_draws(made: Forecast, policy: str, first: int) -> dict[int, str]:
+    """A good, a median and a bad one of the first realities, with what to call them in a film.
+
+    Their first trial with the policy is at the 95 %, 50 % and 5 % quantile of the figure that
+    policies are ranked by.
+    """
+    measure = FIGURES[made.rank_by]
+    values = made.figures[made.rank_by][made.policies.index(policy), :first, 0]
+    order = np.argsort(measure.better * values, kind="stable")
+    mass = np.cumsum(made.weights[order])
+    places = np.searchsorted(mass, mass[-1] * np.array([0.95, 0.5, 0.05]))
+    kinds = zip(order[places], ("good", "median", "bad"), strict=True)
+    return {int(d): f"{kind}: {measure.label} {values[d]:{measure.digits}}" for d, kind in kinds}
 
 
 def named_controllers(
@@ -119,6 +149,18 @@ def named_controllers(
     if not out:
         raise InputError("forecast", "policies", "none", "at least one policy")
     return out
+
+
+def _trained(
+    controllers: Mapping[str, Callable[[int], Controller]],
+) -> dict[str, dict[str, list[float]]]:
+    """What policies state of the robots that they were trained with."""
+    policies = {name: getattr(make(1), "policy", None) for name, make in controllers.items()}
+    return {
+        name: policy.provenance["trained_over"]
+        for name, policy in policies.items()
+        if policy is not None and "trained_over" in policy.provenance
+    }
 
 
 def _files(policies: Sequence[str]) -> list[Path]:

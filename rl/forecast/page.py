@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rl.experiments.ablation_report import picture
 from rl.forecast.figures import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
-from sim2real.report.page import Block, Note, Section, Table, write_page
+from sim2real.report.page import Block, Film, Note, Section, Table, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,12 +21,32 @@ def _forecast(forecast: Forecast) -> Section:
     return sections(forecast)[0]
 
 
-def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> None:
-    """Write the page: intervals, paths, ranking, and what to measure next."""
+def write_forecast_page(
+    forecast: Forecast,
+    path: str | os.PathLike[str],
+    *,
+    film: str | os.PathLike[str] | None = None,
+) -> None:
+    """Write the page: intervals, paths, ranking, and what to measure and randomize next.
+
+    Args:
+        forecast: The forecast.
+        path: The page.
+        film: Film of three draws; a GIF is embedded.
+    """
     N = len(forecast.parameters)
     title = f"Forecast of {forecast.robot}"
     subtitle = f"The task “{forecast.task}” in {N} realities that agree with what is known"
-    write_page(path, title, subtitle, sections(forecast), forecast.provenance)
+    out = sections(forecast)
+    if film is not None and Path(film).suffix.lower() == ".gif":
+        best = forecast.ranking()[0][0]
+        lead = (
+            f"{best} in a good, a median and a bad draw: the 95 %, 50 % and 5 % quantile of the "
+            f"{FIGURES[forecast.rank_by].label}."
+        )
+        alt = "Film of the simulated robot in three drawn realities, side by side, seen from above"
+        out.insert(2, Section("Three draws", lead, [Film(Path(film).read_bytes(), alt)]))
+    write_page(path, title, subtitle, out, forecast.provenance)
 
 
 def sections(forecast: Forecast) -> list[Section]:
@@ -78,7 +99,25 @@ def sections(forecast: Forecast) -> list[Section]:
         lead = "By how much narrower the intervals of the means are expected to be after it."
         table = Table(("what", "measurement", "mean", *figures), narrower)
         out.append(Section("What to measure next", lead, [table]))
+    if ranges := forecast.next_ranges():
+        best = forecast.ranking()[0][0]
+        lead = (
+            f"Parameters by the share of the variance of the {FIGURES[forecast.rank_by].label} of "
+            f"{best} between realities that each explains alone. To train over all that the robot "
+            "may be, and no more, give the range of the realities to sim2real train --ranges."
+        )
+        table = Table(("parameter", "share", "realities, 90 %", "training, 90 %", "next training"),
+            [(x.parameter, f"{100 * x.share:.0f} %", _range(x.drawn), _range(x.trained), x.advice)
+             for x in ranges])  # fmt: skip
+        out.append(Section("What to randomize next", lead, [table]))
     return out
+
+
+def _range(ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return "not stated"
+    low, high = (f"{x:.3g}" for x in ends)
+    return low if low == high else f"{low} to {high}"
 
 
 def interval_figure(forecast: Forecast) -> Figure:

@@ -41,6 +41,7 @@ def paths_figure(policies: Sequence[str], paths: Array, targets: Array, arrived:
                 axes.plot(*drawn.T, color=ACCENT if reached else MUTED, lw=0.7, alpha=0.7)
                 away = float(np.linalg.norm(target - path[0]))
                 axes.plot([-away], [0], "o", mfc="none", mec=FAINT)
+            axes.margins(x=0.04)
             axes.plot([0], [0], "o", color=INK, markersize=3)
             axes.set(aspect="equal", xlabel="m")
             axes.locator_params(nbins=5)

@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from rl.forecast.diagnosed import Diagnosed
-from rl.randomize import Noise, draw_models, noise_of
+from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.swims import Coefficients, with_values
 from sim2real.arrays import Array
-from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.posterior.posteriors import JointSample, read_sample
@@ -186,27 +185,6 @@ def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[
     return np.array(out)
 
 
-def parameters_of(models: Sequence[Model]) -> tuple[list[str], Array]:
-    """Names and values (N, P) of all numbers of models; 0 where a model lacks an effect."""
-    rows = [_flat(model) for model in models]
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return names, np.array([[row.get(name, 0.0) for name in names] for row in rows])
-
-
-def _flat(model: Model) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for name, joint in model.joints.items():
-        for gain in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
-            out[f"{name}.{gain}"] = getattr(joint, gain)
-        out |= {f"{name}.motor.{key}": value for key, value in joint.motor.items()}
-        for effect in joint.effects:
-            out |= {f"{name}.{effect.effect}.{k}": v for k, v in effect.parameters.items()}
-    for link, value in enumerate(model.body.get("normalised_density", ())):
-        out[f"body.normalised_density.{link}"] = float(value)
-    out |= {f"twin.{key}": float(value) for key, value in model.body.get("twin", {}).items()}
-    return out | {f"body.{key}": value for key, value in values(model).items()}
-
-
 def sample_of(ranges: Ranges, path: Path) -> JointSample:
     """The posterior sample that a file of ranges names.
 
@@ -232,7 +210,7 @@ def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.
     Raises:
         InputError: If a value of the model is further outside, or a joint is not of the model.
     """
-    known = _flat(model)
+    known = numbers_of(model)
     shared = ranges.named("command_latency_s")
     for entry in ranges.entries:
         joint, _, tail = entry.parameter.partition(".")

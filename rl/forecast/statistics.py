@@ -8,7 +8,7 @@ Components, 1992, ch. 3). More trials average W away and not B.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, norm, rankdata
 
 from sim2real.arrays import Array, Mask
 
@@ -20,22 +20,38 @@ def between_within(values: Array) -> tuple[float, float]:
     return max(float(values.mean(axis=1).var(ddof=1)) - within / T, 0.0), within
 
 
+def normal_scores(values: Array) -> Array:
+    """Normal scores of the ranks of all trials, shape (N, T): no trial outweighs all others."""
+    return np.asarray(norm.ppf((rankdata(values).reshape(values.shape) - 0.5) / values.size))
+
+
+def reliability(values: Array) -> float:
+    """Share of the variance of the means of T trials that is between realities, 0 to 1.
+
+    That of normal scores (Saltelli and Sobol, Reliab. Eng. Syst. Saf. 50 (1995) 225, of ranks), as
+    one failure in hundreds of trials would be most of the variance within realities.
+
+    Args:
+        values: A figure, shape (N, T).
+    """
+    between, within = between_within(normal_scores(values))
+    return float(between / max(between + within / values.shape[1], 1e-12))
+
+
 def expected(values: Array) -> Array:
     """The mean of all trials that each draw would have, shape (N,).
 
-    The means of T trials are drawn towards their mean until their variance is B. Shares of trials
-    (values of 0 and 1) have a beta distribution between realities.
+    The means of T trials are drawn towards their mean until the share of their variance that is the
+    chance of single trials is gone. Shares of trials (values of 0 and 1) have a beta distribution
+    between realities.
 
     Args:
         values: A figure, shape (N, T).
     """
     if _binary(values):
         return _shares(values)
-    between, within = between_within(values)
     mean = values.mean(axis=1)
-    variance = between + within / values.shape[1]
-    shrink = np.sqrt(between / variance) if variance > 0 else 0.0
-    return np.asarray(mean.mean() + shrink * (mean - mean.mean()))
+    return np.asarray(mean.mean() + np.sqrt(reliability(values)) * (mean - mean.mean()))
 
 
 def _binary(values: Array) -> bool:
@@ -45,13 +61,17 @@ def _binary(values: Array) -> bool:
 def _shares(values: Array, least: float = 0.1) -> Array:
     """The probability of 1 in each draw, in the order of its share of ones, shape (N,).
 
-    The mean is that of Jeffreys's prior. Where ones or zeros are rare, the trials don't show
-    whether they have a common cause: a share ``least`` of the variance is between realities.
+    The mean is that of Jeffreys's prior. Trials do not show a common cause below a share ``least``
+    of the variance, which therefore is between realities; where ones or zeros are rare they show
+    even less, and the distribution is no wider than the posterior by Jeffreys's prior when none
+    was seen (Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101): its shape parameters are at least
+    1/2, so that its central interval contains its mean.
     """
     N, T = values.shape
     mean = (values.sum() + 0.5) / (N * T + 1)
-    common = max(between_within(values)[0] / (mean * (1 - mean)), least)
-    size = 1 / min(common, 0.99) - 1
+    common = min(between_within(values)[0] / (mean * (1 - mean)), 0.99)
+    rare = 0.5 / min(mean, 1 - mean)
+    size = 1 / common - 1 if common > least else max(1 / least - 1, rare)
     order = np.argsort(values.mean(axis=1), kind="stable")
     out = np.empty(N)
     out[order] = beta.ppf((np.arange(N) + 0.5) / N, mean * size, (1 - mean) * size)
@@ -94,6 +114,9 @@ def interval(
 ) -> tuple[float, float, float]:
     """Mean and central interval of the mean of a number of trials.
 
+    The mean of many trials can be beyond a quantile of its distribution where that is very skewed,
+    as that of a rate of success which is 1 in nearly all realities; the interval then ends at it.
+
     Args:
         values: A figure, shape (N, T).
         weights: Of the draws, shape (N,), with sum 1.
@@ -102,7 +125,9 @@ def interval(
     """
     drawn = means(values, trials)
     low, high = quantiles(drawn, weights, np.array([0.5 - level / 2, 0.5 + level / 2]))
-    return float(weights @ expected(values)), float(low), float(high)
+    mean = float(weights @ expected(values))
+    ends = (low, high) if np.isfinite(trials) else (min(low, mean), max(high, mean))
+    return mean, float(ends[0]), float(ends[1])
 
 
 def best(scores: Array, weights: Array) -> Array:

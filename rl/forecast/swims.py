@@ -14,14 +14,16 @@ import numpy as np
 
 from rl.controllers import Controller
 from rl.experiments.evaluate import Episodes, run_episodes, spent
+from rl.experiments.film import Films
 from rl.forecast.figures import FIGURES
 from rl.forecast.inexact import Inexact, blocks, disturbances
 from rl.forecast.realities import Realities
 from rl.make import Fidelity, make_world, own_stream
 from rl.metrics import path_length
 from rl.task import Task
-from rl.world import Draws
-from sim2real.arrays import Array
+from rl.world import Draws, World
+from sim.view.video import Video
+from sim2real.arrays import Array, Mask
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
@@ -125,6 +127,47 @@ def swim(
     return SimulatedTrials(figures, table["paths"], table["targets"])
 
 
+def film(
+    path: Path,
+    names: Mapping[int, str],
+    robot: Robot,
+    task: Task,
+    realities: Realities,
+    controller: Callable[[int], Controller],
+    *,
+    trials: int,
+    seed: int,
+    settings: SimulationSettings,
+    residuals: Sequence[Array] = (),
+) -> Episodes:
+    """Film the first trial in some of the first ``settings.at_once`` realities, side by side.
+
+    They swim as they did in ``swim``, with all trials of their batch.
+
+    Args:
+        path: The film, .mp4, .avi or .gif.
+        names: By the index of each reality, its name in the film.
+        robot: The robot.
+        task: The task.
+        realities: The realities.
+        controller: A function of the number of robots to the controller.
+        trials: Trials in each reality.
+        seed: As for ``swim``.
+        settings: How they are simulated.
+        residuals: As for ``swim``.
+
+    Returns:
+        The trials of the batch.
+    """
+    rows = np.arange(min(settings.at_once, len(realities.models)))
+    shown = {trials * d: name for d, name in names.items()}
+    with Video(path) as video:
+        return _episodes(
+            robot, task, realities, rows, controller, trials, [seed, 0], settings, residuals,
+            lambda world: Films(video, world, shown),
+        )  # fmt: skip
+
+
 def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
     """The figures of episodes, shape (E,) each.
 
@@ -152,6 +195,7 @@ def _episodes(
     seeds: list[int],
     settings: SimulationSettings,
     residuals: Sequence[Array],
+    watched: Callable[[World], Callable[[Mask], None]] | None = None,
 ) -> Episodes:
     """Trials of one policy in some of the realities."""
     rng, E = np.random.default_rng(seeds), len(rows) * trials
@@ -169,7 +213,8 @@ def _episodes(
             threads=settings.threads, seed=int(rng.integers(2**31)),
             around=lambda simulator: Inexact(simulator, realities.law[each], disturbance),
         )  # fmt: skip
-        return run_episodes(world, make(E), name="forecast")
+        watch = None if watched is None else watched(world)
+        return run_episodes(world, make(E), name="forecast", watch=watch)
 
 
 def _kept(file: Path | None, digest: str) -> dict[str, Array] | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rl.forecast.statistics import effective, expected
+from rl.forecast.statistics import effective, expected, normal_scores
 from sim2real.arrays import Array
 from sim2real.csv_columns import read_table
 from sim2real.errors import InputError
@@ -113,10 +113,11 @@ def update(
 ) -> Update:
     """Weights of the draws after trials.
 
-    The mean of a policy's n trials is normal about the mean of a draw, with the covariance of
-    simulated trials in one reality, or their own scatter where that is larger, by 1 / n. Where
-    few draws agree, the likelihood is flattened until ``least`` of them count: intervals then are
-    wider than they need be, and not too narrow by chance.
+    Figures are compared by their normal scores, as a rare failure would be most of the scatter of
+    all trials. The mean of a policy's n trials is normal about the mean of a draw, with the
+    covariance of simulated trials in one reality, or their own scatter where that is larger, by
+    1 / n. Where few draws agree, the likelihood is flattened until ``least`` of them count:
+    intervals then are wider than they need be, and not too narrow by chance.
 
     Args:
         trials: Trials, by policy.
@@ -127,19 +128,21 @@ def update(
     rng = np.random.default_rng(0)
     log, observed, predicted = np.zeros(N), 0.0, np.zeros(N)
     for one in trials:
-        drawn = np.stack([figures[name][one.policy] for name in one.figures], axis=2)
+        scores = [_scores(figures[name][one.policy], seen)
+                  for name, seen in zip(one.figures, one.values.T, strict=True)]  # fmt: skip
+        drawn, real = (np.stack(part, axis=-1) for part in zip(*scores, strict=True))
         N, T, F = drawn.shape
         mean = np.stack([expected(drawn[:, :, f]) for f in range(F)], axis=1)
         own = (drawn - drawn.mean(axis=1, keepdims=True)).reshape(-1, F)
         # figures whose trials hardly differ would decide alone: a hundredth of their spread is kept
         floor = np.diag(1e-4 * drawn.reshape(-1, F).var(axis=0) + 1e-12)
-        n, noise = len(one.values), own.T @ own / max(N * (T - 1), 1)
+        n, noise = len(real), own.T @ own / max(N * (T - 1), 1)
         if n > 1:  # real trials may scatter more than simulated ones
-            scatter = one.values.var(axis=0, ddof=1)
+            scatter = real.var(axis=0, ddof=1)
             more = np.sqrt(np.maximum(scatter / np.diag(noise + floor), 1.0))
             noise = noise * np.outer(more, more)
         noise = noise / n + floor
-        off = one.values.mean(axis=0) - mean
+        off = real.mean(axis=0) - mean
         log -= 0.5 * _squares(off, noise)
         whole = np.cov(mean.T).reshape(F, F) + noise
         observed += float(_squares((off + mean)[:1] - mean.mean(axis=0), whole)[0])
@@ -147,6 +150,14 @@ def update(
         predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
     return Update(*_flattened(log, least), p_value, sum(len(one.values) for one in trials))
+
+
+def _scores(drawn: Array, seen: Array) -> tuple[Array, Array]:
+    """Normal scores of a figure (N, T), and those of real trials (n,): linear beyond the draws."""
+    scores, order = normal_scores(drawn), np.argsort(drawn, axis=None)
+    known = drawn.ravel()[order]
+    beyond = (seen - np.clip(seen, known[0], known[-1])) / max(float(known.std()), 1e-12)
+    return scores, np.interp(seen, known, scores.ravel()[order]) + beyond
 
 
 def _squares(off: Array, covariance: Array) -> Array:

@@ -29,6 +29,7 @@ from tqdm import tqdm
 from rl.decisions import Decisions
 from rl.make import Fidelity, make_world, own_stream
 from rl.observer import View
+from rl.randomize import spread_of
 from rl.sac.agents import Agents, Settings
 from rl.sac.checkpoint import Progress, load, save
 from rl.sac.sac import make_sac, start_from
@@ -263,6 +264,8 @@ def _train(
     decisions_per_env = -(-plan.steps // plan.view.period)
     settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
     models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
+    for model, one in zip(models, draws, strict=True):
+        setattr(model, "trained_over", spread_of(one.models))  # noqa: B010 - kept with the model
     if len(first) > S:
         raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
     for a, model in enumerate(models if first else []):

@@ -129,7 +129,7 @@ def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator)
 
 
 def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
-    """Write ``posterior.npz``: ``names``, ``units`` and ``sample``; without pickle.
+    """Write ``posterior.npz``: ``names``, ``units`` and ``sample`` (float32); without pickle.
 
     Raises:
         InputError: If the folder can't be written.
@@ -140,7 +140,7 @@ def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
         format=np.array(FORMAT),
         names=np.array(sample.names),
         units=np.array(sample.units),
-        sample=sample.values,
+        sample=sample.values.astype(np.float32),
     )
     write_whole(path, stream.getvalue())
 
@@ -156,6 +156,6 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
             if str(content["format"]) != FORMAT:
                 raise InputError(path, "format", str(content["format"]), FORMAT)
             names, units = (tuple(str(x) for x in content[n]) for n in ("names", "units"))
-            return JointSample(names, units, content["sample"])
+            return JointSample(names, units, content["sample"].astype(np.float64))
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None

@@ -5,22 +5,28 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import rl.experiments.testbeds
 from rl.commands.ablate import make_testbeds
+from rl.deploy.export import read_zip
 from rl.experiments.ablation import ablate, bootstrap
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.experiments.differences import differences, paired, seeds_needed
 from rl.experiments.evaluate import Episodes
+from rl.experiments.predicted import predict
 from rl.experiments.reality import read_reality
+from rl.forecast.realities import draw_realities
+from rl.forecast.swims import SimulationSettings
 from rl.sac.agents import Settings
 from rl.sac.train import Plan
 from rl.task import TASKS, shortened
 from sim2real.density import normalised_density
+from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Ranges, normal, uniform
 
 RANGES = Ranges(
@@ -70,10 +76,10 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
 
 @pytest.fixture(scope="module")
 def ablated(robot, model):
-    def call(folder, reality=None):
+    def call(folder, reality=None, predictor=None):
         arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
         places = make_testbeds(robot, arms, PLAN, RANGES, reality or model)
-        return ablate(folder, robot, arms, PLAN, places, repeats=3)
+        return ablate(folder, robot, arms, PLAN, places, repeats=3, predictor=predictor)
 
     return call
 
@@ -137,6 +143,38 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
         path.write_text(GLIDER.format(turns=0.02))
         with pytest.raises(TypeError):
             run(read_reality(path))
+
+
+def test_each_arm_is_forecast_beside_what_it_does(ablated, trained, tmp_path, robot, model):
+    rng = np.random.default_rng(0)
+    sample = JointSample(("j1.kp_Nm_per_rad",), ("",), rng.uniform(1.9, 2.3, (50, 1)))
+    drawn = draw_realities(robot, model, RANGES, sample, 20, rng)
+    settings = SimulationSettings()
+    shutil.copytree(trained, tmp_path / "run")
+    found = ablated(
+        tmp_path / "run",
+        predictor=partial(predict, robot=robot, realities=drawn, seed=0, settings=settings),
+    )
+    forecast = found["forecast"]
+    assert list(forecast) == ["all", "no-servo"] and "loses" not in forecast["all"]
+    lost = forecast["all"]["reward"][0] - forecast["no-servo"]["reward"][0]
+    assert forecast["no-servo"]["loses"][0] == pytest.approx(lost, abs=1e-6)
+    for arm in forecast.values():
+        assert arm["reward"][1] < arm["reward"][0] < arm["reward"][2]
+    write_report(found, PLAN, tmp_path / "run", {"inputs": {}, "versions": {}})
+    assert "reward, forecast" in (tmp_path / "run" / "index.html").read_text()
+    cell = f"| {forecast['all']['reward'][0]:.1f}, "
+    assert cell in (tmp_path / "run" / "ablation.md").read_text()
+
+
+def test_an_agent_knows_what_it_was_trained_over(trained):
+    every, stiff = (
+        read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
+        for name in ("all", "no-servo")
+    )
+    low, high = every["j1.kp_Nm_per_rad"]
+    assert 1.9 < low < 1.95 and 2.25 < high < 2.3
+    assert stiff["j1.kp_Nm_per_rad"] == [STIFF.kp_Nm_per_rad] * 2
 
 
 def test_the_report_is_written(run, tmp_path):
