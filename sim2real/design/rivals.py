@@ -15,6 +15,13 @@ most
     sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
 
 by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2.
+
+The law of an effect is wrong by a share q of its own response, in a shape that nobody knows. Had
+that error the shape of r, its variance along r would be q**2 ||e||**2, with e the response that a
+refitted plain servo leaves of a set's effects. Distances are therefore divided by 1 + q**2 E, with
+E = ||e||**2 / 2 summed over the recordings so far and the new one: the share of the evidence that a
+diagnosis of all of them trusts (``effect_probabilities.trusted_share``). However large a command,
+two sets are no further apart than their difference, relative to their effects, allows.
 """
 
 from __future__ import annotations
@@ -30,7 +37,7 @@ from sim2real.diagnose.missing.screening import NUISANCES
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
 from sim2real.servo.trace import Trace
 
 
@@ -135,12 +142,9 @@ class RivalObjective:
 
         Its inner products are not finite, or far beyond what rounding lets inverses have.
 
-        The law of an effect is wrong by ``law_error`` of its own size, see
-        ``effect_probabilities.trusted_share``: that much of a difference does not count.
         """
-        vectors = self._expansion.vectors
-        K, M = len(vectors), self.probability.size
-        F = vectors.shape[1] // M - 1
+        vectors, M, F = self._expansion.vectors, self.probability.size, self._expansion.spreads
+        K = len(vectors)
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
         statistics = np.where(diverged[:, None], 0.0, statistics)
         products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
@@ -155,10 +159,22 @@ class RivalObjective:
         apart = square - np.einsum("npf,npf->np", across, taken)
         logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
         distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
-        energy = np.maximum(self._gain[i], self._gain[j])
+        energy = self._gain + self._energy(products)
+        energy = np.maximum(energy[:, i], energy[:, j])
         out = np.zeros((len(products), M, M))
         out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
         return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
+
+    def _energy(self, products: Array) -> Array:
+        """Half the squared response of each set's effects that a plain servo leaves, (N, M)."""
+        M, F = self.probability.size, self._expansion.spreads
+        mean, bare = np.arange(M), M * (1 + F) + np.arange(M)
+        plain = np.arange(M * (2 + F), products.shape[1])
+        square = products[:, mean, mean] - 2 * products[:, mean, bare] + products[:, bare, bare]
+        across = products[:, mean[:, None], plain] - products[:, bare[:, None], plain]
+        inner = np.eye(plain.size) + products[:, plain[:, None], plain]
+        taken = np.linalg.solve(inner, across.transpose(0, 2, 1))
+        return np.asarray(square - np.einsum("nmp,npm->nm", across, taken)) / 2
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
@@ -184,8 +200,8 @@ class RivalObjective:
         seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
         assert seen is not None
         vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
-        M = self.probability.size
-        means, spreads = np.split(self._expansion.vectors, [M], axis=1)
+        M, F = self.probability.size, self._expansion.spreads
+        means, spreads, _ = np.split(self._expansion.vectors, [M, M * (1 + F)], axis=1)
         apart = vectors @ (means[:, i] - means[:, j])
         of_set = np.split(spreads, M, axis=1)
         both = vectors @ np.hstack([of_set[i], of_set[j]]) / np.sqrt(2)
@@ -220,14 +236,19 @@ class _Derivatives:
     """Rows to simulate, and how predictions and their spreads follow from them.
 
     Attributes:
-        theta: Parameter rows: those of the sets, then one a free parameter, shape (K, P).
+        theta: Parameter rows: those of the sets, then one a free parameter, then those of the sets
+            without their effects, shape (K, P).
         vectors: Coefficients of the differences of the rows' angles from those of the first row:
             the predictions of the M sets, then for each set its derivatives times a root of the
-            covariance, padded to F columns, shape (K, M + M F).
+            covariance, padded to F columns, then the M predictions without effects, and the
+            derivatives by the B parameters of a plain servo times these parameters, shape
+            (K, M + M F + M + B).
+        spreads: F.
     """
 
     theta: Array
     vectors: Array
+    spreads: int
 
 
 def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
@@ -245,8 +266,11 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
     for i, columns in enumerate(free):
         for column in columns:
             owner.setdefault(column, i)
-    K, place = M + len(owner), {column: n for n, column in enumerate(owner)}
-    theta = np.array([one.theta for one in sets] + [sets[i].theta for i in owner.values()])
+    place = {column: n for n, column in enumerate(owner)}
+    bare = M + len(owner) + np.arange(M)
+    K = M + len(owner) + M
+    rows = [one.theta for one in sets] + [sets[i].theta for i in owner.values()]
+    theta = np.array(rows + [_without_effects(one) for one in sets])
     derivatives = np.zeros((K, len(owner)))
     for (column, i), n in zip(owner.items(), place.values(), strict=True):
         at = sets[i].columns.tolist().index(column)
@@ -255,15 +279,25 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
         derivatives[M + n, n], derivatives[i, n] = 1 / size, -1 / size
     derivatives[0] = 0.0  # differences from the first row
     F = max(len(columns) for columns in free)
-    vectors = np.zeros((K, M + M * F))
+    plain = [column for column in owner if column < FIRST_EFFECT_COLUMN]
+    vectors = np.zeros((K, M + M * F + M + len(plain)))
     vectors[range(1, M), range(1, M)] = 1.0
+    vectors[bare, M * (1 + F) + np.arange(M)] = 1.0
+    for n, column in enumerate(plain, start=M * (2 + F)):
+        vectors[:, n] = derivatives[:, place[column]] * theta[M + place[column], column]
     for i, (one, columns) in enumerate(zip(sets, free, strict=True)):
         kept = [one.columns.tolist().index(column) for column in columns]
         root = _root(one.information)[kept]
         left, size, _ = np.linalg.svd(root, full_matrices=False)
         spread = derivatives[:, [place[column] for column in columns]] @ (left * size)
         vectors[:, M + i * F : M + i * F + len(columns)] = spread
-    return _Derivatives(theta, vectors)
+    return _Derivatives(theta, vectors, F)
+
+
+def _without_effects(one: RivalSet) -> Array:
+    """Parameters of a set's servo without its effects, shape (P,)."""
+    owners = np.array([name.partition(".")[0] for name in COLUMNS])
+    return np.where(np.isin(owners, one.effects), 0.0, one.theta)
 
 
 def _told(one: RivalSet) -> list[int]:
