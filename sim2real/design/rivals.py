@@ -18,10 +18,10 @@ by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chern
 
 The law of an effect is wrong by a share q of its own response, in a shape that nobody knows. Had
 that error the shape of r, its variance along r would be q**2 ||e||**2, with e the response that a
-refitted plain servo leaves of a set's effects. Distances are therefore divided by 1 + q**2 E, with
-E = ||e||**2 / 2 summed over the recordings so far and the new one: the share of the evidence that a
-diagnosis of all of them trusts (``effect_probabilities.trusted_share``). However large a command,
-two sets are no further apart than their difference, relative to their effects, allows.
+refitted plain servo leaves of a set's effects. A diagnosis therefore trusts a share
+1 / (1 + q**2 E) of the evidence (``effect_probabilities.trusted_share``), with E = ||e||**2 / 2
+summed over the recordings so far and the new one. Distances are multiplied by the expected share,
+the mean over sets: a larger command tells more only until the error of the laws exceeds the noise.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Integers
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import NUISANCES
@@ -137,44 +137,42 @@ class RivalObjective:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
         return self._distances(self.statistics(commands, 1)[:, 0, :-1])
 
+    def trusted(self, commands: Array) -> Array:
+        """Share of the evidence that a diagnosis is expected to trust, shape (N,)."""
+        return self._trusted(self._products(self.statistics(commands, 1)[:, 0, :-1]))
+
+    def _products(self, statistics: Array) -> Array:
+        """Inner products (N, V, V) of what ``_Derivatives.vectors`` combine, from (N, K * K)."""
+        vectors = self._expansion.vectors
+        K = len(vectors)
+        return np.asarray(vectors.T @ statistics.reshape(-1, K, K) @ vectors)
+
     def _distances(self, statistics: Array) -> Array:
         """Distances (N, M, M) from inner products (N, K * K); NaN where a simulation diverged.
 
         Its inner products are not finite, or far beyond what rounding lets inverses have.
-
         """
-        vectors, M, F = self._expansion.vectors, self.probability.size, self._expansion.spreads
-        K = len(vectors)
+        M, F = self.probability.size, self._expansion.spreads
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
-        statistics = np.where(diverged[:, None], 0.0, statistics)
-        products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
+        products = self._products(np.where(diverged[:, None], 0.0, statistics))
         i, j = np.triu_indices(M, 1)
         of_set = M + np.arange(M * F).reshape(M, F)
         both = np.concatenate([of_set[i], of_set[j]], axis=1)
-        square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
-        across = (products[:, both, i[:, None]] - products[:, both, j[:, None]]) / np.sqrt(2)
-        inner = np.eye(2 * F) + products[:, both[:, :, None], both[:, None, :]] / 2
-        single = np.eye(F) + products[:, of_set[:, :, None], of_set[:, None, :]]
-        taken = np.linalg.solve(inner, across[..., None])[..., 0]
-        apart = square - np.einsum("npf,npf->np", across, taken)
-        logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
-        distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
-        energy = self._gain + self._energy(products)
-        energy = np.maximum(energy[:, i], energy[:, j])
+        square, logdet = _whitened(products, i, j, both, 0.5)
+        sets = np.arange(M)
+        alone = _whitened(products, sets, sets, of_set)[1]
+        distance = square / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
         out = np.zeros((len(products), M, M))
-        out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
+        out[:, i, j] = np.maximum(distance, 0.0) * self._trusted(products)[:, None]
         return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
 
-    def _energy(self, products: Array) -> Array:
-        """Half the squared response of each set's effects that a plain servo leaves, (N, M)."""
+    def _trusted(self, products: Array) -> Array:
+        """Share of the evidence that counts, (N,), from inner products (N, V, V)."""
         M, F = self.probability.size, self._expansion.spreads
-        mean, bare = np.arange(M), M * (1 + F) + np.arange(M)
-        plain = np.arange(M * (2 + F), products.shape[1])
-        square = products[:, mean, mean] - 2 * products[:, mean, bare] + products[:, bare, bare]
-        across = products[:, mean[:, None], plain] - products[:, bare[:, None], plain]
-        inner = np.eye(plain.size) + products[:, plain[:, None], plain]
-        taken = np.linalg.solve(inner, across.transpose(0, 2, 1))
-        return np.asarray(square - np.einsum("nmp,npm->nm", across, taken)) / 2
+        bare = M * (1 + F) + np.arange(M)
+        plain = np.tile(np.arange(M * (2 + F), products.shape[1]), (M, 1))
+        energy = self._gain + _whitened(products, np.arange(M), bare, plain)[0] / 2
+        return np.asarray(1 / (1 + DECISION.law_error**2 * energy)) @ self.probability
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
@@ -229,6 +227,27 @@ class RivalObjective:
             gain_ratio=self.context.gain,
         )
         return [replace(plan, command=command) for command in commands]
+
+
+def _whitened(
+    products: Array, i: Integers, j: Integers, spread: Integers, share: float = 1.0
+) -> tuple[Array, Array]:
+    """Squares r' S^-1 r of P differences r, and log |S|, with S = I + share U U', both (N, P).
+
+    Args:
+        products: Inner products of vectors, shape (N, V, V).
+        i: Vectors from which r are differences, shape (P,).
+        j: Vectors that are subtracted, shape (P,).
+        spread: Vectors that are the columns of U, shape (P, F).
+        share: A factor.
+    """
+    square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
+    across = products[:, spread, i[:, None]] - products[:, spread, j[:, None]]
+    inner = products[:, spread[:, :, None], spread[:, None, :]]
+    inner = np.eye(spread.shape[1]) + share * inner
+    taken = np.linalg.solve(inner, across[..., None])[..., 0]
+    square = square - share * np.einsum("npf,npf->np", across, taken)
+    return square, np.linalg.slogdet(inner)[1]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,9 @@ from scipy.special import ndtr
 
 from sim2real.design.contexts import Context
 from sim2real.design.rivals import RivalObjective, remaining_entropy
+from sim2real.diagnose.decision import DECISION
 from sim2real.recording import Load
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import rollout
 
 
@@ -52,6 +54,35 @@ def test_the_distance_is_that_of_two_gaussian_predictions(objective):
         assert found[0, 1] == pytest.approx(expected, rel=rel)
         assert found[0, 1] == found[1, 0]
         assert found[0, 0] == found[1, 1] == 0
+
+
+def test_the_trusted_share_follows_from_what_a_refitted_plain_servo_leaves():
+    quiet = replace(RIVALS, noise_rad=RIVALS.noise_rad / 5)
+    t, step, shares = PERIOD * np.arange(200), 1e-3, []
+    for one in RIVALS.sets:
+        owner = one.effects[0]
+        bare = np.where([name.startswith(owner) for name in COLUMNS], 0.0, one.theta)
+        moved = [bare + step * bare * (np.arange(bare.size) == k) for k in one.columns[:2]]
+        rows = np.array([one.theta, bare, *moved])
+        rows[:, 3] = RIVALS.load.inertia_kgm2
+        angle = rollout(rows, t, commands()[0])[:, 25:] / quiet.noise_rad
+        # A plain servo whose gains may change by as much as they are: a prior of that width.
+        slopes = np.vstack([(angle[2:] - angle[1]).T / step, np.eye(2)])
+        effect = np.append(angle[0] - angle[1], [0.0, 0.0])
+        left = effect - slopes @ np.linalg.lstsq(slopes, effect, rcond=None)[0]
+        energy = one.gain + 0.5 * left @ left
+        shares.append(one.probability / (1 + DECISION.law_error**2 * energy))
+    trusted = RivalObjective(quiet).trusted(commands()[:1])[0]
+    assert trusted == pytest.approx(sum(shares), rel=0.1)
+    assert 0.2 < trusted < 0.8
+
+
+def test_less_noise_tells_no_more_than_the_laws_allow():
+    exact, more_exact = (
+        RivalObjective(replace(RIVALS, noise_rad=share * RIVALS.noise_rad)).distances(commands())
+        for share in (1e-2, 1e-3)
+    )
+    assert (more_exact[:, 0, 1] < 1.5 * exact[:, 0, 1]).all()
 
 
 def test_the_evidence_favours_the_true_set_as_often_as_stated(objective):
