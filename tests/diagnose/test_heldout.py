@@ -43,6 +43,15 @@ def test_of_a_lone_recording_the_end_is_held_out(three):
     assert scored.used.mean() == pytest.approx(0.25, abs=0.01)
 
 
+def test_of_several_recordings_the_end_of_each_may_be_held_out(three):
+    for whole, (fitted, (scored,)) in zip(three, folds(three, ends=True), strict=True):
+        rest = {one.name: one for one in fitted}
+        assert scored.used.mean() == pytest.approx(0.25, abs=0.01)
+        assert not (rest.pop(whole.name).used & scored.used).any()
+        assert len(rest) == 2
+        assert all(one.used.all() for one in rest.values())
+
+
 @pytest.mark.parametrize("white", [True, False])
 def test_parameters_never_see_the_recording_they_are_scored_on(three, start, white):
     other = [spoiled(three[0]), *three[1:]]
@@ -52,10 +61,12 @@ def test_parameters_never_see_the_recording_they_are_scored_on(three, start, whi
     assert np.abs(clean.theta[1:] - dirty.theta[1:]).max() > 1e-6, "the other folds do see it"
 
 
-def test_parameters_never_see_the_end_they_are_scored_on(three, start):
-    traces = [three[:1], [spoiled(three[0], since=9.5)]]
-    clean, dirty = (held_out([x], [start])[0] for x in traces)
-    np.testing.assert_array_equal(clean.theta, dirty.theta)
+@pytest.mark.parametrize("count", [1, 3])
+def test_parameters_never_see_the_end_they_are_scored_on(three, start, count):
+    traces = [three[:count], [spoiled(three[0], since=9.5), *three[1:count]]]
+    clean, dirty = (held_out([x], [start], ends=[True])[0] for x in traces)
+    np.testing.assert_array_equal(clean.theta[0], dirty.theta[0])
+    assert len(clean.theta) == count
     assert dirty.rmse > 10 * clean.rmse
 
 
