@@ -1,14 +1,20 @@
 """Errors on data that a fit has not seen: what is held out never touches what is fitted."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.offer import _add_errors
+from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.identification.held_out import folds, held_out
 from sim2real.servo.batch import Batch
+
+BASE: frozenset[str] = frozenset()
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +106,15 @@ def test_nothing_to_hold_out(three, start):
     late = trace.t >= 11.0
     lone = replace(trace, command=0.3 * late, position=np.where(late, 0.3, 0.0))
     assert held_out([[lone]], [start]) == [None]
+
+
+@pytest.mark.parametrize("designed", [False, True])
+def test_of_a_recording_that_was_designed_only_the_end_is_held_out(three, start, designed):
+    stated = [StatedSet(frozenset({"deadband"}), start.theta[0])] if designed else []
+    joint = JointCase("j1", three, NOISE, None, stated=stated)
+    plain = SimpleNamespace(fit=SimpleNamespace(servos=start))
+    finding = SimpleNamespace(tried=SimpleNamespace(base=BASE, tried={BASE: plain}))
+    errors = [{}]
+    _add_errors(errors, [joint], [finding], [[BASE]], "cpu")
+    share = np.mean([x.size for x in errors[0][BASE].residuals]) / three[0].t.size
+    assert share == pytest.approx(0.25 if designed else 1.0, abs=0.01)
