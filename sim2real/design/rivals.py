@@ -16,10 +16,15 @@ most
 
 by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2.
 
+A diagnosis fits the noise to what a set leaves, its spectrum included. With R the spectrum of r
+over that of the noise, the evidence of n samples against the wrong set is then n/2 times the mean
+of log(1 + R) over frequencies (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991,
+section 5.8), by Jensen's inequality at most n/2 log(1 + r'r / n). That stands for r'r / 2 here.
+
 The law of an effect is wrong by a share q of its own response, in a shape that nobody knows. Had
 that error the shape of r, its variance along r would be q**2 ||e||**2, with e the response that a
 refitted plain servo leaves of a set's effects. A diagnosis therefore trusts a share
-1 / (1 + q**2 E) of the evidence (``effect_probabilities.trusted_share``), with E = ||e||**2 / 2
+1 / (1 + q**2 E) of the evidence (``effect_probabilities.trusted_share``), with E = ||e||**2 / 2,
 summed over the recordings so far and the new one. Distances are multiplied by the expected share,
 the mean over sets: a larger command tells more only until the error of the laws exceeds the noise.
 """
@@ -92,7 +97,8 @@ class RivalObjective:
 
         Returns:
             Inner products of predictions and derivatives, then the most probable set's squared
-            torque over the number of samples, N2 m2, shape (N, parts, K * K + 1).
+            torque over the number of samples, N2 m2, and the number of samples of the part, shape
+            (N, parts, K * K + 2).
         """
         N, theta = len(commands), self._expansion.theta
         batch = Batch(
@@ -109,9 +115,10 @@ class RivalObjective:
         with np.errstate(over="ignore"):  # of a simulation that diverges
             products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
         square = self._torque(seen.residual[:, 0]) ** 2
-        torque2 = [part.sum(axis=1) for part in np.array_split(square, parts, axis=1)]
-        mean = np.stack(torque2, axis=1)[:, :, None] / commands.shape[1]
-        return np.concatenate([products, mean], axis=2)
+        in_parts = np.array_split(square, parts, axis=1)
+        torque2 = np.stack([part.sum(axis=1) for part in in_parts], axis=1) / commands.shape[1]
+        count = np.broadcast_to([part.shape[1] for part in in_parts], torque2.shape)
+        return np.concatenate([products, torque2[..., None], count[..., None]], axis=2)
 
     def _torque(self, angle: Array) -> Array:
         """Torque that moves the load along angles (N, T), N m, same shape."""
@@ -121,34 +128,35 @@ class RivalObjective:
         return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))
 
     def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
-        """Scores of N commands from their sums (N, K * K + 1), shape (N,).
+        """Scores of N commands from their sums (N, K * K + 2), shape (N,).
 
         Args:
             statistics: The sums.
             penalty: Nats for a torque of twice what is allowed.
         """
-        excess = np.sqrt(statistics[:, -1] / self._torque2) - 1
-        distances = self._distances(statistics[:, :-1])
+        excess = np.sqrt(statistics[:, -2] / self._torque2) - 1
+        distances = self._distances(statistics)
         simulated = np.isfinite(distances).all(axis=(1, 2)) & np.isfinite(excess)
         left = remaining_entropy(self.probability, np.where(simulated[:, None, None], distances, 0))
         return np.where(simulated, -left - penalty * np.maximum(excess, 0.0), -np.inf)
 
     def distances(self, commands: Array) -> Array:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
-        return self._distances(self.statistics(commands, 1)[:, 0, :-1])
+        return self._distances(self.statistics(commands, 1)[:, 0])
 
     def trusted(self, commands: Array) -> Array:
         """Share of the evidence that a diagnosis is expected to trust, shape (N,)."""
-        return self._trusted(self._products(self.statistics(commands, 1)[:, 0, :-1]))
+        statistics = self.statistics(commands, 1)[:, 0]
+        return self._trusted(self._products(statistics), statistics[:, -1])
 
     def _products(self, statistics: Array) -> Array:
-        """Inner products (N, V, V) of what ``_Derivatives.vectors`` combine, from (N, K * K)."""
+        """Inner products (N, V, V) of what ``_Derivatives.vectors`` combine, from all sums."""
         vectors = self._expansion.vectors
         K = len(vectors)
-        return np.asarray(vectors.T @ statistics.reshape(-1, K, K) @ vectors)
+        return np.asarray(vectors.T @ statistics[:, :-2].reshape(-1, K, K) @ vectors)
 
     def _distances(self, statistics: Array) -> Array:
-        """Distances (N, M, M) from inner products (N, K * K); NaN where a simulation diverged.
+        """Distances (N, M, M) from sums (N, K * K + 2); NaN where a simulation diverged.
 
         Its inner products are not finite, or far beyond what rounding lets inverses have.
         """
@@ -159,19 +167,21 @@ class RivalObjective:
         of_set = M + np.arange(M * F).reshape(M, F)
         both = np.concatenate([of_set[i], of_set[j]], axis=1)
         square, logdet = _whitened(products, i, j, both, 0.5)
+        count = statistics[:, -1]
         sets = np.arange(M)
         alone = _whitened(products, sets, sets, of_set)[1]
-        distance = square / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
+        distance = _fitted_noise(square, count) / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
         out = np.zeros((len(products), M, M))
-        out[:, i, j] = np.maximum(distance, 0.0) * self._trusted(products)[:, None]
+        out[:, i, j] = np.maximum(distance, 0.0) * self._trusted(products, count)[:, None]
         return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
 
-    def _trusted(self, products: Array) -> Array:
+    def _trusted(self, products: Array, count: Array) -> Array:
         """Share of the evidence that counts, (N,), from inner products (N, V, V)."""
         M, F = self.probability.size, self._expansion.spreads
         bare = M * (1 + F) + np.arange(M)
         plain = np.tile(np.arange(M * (2 + F), products.shape[1]), (M, 1))
-        energy = self._gain + _whitened(products, np.arange(M), bare, plain)[0] / 2
+        square = _whitened(products, np.arange(M), bare, plain)[0]
+        energy = self._gain + _fitted_noise(square, count) / 2
         return np.asarray(1 / (1 + DECISION.law_error**2 * energy)) @ self.probability
 
     def difference(self, command: Array, i: int, j: int) -> Array:
@@ -248,6 +258,16 @@ def _whitened(
     taken = np.linalg.solve(inner, across[..., None])[..., 0]
     square = square - share * np.einsum("npf,npf->np", across, taken)
     return square, np.linalg.slogdet(inner)[1]
+
+
+def _fitted_noise(square: Array, count: Array) -> Array:
+    """Twice the log-likelihood ratio, where the noise is fitted to what a set leaves, (N, P).
+
+    Args:
+        square: The same with the noise known: the squared distance of the predictions.
+        count: Number of samples, shape (N,).
+    """
+    return np.asarray(count[:, None] * np.log1p(square / np.maximum(count[:, None], 1)))
 
 
 @dataclass(frozen=True)
