@@ -267,7 +267,8 @@ def _fitted_noise(square: Array, count: Array) -> Array:
         square: The same with the noise known: the squared distance of the predictions.
         count: Number of samples, shape (N,).
     """
-    return np.asarray(count[:, None] * np.log1p(square / np.maximum(count[:, None], 1)))
+    mean = np.maximum(square, 0.0) / np.maximum(count[:, None], 1)
+    return np.asarray(count[:, None] * np.log1p(mean))
 
 
 @dataclass(frozen=True)
