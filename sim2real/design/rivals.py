@@ -35,7 +35,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.arrays import Array, Integers
+from sim2real.arrays import Array, Index
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import NUISANCES
@@ -182,7 +182,7 @@ class RivalObjective:
         plain = np.tile(np.arange(M * (2 + F), products.shape[1]), (M, 1))
         square = _whitened(products, np.arange(M), bare, plain)[0]
         energy = self._gain + _fitted_noise(square, count) / 2
-        return np.asarray(1 / (1 + DECISION.law_error**2 * energy)) @ self.probability
+        return np.asarray(1 / (1 + DECISION.law_error**2 * energy) @ self.probability)
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
@@ -240,7 +240,7 @@ class RivalObjective:
 
 
 def _whitened(
-    products: Array, i: Integers, j: Integers, spread: Integers, share: float = 1.0
+    products: Array, i: Index, j: Index, spread: Index, share: float = 1.0
 ) -> tuple[Array, Array]:
     """Squares r' S^-1 r of P differences r, and log |S|, with S = I + share U U', both (N, P).
 
