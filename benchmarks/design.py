@@ -72,7 +72,11 @@ def drawn(plant: str, rng: np.random.Generator, nuisances: float) -> Any:  # noq
 
 
 def recorded(servo: Any, plant: str, command: Array, rng: np.random.Generator, name: str) -> Any:  # noqa: ANN401
-    """A recording of the plant on commands (T,), by one clock, as ``record`` makes it."""
+    """A recording of the plant on commands (T,), by one clock, as ``record`` makes it.
+
+    The inertia of these plants is all that turns. Of a pendulum its own is stated, as a user knows
+    it: ``identify`` finds that of the rotor.
+    """
     import mujoco_plant
     import own_plant
     import voltage_plant
@@ -95,6 +99,8 @@ def recorded(servo: Any, plant: str, command: Array, rng: np.random.Generator, n
     reading = seen(take, grid, angle, servo, {}, bent=True)
     position = noisy(take, reading, servo, {}, rng)
     load = servo.loads["a"]
+    rotor = servo.rotor_inertia if load.gravity_Nm else 0.0
+    stated = Load(load.inertia_kgm2 - rotor, load.pendulum_mass_kg, load.pendulum_length_m)
     return Recording(
         name=name,
         kind="servo",
@@ -102,7 +108,7 @@ def recorded(servo: Any, plant: str, command: Array, rng: np.random.Generator, n
         t=t,
         command=command[:, None],
         position=position[:, None],
-        loads={"j1": Load(load.inertia_kgm2, load.pendulum_mass_kg, load.pendulum_length_m)},
+        loads={"j1": stated},
     )
 
 
@@ -183,7 +189,9 @@ def truth(servo: Any, plant: str, robot: Any, rng: np.random.Generator) -> dict[
 
     exact = replace(servo.sensor, step_rad=1e-6, white_rad=1e-6, wander_rad=0.0)
     nuisances = servo.nuisances | {"ripple_Nm": 0.0}
-    clean = replace(servo, eccentric=(0.0, 1.0, 0.0), nuisances=nuisances, sensor=exact)
+    clean = replace(
+        servo, eccentric=(0.0, 1.0, 0.0), nuisances=nuisances, sensor=exact, rotor_inertia=0.0
+    )  # all of the inertia is then the load's, as a servo without a motor's law has no rotor
     signal = excitation(
         "steps", robot.joints, seconds=SECONDS, rate_hz=RATE_HZ, rng=rng, amplitude_rad=0.15
     )

@@ -13,8 +13,9 @@ random     one command of the families that designs start from, drawn at random,
 menu       command and load of ``diagnose``'s menu that separate the closest rivals most
 
 A designed recording states the sets that were open, and the diagnosis of both recordings tries
-them in any case. The others state nothing; with ``--stated`` they are diagnosed once more with the
-same sets stated: what remains of the difference is due to the commands and the load alone.
+them in any case and holds out ends of recordings only. The others state nothing; with ``--stated``
+they are diagnosed once more with the same sets stated: what remains of the difference is due to the
+commands and the load alone.
 
 A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
 effects, if each has an entry of its own. What can be told is what an oracle tells from the same

@@ -15,6 +15,18 @@ most
     sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
 
 by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2.
+
+A diagnosis fits the noise to what a set leaves, its spectrum included. With R the spectrum of r
+over that of the noise, the evidence of n samples against the wrong set is then n/2 times the mean
+of log(1 + R) over frequencies (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991,
+section 5.8), by Jensen's inequality at most n/2 log(1 + r'r / n). That stands for r'r / 2 here.
+
+The law of an effect is wrong by a share q of its own response, in a shape that nobody knows. Had
+that error the shape of r, its variance along r would be q**2 ||e||**2, with e the response that a
+refitted plain servo leaves of a set's effects. A diagnosis therefore trusts a share
+1 / (1 + q**2 E) of the evidence (``effect_probabilities.trusted_share``), with E = ||e||**2 / 2,
+summed over the recordings so far and the new one. Distances are multiplied by the expected share,
+the mean over sets: a larger command tells more only until the error of the laws exceeds the noise.
 """
 
 from __future__ import annotations
@@ -23,14 +35,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Index
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.screening import NUISANCES
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS
+from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
 from sim2real.servo.trace import Trace
 
 
@@ -85,7 +97,8 @@ class RivalObjective:
 
         Returns:
             Inner products of predictions and derivatives, then the most probable set's squared
-            torque over the number of samples, N2 m2, shape (N, parts, K * K + 1).
+            torque over the number of samples, N2 m2, and the number of samples of the part, shape
+            (N, parts, K * K + 2).
         """
         N, theta = len(commands), self._expansion.theta
         batch = Batch(
@@ -102,9 +115,10 @@ class RivalObjective:
         with np.errstate(over="ignore"):  # of a simulation that diverges
             products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
         square = self._torque(seen.residual[:, 0]) ** 2
-        torque2 = [part.sum(axis=1) for part in np.array_split(square, parts, axis=1)]
-        mean = np.stack(torque2, axis=1)[:, :, None] / commands.shape[1]
-        return np.concatenate([products, mean], axis=2)
+        in_parts = np.array_split(square, parts, axis=1)
+        torque2 = np.stack([part.sum(axis=1) for part in in_parts], axis=1) / commands.shape[1]
+        count = np.broadcast_to([part.shape[1] for part in in_parts], torque2.shape)
+        return np.concatenate([products, torque2[..., None], count[..., None]], axis=2)
 
     def _torque(self, angle: Array) -> Array:
         """Torque that moves the load along angles (N, T), N m, same shape."""
@@ -114,51 +128,61 @@ class RivalObjective:
         return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))
 
     def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
-        """Scores of N commands from their sums (N, K * K + 1), shape (N,).
+        """Scores of N commands from their sums (N, K * K + 2), shape (N,).
 
         Args:
             statistics: The sums.
             penalty: Nats for a torque of twice what is allowed.
         """
-        excess = np.sqrt(statistics[:, -1] / self._torque2) - 1
-        distances = self._distances(statistics[:, :-1])
+        excess = np.sqrt(statistics[:, -2] / self._torque2) - 1
+        distances = self._distances(statistics)
         simulated = np.isfinite(distances).all(axis=(1, 2)) & np.isfinite(excess)
         left = remaining_entropy(self.probability, np.where(simulated[:, None, None], distances, 0))
         return np.where(simulated, -left - penalty * np.maximum(excess, 0.0), -np.inf)
 
     def distances(self, commands: Array) -> Array:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
-        return self._distances(self.statistics(commands, 1)[:, 0, :-1])
+        return self._distances(self.statistics(commands, 1)[:, 0])
+
+    def trusted(self, commands: Array) -> Array:
+        """Share of the evidence that a diagnosis is expected to trust, shape (N,)."""
+        statistics = self.statistics(commands, 1)[:, 0]
+        return self._trusted(self._products(statistics), statistics[:, -1])
+
+    def _products(self, statistics: Array) -> Array:
+        """Inner products (N, V, V) of what ``_Derivatives.vectors`` combine, from all sums."""
+        vectors = self._expansion.vectors
+        K = len(vectors)
+        return np.asarray(vectors.T @ statistics[:, :-2].reshape(-1, K, K) @ vectors)
 
     def _distances(self, statistics: Array) -> Array:
-        """Distances (N, M, M) from inner products (N, K * K); NaN where a simulation diverged.
+        """Distances (N, M, M) from sums (N, K * K + 2); NaN where a simulation diverged.
 
         Its inner products are not finite, or far beyond what rounding lets inverses have.
-
-        The law of an effect is wrong by ``law_error`` of its own size, see
-        ``effect_probabilities.trusted_share``: that much of a difference does not count.
         """
-        vectors = self._expansion.vectors
-        K, M = len(vectors), self.probability.size
-        F = vectors.shape[1] // M - 1
+        M, F = self.probability.size, self._expansion.spreads
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
-        statistics = np.where(diverged[:, None], 0.0, statistics)
-        products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
+        products = self._products(np.where(diverged[:, None], 0.0, statistics))
         i, j = np.triu_indices(M, 1)
         of_set = M + np.arange(M * F).reshape(M, F)
         both = np.concatenate([of_set[i], of_set[j]], axis=1)
-        square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
-        across = (products[:, both, i[:, None]] - products[:, both, j[:, None]]) / np.sqrt(2)
-        inner = np.eye(2 * F) + products[:, both[:, :, None], both[:, None, :]] / 2
-        single = np.eye(F) + products[:, of_set[:, :, None], of_set[:, None, :]]
-        taken = np.linalg.solve(inner, across[..., None])[..., 0]
-        apart = square - np.einsum("npf,npf->np", across, taken)
-        logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
-        distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
-        energy = np.maximum(self._gain[i], self._gain[j])
+        square, logdet = _whitened(products, i, j, both, 0.5)
+        count = statistics[:, -1]
+        sets = np.arange(M)
+        alone = _whitened(products, sets, sets, of_set)[1]
+        distance = _fitted_noise(square, count) / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
         out = np.zeros((len(products), M, M))
-        out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
+        out[:, i, j] = np.maximum(distance, 0.0) * self._trusted(products, count)[:, None]
         return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
+
+    def _trusted(self, products: Array, count: Array) -> Array:
+        """Share of the evidence that counts, (N,), from inner products (N, V, V)."""
+        M, F = self.probability.size, self._expansion.spreads
+        bare = M * (1 + F) + np.arange(M)
+        plain = np.tile(np.arange(M * (2 + F), products.shape[1]), (M, 1))
+        square = _whitened(products, np.arange(M), bare, plain)[0]
+        energy = self._gain + _fitted_noise(square, count) / 2
+        return np.asarray(1 / (1 + DECISION.law_error**2 * energy) @ self.probability)
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
@@ -184,8 +208,8 @@ class RivalObjective:
         seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
         assert seen is not None
         vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
-        M = self.probability.size
-        means, spreads = np.split(self._expansion.vectors, [M], axis=1)
+        M, F = self.probability.size, self._expansion.spreads
+        means, spreads, _ = np.split(self._expansion.vectors, [M, M * (1 + F)], axis=1)
         apart = vectors @ (means[:, i] - means[:, j])
         of_set = np.split(spreads, M, axis=1)
         both = vectors @ np.hstack([of_set[i], of_set[j]]) / np.sqrt(2)
@@ -215,19 +239,56 @@ class RivalObjective:
         return [replace(plan, command=command) for command in commands]
 
 
+def _whitened(
+    products: Array, i: Index, j: Index, spread: Index, share: float = 1.0
+) -> tuple[Array, Array]:
+    """Squares r' S^-1 r of P differences r, and log |S|, with S = I + share U U', both (N, P).
+
+    Args:
+        products: Inner products of vectors, shape (N, V, V).
+        i: Vectors from which r are differences, shape (P,).
+        j: Vectors that are subtracted, shape (P,).
+        spread: Vectors that are the columns of U, shape (P, F).
+        share: A factor.
+    """
+    square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
+    across = products[:, spread, i[:, None]] - products[:, spread, j[:, None]]
+    inner = products[:, spread[:, :, None], spread[:, None, :]]
+    inner = np.eye(spread.shape[1]) + share * inner
+    taken = np.linalg.solve(inner, across[..., None])[..., 0]
+    square = square - share * np.einsum("npf,npf->np", across, taken)
+    return square, np.linalg.slogdet(inner)[1]
+
+
+def _fitted_noise(square: Array, count: Array) -> Array:
+    """Twice the log-likelihood ratio, where the noise is fitted to what a set leaves, (N, P).
+
+    Args:
+        square: The same with the noise known: the squared distance of the predictions.
+        count: Number of samples, shape (N,).
+    """
+    mean = np.maximum(square, 0.0) / np.maximum(count[:, None], 1)
+    return np.asarray(count[:, None] * np.log1p(mean))
+
+
 @dataclass(frozen=True)
 class _Derivatives:
     """Rows to simulate, and how predictions and their spreads follow from them.
 
     Attributes:
-        theta: Parameter rows: those of the sets, then one a free parameter, shape (K, P).
+        theta: Parameter rows: those of the sets, then one a free parameter, then those of the sets
+            without their effects, shape (K, P).
         vectors: Coefficients of the differences of the rows' angles from those of the first row:
             the predictions of the M sets, then for each set its derivatives times a root of the
-            covariance, padded to F columns, shape (K, M + M F).
+            covariance, padded to F columns, then the M predictions without effects, and the
+            derivatives by the B parameters of a plain servo times these parameters, shape
+            (K, M + M F + M + B).
+        spreads: F.
     """
 
     theta: Array
     vectors: Array
+    spreads: int
 
 
 def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
@@ -245,8 +306,11 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
     for i, columns in enumerate(free):
         for column in columns:
             owner.setdefault(column, i)
-    K, place = M + len(owner), {column: n for n, column in enumerate(owner)}
-    theta = np.array([one.theta for one in sets] + [sets[i].theta for i in owner.values()])
+    place = {column: n for n, column in enumerate(owner)}
+    bare = M + len(owner) + np.arange(M)
+    K = M + len(owner) + M
+    rows = [one.theta for one in sets] + [sets[i].theta for i in owner.values()]
+    theta = np.array(rows + [_without_effects(one) for one in sets])
     derivatives = np.zeros((K, len(owner)))
     for (column, i), n in zip(owner.items(), place.values(), strict=True):
         at = sets[i].columns.tolist().index(column)
@@ -255,15 +319,25 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
         derivatives[M + n, n], derivatives[i, n] = 1 / size, -1 / size
     derivatives[0] = 0.0  # differences from the first row
     F = max(len(columns) for columns in free)
-    vectors = np.zeros((K, M + M * F))
+    plain = [column for column in owner if column < FIRST_EFFECT_COLUMN]
+    vectors = np.zeros((K, M + M * F + M + len(plain)))
     vectors[range(1, M), range(1, M)] = 1.0
+    vectors[bare, M * (1 + F) + np.arange(M)] = 1.0
+    for n, column in enumerate(plain, start=M * (2 + F)):
+        vectors[:, n] = derivatives[:, place[column]] * theta[M + place[column], column]
     for i, (one, columns) in enumerate(zip(sets, free, strict=True)):
         kept = [one.columns.tolist().index(column) for column in columns]
         root = _root(one.information)[kept]
         left, size, _ = np.linalg.svd(root, full_matrices=False)
         spread = derivatives[:, [place[column] for column in columns]] @ (left * size)
         vectors[:, M + i * F : M + i * F + len(columns)] = spread
-    return _Derivatives(theta, vectors)
+    return _Derivatives(theta, vectors, F)
+
+
+def _without_effects(one: RivalSet) -> Array:
+    """Parameters of a set's servo without its effects, shape (P,)."""
+    owners = np.array([name.partition(".")[0] for name in COLUMNS])
+    return np.where(np.isin(owners, one.effects), 0.0, one.theta)
 
 
 def _told(one: RivalSet) -> list[int]:

@@ -1,4 +1,4 @@
-"""Errors on held-out data: every recording in turn, or the last quarter of a single one."""
+"""Errors on held-out data: every recording in turn, or the last quarter of each."""
 
 from __future__ import annotations
 
@@ -32,12 +32,21 @@ class Unseen:
         return rms(self.residuals)
 
 
-def folds(traces: Sequence[Trace]) -> list[tuple[list[Trace], list[Trace]]]:
-    """Pairs of traces to fit and to score: each recording in turn, or the end of a single one."""
-    if len(traces) > 1:
+def folds(traces: Sequence[Trace], *, ends: bool = False) -> list[tuple[list[Trace], list[Trace]]]:
+    """Pairs of traces to fit and to score: each recording in turn, or the end of a single one.
+
+    Args:
+        traces: The recordings.
+        ends: Whether of several recordings the end of each is held out, instead of all of it.
+    """
+    if len(traces) > 1 and not ends:
         return [([other for other in traces if other is not trace], [trace]) for trace in traces]
-    fitted, scored, _ = split(traces, None)
-    return [(fitted, scored)] if scored else []
+    parts = [(trace, *split([trace], None)[:2]) for trace in traces]
+    return [
+        ([*(other for other in traces if other is not trace), *fitted], scored)
+        for trace, fitted, scored in parts
+        if scored
+    ]
 
 
 def held_out(
@@ -45,6 +54,7 @@ def held_out(
     servos: Sequence[Servos],
     *,
     white: bool = True,
+    ends: Sequence[bool] | None = None,
     device: str = "cpu",
 ) -> list[Unseen | None]:
     """Refit each servo without each fold, and compute its residuals there.
@@ -54,12 +64,17 @@ def held_out(
         servos: Servos with the parameters fitted to all samples, each of one row.
         white: Whether the refits assume white noise, which gives better predictions if physics is
             missing from the model.
+        ends: For each servo, whether only the ends of its recordings are held out; by default
+            not.
         device: Warp device.
 
     Returns:
         One entry per servo; None where nothing can be held out.
     """
-    pairs = [(n, pair) for n, traces in enumerate(joints) for pair in folds(traces)]
+    only_ends = ends or [False] * len(joints)
+    pairs = [
+        (n, pair) for n, traces in enumerate(joints) for pair in folds(traces, ends=only_ends[n])
+    ]
     if not pairs:
         return [None for _ in joints]
     training = Batch([fitted for _, (fitted, _) in pairs], device, bounded=False)

@@ -9,7 +9,9 @@ from scipy.special import ndtr
 
 from sim2real.design.contexts import Context
 from sim2real.design.rivals import RivalObjective, remaining_entropy
+from sim2real.diagnose.decision import DECISION
 from sim2real.recording import Load
+from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import rollout
 
 
@@ -35,10 +37,12 @@ def predicted(one, command):
     return angle[0, lag:], np.eye(len(slopes)) + spread
 
 
-def bhattacharyya(first, second):
+def bhattacharyya(first, second, *, fitted_noise=False):
     (a, A), (b, B) = first, second
     mean = (A + B) / 2
     apart = (a - b) @ np.linalg.solve(mean, a - b) / 8
+    if fitted_noise:
+        apart = 200 * np.log1p(8 * apart / 200) / 8
     logs = [np.linalg.slogdet(x)[1] for x in (mean, A, B)]
     return apart + 0.5 * (logs[0] - 0.5 * (logs[1] + logs[2]))
 
@@ -48,10 +52,40 @@ def test_the_distance_is_that_of_two_gaussian_predictions(objective):
     close = (0.1, 0.1, 0.4)
     found_all = objective.distances(commands())
     for command, found, rel in zip(commands(), found_all, close, strict=True):
-        expected = bhattacharyya(*(predicted(one, command) for one in RIVALS.sets))
+        sets = [predicted(one, command) for one in RIVALS.sets]
+        expected = bhattacharyya(*sets, fitted_noise=True)
         assert found[0, 1] == pytest.approx(expected, rel=rel)
         assert found[0, 1] == found[1, 0]
         assert found[0, 0] == found[1, 1] == 0
+
+
+def test_the_trusted_share_follows_from_what_a_refitted_plain_servo_leaves():
+    quiet = replace(RIVALS, noise_rad=RIVALS.noise_rad / 5)
+    t, step, shares = PERIOD * np.arange(200), 1e-3, []
+    for one in RIVALS.sets:
+        owner = one.effects[0]
+        bare = np.where([name.startswith(owner) for name in COLUMNS], 0.0, one.theta)
+        moved = [bare + step * bare * (np.arange(bare.size) == k) for k in one.columns[:2]]
+        rows = np.array([one.theta, bare, *moved])
+        rows[:, 3] = RIVALS.load.inertia_kgm2
+        angle = rollout(rows, t, commands()[0])[:, 25:] / quiet.noise_rad
+        # A plain servo whose gains may change by as much as they are: a prior of that width.
+        slopes = np.vstack([(angle[2:] - angle[1]).T / step, np.eye(2)])
+        effect = np.append(angle[0] - angle[1], [0.0, 0.0])
+        left = effect - slopes @ np.linalg.lstsq(slopes, effect, rcond=None)[0]
+        energy = one.gain + 100 * np.log1p(left @ left / 200)
+        shares.append(one.probability / (1 + DECISION.law_error**2 * energy))
+    trusted = RivalObjective(quiet).trusted(commands()[:1])[0]
+    assert trusted == pytest.approx(sum(shares), rel=0.1)
+    assert 0.5 < trusted < 0.9
+
+
+def test_less_noise_tells_no_more_than_the_laws_allow():
+    exact, more_exact = (
+        RivalObjective(replace(RIVALS, noise_rad=share * RIVALS.noise_rad)).distances(commands())
+        for share in (1e-2, 1e-3)
+    )
+    assert (more_exact[:, 0, 1] < 1.5 * exact[:, 0, 1]).all()
 
 
 def test_the_evidence_favours_the_true_set_as_often_as_stated(objective):
@@ -98,7 +132,7 @@ def test_the_remaining_entropy_bounds_that_of_sampled_posteriors():
 def test_a_simulation_that_diverges_is_never_chosen(objective):
     assert remaining_entropy(np.array([0.5, 0.5]), np.full((1, 2, 2), np.nan))[0] == np.inf
     sums = np.repeat(objective.statistics(commands()[:1], 1)[:, 0], 4, axis=0)
-    sums[1, 0], sums[2, 1], sums[3, :-1] = np.nan, np.inf, 1e200
+    sums[1, 0], sums[2, 1], sums[3, :-2] = np.nan, np.inf, 1e200
     scores = objective.scores(sums)
     assert np.isfinite(scores[0])
     assert (scores[1:] == -np.inf).all()

@@ -1,14 +1,20 @@
 """Errors on data that a fit has not seen: what is held out never touches what is fitted."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
+from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.missing.baseline import baselines
+from sim2real.diagnose.missing.offer import _add_errors
+from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.identification.held_out import folds, held_out
 from sim2real.servo.batch import Batch
+
+BASE: frozenset[str] = frozenset()
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +49,15 @@ def test_of_a_lone_recording_the_end_is_held_out(three):
     assert scored.used.mean() == pytest.approx(0.25, abs=0.01)
 
 
+def test_of_several_recordings_the_end_of_each_may_be_held_out(three):
+    for whole, (fitted, (scored,)) in zip(three, folds(three, ends=True), strict=True):
+        rest = {one.name: one for one in fitted}
+        assert scored.used.mean() == pytest.approx(0.25, abs=0.01)
+        assert not (rest.pop(whole.name).used & scored.used).any()
+        assert len(rest) == 2
+        assert all(one.used.all() for one in rest.values())
+
+
 @pytest.mark.parametrize("white", [True, False])
 def test_parameters_never_see_the_recording_they_are_scored_on(three, start, white):
     other = [spoiled(three[0]), *three[1:]]
@@ -52,10 +67,12 @@ def test_parameters_never_see_the_recording_they_are_scored_on(three, start, whi
     assert np.abs(clean.theta[1:] - dirty.theta[1:]).max() > 1e-6, "the other folds do see it"
 
 
-def test_parameters_never_see_the_end_they_are_scored_on(three, start):
-    traces = [three[:1], [spoiled(three[0], since=9.5)]]
-    clean, dirty = (held_out([x], [start])[0] for x in traces)
-    np.testing.assert_array_equal(clean.theta, dirty.theta)
+@pytest.mark.parametrize("count", [1, 3])
+def test_parameters_never_see_the_end_they_are_scored_on(three, start, count):
+    traces = [three[:count], [spoiled(three[0], since=9.5), *three[1:count]]]
+    clean, dirty = (held_out([x], [start], ends=[True])[0] for x in traces)
+    np.testing.assert_array_equal(clean.theta[0], dirty.theta[0])
+    assert len(clean.theta) == count
     assert dirty.rmse > 10 * clean.rmse
 
 
@@ -89,3 +106,15 @@ def test_nothing_to_hold_out(three, start):
     late = trace.t >= 11.0
     lone = replace(trace, command=0.3 * late, position=np.where(late, 0.3, 0.0))
     assert held_out([[lone]], [start]) == [None]
+
+
+@pytest.mark.parametrize("designed", [False, True])
+def test_of_a_recording_that_was_designed_only_the_end_is_held_out(three, start, designed):
+    stated = [StatedSet(frozenset({"deadband"}), start.theta[0])] if designed else []
+    joint = JointCase("j1", three, NOISE, None, stated=stated)
+    plain = SimpleNamespace(fit=SimpleNamespace(servos=start))
+    finding = SimpleNamespace(tried=SimpleNamespace(base=BASE, tried={BASE: plain}))
+    errors = [{}]
+    _add_errors(errors, [joint], [finding], [[BASE]], "cpu")
+    share = np.mean([x.size for x in errors[0][BASE].residuals]) / three[0].t.size
+    assert share == pytest.approx(0.25 if designed else 1.0, abs=0.01)

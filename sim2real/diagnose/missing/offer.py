@@ -56,7 +56,9 @@ def _add_errors(
 ) -> None:
     """Add the held-out errors of those sets of effects of each joint that have none yet.
 
-    The plain servo is refitted for prediction; others keep the noise model of their fit.
+    The plain servo is refitted for prediction; others keep the noise model of their fit. A
+    recording that was designed to tell effects apart shows what the others do not, so that a fit to
+    these alone would not predict it even with the right effects: only ends are held out then.
     """
     jobs = [
         (j, members)
@@ -70,7 +72,8 @@ def _add_errors(
             continue
         traces = [joints[j].traces for j, _ in some]
         servos = [findings[j].tried.tried[members].fit.servos for j, members in some]
-        scores = held_out(traces, servos, white=white, device=device)
+        ends = [bool(joints[j].stated) for j, _ in some]
+        scores = held_out(traces, servos, white=white, ends=ends, device=device)
         for (j, members), score in zip(some, scores, strict=True):
             if score is not None:
                 errors[j][members] = score
