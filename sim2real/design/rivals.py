@@ -140,25 +140,12 @@ class RivalObjective:
         """
         vectors = self._expansion.vectors
         K, M = len(vectors), self.probability.size
-        F = vectors.shape[1] // M - 1
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
         statistics = np.where(diverged[:, None], 0.0, statistics)
-        products = vectors.T @ statistics.reshape(-1, K, K) @ vectors
-        i, j = np.triu_indices(M, 1)
-        of_set = M + np.arange(M * F).reshape(M, F)
-        both = np.concatenate([of_set[i], of_set[j]], axis=1)
-        square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
-        across = (products[:, both, i[:, None]] - products[:, both, j[:, None]]) / np.sqrt(2)
-        inner = np.eye(2 * F) + products[:, both[:, :, None], both[:, None, :]] / 2
-        single = np.eye(F) + products[:, of_set[:, :, None], of_set[:, None, :]]
-        taken = np.linalg.solve(inner, across[..., None])[..., 0]
-        apart = square - np.einsum("npf,npf->np", across, taken)
-        logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
-        distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
-        energy = np.maximum(self._gain[i], self._gain[j])
-        out = np.zeros((len(products), M, M))
-        out[:, i, j] = np.maximum(distance, 0.0) / (1 + DECISION.law_error**2 * energy)
-        return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
+        distance = distances(vectors.T @ statistics.reshape(-1, K, K) @ vectors, M)
+        energy = np.maximum(self._gain[:, None], self._gain)
+        distance = distance / (1 + DECISION.law_error**2 * energy)
+        return np.where(diverged[:, None, None], np.nan, distance)
 
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
@@ -186,11 +173,9 @@ class RivalObjective:
         vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
         M = self.probability.size
         means, spreads = np.split(self._expansion.vectors, [M], axis=1)
-        apart = vectors @ (means[:, i] - means[:, j])
         of_set = np.split(spreads, M, axis=1)
-        both = vectors @ np.hstack([of_set[i], of_set[j]]) / np.sqrt(2)
-        inner = np.eye(both.shape[1]) + both.T @ both
-        return np.asarray(apart - both @ np.linalg.solve(inner, both.T @ apart))
+        both = vectors @ np.hstack([of_set[i], of_set[j]])
+        return left_by_refits(vectors @ (means[:, i] - means[:, j]), both)
 
     def _noise(self, batch: Batch) -> Array:
         """Coefficients that whiten the noise, at the lags of a batch, shape (lags,)."""
@@ -279,6 +264,44 @@ def _root(precision: Array) -> Array:
     scale = 1 / np.sqrt(np.diag(precision))
     value, vector = np.linalg.eigh(precision * np.outer(scale, scale))
     return np.asarray(scale[:, None] * vector / np.sqrt(np.maximum(value, 1e-10)))
+
+
+def distances(products: Array, M: int) -> Array:
+    """Bhattacharyya distances of the predictions of M sets, shape (N, M, M).
+
+    Args:
+        products: Inner products of the whitened predictions m_i of the sets and the columns of
+            their spreads U_i, one set after the other, each of F columns, shape
+            (N, M + M F, M + M F).
+        M: Number of sets.
+    """
+    F = products.shape[1] // M - 1
+    i, j = np.triu_indices(M, 1)
+    of_set = M + np.arange(M * F).reshape(M, F)
+    both = np.concatenate([of_set[i], of_set[j]], axis=1)
+    square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
+    across = (products[:, both, i[:, None]] - products[:, both, j[:, None]]) / np.sqrt(2)
+    inner = np.eye(2 * F) + products[:, both[:, :, None], both[:, None, :]] / 2
+    single = np.eye(F) + products[:, of_set[:, :, None], of_set[:, None, :]]
+    taken = np.linalg.solve(inner, across[..., None])[..., 0]
+    apart = square - np.einsum("npf,npf->np", across, taken)
+    logdet, alone = np.linalg.slogdet(inner)[1], np.linalg.slogdet(single)[1]
+    out = np.zeros((len(products), M, M))
+    distance = apart / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
+    out[:, i, j] = np.maximum(distance, 0.0)
+    return np.asarray(out + out.transpose(0, 2, 1))
+
+
+def left_by_refits(difference: Array, spreads: Array) -> Array:
+    """The part of a difference of two predictions that refitted parameters leave: S^-1 r, (n,).
+
+    Args:
+        difference: Whitened difference r of the predictions, shape (n,).
+        spreads: Columns U_i and U_j of both sets, shape (n, 2 F).
+    """
+    both = spreads / np.sqrt(2)
+    inner = np.eye(both.shape[1]) + both.T @ both
+    return np.asarray(difference - both @ np.linalg.solve(inner, both.T @ difference))
 
 
 def remaining_entropy(probability: Array, distances: Array) -> Array:
