@@ -90,7 +90,7 @@ class Bench:
 
 
 def bench_of(options: Options, number: int) -> Bench:
-    """Draw a robot and its cases: the first conceals a resistance alone, the others with another."""
+    """Draw a robot and its cases: the first conceals a resistance, the others one more effect."""
     rng = np.random.default_rng([options.seed, number])
     drawn = robot_of(rng, f"robot {number}")
     cases: list[Case] = []
@@ -280,9 +280,10 @@ def report(out: Path) -> None:
         found = judged(cases)  # type: ignore[arg-type]
         entropy = np.mean([row[arm]["entropy_nats"] for row in rows])
         print(
-            f"{arm:9s} entropy {entropy:.2f} nats, probability of the true set {np.mean(truths):.2f}"
-            f" (median {np.median(truths):.2f}), right group first {found['group_first']:.2f},"
-            f" both of two {found['both']:.2f}, wrong names at 0.9 {found['wrong']:.3f}"
+            f"{arm:9s} entropy {entropy:.2f} nats, probability of the true set"
+            f" {np.mean(truths):.2f} (median {np.median(truths):.2f}), right group first"
+            f" {found['group_first']:.2f}, both of two {found['both']:.2f},"
+            f" wrong names at 0.9 {found['wrong']:.3f}"
         )
     for low, high in ((0.5, 0.7), (0.7, 0.9), (0.9, 1.001)):
         for arm in ARMS:

@@ -32,6 +32,11 @@ class SwimDesign(RivalDesign):
 
     swum_by: tuple[str, ...] = field(default=())
 
+    @property
+    def setting(self) -> str:
+        """Where the swim starts, in one line."""
+        return "start: at rest in the middle of the pool, heading along x"
+
     def recording(self, name: str = "next") -> Recording:
         """The commands as a recording without measurements, and what they are to tell."""
         (body,) = self.joints

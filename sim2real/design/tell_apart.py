@@ -177,6 +177,11 @@ class RivalDesign(NotebookDisplay):
         return figure
 
     @property
+    def setting(self) -> str:
+        """What the recording needs besides its commands, in one line."""
+        return f"context: {self.context.name}"
+
+    @property
     def informative(self) -> bool:
         """Whether some pair of open sets is expected to be told apart."""
         return any(pair.expected >= SEPARATED for pair in self._open())
@@ -189,7 +194,7 @@ class RivalDesign(NotebookDisplay):
         """What is expected, one line a joint and one a pair."""
         if not self.informative:
             return self._exhausted()
-        lines = [f"context: {self.context.name}"]
+        lines = [self.setting]
         for joint in self.joints:
             before, after = np.exp([joint.entropy, joint.remaining])
             lines.append(
