@@ -5,7 +5,8 @@ a spread for what its parameters may still be. Signals are transformed and white
 diagnosis (``sim.inference.blocks``): pose noise, and the error of the twin as a share of a signal's
 size. The rest of this error imitates effects, differently in each swim: every coordinate has the
 variance of that imitation besides that of its estimate. So drag, friction or added mass that the
-error imitates do not count as told apart.
+error imitates do not count as told apart. The rest of the error is not independent as it is taken
+to be, so that distances are divided by the temperature of the diagnosis, as its evidence is.
 """
 
 from __future__ import annotations
@@ -155,15 +156,16 @@ class SwimObjective:
     def _torque(self, commands: Array, angles: Array) -> Array:
         """Torques of the servos, N m, shape (N, T, J), by their gains; set-points arrive late."""
         servos = [self._coordinates.model.joints[j.joint] for j in self._limits.joints]
-        period, rate = self._limits.period_s, np.gradient(angles, self._limits.period_s, axis=1)
-        torque = np.empty(angles.shape)
-        for k, servo in enumerate(servos):
-            late = round(servo.latency_s / period)
-            sent = np.concatenate([np.repeat(commands[:, :1, k], late, axis=1), commands[:, :, k]],
-                                  axis=1)[:, : angles.shape[1]]  # fmt: skip
-            torque[:, :, k] = servo.kp_Nm_per_rad * (sent - angles[:, :, k])
-            torque[:, :, k] -= servo.kd_Nms_per_rad * rate[:, :, k]
-        return torque
+        period = self._limits.period_s
+        sent = np.stack(
+            [  # commands begin and end at the same rest
+                np.roll(commands[:, :, k], round(servo.latency_s / period), axis=1)
+                for k, servo in enumerate(servos)
+            ],
+            axis=2,
+        )
+        kp, kd = np.array([(servo.kp_Nm_per_rad, servo.kd_Nms_per_rad) for servo in servos]).T
+        return np.asarray(kp * (sent - angles) - kd * np.gradient(angles, period, axis=1))
 
     def _apart(self, command: Array, track: Array) -> Array:
         """Distances of all pairs of sets, shape (M, M), for one command (T, J) and its track."""
@@ -172,7 +174,7 @@ class SwimObjective:
         if not np.isfinite(rows).all():
             return np.full((M, M), np.nan)
         products = self._vectors.T @ (rows @ rows.T) @ self._vectors
-        return np.asarray(distances(products[None], M)[0])
+        return np.asarray(distances(products[None], M)[0]) / self.rivals.temperature
 
     def _whitened(self, command: Array, track: Array) -> tuple[Array, Blocks]:
         """Signals of all points less those of the first, transformed and whitened, (R, T K)."""
@@ -209,9 +211,10 @@ class SwimObjective:
                     raise InputError(file, f"swim_rivals.sets[{i}].coordinates", found, expected)
             free.append([c.place[name] for name in one.coordinates])
             at[i, free[i]] = list(one.coordinates.values())
-        imitation = np.array([self.rivals.imitation.get(column.name, 0.0) for column in c.columns])
-        least = np.array([2 * NEVER * column.step for column in c.columns])
-        used = sorted({*np.flatnonzero(imitation > least).tolist(), *chain(*free)})
+        least = NEVER * np.array([column.step for column in c.columns])
+        stated = [self.rivals.imitation.get(column.name, 0.0) for column in c.columns]
+        imitation = np.maximum(stated, least)
+        used = sorted({*np.flatnonzero(imitation > 2 * least).tolist(), *chain(*free)})
         points, changed = list(at), []
         for k in used:
             i = next((i for i in range(M) if k in free[i]), 0)
@@ -232,7 +235,7 @@ class SwimObjective:
             covariance = np.diag(variance)
             covariance[np.ix_(free[i], free[i])] += np.linalg.inv(one.information)
             first = M + i * len(used)
-            root = _root(covariance[np.ix_(used, used)])
+            root = np.linalg.cholesky(covariance[np.ix_(used, used)])
             vectors[:, first : first + len(used)] = derivatives @ root
         return c.clipped(np.array(points)), vectors
 
@@ -243,10 +246,3 @@ def _coordinates(robot: Robot, model: Model) -> Coordinates:
     coordinates = Coordinates.of(robot, replace(model, body={**model.body, "effects": []}))
     seems = np.array([learned.get(column.name, 0.0) for column in coordinates.columns])
     return replace(coordinates, seems=seems)
-
-
-def _root(covariance: Array) -> Array:
-    """A matrix R with R R' = a covariance (F, F) whose scales differ."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))

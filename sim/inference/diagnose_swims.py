@@ -201,7 +201,7 @@ def diagnosis_of(
         gate=tuple(gate),
         unknown={"body": decided.unlisted},
         next_experiment=_experiment(result, fitted, decided, likely),
-        swim_rivals=rival_sets(result, decided.sets, law_error.decisions["relative"]),
+        swim_rivals=rival_sets(result, decided.sets, law_error.decisions),
     )
 
 

@@ -17,7 +17,11 @@ from sim2real.inference.selection import Hypothesis
 
 
 def rival_sets(
-    result: Searched, probability: Mapping[Names, float], relative: float, *, most: int = 10
+    result: Searched,
+    probability: Mapping[Names, float],
+    numbers: Mapping[str, float],
+    *,
+    most: int = 10,
 ) -> SwimRivals:
     """The sets of effects that may be present, given the swims.
 
@@ -27,7 +31,7 @@ def rival_sets(
     Args:
         result: The result of the search.
         probability: Probabilities of the sets that it tried.
-        relative: Standard deviation between swims of an effect's size, relative to the size.
+        numbers: ``decisions`` of ``law_error.json``.
         most: Largest number of sets.
     """
     problem = result.problem
@@ -47,7 +51,8 @@ def rival_sets(
         imitation={
             c.name: float(sd) for c, sd in zip(columns, problem.prior.imitation, strict=True)
         },
-        relative=relative,
+        relative=numbers["relative"],
+        temperature=numbers["temperature"],
         sets=tuple(_set(result, fits[names], probability[names] / total) for names in chosen),
     )
 

@@ -46,6 +46,7 @@ class SwimRivals(OpenSets):
         imitation: By coordinate, the standard deviation between swims of the size that the
             simulator's error imitates.
         relative: Standard deviation between swims of an effect's size, relative to the size.
+        temperature: Factor by which evidence is divided in the probabilities of the sets.
         sets: The sets, most probable first.
     """
 
@@ -55,6 +56,7 @@ class SwimRivals(OpenSets):
     shares: Array
     imitation: Mapping[str, float]
     relative: float
+    temperature: float
     sets: tuple[SwimSet, ...]
 
     def content(self) -> dict[str, Any]:
@@ -71,6 +73,7 @@ class SwimRivals(OpenSets):
                 "shares": self.shares.tolist(),
                 "imitation": dict(self.imitation),
                 "relative": self.relative,
+                "temperature": self.temperature,
             },
             "sets": [
                 one.content() | {"information": one.information.tolist()} for one in self.sets
@@ -115,6 +118,7 @@ def read_swim_rivals(entry: Fields) -> SwimRivals:
         shares=shares,
         imitation=_by_name(error.table("imitation")),
         relative=error.number("relative", low=0.0),
+        temperature=error.number("temperature", above=0.0),
         sets=tuple(_set(one) for one in entry.tables("sets")),
     )
 

@@ -31,6 +31,7 @@ def swim_rivals(imitation=IMITATION, size=0.3):
         shares=np.full((4, 3), 0.3),
         imitation=imitation,
         relative=0.1,
+        temperature=1.0,
         sets=(
             swim_set(0.6, "linear_drag.coefficient", size, 0.1),
             swim_set(0.4, "added_mass.ratio", 0.5 * size, 0.1),
