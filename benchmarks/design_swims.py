@@ -23,7 +23,8 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,7 @@ sys.path[:0] = [str(POOL), str(POOL.parents[1])]
 
 from camera import reported, seen  # noqa: E402
 from drawn import Case, Drawn, case_of, command_of, robot_of, start_of  # noqa: E402
+from sealed import _component  # noqa: E402
 from truth import Truth  # noqa: E402
 from world import World  # noqa: E402
 
@@ -59,6 +61,7 @@ from sim2real.structured import Fields  # noqa: E402
 
 RESISTANCES = ("linear_drag", "surface_friction", "form_drag", "added_mass")
 ARMS = ("usual", "designed")
+WATERS = ("water_1.npz", "water_2.npz")
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,15 @@ class Bench:
     def path(self, k: int | None, name: str) -> Path:
         """File of a case, or of the robot."""
         return self.folder / name if k is None else self.folder / f"case_{k}" / name
+
+
+class Known(NamedTuple):
+    """What a diagnosis of a robot's swims starts from."""
+
+    model: Model
+    simulate: Swum
+    prior: SwimPrior
+    law_error: LawError
 
 
 def bench_of(options: Options, number: int) -> Bench:
@@ -163,79 +175,100 @@ def in_water(options: Options, bench: Bench, name: str, paths: Sequence[Path]) -
         write_water(file, made)
 
 
-def diagnosed(
-    bench: Bench, paths: Sequence[Path], model: Model, simulate: Swum, prior: SwimPrior,
-    law_error: LawError,
-) -> tuple[Diagnosis, Decided]:  # fmt: skip
+def diagnosed(bench: Bench, paths: Sequence[Path], known: Known) -> tuple[Decided, Diagnosis]:
     """The diagnosis of swims together, with references."""
-    swims = [read(bench, path) for path in paths]
-    found = searched(swims, model, bench.drawn.robot, simulate, prior)
-    decided = decide(raw(found, referred=True), law_error.decisions)
-    return diagnosis_of(found, bench.drawn.robot, law_error, referred=True), decided
+    swims, robot = [read(bench, path) for path in paths], bench.drawn.robot
+    found = searched(swims, known.model, robot, known.simulate, known.prior)
+    decided = decide(raw(found, referred=True), known.law_error.decisions)
+    return decided, diagnosis_of(found, robot, known.law_error, referred=True)
 
 
 def run_robot(options: Options, number: int) -> str:
     """All steps of one robot."""
     began = time.perf_counter()
     bench = bench_of(options, number)
-    if bench.path(None, "rows.json").exists():
+    done = bench.path(None, "rows.json")
+    if done.exists():
         return f"robot {number}: there"
     rng = np.random.default_rng([options.seed, number, 1])
-    J, robot = len(bench.drawn.robot.joints), bench.drawn.robot
+    J = len(bench.drawn.robot.joints)
     plain = Case("null", {}, {}, True, bench.cases[0].camera)
-    swims = [(k, case, "first") for k, case in enumerate(bench.cases)]
-    swims += [(k, case, "usual") for k, case in enumerate(bench.cases)]
-    wanted = [(bench.path(k, f"{name}.csv"), case) for k, case, name in swims]
-    wanted += [(bench.path(None, f"reference_{n}.csv"), plain) for n in range(2)]
+    # references first: the twin's law is fitted to the first two
+    wanted = [(bench.path(None, f"reference_{n}.csv"), plain) for n in range(2)]
+    for name in ("first", "usual"):
+        wanted += [(bench.path(k, f"{name}.csv"), case) for k, case in enumerate(bench.cases)]
     given = [
         (path, case, command_of(rng, J, CONTROL_S, options.seconds), start_of(rng, case))
         for path, case in wanted
     ]
     swim(options, bench, given, [options.seed, number, 2])
-    # references first: the twin's law is fitted to the first two
-    in_water(options, bench, "water_1.npz", [path for path, _ in reversed(wanted)])
+    in_water(options, bench, "water_1.npz", [path for path, _ in wanted])
     print(f"robot {number}: first swims, {time.perf_counter() - began:.0f} s", flush=True)
-    law_error = read_law_error(IN_WATER if options.water else FILE)
-    files = [bench.path(None, "water_1.npz")] if options.water else []
-    model, simulate = robot_in_water(robot, bench.model, files, threads=1)
-    references = [read(bench, path) for path, case in wanted if case is plain]
-    prior = learned(references, model, robot, simulate, law_error)
-    rows: list[dict[str, Any]] = []
-    designs = []
+    known = known_of(options, bench, ("water_1.npz",))
     for k, case in enumerate(bench.cases):
-        first, before = diagnosed(
-            bench, [bench.path(k, "first.csv")], model, simulate, prior, law_error
-        )
-        assert first.swim_rivals is not None
-        start = time.process_time()
-        design = design_swim(
-            first.swim_rivals, first.model, robot,
-            seconds=options.seconds, again=True, seed=number, threads=1, **options.search,
-        )  # fmt: skip
-        (body,) = design.joints
-        rows.append({
-            "case": f"{number}.{k}", "kind": case.kind, "effects": case.effects,
-            "strength": case.strength, "first": outcome(before, first), "stated": body.content(),
-            "design_cpu_s": time.process_time() - start,
-        })  # fmt: skip
-        designs.append((bench.path(k, "designed.csv"), case, body.command, np.zeros(3)))
+        if not bench.path(k, "first_row.json").exists():
+            first_row(options, bench, number, k, case, known)
     print(f"robot {number}: designed, {time.perf_counter() - began:.0f} s", flush=True)
-    swim(options, bench, designs, [options.seed, number, 3])
-    in_water(options, bench, "water_2.npz", [path for path, *_ in designs])
-    if options.water:
-        files.append(bench.path(None, "water_2.npz"))
-        model, simulate = robot_in_water(robot, bench.model, files, threads=1)
-    for k, row in enumerate(rows):
-        for arm in ARMS:
+    paths = [bench.path(k, "designed.csv") for k in range(len(bench.cases))]
+    commands = [np.load(bench.path(k, "command.npy")) for k in range(len(bench.cases))]
+    swims = zip(paths, bench.cases, commands, [np.zeros(3)] * len(paths), strict=True)
+    swim(options, bench, list(swims), [options.seed, number, 3])
+    in_water(options, bench, "water_2.npz", paths)
+    known = known_of(options, bench, WATERS, known.prior)
+    rows = [second_row(bench, k, known) for k in range(len(bench.cases))]
+    done.write_text(json.dumps(rows, indent=1) + "\n")
+    return f"robot {number}: {len(rows)} cases, {time.perf_counter() - began:.0f} s"
+
+
+def known_of(
+    options: Options, bench: Bench, files: Sequence[str], prior: SwimPrior | None = None
+) -> Known:
+    """What a diagnosis of the robot's swims starts from; the prior is learned from references."""
+    law_error = read_law_error(IN_WATER if options.water else FILE)
+    waters = [bench.path(None, name) for name in files] if options.water else []
+    model, simulate = robot_in_water(bench.drawn.robot, bench.model, waters, threads=1)
+    if prior is None:
+        references = [read(bench, bench.path(None, f"reference_{n}.csv")) for n in range(2)]
+        prior = learned(references, model, bench.drawn.robot, simulate, law_error)
+    return Known(model, simulate, prior, law_error)
+
+
+def first_row(
+    options: Options, bench: Bench, number: int, k: int, case: Case, known: Known
+) -> None:
+    """Diagnose the first swim of a case, design the second, and keep both."""
+    decided, first = diagnosed(bench, [bench.path(k, "first.csv")], known)
+    assert first.swim_rivals is not None
+    start = time.process_time()
+    design = design_swim(
+        first.swim_rivals, first.model, bench.drawn.robot,
+        seconds=options.seconds, again=True, seed=number, threads=1, **options.search,
+    )  # fmt: skip
+    (body,) = design.joints
+    np.save(bench.path(k, "command.npy"), body.command)
+    row = {
+        "case": f"{number}.{k}", "kind": case.kind, "effects": case.effects,
+        "strength": case.strength, "first": outcome(decided, first), "stated": body.content(),
+        "design_cpu_s": time.process_time() - start,
+    }  # fmt: skip
+    bench.path(k, "first_row.json").write_text(json.dumps(row) + "\n")
+
+
+def second_row(bench: Bench, k: int, known: Known) -> dict[str, Any]:
+    """Diagnose both swims of a case, with each second swim."""
+    row: dict[str, Any] = json.loads(bench.path(k, "first_row.json").read_text())
+    for arm in ARMS:
+        file = bench.path(k, f"{arm}_row.json")
+        if not file.exists():
             paths = [bench.path(k, "first.csv"), bench.path(k, f"{arm}.csv")]
-            both, decided = diagnosed(bench, paths, model, simulate, prior, law_error)
-            row[arm] = outcome(decided, both)
+            decided, both = diagnosed(bench, paths, known)
             assert both.swim_rivals is not None
             found = {frozenset(one.effects): one.probability for one in both.swim_rivals.sets}
             told = separations("body", [Fields("design", "", row["stated"])], found)
-            row[arm]["told"] = [vars(one) for one in told]
-    bench.path(None, "rows.json").write_text(json.dumps(rows, indent=1) + "\n")
-    return f"robot {number}: {len(rows)} cases, {time.perf_counter() - began:.0f} s"
+            kept = outcome(decided, both) | {"told": [vars(one) for one in told]}
+            file.write_text(json.dumps(kept) + "\n")
+        row[arm] = json.loads(file.read_text())
+    return row
 
 
 def outcome(decided: Decided, diagnosis: Diagnosis) -> dict[str, Any]:
@@ -243,10 +276,7 @@ def outcome(decided: Decided, diagnosis: Diagnosis) -> dict[str, Any]:
     p = np.array(list(decided.sets.values()))
     return {
         "verdict": diagnosis.verdict,
-        "named": [
-            {"group": [list(name) for name in one.group], "probability": one.probability}
-            for one in decided.named
-        ],
+        "named": [{"group": one.group, "probability": one.probability} for one in decided.named],
         "sets": sorted(
             ([[list(name) for name in sorted(s)], x] for s, x in decided.sets.items()),
             key=lambda one: -one[1],
@@ -257,75 +287,48 @@ def outcome(decided: Decided, diagnosis: Diagnosis) -> dict[str, Any]:
 
 def report(out: Path) -> None:
     """Print what each second swim has told."""
-    rows = [row for path in sorted(out.glob("robot_*/rows.json"))
-            for row in json.loads(path.read_text())]  # fmt: skip
+    files = sorted(out.glob("robot_*/rows.json"))
+    rows = [row for path in files for row in json.loads(path.read_text())]
     if not rows:
         return
-    print(f"{len(rows)} cases, design {np.mean([r['design_cpu_s'] for r in rows]):.0f} s of a core")
-    stated = [row["stated"] for row in rows]
-    before, after = (np.mean([one[f"entropy_{x}_nats"] for one in stated]) for x in
-                     ("before", "after"))  # fmt: skip
-    print(f"expected entropy over sets, with even shares: {before:.2f} before, {after:.2f} after")
+    cpu_s = np.mean([row["design_cpu_s"] for row in rows])
+    before, after = (
+        np.mean([row["stated"][f"entropy_{when}_nats"] for row in rows])
+        for when in ("before", "after")
+    )
+    print(f"{len(rows)} cases; a design takes {cpu_s:.0f} s of a core, and expects entropies over")
+    print(f"the open sets of {before:.2f} nats before and at most {after:.2f} after the swim")
     for arm in ("first", *ARMS):
         cases, truths = [], []
         for row in rows:
-            hidden = [list(_name(effect)) for effect in row["effects"]]
-            truth = {
-                "kind": row["kind"], "oracle": {"llr_total": np.inf},
-                "effects": [{"effect": e, "component": c} for e, c in hidden],
-            }  # fmt: skip
-            sets = {json.dumps(names): p for names, p in row[arm]["sets"]}
-            truths.append(sets.get(json.dumps(sorted(hidden)), 0.0))
-            cases.append((truth, _Said(row[arm])))
-        found = judged(cases)  # type: ignore[arg-type]
-        entropy = np.mean([row[arm]["entropy_nats"] for row in rows])
+            hidden = sorted(
+                [effect.partition(".")[0], _component(effect)] for effect in row["effects"]
+            )
+            effects = [{"effect": effect, "component": of} for effect, of in hidden]
+            truth = {"kind": row["kind"], "oracle": {"llr_total": np.inf}, "effects": effects}
+            named = [SimpleNamespace(**one) for one in row[arm]["named"]]
+            said: Any = SimpleNamespace(verdict=row[arm]["verdict"], named=named)
+            cases.append((truth, said))
+            truths.append(sum(p for names, p in row[arm]["sets"] if names == hidden))
+        found = judged(cases)
         print(
-            f"{arm:9s} entropy {entropy:.2f} nats, probability of the true set"
-            f" {np.mean(truths):.2f} (median {np.median(truths):.2f}), right group first"
-            f" {found['group_first']:.2f}, both of two {found['both']:.2f},"
-            f" wrong names at 0.9 {found['wrong']:.3f}"
+            f"{arm:9s} entropy {np.mean([row[arm]['entropy_nats'] for row in rows]):.2f} nats, "
+            f"probability of the true set {np.mean(truths):.2f}, "
+            f"right group first {found['group_first']:.2f}, both of two {found['both']:.2f}, "
+            f"wrong names at 0.9 {found['wrong']:.3f}"
         )
     for low, high in ((0.5, 0.7), (0.7, 0.9), (0.9, 1.001)):
         for arm in ARMS:
-            _calibration(rows, arm, low, high)
-
-
-def _calibration(rows: list[dict[str, Any]], arm: str, low: float, high: float) -> None:
-    """Promise beside outcome: of pairs that hold the true set, how often it is favoured."""
-    right = []
-    for row in rows:
-        hidden = {_stated(effect) for effect in row["effects"]}
-        for told in row[arm]["told"]:
-            pair = [set(told["first"]), set(told["second"])]
-            if hidden in pair and low <= told["expected"] < high and told["found"] is not None:
-                right.append(set(told["favoured"]) == hidden)
-    if right:
-        share = np.mean(right)
-        print(f"{arm:9s} pairs expected {low:g} to {high:g}: {len(right)}, true {share:.2f}")
-
-
-class _Said:
-    """A kept outcome, as ``judged`` reads decisions."""
-
-    def __init__(self, kept: dict[str, Any]) -> None:
-        self.verdict = kept["verdict"]
-        self.named = [_Kept(one) for one in kept["named"]]
-
-
-class _Kept:
-    def __init__(self, kept: dict[str, Any]) -> None:
-        self.group = [tuple(name) for name in kept["group"]]
-        self.probability = kept["probability"]
-
-
-def _name(effect: str) -> tuple[str, str]:
-    from sealed import _component
-
-    return effect.partition(".")[0], _component(effect)
-
-
-def _stated(effect: str) -> str:
-    return effect
+            right = [
+                set(told["favoured"]) == set(row["effects"])
+                for row in rows
+                for told in row[arm]["told"]
+                if set(row["effects"]) in (set(told["first"]), set(told["second"]))
+                and low <= told["expected"] < high
+            ]
+            if right:
+                share = f"the true set favoured in {np.mean(right):.2f} of {len(right)}"
+                print(f"{arm:9s} pairs with it that are expected with {low:g} to {high:g}: {share}")
 
 
 def main() -> None:
@@ -340,8 +343,8 @@ def main() -> None:
     parser.add_argument("--cell-m", type=float, default=0.014)
     parser.add_argument("--seed", type=int, default=40_003)
     parser.add_argument("--water", action="store_true")
-    parser.add_argument("--drawn", type=int, default=200)
-    parser.add_argument("--rounds", type=int, default=6)
+    parser.add_argument("--drawn", type=int, default=128)
+    parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     devices = options.device.split(",")
     search = {"drawn": options.drawn, "rounds": options.rounds}
