@@ -42,6 +42,7 @@ from sim.design.design_swim import design_swim  # noqa: E402
 from sim.inference.coordinates import Swum  # noqa: E402
 from sim.inference.diagnose_swims import diagnosis_of  # noqa: E402
 from sim.inference.in_water import (  # noqa: E402
+    CELL_M,
     robot_in_water,
     swum_in_water,
     with_nearest_law,
@@ -75,6 +76,7 @@ class Options:
     cell_m: float
     device: str
     water: bool
+    water_cell_m: float
     search: dict[str, int]
 
 
@@ -169,7 +171,10 @@ def in_water(options: Options, bench: Bench, name: str, paths: Sequence[Path]) -
     file = bench.path(None, name)
     if options.water and not file.exists():
         swims = [read(bench, path) for path in paths]
-        made = swum_in_water(bench.drawn.robot, bench.model, swims, device=options.device)
+        made = swum_in_water(
+            bench.drawn.robot, bench.model, swims,
+            cell_m=options.water_cell_m, device=options.device,
+        )  # fmt: skip
         if name == "water_1.npz":
             made = with_nearest_law(bench.drawn.robot, bench.model, made, threads=1)
         write_water(file, made)
@@ -343,6 +348,7 @@ def main() -> None:
     parser.add_argument("--cell-m", type=float, default=0.014)
     parser.add_argument("--seed", type=int, default=40_003)
     parser.add_argument("--water", action="store_true")
+    parser.add_argument("--water-cell-m", type=float, default=CELL_M)
     parser.add_argument("--drawn", type=int, default=128)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
@@ -355,7 +361,7 @@ def main() -> None:
                 run_robot,
                 Options(
                     options.out, options.seed, options.cases, options.seconds, options.cell_m,
-                    devices[n % len(devices)], options.water, search,
+                    devices[n % len(devices)], options.water, options.water_cell_m, search,
                 ),
                 n,
             )

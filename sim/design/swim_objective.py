@@ -27,6 +27,7 @@ from sim.inference.swims import PoseNoise, Swim
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.rivals import distances, left_by_refits, remaining_entropy
+from sim2real.diagnose.rival_sets import entropy
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -88,8 +89,7 @@ class SwimObjective:
         """
         tracks = self._tracks(commands)
         excess = np.sum(list(self.excesses(commands, tracks).values()), axis=0)
-        before = remaining_entropy(self.probability, np.zeros((self.probability.size,) * 2))
-        scores = -before - penalty * excess
+        scores = -entropy(self.probability) - penalty * excess
         for n in np.flatnonzero(excess == 0.0):
             scores[n] = -remaining_entropy(self.probability, self._apart(commands[n], tracks[n]))
         return np.asarray(scores)

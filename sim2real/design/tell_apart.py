@@ -9,14 +9,14 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from scipy.special import ndtr, xlogy
+from scipy.special import ndtr
 
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
 from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import best
-from sim2real.diagnose.rival_sets import JointRivals, OpenSets
+from sim2real.diagnose.rival_sets import JointRivals, OpenSets, entropy
 from sim2real.diagnose.separation import SEPARATED, task
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
@@ -353,7 +353,7 @@ def forecast(objective: SetObjective, command: Array, *, drawn_pairs: int = 3) -
     ]
     return JointForecast(
         rivals,
-        float(-xlogy(p, p).sum()),
+        entropy(p),
         float(remaining_entropy(p, distances)[0]),
         command,
         tuple(pairs),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import xlogy
 
 from sim2real.arrays import Array, Integers
 from sim2real.recording import PER_INERTIA, Load, Recording, read_load
@@ -77,6 +78,16 @@ class OpenSets:
     component: str
     period_s: float
     sets: tuple[OpenSet, ...]
+
+    @property
+    def entropy(self) -> float:
+        """Entropy of the probabilities, in nats."""
+        return entropy(np.array([one.probability for one in self.sets]))
+
+
+def entropy(probability: Array) -> float:
+    """Entropy of probabilities (M,), in nats."""
+    return float(-xlogy(probability, probability).sum())
 
 
 @dataclass(frozen=True, kw_only=True)
