@@ -349,8 +349,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=40_003)
     parser.add_argument("--water", action="store_true")
     parser.add_argument("--water-cell-m", type=float, default=CELL_M)
-    parser.add_argument("--drawn", type=int, default=128)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--drawn", type=int, default=96)
+    parser.add_argument("--rounds", type=int, default=4)
     options = parser.parse_args()
     devices = options.device.split(",")
     search = {"drawn": options.drawn, "rounds": options.rounds}

@@ -62,8 +62,8 @@ def design_swim(
     again: bool = False,
     seed: int = 0,
     file: str | os.PathLike[str] = "diagnosis",
-    drawn: int = 128,
-    rounds: int = 5,
+    drawn: int = 96,
+    rounds: int = 4,
     threads: int = 2,
     progress: Advance = lambda share: None,
 ) -> SwimDesign:
