@@ -1,4 +1,4 @@
-"""The verbs of ``sim2real.verbs`` that need the fluid: ``diagnose``, ``calibrate``, ``simulate``.
+"""The verbs of ``sim2real.verbs`` that need the fluid or its twin.
 
 They are called like the others; ``import sim2real`` has them too, and loads them when used.
 Like ``sim2real.verbs``, this module imports nothing heavy.
@@ -6,8 +6,9 @@ Like ``sim2real.verbs``, this module imports nothing heavy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.errors import InputError, check_choice, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
@@ -15,8 +16,11 @@ from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robo
 if TYPE_CHECKING:
     from sim.calibration.calibration import Calibration
     from sim.simulation import Simulated
+    from sim2real.design.plan import Design
+    from sim2real.design.tell_apart import RivalDesign
     from sim2real.diagnose.result import Diagnosis
     from sim2real.model import Model
+    from sim2real.progress import Progress
     from sim2real.robot import Robot
     from sim2real.verbs import File, Recorded
 
@@ -205,6 +209,109 @@ def simulate(
             for recording in read
         )
     )
+
+
+def design(
+    robot: Robot | File,
+    model: Model | File | None = None,
+    *,
+    diagnosis: File | None = None,
+    contexts: File | None = None,
+    again: bool = False,
+    seconds: float = 30.0,
+    inertia: Sequence[str] | None = None,
+    pendulum: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Design | RivalDesign:
+    """Design the commands to record next: they determine the servos, or tell rival effects apart.
+
+    Args:
+        robot: The robot, with its limits and data sheets (robot.toml).
+        model: Its fitted servos (MODEL.json); without it, what the data sheets say.
+        diagnosis: A diagnosis (diagnosis.json): the commands are to tell the sets of effects apart
+            that it leaves open. It has the servos and their loads. That of swims leads to a swim.
+        contexts: What can be changed besides the commands (contexts.toml): loads, supply voltage,
+            firmware gain; with a diagnosis.
+        again: With a diagnosis that leaves one set of effects: look for effects that would have
+            stayed hidden.
+        seconds: Duration of the recording, s.
+        inertia: Load of a joint, J=KGM2: inertia of everything on its output shaft; by default
+            that of the model, or an unknown one.
+        pendulum: Load of a joint, J=KG,M: mass that hangs straight down at angle 0, and its
+            distance from the shaft.
+        seed: Seed of the search.
+
+    Returns:
+        The design: ``recording()`` has the commands, ``joints`` what is expected of them.
+
+    Raises:
+        InputError: If limits contradict each other, the duration is too short, the robot and the
+            model or the diagnosis do not agree, or the diagnosis leaves nothing open.
+    """
+    from dataclasses import replace
+
+    from sim2real.output import provenance
+    from sim2real.progress import progress_bar
+
+    check_whole("design", "seed", seed)
+    description = robot_of(robot)
+    if diagnosis is not None:
+        for name, given in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
+            if given is not None:
+                both = f"--{name} with --diagnosis, which has the servos and their loads"
+                raise InputError("design", name, both, f"no --{name}")
+        with progress_bar("design") as progress:
+            apart = _telling_apart(
+                diagnosis, description, contexts, seconds, again=again, seed=seed, progress=progress
+            )
+        return replace(apart, provenance=provenance([robot, diagnosis, contexts], seed))
+    if contexts is not None or again:
+        name = "again" if again else "contexts"
+        raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
+    from sim2real.design.loads import stated_loads
+    from sim2real.design.plan import design as plan
+
+    fitted = None if model is None else model_of(model)
+    loads = stated_loads(description, fitted, inertia, pendulum)
+    with progress_bar("design") as progress:
+        found = plan(
+            description, fitted, seconds=seconds, loads=loads, seed=seed, progress=progress
+        )
+    return replace(found, provenance=provenance([robot, model], seed))
+
+
+def _telling_apart(
+    diagnosis: File,
+    robot: Robot,
+    contexts: File | None,
+    seconds: float,
+    *,
+    again: bool,
+    seed: int,
+    progress: Progress,
+) -> RivalDesign:
+    """The recording that tells the rivals of a diagnosis apart: of servos, or a swim."""
+    from sim2real.diagnose.swim_rivals import swim_rivals_of_file
+
+    options: Any = {"seconds": seconds, "again": again, "seed": seed, "file": diagnosis,
+                    "progress": progress}  # fmt: skip
+    swims = swim_rivals_of_file(diagnosis)
+    if swims is not None:
+        from sim.design.design_swim import design_swim
+
+        if contexts is not None:
+            found, expected = "--contexts with a diagnosis of swims", "no --contexts"
+            raise InputError("design", "contexts", found, expected)
+        rivals, file = swims
+        fitted = model_of(Path(diagnosis).parent / file)
+        check_joints(fitted, robot)
+        return design_swim(rivals, fitted, robot, **options)
+    from sim2real.design.contexts import read_contexts
+    from sim2real.design.tell_apart import design_for_rivals
+    from sim2real.diagnose.rival_sets import rivals_of_file
+
+    offered = () if contexts is None else read_contexts(contexts)
+    return design_for_rivals(rivals_of_file(diagnosis), robot, contexts=offered, **options)
 
 
 def check_joints(model: Model, robot: Robot) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rl.verbs import forecast as forecast
     from sim.verbs import calibrate as calibrate
+    from sim.verbs import design as design  # type: ignore[no-redef]
     from sim.verbs import diagnose as diagnose
     from sim.verbs import simulate as simulate
     from sim2real.check import check as check
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from sim2real.robot import Robot as Robot
     from sim2real.robot import read_robot as read_robot
     from sim2real.verbs import density as density  # type: ignore[no-redef]
-    from sim2real.verbs import design as design  # type: ignore[no-redef]
     from sim2real.verbs import identify as identify
     from sim2real.verbs import posterior as posterior
     from sim2real.verbs import predict as predict
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rl.verbs": ("forecast",),
-    "sim.verbs": ("calibrate", "diagnose", "simulate"),
+    "sim.verbs": ("calibrate", "design", "diagnose", "simulate"),
     "sim2real.check": ("check",),
     "sim2real.errors": ("InputError",),
     "sim2real.model": ("Model", "read_model", "write_model"),
@@ -45,7 +45,6 @@ _NAMES = {
     "sim2real.robot": ("Robot", "read_robot"),
     "sim2real.verbs": (
         "density",
-        "design",
         "identify",
         "posterior",
         "predict",
@@ -55,7 +54,7 @@ _NAMES = {
     "sim2real.version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
-"""Module of each name. Four verbs need the fluid or policies, in the packages ``sim`` and ``rl``
+"""Module of each name. Five verbs need the fluid or policies, in the packages ``sim`` and ``rl``
 above; they are imported when a program uses them. Besides the command line, only this module
 imports upwards."""
 

@@ -25,7 +25,7 @@ COMMANDS = {
     "identify": (_SERVOS, "identify the gains and latency of each servo from recordings"),
     "diagnose": (_WATER, "find physics missing from the fitted model, and model it"),
     "predict": (_SERVOS, "simulate an identified model on the commands of a CSV file"),
-    "design": (_SERVOS, "design the commands to record next, which tell most"),
+    "design": (_WATER, "design the commands to record next, which tell most"),
     "density": (_SERVOS, "compute the normalised density of each link of a robot"),
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
     "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),

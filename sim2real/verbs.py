@@ -20,8 +20,6 @@ from sim2real.errors import InputError, check_whole, shown
 
 if TYPE_CHECKING:
     from sim2real.density import Density
-    from sim2real.design.plan import Design
-    from sim2real.design.tell_apart import RivalDesign
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
@@ -224,86 +222,6 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
         for recording in loaded:
             validate_commands(recording, description)
     return predict_recordings(loaded, model_of(model))
-
-
-def design(
-    robot: Robot | File,
-    model: Model | File | None = None,
-    *,
-    diagnosis: File | None = None,
-    contexts: File | None = None,
-    again: bool = False,
-    seconds: float = 30.0,
-    inertia: Sequence[str] | None = None,
-    pendulum: Sequence[str] | None = None,
-    seed: int = 0,
-) -> Design | RivalDesign:
-    """Design the commands to record next: they determine the servos, or tell rival effects apart.
-
-    Args:
-        robot: The robot, with its limits and data sheets (robot.toml).
-        model: Its fitted servos (MODEL.json); without it, what the data sheets say.
-        diagnosis: A diagnosis (diagnosis.json): the commands are to tell the sets of effects apart
-            that it leaves open. It has the servos and their loads.
-        contexts: What can be changed besides the commands (contexts.toml): loads, supply voltage,
-            firmware gain; with a diagnosis.
-        again: With a diagnosis that leaves one set of effects: look for effects that would have
-            stayed hidden.
-        seconds: Duration of the recording, s.
-        inertia: Load of a joint, J=KGM2: inertia of everything on its output shaft; by default
-            that of the model, or an unknown one.
-        pendulum: Load of a joint, J=KG,M: mass that hangs straight down at angle 0, and its
-            distance from the shaft.
-        seed: Seed of the search.
-
-    Returns:
-        The design: ``recording()`` has the commands, ``joints`` what is expected of them.
-
-    Raises:
-        InputError: If limits contradict each other, the duration is too short, the robot and the
-            model or the diagnosis do not agree, or the diagnosis leaves nothing open.
-    """
-    from dataclasses import replace
-
-    from sim2real.design.loads import stated_loads
-    from sim2real.design.plan import design as plan
-    from sim2real.output import provenance
-    from sim2real.progress import progress_bar
-
-    check_whole("design", "seed", seed)
-    if diagnosis is not None:
-        for name, given in (("model", model), ("inertia", inertia), ("pendulum", pendulum)):
-            if given is not None:
-                both = f"--{name} with --diagnosis, which has the servos and their loads"
-                raise InputError("design", name, both, f"no --{name}")
-        from sim2real.design.contexts import read_contexts
-        from sim2real.design.tell_apart import design_for_rivals
-        from sim2real.diagnose.rival_sets import rivals_of_file
-
-        description, rivals = robot_of(robot), rivals_of_file(diagnosis)
-        offered = () if contexts is None else read_contexts(contexts)
-        with progress_bar("design") as progress:
-            apart = design_for_rivals(
-                rivals,
-                description,
-                contexts=offered,
-                seconds=seconds,
-                again=again,
-                seed=seed,
-                file=diagnosis,
-                progress=progress,
-            )
-        return replace(apart, provenance=provenance([robot, diagnosis, contexts], seed))
-    if contexts is not None or again:
-        name = "again" if again else "contexts"
-        raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
-    description, fitted = robot_of(robot), None if model is None else model_of(model)
-    loads = stated_loads(description, fitted, inertia, pendulum)
-    with progress_bar("design") as progress:
-        found = plan(
-            description, fitted, seconds=seconds, loads=loads, seed=seed, progress=progress
-        )
-    return replace(found, provenance=provenance([robot, model], seed))
 
 
 def servos() -> ServoLibrary:

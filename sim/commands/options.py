@@ -1,4 +1,4 @@
-"""Commands about the body in the water: simulated, calibrated, validated."""
+"""Commands that need the fluid or its twin for bodies in the water."""
 
 from __future__ import annotations
 
@@ -70,7 +70,21 @@ def _diagnose(command: argparse.ArgumentParser) -> None:
     add_views(command)
 
 
+def _design(command: argparse.ArgumentParser) -> None:
+    add_verb(command, verbs.design)
+    command.add_argument(
+        "--out", type=Path, required=True, metavar="CSV", help="commands to write (next.csv)"
+    )
+    command.add_argument("--no-page", action="store_true", help="do not write the HTML page")
+
+
 COMMANDS = (
+    Command(
+        "design",
+        "sim.commands.design",
+        _design,
+        "sim2real design --robot robot.toml --model model.json --out next.csv",
+    ),
     Command(
         "diagnose",
         "sim.commands.diagnose",

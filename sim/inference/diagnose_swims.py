@@ -24,6 +24,7 @@ from sim.inference.resistance import resistance, with_resistance
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
 from sim.inference.swim_decision import Decided, decide
 from sim.inference.swim_findings import findings
+from sim.inference.swim_sets import rival_sets
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
 from sim2real.arrays import Array
@@ -200,6 +201,7 @@ def diagnosis_of(
         gate=tuple(gate),
         unknown={"body": decided.unlisted},
         next_experiment=_experiment(result, fitted, decided, likely),
+        swim_rivals=rival_sets(result, decided.sets, law_error.decisions),
     )
 
 

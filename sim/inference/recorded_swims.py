@@ -22,6 +22,8 @@ from sim.inference.in_water import (
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
 from sim.inference.swims import Swim, swim_of
 from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.rival_sets import design_of
+from sim2real.diagnose.separation import separations
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.output import check_writable, provenance
@@ -83,8 +85,17 @@ def diagnose_recorded_swims(
             progress=progress,
         )
     # the search draws nothing at random, so that there is no seed
-    inputs = [*recordings, *references, in_water, robot, model]
-    return replace(diagnosis, provenance=provenance(inputs, None))
+    origin = provenance([*recordings, *references, in_water, robot, model], None)
+    return replace(_compared(diagnosis, recordings), provenance=origin)
+
+
+def _compared(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> Diagnosis:
+    """The diagnosis with what designed recordings were expected to tell, beside what they told."""
+    rivals = diagnosis.swim_rivals
+    assert rivals is not None
+    found = {frozenset(one.effects): one.probability for one in rivals.sets}
+    stated = design_of(recordings, rivals.component)
+    return replace(diagnosis, separations=separations(rivals.component, stated, found))
 
 
 def simulator_of(

@@ -151,6 +151,7 @@ class Decided:
         unlisted: Probability of an effect that the catalogue lacks.
         shape: The unnamed shape with the largest evidence.
         features: Features of the odds of ``unlisted``.
+        sets: Probabilities of the sets that were tried.
     """
 
     verdict: Verdict
@@ -160,6 +161,7 @@ class Decided:
     unlisted: float
     shape: str
     features: UnlistedFeatures = field(default_factory=UnlistedFeatures)
+    sets: Mapping[Names, float] = field(default_factory=dict)
 
 
 def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
@@ -238,7 +240,7 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     rivals.sort(key=lambda rival: (-rival[1], rival[0]))
     return Decided(
         _verdict(named, offered, unlisted, flagged, numbers["likely"]), tuple(named), offered,
-        tuple(rivals), unlisted, shape, features,
+        tuple(rivals), unlisted, shape, features, dict(zip(keys, probabilities, strict=True)),
     )  # fmt: skip
 
 

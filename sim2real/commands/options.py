@@ -67,14 +67,6 @@ def _predict(command: argparse.ArgumentParser) -> None:
     add_views(command)
 
 
-def _design(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.design)
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="commands to write (next.csv)"
-    )
-    command.add_argument("--no-page", action="store_true", help="do not write the HTML page")
-
-
 def _import(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "source",
@@ -181,12 +173,6 @@ COMMANDS = (
         "sim2real.commands.predict",
         _predict,
         "sim2real predict model.json chirp.csv --out predicted.csv",
-    ),
-    Command(
-        "design",
-        "sim2real.commands.design",
-        _design,
-        "sim2real design --robot robot.toml --model model.json --out next.csv",
     ),
     Command(
         "import",

@@ -31,6 +31,7 @@ the mean over sets: a larger command tells more only until the error of the laws
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,17 +164,10 @@ class RivalObjective:
         M, F = self.probability.size, self._expansion.spreads
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
         products = self._products(np.where(diverged[:, None], 0.0, statistics))
-        i, j = np.triu_indices(M, 1)
-        of_set = M + np.arange(M * F).reshape(M, F)
-        both = np.concatenate([of_set[i], of_set[j]], axis=1)
-        square, logdet = _whitened(products, i, j, both, 0.5)
-        count = statistics[:, -1]
-        sets = np.arange(M)
-        alone = _whitened(products, sets, sets, of_set)[1]
-        distance = _fitted_noise(square, count) / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
-        out = np.zeros((len(products), M, M))
-        out[:, i, j] = np.maximum(distance, 0.0) * self._trusted(products, count)[:, None]
-        return np.where(diverged[:, None, None], np.nan, out + out.transpose(0, 2, 1))
+        count, used = statistics[:, -1], M * (1 + F)
+        distance = distances(products[:, :used, :used], M, lambda x: _fitted_noise(x, count))
+        distance = distance * self._trusted(products, count)[:, None, None]
+        return np.where(diverged[:, None, None], np.nan, distance)
 
     def _trusted(self, products: Array, count: Array) -> Array:
         """Share of the evidence that counts, (N,), from inner products (N, V, V)."""
@@ -210,11 +204,9 @@ class RivalObjective:
         vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
         M, F = self.probability.size, self._expansion.spreads
         means, spreads, _ = np.split(self._expansion.vectors, [M, M * (1 + F)], axis=1)
-        apart = vectors @ (means[:, i] - means[:, j])
         of_set = np.split(spreads, M, axis=1)
-        both = vectors @ np.hstack([of_set[i], of_set[j]]) / np.sqrt(2)
-        inner = np.eye(both.shape[1]) + both.T @ both
-        return np.asarray(apart - both @ np.linalg.solve(inner, both.T @ apart))
+        both = vectors @ np.hstack([of_set[i], of_set[j]])
+        return left_by_refits(vectors @ (means[:, i] - means[:, j]), both)
 
     def _noise(self, batch: Batch) -> Array:
         """Coefficients that whiten the noise, at the lags of a batch, shape (lags,)."""
@@ -353,6 +345,40 @@ def _root(precision: Array) -> Array:
     scale = 1 / np.sqrt(np.diag(precision))
     value, vector = np.linalg.eigh(precision * np.outer(scale, scale))
     return np.asarray(scale[:, None] * vector / np.sqrt(np.maximum(value, 1e-10)))
+
+
+def distances(products: Array, M: int, evidence: Callable[[Array], Array] = np.asarray) -> Array:
+    """Bhattacharyya distances of the predictions of M sets, shape (N, M, M).
+
+    Args:
+        products: Inner products of the whitened predictions m_i of the sets and the columns of
+            their spreads U_i, one set after the other, each of F columns, shape
+            (N, M + M F, M + M F).
+        M: Number of sets.
+        evidence: What counts in the place of the squares r' S^-1 r, of the same shape.
+    """
+    F = products.shape[1] // M - 1
+    i, j = np.triu_indices(M, 1)
+    sets, of_set = np.arange(M), M + np.arange(M * F).reshape(M, F)
+    both = np.concatenate([of_set[i], of_set[j]], axis=1)
+    square, logdet = _whitened(products, i, j, both, 0.5)
+    alone = _whitened(products, sets, sets, of_set)[1]
+    distance = evidence(square) / 8 + (logdet - (alone[:, i] + alone[:, j]) / 2) / 2
+    out = np.zeros((len(products), M, M))
+    out[:, i, j] = np.maximum(distance, 0.0)
+    return np.asarray(out + out.transpose(0, 2, 1))
+
+
+def left_by_refits(difference: Array, spreads: Array) -> Array:
+    """The part of a difference of two predictions that refitted parameters leave: S^-1 r, (n,).
+
+    Args:
+        difference: Whitened difference r of the predictions, shape (n,).
+        spreads: Columns U_i and U_j of both sets, shape (n, 2 F).
+    """
+    both = spreads / np.sqrt(2)
+    inner = np.eye(both.shape[1]) + both.T @ both
+    return np.asarray(difference - both @ np.linalg.solve(inner, both.T @ difference))
 
 
 def remaining_entropy(probability: Array, distances: Array) -> Array:

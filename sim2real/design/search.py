@@ -9,18 +9,44 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from sim2real.arrays import Array
 from sim2real.design.candidates import draw
-from sim2real.design.limits import CommandLimits, within
+from sim2real.design.limits import within
 
 Objective = Callable[[Array], Array]
 """A function of commands (N, T) in rad that returns their scores (N,); larger is better, and
 -inf excludes a command."""
+
+
+class Limits(Protocol):
+    """What the search asks of the limits of commands, those of one joint or of several."""
+
+    @property
+    def period_s(self) -> float:
+        """Time between set-points, s."""
+
+    @property
+    def rest_s(self) -> float:
+        """Time at rest at either end, s."""
+
+    @property
+    def rest_rad(self) -> float | Array:
+        """Set-point at rest, rad."""
+
+    @property
+    def reach_rad(self) -> float | Array:
+        """Largest distance of a set-point from rest, rad."""
+
+
+Draw = Callable[[np.random.Generator, int, Any, float], Array]
+"""A function of a generator, a number N, limits and a duration in s that returns random commands
+within the limits, shape (N, T), or (N, T, J) of several joints."""
 
 
 @runtime_checkable
@@ -39,7 +65,7 @@ class SearchResult:
     """Result of a search.
 
     Attributes:
-        command: The best command in rad, shape (T,).
+        command: The best command in rad, shape (T,), or (T, J) of several joints.
         score: Its score.
         scores: Best score after each batch.
         evaluated: Number of commands that were evaluated.
@@ -53,10 +79,12 @@ class SearchResult:
 
 def best(
     objective: Objective,
-    limits: CommandLimits,
+    limits: Limits,
     seconds: float,
     *,
     rng: np.random.Generator,
+    draw: Draw = draw,
+    within: Callable[[Array, Any], Array] = within,
     drawn: int = 256,
     rounds: int = 8,
     batch: int = 32,
@@ -69,10 +97,13 @@ def best(
     """The command with the highest score among random ones, assemblies of their parts, variations.
 
     Args:
-        objective: Scores of commands (N, T); if it is ``Additive``, parts are exchanged.
+        objective: Scores of commands (N, T), or (N, T, J) of several joints; if it is
+            ``Additive``, parts are exchanged.
         limits: Limits of the commands.
         seconds: Duration, s.
         rng: Random number generator.
+        draw: Draws commands.
+        within: Changes commands as little as needed to keep the limits.
         drawn: Number of random commands of the first stage.
         rounds: Number of batches of variations.
         batch: Number of commands that are evaluated together.
@@ -84,7 +115,7 @@ def best(
     """
     pool = draw(rng, drawn, limits, seconds)
     if start is not None:
-        pool = np.vstack([within(start, limits), pool])
+        pool = np.concatenate([within(start, limits), pool])
     batches = np.array_split(pool, max(1, -(-len(pool) // batch)))
     total, evaluated = len(batches) + rounds + 1, len(pool)
     additive = objective if isinstance(objective, Additive) else None
@@ -111,8 +142,8 @@ def best(
     for k in range(rounds):
         order = np.argsort(-score)[:elite]
         pool, score = pool[order], score[order]
-        varied = within(_variations(pool, batch, limits, rng), limits)
-        pool, score = np.vstack([pool, varied]), np.append(score, objective(varied))
+        varied = within(_variations(pool, batch, limits, rng, draw), limits)
+        pool, score = np.concatenate([pool, varied]), np.append(score, objective(varied))
         evaluated += batch
         history.append(float(score.max()))
         progress((len(batches) + 2 + k) / total)
@@ -157,13 +188,15 @@ def _assembled(
     return out
 
 
-def _variations(elite: Array, count: int, limits: CommandLimits, rng: np.random.Generator) -> Array:
-    """Variations (count, T) of the best commands (M, T), which are sorted."""
+def _variations(
+    elite: Array, count: int, limits: Limits, rng: np.random.Generator, draw: Draw
+) -> Array:
+    """Variations (count, T, ...) of the best commands (M, T, ...), which are sorted."""
     parent = np.minimum(rng.geometric(0.35, count) - 1, len(elite) - 1)
-    out = np.empty((count, elite.shape[1]))
+    out = np.empty((count, *elite.shape[1:]))
     for n, p in enumerate(parent):
         vary = _VARIATIONS[int(rng.integers(len(_VARIATIONS)))]
-        out[n] = vary(elite[p], elite, limits, rng)
+        out[n] = vary(elite[p], elite, limits, rng, draw)
     return out
 
 
@@ -175,21 +208,21 @@ def _window(T: int, rng: np.random.Generator) -> slice:
 
 
 def _crossed(
-    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """A part replaced by a part of another command, from anywhere in it."""
-    out, part = command.copy(), _window(command.size, rng)
+    out, part = command.copy(), _window(len(command), rng)
     length = part.stop - part.start
-    start = int(rng.integers(0, command.size - length))
+    start = int(rng.integers(0, len(command) - length))
     out[part] = elite[int(rng.integers(len(elite)))][start : start + length]
     return out
 
 
 def _redrawn(
-    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """A part replaced by a new random command."""
-    out, part = command.copy(), _window(command.size, rng)
+    out, part = command.copy(), _window(len(command), rng)
     seconds = (part.stop - part.start) * limits.period_s + 4 * limits.rest_s
     new = draw(rng, 1, limits, seconds)[0][round(2 * limits.rest_s / limits.period_s) :]
     out[part] = new[: part.stop - part.start]
@@ -197,32 +230,32 @@ def _redrawn(
 
 
 def _rescaled(
-    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """A part made larger or smaller about rest."""
-    out, part = command.copy(), _window(command.size, rng)
+    out, part = command.copy(), _window(len(command), rng)
     out[part] = limits.rest_rad + (out[part] - limits.rest_rad) * np.exp(0.3 * rng.normal())
     return out
 
 
 def _stretched(
-    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """A part played faster or slower."""
-    out, part = command.copy(), _window(command.size, rng)
+    out, part = command.copy(), _window(len(command), rng)
     length, rate = part.stop - part.start, float(np.exp(0.25 * rng.normal()))
-    source = part.start + rate * np.arange(length)
-    out[part] = np.interp(source, np.arange(command.size), command)
+    source = np.minimum(part.start + rate * np.arange(length), len(command) - 1)
+    out[part] = make_interp_spline(np.arange(len(command)), command, k=1)(source)
     return out
 
 
 def _disturbed(
-    command: Array, elite: Array, limits: CommandLimits, rng: np.random.Generator
+    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
     """Smooth random changes of a part."""
-    out, part = command.copy(), _window(command.size, rng)
+    out, part = command.copy(), _window(len(command), rng)
     width = float(np.exp(rng.uniform(np.log(1.0), np.log(12.0))))
-    noise = gaussian_filter1d(rng.normal(size=part.stop - part.start), width)
+    noise = gaussian_filter1d(rng.normal(size=out[part].shape), width, axis=0)
     size = limits.reach_rad * np.exp(rng.uniform(np.log(0.03), np.log(0.4)))
     out[part] += size * noise / max(float(noise.std()), 1e-12)
     return out

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy.special import ndtr
@@ -16,7 +16,7 @@ from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
 from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import best
-from sim2real.diagnose.rival_sets import JointRivals
+from sim2real.diagnose.rival_sets import JointRivals, OpenSets, entropy
 from sim2real.diagnose.separation import SEPARATED, task
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
@@ -31,12 +31,30 @@ OPEN = 0.05
 """Probability from which a set of effects is one of several that remain."""
 
 
+class SetObjective(Protocol):
+    """What commands tell of sets of effects, as ``forecast`` states it."""
+
+    @property
+    def rivals(self) -> OpenSets:
+        """The sets."""
+
+    @property
+    def probability(self) -> Array:
+        """Their probabilities, shape (M,)."""
+
+    def distances(self, commands: Array) -> Array:
+        """Bhattacharyya distances of all pairs of sets, shape (N, M, M)."""
+
+    def difference(self, command: Array, i: int, j: int) -> Array:
+        """Difference over time of two sets' predictions that refitted parameters leave, (T,)."""
+
+
 @dataclass(frozen=True)
 class ExpectedSeparation:
     """Two rival sets of effects, and how surely the recording is expected to tell them apart.
 
     Attributes:
-        component: The joint.
+        component: The joint or the body.
         first: Effects of the more probable set.
         second: Effects of the other.
         probability: Their probabilities.
@@ -59,20 +77,20 @@ class ExpectedSeparation:
 
 @dataclass(frozen=True)
 class JointForecast:
-    """What the recording is expected to tell of one joint.
+    """What the recording is expected to tell of one joint, or of the body.
 
     Attributes:
         rivals: The sets of effects that were open.
         entropy: Entropy over the sets before, nats.
         remaining: Upper bound of the entropy that is expected to remain, nats.
-        command: The set-points, rad, shape (T,).
+        command: The set-points, rad, shape (T,), or (T, J) of all joints for the body.
         pairs: All pairs of sets, those that matter most first.
         differences: For each pair the whitened difference of predictions over time that refitted
             parameters leave, in standard deviations of the noise, shape (pairs, T); of the first
             few pairs.
     """
 
-    rivals: JointRivals
+    rivals: OpenSets
     entropy: float
     remaining: float
     command: Array
@@ -118,11 +136,11 @@ class RivalDesign(NotebookDisplay):
     def t(self) -> Array:
         """Times of the set-points in s, shape (T,)."""
         first = self.joints[0]
-        return np.asarray(first.rivals.period_s * np.arange(first.command.size, dtype=np.float64))
+        return np.asarray(first.rivals.period_s * np.arange(len(first.command), dtype=np.float64))
 
     def recording(self, name: str = "next") -> Recording:
         """The commands as a recording without measured angles, and what they are to tell."""
-        rivals = [joint.rivals for joint in self.joints]
+        rivals = [joint.rivals for joint in self.joints if isinstance(joint.rivals, JointRivals)]
         loads = {one.component: self.context.load(one) for one in rivals}
         return Recording(
             name=name,
@@ -133,12 +151,17 @@ class RivalDesign(NotebookDisplay):
             position=np.full((self.t.size, len(loads)), np.nan),
             loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
             source="Commands to record next, by 'sim2real design'.",
-            metadata={
-                "rivals": [joint.content() for joint in self.joints],
-                "context": {"name": self.context.name, **self.context.ratios},
-                "provenance": dict(self.provenance),
-            },
+            metadata=self.statement
+            | {"context": {"name": self.context.name, **self.context.ratios}},
         )
+
+    @property
+    def statement(self) -> dict[str, Any]:
+        """What the recording is to tell, as its JSON states it."""
+        return {
+            "rivals": [joint.content() for joint in self.joints],
+            "provenance": dict(self.provenance),
+        }
 
     def _resampled(self, joint: JointForecast) -> Array:
         """Set-points of a joint at the times of the first one."""
@@ -154,6 +177,11 @@ class RivalDesign(NotebookDisplay):
         return figure
 
     @property
+    def setting(self) -> str:
+        """What the recording needs besides its commands, in one line."""
+        return f"context: {self.context.name}"
+
+    @property
     def informative(self) -> bool:
         """Whether some pair of open sets is expected to be told apart."""
         return any(pair.expected >= SEPARATED for pair in self._open())
@@ -166,7 +194,7 @@ class RivalDesign(NotebookDisplay):
         """What is expected, one line a joint and one a pair."""
         if not self.informative:
             return self._exhausted()
-        lines = [f"context: {self.context.name}"]
+        lines = [self.setting]
         for joint in self.joints:
             before, after = np.exp([joint.entropy, joint.remaining])
             lines.append(
@@ -300,12 +328,12 @@ def _check_joints(
             raise InputError("contexts", f"loads.{one.component}", found, "one in all or in none")
 
 
-def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:
-    """What a command (T,) is expected to tell of a joint.
+def forecast(objective: SetObjective, command: Array, *, drawn_pairs: int = 3) -> JointForecast:
+    """What a command is expected to tell of a joint or of the body.
 
     Args:
-        objective: The rival sets and the context.
-        command: Set-points in rad, shape (T,).
+        objective: The rival sets, and the context of a joint.
+        command: Set-points in rad, shape (T,), or (T, J) of all joints for the body.
         drawn_pairs: Number of pairs whose differences over time are worked out.
     """
     rivals, p = objective.rivals, objective.probability
@@ -325,7 +353,7 @@ def forecast(objective: RivalObjective, command: Array, *, drawn_pairs: int = 3)
     ]
     return JointForecast(
         rivals,
-        rivals.entropy,
+        entropy(p),
         float(remaining_entropy(p, distances)[0]),
         command,
         tuple(pairs),

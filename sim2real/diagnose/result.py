@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sim2real.arrays import Array
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals
 from sim2real.diagnose.separation import Separation
+from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
 from sim2real.output import write_json
@@ -232,6 +233,7 @@ class Diagnosis(NotebookDisplay):
         evidence: Signals of the joints, for the report.
         unfinished: Joints whose search for sets of effects was ended by its budget.
         rival_sets: By joint, the sets of effects that the recordings leave open.
+        swim_rivals: Of swims, the sets of effects of body and camera that they leave open.
         separations: What designed recordings were expected to tell, and what they told.
         provenance: As returned by ``sim2real.output.provenance``.
     """
@@ -253,6 +255,7 @@ class Diagnosis(NotebookDisplay):
     negligible: tuple[NamedEffect, ...] = ()
     unfinished: tuple[str, ...] = ()
     rival_sets: tuple[JointRivals, ...] = ()
+    swim_rivals: SwimRivals | None = None
     separations: tuple[Separation, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -339,6 +342,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
         "separations": [asdict(pair) for pair in diagnosis.separations],
         "rival_sets": [joint.content() for joint in diagnosis.rival_sets],
+        "swim_rivals": None if diagnosis.swim_rivals is None else diagnosis.swim_rivals.content(),
         "gate": list(diagnosis.gate),
         "search": {
             "complete": not diagnosis.unfinished,

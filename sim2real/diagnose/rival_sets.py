@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import xlogy
 
 from sim2real.arrays import Array, Integers
 from sim2real.recording import PER_INERTIA, Load, Recording, read_load
@@ -21,12 +22,27 @@ _FROM_LOAD = [BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")]
 
 
 @dataclass(frozen=True)
-class RivalSet:
-    """One set of effects, fitted to the recordings.
+class OpenSet:
+    """One set of effects that recordings leave open.
 
     Attributes:
         effects: The effects, without those that every servo has a little of; sorted.
         probability: Probability of the set among all sets that are listed.
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+
+    def content(self) -> dict[str, Any]:
+        """Effects and probability, as files state them."""
+        return {"effects": list(self.effects), "probability": self.probability}
+
+
+@dataclass(frozen=True)
+class RivalSet(OpenSet):
+    """One set of effects of a servo, fitted to the recordings.
+
+    Attributes:
         gain: Log-likelihood above that of the plain servo.
         theta: Its parameters, shape (P,), as ``servo.parameters.COLUMNS``.
         columns: Columns of its free parameters, shape (F,).
@@ -34,8 +50,6 @@ class RivalSet:
             inverse of the product of their units, shape (F, F).
     """
 
-    effects: tuple[str, ...]
-    probability: float
     gain: float
     theta: Array
     columns: Integers
@@ -43,42 +57,54 @@ class RivalSet:
 
     def content(self) -> dict[str, Any]:
         """Effects, probability and parameters, as files state them."""
-        return {
-            "effects": list(self.effects),
-            "probability": self.probability,
-            "parameters": {
-                COLUMNS[k]: float(self.theta[k])
-                for k in np.flatnonzero(self.theta).tolist()
-                if k not in _FROM_LOAD
-            },
+        parameters = {
+            COLUMNS[k]: float(self.theta[k])
+            for k in np.flatnonzero(self.theta).tolist()
+            if k not in _FROM_LOAD
         }
+        return super().content() | {"parameters": parameters}
 
 
-@dataclass(frozen=True)
-class JointRivals:
+@dataclass(frozen=True, kw_only=True)
+class OpenSets:
+    """The sets of effects that recordings leave open.
+
+    Attributes:
+        component: The joint or the body.
+        period_s: Time between samples.
+        sets: The sets, most probable first.
+    """
+
+    component: str
+    period_s: float
+    sets: tuple[OpenSet, ...]
+
+    @property
+    def entropy(self) -> float:
+        """Entropy of the probabilities, in nats."""
+        return entropy(np.array([one.probability for one in self.sets]))
+
+
+def entropy(probability: Array) -> float:
+    """Entropy of probabilities (M,), in nats."""
+    return float(-xlogy(probability, probability).sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRivals(OpenSets):
     """The sets of effects that recordings of one joint leave open.
 
     Attributes:
-        component: The joint.
         load: Load of its first recording.
-        period_s: Time between samples.
         noise_rad: Standard deviation of the innovations.
         autoregression: Coefficients that whiten the noise, shape (lags,).
         sets: The sets, most probable first.
     """
 
-    component: str
     load: Load
-    period_s: float
     noise_rad: float
     autoregression: Array
     sets: tuple[RivalSet, ...]
-
-    @property
-    def entropy(self) -> float:
-        """Entropy of the probabilities, in nats."""
-        p = np.array([one.probability for one in self.sets])
-        return float(-np.sum(p * np.log(np.maximum(p, 1e-300))))
 
     def content(self) -> dict[str, Any]:
         """The entry of ``rival_sets`` in ``diagnosis.json``."""
@@ -174,7 +200,7 @@ def _joint(entry: Fields) -> JointRivals:
         load=load,
         period_s=noise.number("period_s"),
         noise_rad=noise.number("innovation_sd_rad"),
-        autoregression=_numbers(noise, "autoregression"),
+        autoregression=numbers(noise, "autoregression"),
         sets=tuple(_set(one) for one in entry.tables("sets")),
     )
 
@@ -184,7 +210,7 @@ def _set(entry: Fields) -> RivalSet:
     if unknown := [name for name in free if name not in COLUMNS]:
         raise entry.error("free", f"parameters of a servo, not {unknown[0]!r}")
     columns = np.array([COLUMNS.index(name) for name in free], dtype=np.int32)
-    information = _numbers(entry, "information")
+    information = numbers(entry, "information")
     if information.shape != (columns.size, columns.size):
         raise entry.error("information", f"{columns.size} rows of {columns.size} numbers")
     return RivalSet(
@@ -207,7 +233,12 @@ def _theta(entry: Fields) -> Array:
     return theta
 
 
-def _numbers(entry: Fields, name: str) -> Array:
+def numbers(entry: Fields, name: str) -> Array:
+    """An array of finite numbers from a list, or lists, in a file.
+
+    Raises:
+        InputError: If it is of another form.
+    """
     try:
         values = np.array(entry.content.get(name), dtype=np.float64)
     except (TypeError, ValueError):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from sim2real.effects import plain
+from sim2real.structured import Fields
 
 SEPARATED = 0.9
 """Probability from which one of two sets of effects is told from the other."""
@@ -55,3 +57,56 @@ class Separation:
         other = self.second if self.favoured == self.first else self.first
         there = in_words(self.favoured, other) or "no " + in_words(other, self.favoured)
         return f"{stated}; found {there}, {self.found:.2f}."
+
+
+def separations(
+    component: str,
+    stated: Iterable[Fields],
+    probability: Mapping[frozenset[str], float],
+    *,
+    most: int = 6,
+    least: float = 1e-3,
+) -> tuple[Separation, ...]:
+    """Expectation beside outcome, for what recordings were designed to tell of a component.
+
+    Args:
+        component: The joint or the body.
+        stated: What the JSON of the recordings says of it, see ``rival_sets.design_of``.
+        probability: Probabilities of the sets of effects, given all recordings.
+        most: Largest number of pairs of a recording, those that mattered most.
+        least: Probability of both sets below which they are ruled out.
+
+    Raises:
+        InputError: If a statement is of another form.
+    """
+    return tuple(
+        _separation(component, pair, probability, least)
+        for entry in stated
+        for pair in entry.tables("pairs")[:most]
+    )
+
+
+def _separation(
+    component: str, pair: Fields, probability: Mapping[frozenset[str], float], least: float
+) -> Separation:
+    first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
+    weights = _weight(probability, first, second), _weight(probability, second, first)
+    total = sum(weights)
+    return Separation(
+        component,
+        first,
+        second,
+        pair.number("expected"),
+        max(weights) / total if total > least else None,
+        first if weights[0] >= weights[1] else second,
+    )
+
+
+def _weight(
+    probability: Mapping[frozenset[str], float], own: tuple[str, ...], other: tuple[str, ...]
+) -> float:
+    """Probability of the sets that have what ``own`` has more than ``other``, and no converse."""
+    needed, excluded = set(own) - set(other), set(other) - set(own)
+    return sum(
+        p for effects, p in probability.items() if needed <= effects and not excluded & effects
+    )

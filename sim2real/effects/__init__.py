@@ -83,6 +83,11 @@ SET_ANEW = {
 
 
 def plain(name: str) -> str:
-    """Description of an effect for a sentence, from its identifier if it is not catalogued."""
+    """Description of an effect for a sentence, from its identifier if it is not catalogued.
+
+    That of a material is named ``effect.material``.
+    """
     descriptions: dict[str, str] = {e.name: e.plain for e in (*CATALOGUE, *BODY, *CAMERA)}
-    return (descriptions | SET_ANEW).get(name, name.replace("_", " "))
+    effect, _, material = name.partition(".")
+    description = (descriptions | SET_ANEW).get(effect, effect.replace("_", " "))
+    return f"{description} ({material})" if material else description

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,20 +23,23 @@ _LEAD = (
     "the sets of effects that the diagnosis left open."
 )
 _CAPTION = (
-    "Above: the set-points of {joint}. Below: what refitted parameters leave of the differences of "
-    "the predictions of pairs of sets, whitened, in standard deviations of a sample's noise."
+    "Above: the set-points of {joint}, of the body those of all joints. Below: what refitted "
+    "parameters leave of the differences of the predictions of pairs of sets, whitened, in "
+    "standard deviations of a sample's noise."
 )
 _SHOWN = 10
 
 
 def rivals_figure(joint: JointForecast) -> Figure:
     """Plot the commands and the differences of the rivals' predictions over time."""
-    t = np.asarray(joint.rivals.period_s * np.arange(joint.command.size, dtype=np.float64))
+    t = np.asarray(joint.rivals.period_s * np.arange(len(joint.command), dtype=np.float64))
     with house_style():
         label = printable(f"{joint.rivals.component}: commands, and where rivals differ")
         figure = new_figure(300, label)
         above, below = figure.subplots(2, 1, sharex=True)
-        above.plot(*drawable(t, joint.command), color=INK, drawstyle="steps-post")
+        signals = joint.command.reshape(t.size, -1).T
+        for signal, colour in zip(signals, cycle((INK, ACCENT, FAINT)), strict=False):
+            above.plot(*drawable(t, signal), color=colour, drawstyle="steps-post")
         above.set_title("set-point, rad")
         colours = (ACCENT, INK, FAINT)
         for pair, difference, colour in zip(joint.pairs, joint.differences, colours, strict=False):

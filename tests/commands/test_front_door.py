@@ -20,8 +20,8 @@ BENCH = ROOT / "datasets" / "servo_steps"
 VERBS = {
     name: getattr(module, name)
     for module, names in (
-        (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict", "design")),
-        (sim.verbs, ("diagnose", "calibrate", "simulate")),
+        (sim2real.verbs, ("identify", "density", "posterior", "ranges", "predict")),
+        (sim.verbs, ("diagnose", "design", "calibrate", "simulate")),
     )
     for name in names
 }

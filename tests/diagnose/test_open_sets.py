@@ -7,8 +7,9 @@ import pytest
 from good_input import message
 from simulated import FRICTION, two
 
-from sim2real.diagnose.missing.open_sets import rival_sets, separations
-from sim2real.diagnose.rival_sets import read_rival_sets, stated_sets
+from sim2real.diagnose.missing.open_sets import rival_sets, set_probabilities
+from sim2real.diagnose.rival_sets import design_of, read_rival_sets, stated_sets
+from sim2real.diagnose.separation import separations
 from sim2real.servo.parameters import COLUMNS
 from sim2real.structured import Fields
 
@@ -66,9 +67,10 @@ def test_they_survive_a_file_and_are_tried_again(rivals):
 
 
 def test_expectation_and_outcome_stand_side_by_side(explained_joint):
-    _, joints = explained_joint
+    _, (joint,) = explained_joint
     recording = designed([(DRY,), ("deadband",)], [("deadband",), ("rate_limit",)])
-    first, second = separations([recording], joints)
+    stated = design_of([recording], "j1")
+    first, second = separations("j1", stated, set_probabilities(joint))
     assert first.favoured == (DRY,)
     assert first.found > 0.9
     assert str(first).startswith("j1: expected to separate Coulomb friction from")

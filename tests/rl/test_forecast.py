@@ -241,7 +241,10 @@ def test_a_set_of_effects_is_drawn_with_its_gains(model):
     precision = np.diag([0.02**-2, 0.005**-2])
     none = RivalSet((), 0.25, 0.0, plain, columns[:1], precision[:1, :1])
     some = RivalSet(("coulomb_friction",), 0.75, 9.0, rubbing, columns, precision)
-    joint = JointRivals("j1", Load(0.002), 0.02, 0.001, np.zeros(1), (some, none))
+    joint = JointRivals(
+        component="j1", load=Load(0.002), period_s=0.02, noise_rad=0.001,
+        autoregression=np.zeros(1), sets=(some, none),
+    )  # fmt: skip
     diagnosed, rng = Diagnosed((joint,), (), {}), np.random.default_rng(10)
     drawn = [diagnosed.drawn(model, rng).joints["j1"] for _ in range(400)]
     with_it = np.array([bool(one.effects) for one in drawn])

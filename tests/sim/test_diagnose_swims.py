@@ -67,6 +67,20 @@ def test_what_was_concealed_is_named(few):
     assert any("no reference swims" in line for line in found.gate)
 
 
+def test_the_sets_that_stay_open_are_listed_with_their_parameters(few):
+    rivals = diagnosed({"skin_elasticity.stiffness_Nm_per_rad": 0.6}).swim_rivals
+    first, *others = rivals.sets
+    assert "skin_elasticity" in first.effects
+    assert first.coordinates["skin_elasticity.stiffness_Nm_per_rad"] == pytest.approx(0.6, rel=0.06)
+    assert sum(one.probability for one in rivals.sets) == pytest.approx(1.0)
+    assert {name for one in others for name in one.effects} >= {"camera_latency", "pool_current"}
+    sd = 1 / np.sqrt(np.diag(first.information))
+    place = list(first.coordinates).index("skin_elasticity.stiffness_Nm_per_rad")
+    assert 1e-3 < sd[place] < 0.1
+    assert np.linalg.eigvalsh(first.information * np.outer(sd, sd)).min() > 0
+    np.testing.assert_allclose(rivals.pose_sd, [0.002, 0.002, 0.008], rtol=0.3)
+
+
 def test_errors_are_of_a_fit_that_has_not_seen_the_end(few, monkeypatch):
     seen = []
     held = TwinSwims.held
@@ -367,7 +381,18 @@ def test_the_command_writes_what_the_format_says(few, short, tmp_path, monkeypat
     page = out.with_suffix(".html")
     assert "Diagnosis" in page.read_text()
     page.unlink()
-    assert main(["diagnose", *given, "--model", "datasets/pool/model.json", "--out", str(out),
-                 "--no-page"]) == 0  # fmt: skip
+    designed = tmp_path / "designed.csv"
+    designed.write_text((short / "datasets" / "pool" / "p1.csv").read_text())
+    sidecar = json.loads((short / "datasets" / "pool" / "p1.json").read_text())
+    pair = {"first": ["skin_elasticity"], "second": ["camera_latency"], "expected": 0.95}
+    sidecar["rivals"] = [{"component": "body", "pairs": [pair]}]
+    designed.with_suffix(".json").write_text(json.dumps(sidecar))
+    assert main(["diagnose", str(designed), *given[1:], "--model", "datasets/pool/model.json",
+                 "--out", str(out), "--no-page"]) == 0  # fmt: skip
     assert not page.exists()
-    assert json.loads(out.read_text())["effects"] == content["effects"]
+    again = json.loads(out.read_text())
+    assert again["effects"] == content["effects"]
+    (told,) = again["separations"]
+    assert told["favoured"] == ["skin_elasticity"]
+    assert told["found"] > 0.9
+    assert told["expected"] == 0.95

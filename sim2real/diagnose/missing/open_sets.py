@@ -1,8 +1,8 @@
-"""Which sets of effects recordings leave open, and what a designed recording has told of them."""
+"""Which sets of effects recordings of a joint leave open."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +12,9 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.effect_probabilities import trusted_share
 from sim2real.diagnose.missing.investigate import Finding, is_no_finding
-from sim2real.diagnose.rival_sets import JointRivals, RivalSet, design_of
-from sim2real.diagnose.separation import Separation
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.inference.normal import NINE_IN_TEN
-from sim2real.recording import Recording
-from sim2real.structured import Fields
 
 
 def rival_sets(
@@ -150,53 +147,11 @@ def _hidden(
     return sorted(found, key=lambda one: -one.probability)[:most]
 
 
-def separations(
-    recordings: Sequence[Recording],
-    joints: Sequence[JointFindings],
-    *,
-    most: int = 6,
-    least: float = 1e-3,
-) -> tuple[Separation, ...]:
-    """Expectation beside outcome, for recordings that state what they were designed to tell.
-
-    Args:
-        recordings: The recordings of the diagnosis.
-        joints: What it found.
-        most: Largest number of pairs of a joint, those that mattered most.
-        least: Probability of both sets below which they are ruled out.
-
-    Raises:
-        InputError: If the statement of a recording is of another form.
-    """
-    return tuple(
-        _separation(joint, pair, least)
-        for joint in joints
-        for entry in design_of(recordings, joint.name)
-        for pair in entry.tables("pairs")[:most]
-    )
-
-
-def _separation(joint: JointFindings, pair: Fields, least: float) -> Separation:
-    first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
-    weights = _weight(joint, first, second), _weight(joint, second, first)
-    total = sum(weights)
-    return Separation(
-        joint.name,
-        first,
-        second,
-        pair.number("expected"),
-        max(weights) / total if total > least else None,
-        first if weights[0] >= weights[1] else second,
-    )
-
-
-def _weight(joint: JointFindings, own: tuple[str, ...], other: tuple[str, ...]) -> float:
-    """Probability of the sets that have what ``own`` has more than ``other``, and no converse."""
+def set_probabilities(joint: JointFindings) -> dict[frozenset[str], float]:
+    """Probabilities of the sets of stated effects of a joint; sets of the same names are one."""
     finding = joint.finding
-    needed, excluded = set(own) - set(other), set(other) - set(own)
-    total = 0.0
+    weight: dict[frozenset[str], float] = {}
     for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
-        effects = set(stated_effects(joint.joint, finding, finding.tried.tried[members]))
-        if needed <= effects and not excluded & effects:
-            total += float(p)
-    return total
+        names = frozenset(stated_effects(joint.joint, finding, finding.tried.tried[members]))
+        weight[names] = weight.get(names, 0.0) + float(p)
+    return weight

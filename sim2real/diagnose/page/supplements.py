@@ -13,11 +13,13 @@ from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.missing.open_sets import rival_sets, separations
+from sim2real.diagnose.missing.open_sets import rival_sets, set_probabilities
 from sim2real.diagnose.missing.screening import Candidate, Screen
 from sim2real.diagnose.missing.unmodelled import simulated_angle
 from sim2real.diagnose.page.next_experiment import next_experiment
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
+from sim2real.diagnose.rival_sets import design_of
+from sim2real.diagnose.separation import separations
 from sim2real.inference.normal import NINE_IN_TEN
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
@@ -42,7 +44,12 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
-        separations=separations(case.recordings, joints),
+        separations=tuple(
+            separation
+            for joint in joints
+            if (stated := design_of(case.recordings, joint.name))
+            for separation in separations(joint.name, stated, set_probabilities(joint))
+        ),
         rival_sets=tuple(
             rival_sets(joint.joint, joint.finding)
             for joint in joints

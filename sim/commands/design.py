@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 
-from sim2real import verbs
+from sim import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
 from sim2real.errors import InputError
 from sim2real.output import check_writable
 from sim2real.recording import write_recording
+from sim2real.verbs import robot_of
 
 
 def run(options: argparse.Namespace) -> int:
@@ -46,6 +47,6 @@ def _write_page(design: Design | RivalDesign, options: argparse.Namespace) -> No
         sections = [rivals_section(design)]
     else:
         sections = [design_section(design, joint) for joint in design.joints]
-    title = f"The next recording of {verbs.robot_of(options.robot).name}"
+    title = f"The next recording of {robot_of(options.robot).name}"
     write_page(page, title, "The most informative commands", sections, design.provenance)
     print(f"page: {page}")

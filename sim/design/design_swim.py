@@ -1,0 +1,125 @@
+"""The swim that tells the rival sets of a diagnosis of swims apart, and what it is to tell."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sim.design.swim_commands import SwimLimits, draw, within
+from sim.design.swim_objective import SwimObjective
+from sim.inference.next_swim import MENU
+from sim2real.arrays import Array
+from sim2real.design.contexts import AS_IT_IS
+from sim2real.design.limits import check_seconds, limits_of
+from sim2real.design.search import best
+from sim2real.design.tell_apart import OPEN, Advance, RivalDesign, forecast
+from sim2real.diagnose.swim_rivals import SwimRivals
+from sim2real.errors import InputError
+from sim2real.model import Model
+from sim2real.recording import Recording
+from sim2real.robot import Robot
+
+
+@dataclass(frozen=True)
+class SwimDesign(RivalDesign):
+    """A swim to make next, from standstill in the middle of the pool, heading along x.
+
+    Attributes:
+        swum_by: The joints that ``command`` of the forecast moves, in its order.
+    """
+
+    swum_by: tuple[str, ...] = field(default=())
+
+    @property
+    def setting(self) -> str:
+        """Where the swim starts, in one line."""
+        return "start: at rest in the middle of the pool, heading along x"
+
+    def recording(self, name: str = "next") -> Recording:
+        """The commands as a recording without measurements, and what they are to tell."""
+        (body,) = self.joints
+        return Recording(
+            name=name,
+            kind="pool",
+            joints=self.swum_by,
+            t=self.t,
+            command=body.command,
+            position=np.full(body.command.shape, np.nan),
+            medium="water",
+            source="Commands to swim next, by 'sim2real design'.",
+            metadata=self.statement,
+        )
+
+
+def design_swim(
+    rivals: SwimRivals,
+    model: Model,
+    robot: Robot,
+    *,
+    seconds: float = 30.0,
+    again: bool = False,
+    seed: int = 0,
+    file: str | os.PathLike[str] = "diagnosis",
+    drawn: int = 96,
+    rounds: int = 4,
+    threads: int = 2,
+    progress: Advance = lambda share: None,
+) -> SwimDesign:
+    """The commands of a swim that leave the least expected entropy over the rival sets.
+
+    Random swims, and those of ``sim.inference.next_swim.MENU``, are simulated in the twin with each
+    set; the best are varied.
+
+    Args:
+        rivals: The sets that are open.
+        model: The model of the diagnosis: servos, and the twin's law and error.
+        robot: The robot, for the limits of its commands.
+        seconds: Duration of the swim, s.
+        again: Whether to go on where one set of effects is left.
+        seed: Seed of the search.
+        file: The file that the sets come from, for messages.
+        drawn: Number of random swims.
+        rounds: Number of batches of 16 variations of the best.
+        threads: CPU threads.
+        progress: Called with the share that is done.
+
+    Raises:
+        InputError: If no several sets are probable, the robot is another one, the duration is too
+            short, or no swim that was tried keeps within the limits.
+    """
+    least = 0.0 if again else OPEN
+    if sum(one.probability >= least for one in rivals.sets) < 2:
+        none = "no several probable sets of effects"
+        raise InputError(file, "swim_rivals", none, "a diagnosis that leaves some open")
+    if rivals.joint_sd_rad.size != len(robot.joints):
+        found = f"a diagnosis of {rivals.joint_sd_rad.size} joints"
+        raise InputError(file, "swim_rivals", found, f"the {len(robot.joints)} of {robot.name}")
+    limits = SwimLimits(
+        tuple(
+            replace(limits_of(robot, model, joint.name), period_s=rivals.period_s)
+            for joint in robot.joints
+        )
+    )
+    for joint in limits.joints:
+        check_seconds(seconds, joint)
+    objective = SwimObjective(rivals, model, robot, limits, threads=threads, file=file)
+    result = best(
+        objective, limits, seconds, rng=np.random.default_rng(seed), draw=draw, within=within,
+        drawn=drawn, rounds=rounds, batch=16, start=_usual(limits, seconds), progress=progress,
+    )  # fmt: skip
+    for limit, excess in objective.excesses(result.command[None]).items():
+        if excess[0] > 0:
+            found = f"swims that exceed the {limit}, of {result.evaluated} tried"
+            raise InputError(robot.path or robot.name, "limits", found, "a shorter swim")
+    names = tuple(joint.joint for joint in limits.joints)
+    body = forecast(objective, result.command)
+    return SwimDesign(AS_IT_IS, (body,), least, swum_by=names)
+
+
+def _usual(limits: SwimLimits, seconds: float) -> Array:
+    """The swims of the menu after the rest at the start, shape (N, T, J)."""
+    t = limits.joints[0].times(seconds) - limits.rest_s
+    count = len(limits.joints)
+    return np.array([np.where(t[:, None] < 0, 0.0, f(t.clip(0), count)) for f in MENU.values()])

@@ -1,0 +1,138 @@
+"""Random commands of all joints of a swim, within the limits of the joints, at rest at both ends.
+
+A swim consists of parts: travelling waves of random frequency, amplitude, phase lag and bias (the
+gaits of a fish: Videler, Fish Swimming, Chapman and Hall, 1993), glides, square waves, and joints
+that move independently, in the families of ``sim2real.design.candidates``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.design import candidates
+from sim2real.design.limits import CommandLimits
+from sim2real.design.limits import within as joint_within
+
+
+@dataclass(frozen=True)
+class SwimLimits:
+    """Limits of the commands of a swim.
+
+    Attributes:
+        joints: Those of each of J joints, of equal periods.
+    """
+
+    joints: tuple[CommandLimits, ...]
+
+    @property
+    def period_s(self) -> float:
+        """Time between set-points, s."""
+        return self.joints[0].period_s
+
+    @property
+    def rest_s(self) -> float:
+        """Time at rest at either end, s."""
+        return self.joints[0].rest_s
+
+    @property
+    def rest_rad(self) -> Array:
+        """Set-points at rest, rad, shape (J,)."""
+        return np.array([joint.rest_rad for joint in self.joints])
+
+    @property
+    def reach_rad(self) -> Array:
+        """Largest distances of the set-points from rest, rad, shape (J,)."""
+        return np.array([joint.reach_rad for joint in self.joints])
+
+
+def within(commands: Array, limits: SwimLimits) -> Array:
+    """Set-points (N, T, J) changed as little as needed to keep the limits of each joint."""
+    pairs = zip(np.moveaxis(commands, 2, 0), limits.joints, strict=True)
+    return np.stack([joint_within(command, joint) for command, joint in pairs], axis=2)
+
+
+def draw(rng: np.random.Generator, count: int, limits: SwimLimits, seconds: float) -> Array:
+    """Random commands of a swim within the limits, shape (N, T, J).
+
+    Args:
+        rng: Random number generator.
+        count: Number N of commands.
+        limits: The limits.
+        seconds: Duration, s.
+    """
+    t, joints = limits.joints[0].times(seconds), len(limits.joints)
+    shapes = np.array([_swim(rng, t, joints) for _ in range(count)])
+    return within(limits.rest_rad + limits.reach_rad * shapes, limits)
+
+
+def _swim(rng: np.random.Generator, t: Array, joints: int, *, most: int = 6) -> Array:
+    """Up to ``most`` parts of random lengths, relative to the reach of the joints, (T, J)."""
+    cuts = np.sort(rng.integers(1, t.size, int(rng.integers(0, most))))
+    out = np.zeros((t.size, joints))
+    for part in np.split(np.arange(t.size), cuts):
+        if part.size > 1:
+            gait = _GAITS[int(rng.choice(len(_GAITS), p=_SHARES))]
+            out[part] = gait(rng, t[part] - t[part[0]], joints)
+    return out
+
+
+def wave(
+    rng: np.random.Generator,
+    t: Array,
+    joints: int,
+    *,
+    hertz: tuple[float, float] = (0.4, 2.5),
+    amplitude: tuple[float, float] = (0.15, 1.0),
+    first: tuple[float, float] = (0.2, 1.0),
+    lag_rad: tuple[float, float] = (0.3, 1.8),
+    most_bias: float = 0.5,
+    ramp_s: float = 0.8,
+) -> Array:
+    """A wave that travels to the tail about a random bias, which turns the robot, shape (T, J).
+
+    Args:
+        rng: Random number generator.
+        t: Times in s, shape (T,).
+        joints: Number J of joints.
+        hertz: Range of the frequencies, Hz.
+        amplitude: Range of the last joint's amplitude, relative to its reach.
+        first: Range of the first joint's amplitude, relative to the last joint's.
+        lag_rad: Range of the phase lags from joint to joint, rad.
+        most_bias: Largest bias, relative to the reach.
+        ramp_s: Time in which the amplitude grows, s.
+    """
+    beat, size = np.exp(rng.uniform(*np.log([hertz, amplitude]).T))
+    sizes = size * np.linspace(rng.uniform(*first), 1.0, joints)
+    lags = rng.uniform(*lag_rad) * np.arange(joints)
+    phase = 2 * np.pi * (beat * t[:, None] + rng.random()) - lags
+    bias = rng.choice([0.0, most_bias * rng.uniform(-1.0, 1.0)])
+    ramp = np.clip(t / ramp_s, 0.0, 1.0)[:, None]
+    return np.asarray(ramp * (sizes * np.sin(phase) + bias))
+
+
+def glide(rng: np.random.Generator, t: Array, joints: int) -> Array:
+    """Joints that hold still, straight or bent, shape (T, J)."""
+    bent = rng.uniform(-0.6, 0.6) * float(rng.random() < 0.5)
+    return np.full((t.size, joints), bent)
+
+
+def square(rng: np.random.Generator, t: Array, joints: int) -> Array:
+    """A square wave of some joints together, shape (T, J)."""
+    level = rng.uniform(0.2, 0.8) * np.sign(np.sin(2 * np.pi * rng.uniform(0.3, 1.0) * t))
+    return np.asarray(level[:, None] * (rng.random(joints) < 0.7))
+
+
+def apart(rng: np.random.Generator, t: Array, joints: int, *, highest_hz: float = 2.5) -> Array:
+    """Joints that move independently, shape (T, J)."""
+    families = rng.integers(0, len(candidates.FAMILIES), joints)
+    shapes = [candidates.FAMILIES[k](rng, t, highest_hz) for k in families]
+    return np.asarray(rng.uniform(0.2, 0.8) * np.clip(shapes, -1.0, 1.0).T)
+
+
+_GAITS = (wave, partial(wave, amplitude=(0.05, 0.3)), glide, square, apart)
+_SHARES = (0.5, 0.1, 0.15, 0.1, 0.15)
+"""Gaits of parts of a swim, and how often each is drawn."""
