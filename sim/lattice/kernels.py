@@ -81,8 +81,6 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     def ghost_out(slot: int, p: Vector, body: wp.vec3, covered: Covered) -> Vector:
         """Populations that a ghost cell sends out."""
         links = covered.links[slot]
-        if links[0] + links[1] == 0:
-            return Vector()
         face = covered.face[slot]
         across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
         leak = covered.more[slot][0]
