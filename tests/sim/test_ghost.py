@@ -87,7 +87,7 @@ def test_a_stream_neither_pushes_a_body_at_rest_nor_fills_its_box():
 
 
 def test_a_body_that_drifts_with_its_water_leaves_it_in_uniform_motion():
-    """A Galilean frame of water at rest: cells are covered and uncovered, and nothing else happens."""
+    """Water at rest in another frame, in which cells are covered and uncovered."""
     speed = 0.05
     fluid = Fluid(D2Q9, (72, 48), viscosity=1e-3, smagorinsky=0.1)
     fluid.set(velocity=np.array([speed, 0.0, 0.0]))
