@@ -220,40 +220,39 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                                 near = near | wp.static(1 << k)
                     covered.links[slot] = wp.vec2i(near, far)
                     given -= wp.vec2(m[1], m[2])
-                    if near + far != 0:
-                        at = wp.vec3(float(X), float(Y), float(z))
-                        facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
-                        water = slipping(p, near, facing, water)
-                        passed += passing(near, facing, water)
-                        covered.face[slot] = facing
-                        covered.water[slot] = water
-                        covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
-                        still = Vector()
-                        out = emitted(p, near, facing, water, water[3], leak)
-                        rate = emitted(still, near, facing, wp.vec4(), 1.0, 0.0)
-                        s = momentum(out, near)
-                        ds = momentum(rate, near)
-                        among = wp.static(2**lattice.Q - 1) - near - far
-                        k0 = momentum(out, among)
-                        dk = momentum(rate, among)
-                        n2 = wp.vec2(o[0], o[1])
-                        sends += wp.outer(ds, n2)
-                        keeps += wp.outer(dk, n2)
+                    at = wp.vec3(float(X), float(Y), float(z))
+                    facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
+                    water = slipping(p, near, facing, water)
+                    passed += passing(near, facing, water)
+                    covered.face[slot] = facing
+                    covered.water[slot] = water
+                    covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
+                    still = Vector()
+                    out = emitted(p, near, facing, water, water[3], leak)
+                    rate = emitted(still, near, facing, wp.vec4(), 1.0, 0.0)
+                    s = momentum(out, near)
+                    ds = momentum(rate, near)
+                    among = wp.static(2**lattice.Q - 1) - near - far
+                    k0 = momentum(out, among)
+                    dk = momentum(rate, among)
+                    n2 = wp.vec2(o[0], o[1])
+                    sends += wp.outer(ds, n2)
+                    keeps += wp.outer(dk, n2)
+                    given += s - water[3] * ds
+                    held += k0 - water[3] * dk
+                    if far != 0:
+                        o -= 2.0 * wp.dot(o, lateral) * lateral
+                        facing, water = continued(
+                            f, flags, box, t, e, at, o, covered.back[slot][3], body
+                        )
+                        water = slipping(p, far, facing, water)
+                        passed += passing(far, facing, water)
+                        covered.back[slot] = facing
+                        covered.beyond[slot] = water
+                        s = momentum(emitted(p, far, facing, water, water[3], leak), far)
+                        ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0, 0.0), far)
+                        sends += wp.outer(ds, wp.vec2(o[0], o[1]))
                         given += s - water[3] * ds
-                        held += k0 - water[3] * dk
-                        if far != 0:
-                            o -= 2.0 * wp.dot(o, lateral) * lateral
-                            facing, water = continued(
-                                f, flags, box, t, e, at, o, covered.back[slot][3], body
-                            )
-                            water = slipping(p, far, facing, water)
-                            passed += passing(far, facing, water)
-                            covered.back[slot] = facing
-                            covered.beyond[slot] = water
-                            s = momentum(emitted(p, far, facing, water, water[3], leak), far)
-                            ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0, 0.0), far)
-                            sends += wp.outer(ds, wp.vec2(o[0], o[1]))
-                            given += s - water[3] * ds
         if link >= 0:
             add_matrix(sums, e, link, 0, r, sends)
             add_vector(sums, e, link, 18, r, given + held)

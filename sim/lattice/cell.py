@@ -39,6 +39,7 @@ class Covered:
         beyond: Density and velocity likewise at the other side of a thin part.
         back: Normal of that side.
         links: Bits of the directions in which a ghost cell has water, at either side.
+        damping: What the cells next to a body that ghost cells fill have more of relaxation time.
     """
 
     side: int
@@ -52,6 +53,7 @@ class Covered:
     back: wp.array(dtype=wp.vec4)
     beyond: wp.array(dtype=wp.vec4)
     links: wp.array(dtype=wp.vec2i)
+    damping: float
 
 
 @wp.func

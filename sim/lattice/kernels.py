@@ -81,8 +81,6 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     def ghost_out(slot: int, p: Vector, body: wp.vec3, covered: Covered) -> Vector:
         """Populations that a ghost cell sends out."""
         links = covered.links[slot]
-        if links[0] + links[1] == 0:
-            return Vector()
         face = covered.face[slot]
         across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
         leak = covered.more[slot][0]
@@ -135,8 +133,13 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         m = wp.vec3(m4[1], m4[2], m4[3])
         inv = 1.0 / (1.0 + rest)
         rate = rates[e]
-        if square > 0.0:
+        damping = float(0.0)
+        if (flag & wp.static(BODY)) != 0:
+            damping = covered.damping
+        if square > 0.0 or damping > 0.0:
             above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5
+            if damping > 0.0:
+                above += damping
             rate = wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
         out = relaxed(p, rest, m, inv, rate[0], rate[1])
         if (flag & wp.static(BODY)) + driven != 0:

@@ -176,6 +176,7 @@ class Bodies:
         ghosts = cells if wall.ghosts else 1
         covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
         covered.links = room((ghosts,), wp.vec2i)
+        covered.damping = 0.03 if wall.ghosts else 0.0  # else the water at a tail at rest rings
         self._touch = wall.touch(hull.body_length, units)
         made = ghost_kernels if wall.ghosts else cover_kernel
         self._cover = made(fluid.lattice, fluid.storage, fluid.wide)

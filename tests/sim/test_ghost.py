@@ -6,6 +6,7 @@ import pytest
 from sim.cases import momentum, spheroid
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
+from sim.lattice.cell import GHOST
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
@@ -59,19 +60,23 @@ def test_a_towed_spheroid_has_no_drag_without_friction(monkeypatch):
     assert abs(found[moved > moved[-1] / 2].mean()) < 0.01
 
 
+def ellipse(fluid, length):
+    """An ellipse six times as long as thick in a box of two dimensions, its head at (2/3, 1/2)."""
+    hull = spheroid.prolate(float(length))
+    light = Masses(np.ones(hull.length.size), np.ones(hull.length.size), np.zeros(hull.length.size))
+    bodies = Bodies(fluid, hull, light, LATTICE, wall=SLIPS)
+    start = np.zeros((1, 2 + hull.length.size))
+    start[0, :2] = 2 * fluid.size[0] / 3, fluid.size[1] / 2 + 0.2
+    bodies.place(start)
+    return bodies
+
+
 def test_a_stream_neither_pushes_a_body_at_rest_nor_fills_its_box():
     """D'Alembert's paradox again, in the frame of the body: an ellipse four cells thick."""
     length, speed = 24, 0.05
     fluid = Fluid(D2Q9, (72, 48), viscosity=1e-3, smagorinsky=0.1)
     fluid.set(velocity=np.array([-speed, 0.0, 0.0]))
-    hull = spheroid.prolate(float(length))
-    links = hull.length.size
-    bodies = Bodies(
-        fluid, hull, Masses(np.ones(links), np.ones(links), np.zeros(links)), LATTICE, wall=SLIPS
-    )
-    start = np.zeros((1, 2 + links))
-    start[0, :2] = 48.0, 24.2
-    bodies.place(start)
+    bodies = ellipse(fluid, length)
     force = []
     for _ in range(round(length / speed)):
         bodies.step(HELD)
@@ -79,6 +84,21 @@ def test_a_stream_neither_pushes_a_body_at_rest_nor_fills_its_box():
     coefficient = np.mean(force[len(force) // 2 :]) / (0.5 * speed**2 * 2 * length)
     assert abs(coefficient) < 0.01
     assert abs(fluid.moments()[0].mean() - 1) < 5e-4
+
+
+def test_a_body_that_drifts_with_its_water_leaves_it_in_uniform_motion():
+    """Water at rest in another frame, in which cells are covered and uncovered."""
+    speed = 0.05
+    fluid = Fluid(D2Q9, (72, 48), viscosity=1e-3, smagorinsky=0.1)
+    fluid.set(velocity=np.array([speed, 0.0, 0.0]))
+    bodies = ellipse(fluid, 24)
+    bodies.prescribe(np.array([speed] + [0.0] * (bodies.hull.length.size + 1)))
+    for _ in range(200):
+        bodies.step(HELD)
+    density, velocity = fluid.moments()
+    water = (fluid.flags.numpy().reshape(48, 72).T & GHOST) == 0
+    assert np.abs(velocity[0, ..., 0, 0] - speed)[water].max() < 0.02 * speed
+    assert np.abs(density[0, ..., 0] - 1)[water].max() < 1e-3
 
 
 def test_ghost_cells_need_slip():
