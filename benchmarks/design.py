@@ -7,7 +7,8 @@ identified.
 
     python benchmarks/design.py --servos 200 --processes 32 --out reports/design
 
-Servos that ``servos.jsonl`` in that folder has are not run again.
+Servos that ``servos.jsonl`` in that folder has are not run again. Those that fail, as where the
+design refuses a load that the servo cannot hold, are listed there and counted.
 """
 
 from __future__ import annotations
@@ -402,10 +403,13 @@ def main() -> None:
         found = {pool.submit(one_servo, job): job[1] for job in missing}
         ended = as_completed(found)
         for future in tqdm(ended, total=len(found), desc="design", unit="servo", disable=None):
-            rows[found[future]] = {"number": found[future]} | future.result()
-            file.write(json.dumps(rows[found[future]]) + "\n")
+            number, refused = found[future], future.exception()
+            row = {"refused": str(refused)} if refused else future.result()
+            rows[number] = {"number": number} | row
+            file.write(json.dumps(rows[number]) + "\n")
             file.flush()
-    write([rows[k] for k in sorted(rows)], options)
+    write([rows[k] for k in sorted(rows) if "refused" not in rows[k]], options)
+    print(f"{sum('refused' in row for row in rows.values())} servos without a result")
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ Realities are those of ``datasets/pool``: fluid in cells of its own with another
 servos, skins and faults written apart from the library's laws. Of each, a swim of twelve seconds
 and bench values that are off by up to 5 % are known (``inputs``); the trials of the policies are in
 ``answers``, whose hashes are printed before anything is forecast, and which only ``score`` reads.
-Each reality is diagnosed and calibrated in the twin, and forecast three times: from all that is known, from the
-calibrated model alone, and from hand-set ranges (Lin, Liu, Wang 2024, Table II: latency and sensor
-noise). All stages resume.
+Each reality is diagnosed and calibrated in the twin, and forecast three times: from all that is
+known, from the calibrated model alone, and from hand-set ranges (Lin, Liu, Wang 2024, Table II:
+latency and sensor noise). All stages resume.
 """
 
 from __future__ import annotations
