@@ -193,13 +193,17 @@ def _both(hidden: list[Row], likely: list[Row]) -> Row:
 
 
 def _parameters(given: Row, true: dict[str, float]) -> list[Row]:
-    """Relative error of each parameter, and whether its 90 % interval holds the truth."""
+    """Relative error of each parameter, and whether its 90 % interval holds the truth.
+
+    Answers state the gain of a sensor, a diagnosis its difference from 1.
+    """
     found = []
-    for name, value in true.items():
+    for name, answered in true.items():
+        value = answered - (name == "gain")
         estimate = given.get("parameters", {}).get(name)
         if estimate is None or "phase" in name:
             continue
-        error = abs(estimate["mean"] - value) / max(abs(value - (name == "gain")), 1e-12)
+        error = abs(estimate["mean"] - value) / max(abs(value), 1e-12)
         covered = estimate["q05"] <= value <= estimate["q95"]
         found.append({"parameter": name, "error": float(error), "covered": bool(covered)})
     return found

@@ -406,3 +406,9 @@ def test_curves_and_page(code, challenge, tmp_path):
     page.main([str(source), "--rivals", str(source), "--out", str(out)])
     text = out.read_text()
     assert "MISSED" in text and "not first" in text and "https://" not in text
+
+
+def test_a_sensor_gain_is_stated_as_its_difference_from_one(code):
+    stated = {"parameters": {"gain": {"mean": 0.021, "q05": 0.019, "q95": 0.023}}}
+    (found,) = code["grade"]._parameters(stated, {"gain": 1.02})
+    assert found["error"] == pytest.approx(0.05) and found["covered"]
