@@ -185,7 +185,7 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         help="cell of the fluid in the reality, m (default: half of that in training, or as "
         "the Python file states)",
     )
-    command.add_argument("--forecast", action="store_true", help="predict rewards from ranges")
+    command.add_argument("--forecast", action="store_true", help="also forecast each arm's reward")
     _sampled(command)
     command.add_argument("--task", choices=_TASKS, help="task to train on (default chain)")
     command.add_argument(

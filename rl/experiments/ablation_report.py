@@ -70,7 +70,8 @@ def markdown(results: Results) -> str:
         "| reward |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for row in rows(results):
+    table = rows(results)
+    for row in table:
         sim, real = (row[testbed] for testbed in results["testbeds"])
         lines.append(
             f"| {TITLES[row['arm']]} | {_mean(sim)} | {100 * sim['success']:.0f} % "
@@ -91,7 +92,7 @@ def markdown(results: Results) -> str:
             f"| {_count(losses, arm)} | {_ends(bounded)} | {bounded.sd:.2f} "
             f"| {_count(floored_losses, arm)} |"
         )
-    if predicted := predicted_rows(results, rows(results)):
+    if predicted := predicted_rows(results, table):
         lines += ["", "| " + " | ".join(HEADER) + " |", "|---" * len(HEADER) + "|"]
         lines += ["| " + " | ".join(x.replace("\n", ", ") for x in row) + " |" for row in predicted]
     return "\n".join(lines)

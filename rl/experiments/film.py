@@ -53,7 +53,7 @@ class Films:
         self._each = [Film(None, world, n, robot=e, width=half) for e, n in names.items()]
 
     def __call__(self, going: Mask) -> None:
-        """As ``Film``; who has arrived waits in the last picture."""
+        """As ``Film``; a robot whose episode has ended stays in its last picture."""
         for film in self._each:
             film(going)
         if self._taken < (taken := max(film.taken for film in self._each)):

@@ -86,12 +86,12 @@ def design_swim(
         progress: Called with the share that is done.
 
     Raises:
-        InputError: If no several sets are probable, the robot is another one, the duration is too
-            short, or no swim that was tried keeps within the limits.
+        InputError: If fewer than two sets are probable, the robot is another one, the duration is
+            too short, or no swim that was tried keeps within the limits.
     """
     least = 0.0 if again else OPEN
     if sum(one.probability >= least for one in rivals.sets) < 2:
-        none = "no several probable sets of effects"
+        none = "fewer than two probable sets of effects"
         raise InputError(file, "swim_rivals", none, "a diagnosis that leaves some open")
     if rivals.joint_sd_rad.size != len(robot.joints):
         found = f"a diagnosis of {rivals.joint_sd_rad.size} joints"

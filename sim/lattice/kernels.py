@@ -137,9 +137,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if (flag & wp.static(BODY)) != 0:
             damping = covered.damping
         if square > 0.0 or damping > 0.0:
-            above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5
-            if damping > 0.0:
-                above += damping
+            above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5 + damping
             rate = wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
         out = relaxed(p, rest, m, inv, rate[0], rate[1])
         if (flag & wp.static(BODY)) + driven != 0:

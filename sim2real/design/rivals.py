@@ -293,7 +293,7 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
         step: Step of the differences, in standard deviations of the parameter, given the others.
     """
     sets, M = rivals.sets, len(rivals.sets)
-    free = [_told(one) for one in sets]
+    free = [_free_columns(one) for one in sets]
     owner: dict[int, int] = {}
     for i, columns in enumerate(free):
         for column in columns:
@@ -332,7 +332,7 @@ def _without_effects(one: RivalSet) -> Array:
     return np.where(np.isin(owners, one.effects), 0.0, one.theta)
 
 
-def _told(one: RivalSet) -> list[int]:
+def _free_columns(one: RivalSet) -> list[int]:
     """Columns of a set's free parameters without waves of the angle that every servo has."""
     owners = [COLUMNS[column].partition(".")[0] for column in one.columns]
     alike = {effect.name for effect in NUISANCES} - set(one.effects)

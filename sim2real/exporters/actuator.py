@@ -307,6 +307,6 @@ def head(lines: Sequence[LeftOut], what: str = "Actuators identified") -> list[s
 def xml_text(root: ElementTree.Element, lines: Sequence[LeftOut]) -> str:
     """An XML file with its head as a comment."""
     ElementTree.indent(root)
-    told = (f"  {line.replace('--', '- -')}" for line in head(lines))
+    comments = (f"  {line.replace('--', '- -')}" for line in head(lines))
     body = ElementTree.tostring(root, encoding="unicode")
-    return "\n".join(["<!--", *told, "-->", body, ""])
+    return "\n".join(["<!--", *comments, "-->", body, ""])

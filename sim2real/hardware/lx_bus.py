@@ -113,13 +113,13 @@ class LxBus(WireBus[Packet]):
 
     def saved(self, servo_id: int) -> dict[str, int]:
         """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
-        self._must_tell(servo_id, BusCommand.LOAD_READ)
+        self._required_reply(servo_id, BusCommand.LOAD_READ)
         return {}
 
     def reading(self, servo_id: int) -> Reading:
         """Position and temperature of a servo that must answer."""
-        temperature = self._must_tell(servo_id, BusCommand.TEMP_READ)
-        position = self._must_tell(servo_id, BusCommand.POS_READ)
+        temperature = self._required_reply(servo_id, BusCommand.TEMP_READ)
+        position = self._required_reply(servo_id, BusCommand.POS_READ)
         ticks = lx.signed_word(position)
         return Reading(position_ticks=ticks, temperature_C=float(temperature.parameters[0]))
 
@@ -192,7 +192,7 @@ class LxBus(WireBus[Packet]):
 
         return self._insisted(confirmed) is not None
 
-    def _must_tell(self, servo_id: int, command: BusCommand) -> Packet:
+    def _required_reply(self, servo_id: int, command: BusCommand) -> Packet:
         return self._insist(servo_id, partial(self.ask, servo_id, command, PATIENCE_S))
 
 

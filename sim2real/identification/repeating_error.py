@@ -134,11 +134,9 @@ def _through_loop(best: Fit, trace: Trace, torque: Array) -> Array:
     """Angle in rad by torques (T, m), in units of the proportional gain, on a servo at rest."""
     kp, kd = (float(x) for x in best.row[:2])
     inertia = trace.load.inertia_kgm2 + float(best.row[INERTIA_LEFT_OUT] + best.row[ROTOR_INERTIA])
-    rate = np.array([[0.0, 1.0, 0.0], [-kp - trace.load.gravity_Nm, -kd, kp], [0.0, 0.0, 0.0]]) / [
-        [1.0],
-        [inertia],
-        [1.0],
-    ]
+    rate = np.zeros((3, 3))  # of angle, speed and the held torque
+    rate[0, 1] = 1.0
+    rate[1] = np.array([-kp - trace.load.gravity_Nm, -kd, kp]) / inertia
     step = expm(trace.period_s * rate)[:2]  # a torque is held for a sampling period
     state, angle = np.zeros((3, torque.shape[1])), np.empty_like(torque)
     for row, held in zip(angle, torque, strict=True):  # quicker than loading scipy.signal

@@ -381,7 +381,7 @@ def simulate(
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     """A copy as a Warp array of int32 or float64 on a device."""
-    whole = values.dtype == np.int32
-    copied = np.array(values, dtype=np.int32 if whole else np.float64, order="C")
-    kind = wp.int32 if whole else wp.float64
+    integers = values.dtype == np.int32
+    copied = np.array(values, dtype=np.int32 if integers else np.float64, order="C")
+    kind = wp.int32 if integers else wp.float64
     return wp.array(copied, dtype=kind, device=device, copy=False)  # Warp's own copy costs more
