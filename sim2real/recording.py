@@ -194,7 +194,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         columns={
             str(c): csv_columns.column(csv, table, str(c)) for c in table.columns if c not in used
         },
-        metadata={name: value for name, value in top.content.items() if name not in FIELDS},
+        metadata=_metadata(top),
         path=csv,
     )
 
@@ -202,7 +202,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
 def read_commands(path: str | os.PathLike[str]) -> Recording:
     """Read the commands of a CSV file as a bench recording whose positions are NaN.
 
-    Measured columns are ignored, and no JSON file is needed.
+    Measured columns are ignored, and no JSON file is needed; of one that exists, loads and context
+    apply.
 
     Raises:
         InputError: If times or commands do not conform to the format.
@@ -218,11 +219,19 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
         raise InputError(csv, "header", "no J.command_rad column", "one for each joint")
     command = csv_columns.angles(csv, table, joints, "command_rad")
     csv_columns.check_commands(csv, joints, command)
-    sidecar, loads = csv.with_suffix(".json"), {}
-    if sidecar.exists():
-        loads = _loads(Fields(sidecar, "", read_json(sidecar, SCHEMA)), joints)
-    unmeasured = np.full_like(command, np.nan)
-    return Recording(csv.stem, "servo", joints, t, command, unmeasured, loads, path=csv)
+    sidecar = csv.with_suffix(".json")
+    top = Fields(sidecar, "", read_json(sidecar, SCHEMA) if sidecar.exists() else {})
+    return Recording(
+        name=csv.stem,
+        kind="servo",
+        joints=joints,
+        t=t,
+        command=command,
+        position=np.full_like(command, np.nan),
+        loads=_loads(top, joints),
+        metadata=_metadata(top),
+        path=csv,
+    )
 
 
 def write_recording(
@@ -276,6 +285,10 @@ def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
             raise InputError(top.file, f"loads.{name}", "a joint not recorded", ", ".join(joints))
         loads[name] = read_load(table.table(name))
     return loads
+
+
+def _metadata(top: Fields) -> dict[str, Any]:
+    return {name: value for name, value in top.content.items() if name not in FIELDS}
 
 
 def read_load(fields: Fields) -> Load:

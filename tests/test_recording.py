@@ -155,7 +155,7 @@ def test_commands_alone(tmp_path: Path) -> None:
 def test_commands_with_a_sidecar(tmp_path: Path) -> None:
     recording = example(tmp_path)
     read = read_commands(tmp_path / "bench.csv")
-    assert read.loads == recording.loads
+    assert (read.loads, read.metadata) == (recording.loads, recording.metadata)
     for j, joint in enumerate(recording.joints):
         np.testing.assert_array_equal(read.commands[joint], recording.command[:, j])
 

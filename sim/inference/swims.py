@@ -24,6 +24,7 @@ from sim2real.model import Model
 from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
 from sim2real.robot import Robot
+from sim2real.servo.trace import context_of
 from sim2real.velocity import body_velocity
 
 SIGNALS = ("surge", "sway", "yaw rate")
@@ -139,17 +140,18 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
     order = [recording.joints.index(joint.name) for joint in robot.joints]
 
-    def resampled(column: Array) -> Array:
+    def resampled(column: Array, delay_s: float = 0.0) -> Array:
         finite = np.isfinite(column)
         if finite.sum() < _REST:
             return np.full(t.size, np.nan)
-        return np.interp(t, recording.t[finite], column[finite])
+        return np.interp(t, recording.t[finite] + delay_s, column[finite])
 
     pose = np.stack([recording.columns[name] for name in names], axis=1)
     pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
     grid = np.stack([resampled(column) for column in pose.T], axis=1)
     same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
-    joints = np.stack([resampled(recording.position[:, k]) for k in order], axis=1)
+    late_s = context_of(recording)["sample_delay_s"]
+    joints = np.stack([resampled(recording.position[:, k], late_s) for k in order], axis=1)
     command = np.nan_to_num(recording.command[row][:, order])
     repeated = float(same.mean()) if same.size else 0.0
     whole = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)

@@ -16,7 +16,8 @@ from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.robot import Robot
-from sim2real.servo.parameters import joint_row
+from sim2real.servo.parameters import in_context, joint_row
+from sim2real.servo.trace import context_of
 
 
 def with_arm_loads(
@@ -91,5 +92,7 @@ def _motion(multibody: Multibody, recording: Recording, model: Model | None) -> 
         rest = np.array([joint.zero_rad for joint in arm.joints])
         return measured_motion(recording, arm.names, rest)
     commands = {name: x for name, x in recording.commands.items() if name in arm.names}
-    predicted, _ = predicted_arm(arm, model.joints, recording.t, commands, multibody=multibody)
+    context = context_of(recording)
+    joints = {name: in_context(joint, **context) for name, joint in model.joints.items()}
+    predicted, _ = predicted_arm(arm, joints, recording.t, commands, multibody=multibody)
     return corrected_motion(predicted, recording, arm.names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -152,6 +153,28 @@ def context_factors(supply_ratio: float, gain_ratio: float) -> Array:
     factors[[0, *(COLUMNS.index(name) for name in LINE)]] = supply_ratio
     factors[0] *= gain_ratio
     return factors
+
+
+def in_context(
+    joint: JointModel, *, supply_ratio: float, gain_ratio: float, sample_delay_s: float
+) -> JointModel:
+    """The joint in the context of a recording: at its supply voltage and gain of the firmware.
+
+    Its latency is relative to the times at which angles are sampled.
+
+    Args:
+        joint: The fitted joint.
+        supply_ratio: Supply voltage, relative to that of the fit.
+        gain_ratio: Proportional gain of the firmware, relative to that of the fit.
+        sample_delay_s: Time from a recording's ``t`` to the sampling of the angles, s.
+    """
+    factors = dict(zip(COLUMNS, context_factors(supply_ratio, gain_ratio), strict=True))
+    return replace(
+        joint,
+        kp_Nm_per_rad=joint.kp_Nm_per_rad * float(factors["kp_Nm_per_rad"]),
+        latency_s=joint.latency_s - sample_delay_s,
+        motor={name: x * float(factors[f"motor.{name}"]) for name, x in joint.motor.items()},
+    )
 
 
 def motor_of(row: Array) -> dict[str, float]:

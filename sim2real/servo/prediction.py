@@ -14,8 +14,8 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.recording import Load, Recording
-from sim2real.servo.parameters import joint_row
-from sim2real.servo.trace import sample_delay_s, split, traces
+from sim2real.servo.parameters import in_context, joint_row
+from sim2real.servo.trace import context_of, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,22 +122,19 @@ def predict_recordings(recordings: Sequence[Recording], model: Model) -> Predict
     """
     angles = []
     for recording in recordings:
-        sampled = _as_sampled(model, recording)
-        predicted = predict(
-            sampled, recording.t, recording.commands, recording.loads, where=recording.file
-        )
+        predicted = _predicted(model, recording, recording.commands)
         angles.append(np.stack(list(predicted.values()), axis=1))
     return Prediction(tuple(recordings), tuple(angles))
 
 
-def _as_sampled(model: Model, recording: Recording) -> Model:
-    """The model with its latencies relative to the times at which the recording's angles are."""
-    late = sample_delay_s(recording)
-    joints = {
-        name: replace(joint, latency_s=joint.latency_s - late)
-        for name, joint in model.joints.items()
-    }
-    return replace(model, joints=joints)
+def _predicted(
+    model: Model, recording: Recording, command: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Angles predicted for set-points of a recording, in the context that it states."""
+    context = context_of(recording)
+    joints = {name: in_context(joint, **context) for name, joint in model.joints.items()}
+    fitted = replace(model, joints=joints)
+    return predict(fitted, recording.t, command, recording.loads, where=recording.file)
 
 
 @dataclass(frozen=True)
@@ -173,8 +170,7 @@ def replay(
         recording = by_file[file]
         modelled = model.joints if model.arm is None else {*model.joints, *model.arm.names}
         commands = {j: x for j, x in recording.commands.items() if j in modelled}
-        sampled = _as_sampled(model, recording)
-        return predict(sampled, recording.t, commands, recording.loads, where=file)
+        return _predicted(model, recording, commands)
 
     by_file = {recording.file: recording for recording in recordings}
     replays = []

@@ -31,6 +31,7 @@ def reported_drive(
     command: Array,
     position: Array,
     load: Array,
+    sample_delay_s: float = 0.0,
     *,
     fewest: int = 50,
     saturated: float = 0.95,
@@ -50,6 +51,7 @@ def reported_drive(
         command: Set-points in rad, shape (T,).
         position: Measured angles in rad, shape (T,), NaN where missing.
         load: Reported load, shape (T,), NaN where missing.
+        sample_delay_s: Time from ``t`` to the sampling of angles and loads, s.
         fewest: Smallest number of samples.
         saturated: Drive from which it counts as saturated.
         rounding: Excess over the full drive that counts as rounding.
@@ -71,9 +73,11 @@ def reported_drive(
     period = float(np.median(np.diff(t)))
     terms = np.stack([error, np.gradient(command, t), np.gradient(position, t)], axis=1)
     noise = np.sqrt(np.mean(residual[unsaturated] ** 2))
-    prior = np.diag([0.0, 1.0, 1.0])[1:] * noise / (slope * period)
+    # u(t + delay - latency) has the coefficient gain (delay - latency) of the command's rate
+    prior = np.array([[-sample_delay_s, 1.0, 0.0], [0.0, 0.0, 1.0]]) * noise / (slope * period)
     matrix = np.concatenate([terms[unsaturated], prior])
     target = np.concatenate([drive[unsaturated], np.zeros(len(prior))])
     gain, *rates = np.linalg.lstsq(matrix, target, rcond=None)[0]
-    latency, lead = (max(float(-rate / gain), 0.0) for rate in rates)
-    return ReportedDrive(float(gain), latency, lead, period)
+    sooner, lead = (float(-rate / gain) for rate in rates)
+    latency = max(sooner + sample_delay_s, 0.0)
+    return ReportedDrive(float(gain), latency, max(lead, 0.0), period)

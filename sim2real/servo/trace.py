@@ -63,6 +63,11 @@ class Trace:
         return replace(self, **arrays)
 
     @property
+    def gain_factor(self) -> float:
+        """Factor on the proportional gain: that of the firmware sets a share of the supply."""
+        return self.supply_ratio * self.gain_ratio
+
+    @property
     def measured(self) -> Array:
         """Measured angles in rad, NaN where not used, shape (T,)."""
         return np.where(self.used, self.position, np.nan)
@@ -102,7 +107,7 @@ def trace(recording: Recording, joint: str) -> Trace:
     position = recording.position[powered, j]
     t, command = recording.t[powered], recording.command[powered, j]
     load = recording.columns.get(f"{joint}.load")
-    context = _context(recording)
+    context = context_of(recording)
     stated, varying = recording.loads.get(joint, PER_INERTIA), recording.varying_loads.get(joint)
     return Trace(
         name=recording.name,
@@ -113,24 +118,22 @@ def trace(recording: Recording, joint: str) -> Trace:
         load=stated if varying is None else Load(varying.mean_inertia_kgm2),
         varying=varying,
         used=np.isfinite(position),
-        drive=None if load is None else reported_drive(t, command, position, load[powered]),
-        supply_ratio=context.number("supply_ratio", 1.0, above=0.0),
-        gain_ratio=context.number("gain_ratio", 1.0, above=0.0),
-        sample_delay_s=sample_delay_s(recording),
+        drive=None
+        if load is None
+        else reported_drive(t, command, position, load[powered], context["sample_delay_s"]),
+        **context,
     )
 
 
-def sample_delay_s(recording: Recording) -> float:
-    """Time in s from the arrival of set-points to the sampling of angles, as the recording states.
+def context_of(recording: Recording) -> dict[str, float]:
+    """The context that a recording states: ``supply_ratio``, ``gain_ratio``, ``sample_delay_s``.
 
     Raises:
         InputError: If the context that the recording states is of another form.
     """
-    return _context(recording).number("sample_delay_s", 0.0, low=0.0)
-
-
-def _context(recording: Recording) -> Fields:
-    return Fields(recording.file, "", recording.metadata).table("context")
+    context = Fields(recording.file, "", recording.metadata).table("context")
+    ratios = {name: context.number(name, 1.0, above=0.0) for name in ("supply_ratio", "gain_ratio")}
+    return {**ratios, "sample_delay_s": context.number("sample_delay_s", 0.0, low=0.0)}
 
 
 def sensor_noise(traces: Sequence[Trace]) -> float:

@@ -9,7 +9,7 @@ from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
 from sim2real.diagnose.missing.smooth_function import JointMotion, ServoMotion, smooth_function
 from sim2real.recording import Load
-from sim2real.servo.rollout import rollout
+from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import Trace
 
 LAGS = 25
@@ -113,6 +113,22 @@ def test_a_wrong_gain_is_no_state():
         return 0.02 * (np.interp(T - LATENCY, T, motion.trace.command) - motion.angle)
 
     assert strange(stiffer).evidence(1100.0) < 0
+
+
+def test_a_wrong_gain_is_no_state_in_another_context():
+    """At a quarter of the gain of the firmware, angles sampled late."""
+
+    def motion(seed):
+        trace = replace(plain(seed).trace, gain_ratio=0.25, sample_delay_s=0.015)
+        wrong = row()
+        wrong[:3] *= [1.1, 1.1, 1.05]
+        angle, measured = rollout_on(trace, np.stack([row(), wrong]))
+        noise = np.random.default_rng(seed).normal(0, NOISE, T.size)
+        residual = angle - measured - noise
+        return JointMotion(trace, angle, residual, np.arange(T.size) >= LAGS, np.zeros((0, T.size)))
+
+    found = smooth_function(servo([motion(1), motion(2)], thorough=False))
+    assert found.evidence(1100.0) < 0
 
 
 def test_shaking_and_jumps_only_where_asked_for(noise_only):

@@ -11,10 +11,13 @@ from sim2real.identification.fit import fit, gains
 from sim2real.model import Model
 from sim2real.recording import Load
 from sim2real.servo.batch import Batch, Problems
-from sim2real.servo.parameters import COLUMNS, context_factors, stated
+from sim2real.servo.parameters import COLUMNS, context_factors, joint_row, stated
 from sim2real.servo.prediction import predict_recordings
+from sim2real.servo.reported_drive import reported_drive
 from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import trace
+
+ONE = {"supply_ratio": 1.0, "gain_ratio": 1.0}
 
 
 def column(values, name):
@@ -75,6 +78,31 @@ def test_a_recording_that_samples_late_shows_the_whole_latency():
     model = Model({"j1": stated(row(), Load(INERTIA))})
     (rmse,) = predict_recordings([late], model).rmse.values()
     assert rmse < 0.0006
+
+
+@pytest.mark.parametrize("name", ["supply_ratio", "gain_ratio"])
+def test_a_prediction_is_of_the_recording_s_context(name):
+    motor = {"stall_torque_Nm": 0.4, "no_load_speed_rad_s": 5.0}
+    model = Model({"j1": replace(stated(row(), Load(INERTIA)), law="motor", motor=motor)})
+    there = replace(recording(seconds=4.0), metadata={"context": {name: 0.5}})
+    (angles,) = predict_recordings([there], model).angles
+    scaled = joint_row(model.joints["j1"], None) * context_factors(**{**ONE, name: 0.5})
+    expected = rollout(scaled[None], there.t, there.command[:, 0])[0]
+    np.testing.assert_allclose(angles[:, 0], expected, atol=1e-9)
+    (usual,) = predict_recordings([replace(there, metadata={})], model).angles
+    assert np.abs(usual[:, 0] - expected).max() > 0.01
+
+
+def test_the_reported_drive_of_late_samples_has_the_same_latency():
+    t, delay, latency = 0.01 * np.arange(2000), 0.006, 0.008
+
+    def sent(at):
+        return 0.3 * np.sin(2 * np.pi * 0.5 * at) + 0.2 * np.sin(2 * np.pi * 1.3 * at)
+
+    angle = sent(t + delay - 0.05)
+    drive = sent(t + delay - latency) - angle
+    found = reported_drive(t, sent(t), angle, drive, delay)
+    assert found.latency_s == pytest.approx(latency, abs=5e-4)
 
 
 def test_a_context_that_is_none_is_refused_in_one_line():

@@ -61,6 +61,19 @@ def test_a_bench_recording_is_no_swim():
         swim_of(bench, FISH)
 
 
+def test_angles_sampled_late_are_of_their_own_time():
+    delay, t = 0.008, CONTROL_S * np.arange(200)
+    names = ("body.x_m", "body.y_m", "body.yaw_rad")
+    columns = {name: np.sin(t + k) for k, name in enumerate(names)}
+    angles = np.sin(3 * (t[:, None] + delay) + np.arange(3))
+    context = {"context": {"sample_delay_s": delay}}
+    late = Recording(
+        "late", "pool", ("j1", "j2", "j3"), t, angles, angles, columns=columns, metadata=context
+    )
+    found = swim_of(late, FISH).signals[1:, 3:]
+    np.testing.assert_allclose(found, np.sin(3 * t[1:, None] + np.arange(3)), atol=1e-3)
+
+
 def test_the_shipped_swims_are_calibrated_by_the_command(tmp_path, capsys):
     out = tmp_path / "calibrated.json"
     given = ["datasets/pool/clean.csv", "--robot", "datasets/pool/robot.toml"]

@@ -176,7 +176,8 @@ def _torque_filter(servo: ServoMotion, trace: Trace) -> tuple[Array, Array]:
     By the bilinear transform: Oppenheim, Schafer, Discrete-Time Signal Processing, 3rd ed. (Pearson
     2010), section 7.2.2. Numerator and denominator are as ``scipy.signal.lfilter`` takes them.
     """
-    inertia, kd, stiffness = trace.load.inertia_kgm2, servo.kd, servo.kp + trace.load.gravity_Nm
+    inertia, kd = trace.load.inertia_kgm2, servo.kd
+    stiffness = trace.gain_factor * servo.kp + trace.load.gravity_Nm
     c = 2 / trace.period_s
     a = np.array(
         [
@@ -190,10 +191,10 @@ def _torque_filter(servo: ServoMotion, trace: Trace) -> tuple[Array, Array]:
 
 def _gain_torques(servo: ServoMotion, motion: JointMotion) -> Array:
     """Torques equivalent to a change of kp, kd and latency, per unit of each, shape (T, 3)."""
-    t, angle = motion.trace.t, motion.angle
-    in_force = np.interp(t - servo.latency, t, motion.trace.command)
-    speed = np.gradient(angle, t)
-    return np.stack([in_force - angle, speed, servo.kp * np.gradient(in_force, t)], axis=1)
+    trace, t, angle = motion.trace, motion.trace.t, motion.angle
+    in_force = np.interp(t + trace.sample_delay_s - servo.latency, t, trace.command)
+    torques = [in_force - angle, np.gradient(angle, t), servo.kp * np.gradient(in_force, t)]
+    return np.stack(torques, axis=1) * [trace.gain_factor, 1.0, trace.gain_factor]
 
 
 def _families(problem: _Regression) -> Iterator[tuple[str, Array]]:
