@@ -217,4 +217,5 @@ def _as_recording(
         medium="water",
         source=f"Simulated, not measured: a model on the commands of {recording.name}.",
         columns=dict(zip(POSE, track[:, :3].T, strict=True)),
+        metadata={"simulated": True},
     )

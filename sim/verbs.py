@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.errors import InputError, check_choice, check_whole
-from sim2real.verbs import model_of, recordings_of, recordings_or_commands, robot_of
+from sim2real.verbs import model_of, recordings_or_commands, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
     from sim.calibration.calibration import Calibration
@@ -56,8 +56,8 @@ def diagnose(
         InputError: If recordings, robot and model do not agree.
     """
     check_whole("diagnose", "seed", seed)
-    read, machine = recordings_of(recordings), robot_of(robot)
-    earlier = recordings_of(references) if references else []
+    read, machine = recordings_to_fit(recordings), robot_of(robot)
+    earlier = recordings_to_fit(references) if references else []
     start = None if model is None else model_of(model)
     swims = [recording for recording in read if recording.is_swim]
     if not swims:
@@ -130,7 +130,7 @@ def calibrate(
 
     machine, start = robot_of(robot), model_of(model)
     check_joints(start, machine)
-    read = recordings_of(recordings)
+    read = recordings_to_fit(recordings)
     calibration = calibrate_body(
         [swim_of(recording, machine) for recording in read],
         start,

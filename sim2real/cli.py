@@ -10,7 +10,9 @@ import argparse
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
+from functools import partial
 
 from sim2real.commands.command import Command
 from sim2real.errors import InputError
@@ -95,7 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from sim2real.commands.as_json import run_as_json
 
             run = run_as_json(run)
-        status: int = run(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = partial(_show_warning, options.command)
+            status: int = run(options)
         sys.stdout.flush()
         return status
     except InputError as error:
@@ -108,6 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+def _show_warning(command: str, message: Warning | str, *_: object, **__: object) -> None:
+    print(f"sim2real {command}: warning: {message}", file=sys.stderr)
 
 
 def parser(only: Sequence[str] | None = None) -> argparse.ArgumentParser:

@@ -108,6 +108,11 @@ class Recording(NotebookDisplay):
         return "body.x_m" in self.columns
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether its JSON states that a simulator wrote it (``"simulated": true``)."""
+        return self.metadata.get("simulated") is True
+
+    @property
     def is_swim(self) -> bool:
         """Whether this is a swim whose body was tracked, not a recording of a bench."""
         return self.kind == "pool" and self.has_poses

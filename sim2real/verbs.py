@@ -73,7 +73,7 @@ def identify(
     from sim2real.arm.identify_arm import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
-    description, listed = robot_of(robot), recordings_of(recordings)
+    description, listed = robot_of(robot), recordings_to_fit(recordings)
     settings: dict[str, Any] = {
         "held_out": held_out,
         "effects": (effects,) if isinstance(effects, str) else effects,
@@ -129,7 +129,7 @@ def posterior(
     from sim2real.ranges.gather import Sampling, sample_joints
 
     _check_sampling("posterior", steps, walkers, seed)
-    loaded, description = recordings_of(recordings), robot_of(robot)
+    loaded, description = recordings_to_fit(recordings), robot_of(robot)
     for recording in loaded:
         validate_recording(recording, description)
     bench = [recording for recording in loaded if recording.kind == "servo"]
@@ -181,7 +181,7 @@ def ranges(
     from sim2real.ranges.gather import Sampling, gather
 
     _check_sampling("ranges", steps, walkers, seed)
-    loaded, description, fitted = recordings_of(recordings), robot_of(robot), model_of(model)
+    loaded, description, fitted = recordings_to_fit(recordings), robot_of(robot), model_of(model)
     completed: dict[str, int] = {}
 
     def advance(joint: str, count: int) -> None:
@@ -246,6 +246,22 @@ def recordings_of(recordings: Recorded) -> list[Recording]:
         entry if isinstance(entry, Recording) else read_recording(entry)
         for entry in _listed(recordings)
     ]
+
+
+def recordings_to_fit(recordings: Recorded) -> list[Recording]:
+    """The recordings, read where files are given, with a warning of those that are simulated.
+
+    Raises:
+        InputError: If there is none, or a file is not a recording.
+    """
+    listed = recordings_of(recordings)
+    simulated = ", ".join(recording.file for recording in listed if recording.is_simulated)
+    if simulated:
+        import warnings
+
+        expected = "the fit is of that simulator, not of a robot"
+        warnings.warn(f"{simulated}: simulated, not measured; {expected}", stacklevel=3)
+    return listed
 
 
 def recordings_or_commands(recordings: Recorded) -> list[Recording]:

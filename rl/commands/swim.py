@@ -185,6 +185,7 @@ def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Rec
             },
             "ended": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "provenance": provenance(inputs, options.seed),
+            "simulated": bool(options.virtual),
         },
     )
 

@@ -90,12 +90,18 @@ class Prediction(NotebookDisplay):
         return errors
 
     def recording(self, index: int = 0, *, source: str = "Simulated, not measured.") -> Recording:
-        """Recording number ``index`` with the predicted instead of the measured angles."""
+        """Recording number ``index`` with the predicted instead of the measured angles.
+
+        Its JSON has the field ``simulated`` and, of the other fields, the context alone.
+        """
+        commands = self.recordings[index]
+        context = {k: v for k, v in commands.metadata.items() if k == "context"}
         return replace(
-            self.recordings[index],
+            commands,
             position=self.angles[index],
             source=source,
             columns={},
+            metadata={**context, "simulated": True},
             path=None,
         )
 

@@ -140,6 +140,25 @@ def test_identify_then_predict(bench, capsys):
     np.testing.assert_array_equal(predicted.t, measured.t)
     np.testing.assert_allclose(predicted.command, measured.command)
     assert np.nanstd(predicted.position - measured.position) < 0.0025
+    assert not measured.is_simulated
+
+
+def test_a_fit_of_a_prediction_says_so(bench, capsys):
+    sidecar = json.loads((bench / "steps.json").read_text())
+    context = {"gain_ratio": 0.8}
+    sidecar |= {"context": context, "started": "2025-01-01T00:00:00+00:00"}
+    (bench / "steps.json").write_text(json.dumps(sidecar))
+    assert identify(bench, "--no-plots") == 0
+    commands = str(bench / "steps.csv")
+    out = bench / "predicted.csv"
+    assert main(["predict", str(bench / "model.json"), commands, "--out", str(out)]) == 0
+    written = read_recording(out)
+    assert written.metadata == {"context": context, "simulated": True}
+    assert capsys.readouterr().err == ""
+    run = ["identify", str(out), "--robot", str(bench / "robot.toml"), "--no-plots"]
+    assert main([*run, "--out", str(bench / "again.json")]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"sim2real identify: warning: {out}: simulated, not measured")
 
 
 def test_check_prints_and_writes_nothing(bench, capsys):

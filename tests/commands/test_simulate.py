@@ -58,6 +58,7 @@ def test_commands_are_swum_into_a_pool_recording(files):
     swim = read_recording(files.folder / "swim.csv")
     assert swim.kind == "pool"
     assert swim.t.size == 26
+    assert swim.is_simulated
     assert np.abs(swim.position[:3]).max() < 1e-6 < 0.05 < np.abs(swim.position).max()
     assert set(swim.columns) == {"body.x_m", "body.y_m", "body.yaw_rad"}
     assert np.ptp(swim.columns["body.yaw_rad"]) > 0.01
