@@ -40,7 +40,8 @@ class Forecast(NotebookDisplay):
         paths: Positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2).
         targets: Waypoints of these trials in m, shape (n, W, 2).
         rank_by: Figure that the policies are ranked by.
-        trained: By policy that states it, 5 % and 95 % quantile of each parameter in its training.
+        trained: By learned policy, 5 % and 95 % quantile of each parameter in its training; empty
+            if it does not state them.
         limits: Limits whose probability is stated.
         update: Weights after trials of the real robot; None before.
         notes: Remarks, one sentence each.
@@ -110,12 +111,16 @@ class Forecast(NotebookDisplay):
     def next_ranges(self, policy: str | None = None) -> list[TrainingRange]:
         """Ranges to train with next, by the share of the figure that policies are ranked by.
 
+        There are none for a controller that is not learned.
+
         Args:
             policy: Its name; by default the first of the ranking.
         """
         policy = policy or self.ranking()[0][0]
+        if policy not in self.trained:
+            return []
         values = self.figures[self.rank_by][self.policies.index(policy)]
-        trained = self.trained.get(policy)
+        trained = self.trained[policy] or None
         return training_ranges(self.names, self.parameters, values, self.weights, trained)
 
     def after(self, trials: Sequence[Trials]) -> Forecast:

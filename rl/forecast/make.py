@@ -154,12 +154,12 @@ def named_controllers(
 def _trained(
     controllers: Mapping[str, Callable[[int], Controller]],
 ) -> dict[str, dict[str, list[float]]]:
-    """What policies state of the robots that they were trained with."""
+    """What learned policies state of the robots that they were trained with."""
     policies = {name: getattr(make(1), "policy", None) for name, make in controllers.items()}
     return {
-        name: policy.provenance["trained_over"]
+        name: policy.provenance.get("trained_over", {})
         for name, policy in policies.items()
-        if policy is not None and "trained_over" in policy.provenance
+        if policy is not None
     }
 
 

@@ -401,6 +401,8 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     page = (files.folder / "forecast.html").read_text()
     assert "What to measure next" in page and "Which policy" in page
     assert "Three draws" in page and "data:image/gif" in page
+    assert content["ranking"][0]["policy"] == "pnl"
+    assert content["train_next"] == [] and "What to randomize next" not in page
     energy = energy["mean"]
     trials = files.folder / "trials.csv"
     trials.write_text(f"policy,success,energy\npnl,0,{energy}\npnl,0,{1.01 * energy}\n")
@@ -408,6 +410,9 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     content = json.loads((files.folder / "forecast.json").read_text())
     assert content["update"]["trials"] == 2 and not content["update"]["contradicted"]
     assert "agree with the forecast" in capsys.readouterr().out
+    assert files.call("--no-page", "--rank-by", "energy") == 0
+    (first, *_) = json.loads((files.folder / "forecast.json").read_text())["train_next"]
+    assert first["trained"] is None, "the shipped policy does not state its ranges"
 
 
 def test_bad_input_is_one_line(files, capsys):
