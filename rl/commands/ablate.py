@@ -102,7 +102,7 @@ def trainer_of(options: argparse.Namespace) -> Callable[..., list[Path]] | None:
 
 def predictor_of(
     options: argparse.Namespace, robot: Robot, model: Model, ranges: Ranges, realities: int = 50
-) -> Callable[[Agents, Task], dict[str, Any]]:
+) -> Callable[[Agents, Task, Path, str], dict[str, Any]]:
     """The forecast of arms in realities that agree with the model and its ranges, in the twin.
 
     Raises:

@@ -45,7 +45,7 @@ def ablate(
     longest: int | None = None,
     note: dict[str, Any] | None = None,
     trainer: Callable[..., list[Path]] | None = None,
-    predictor: Callable[[Agents, Task], dict[str, Any]] | None = None,
+    predictor: Callable[[Agents, Task, Path, str], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Train and test all arms.
 
@@ -97,7 +97,8 @@ def ablate(
         made: Agents = {arm.name: [] for arm in arms}
         for k, (arm_name, _) in enumerate(names):
             made[arm_name].append(partial(controller, k))
-        forecast = {"forecast": predictor(made, task)}
+        key = repr((weights_digest(agents).hexdigest(), sampled))
+        forecast = {"forecast": predictor(made, task, folder / "forecast.npz", key)}
     return {
         **forecast,
         "repeats": repeats,
@@ -118,6 +119,14 @@ def policy_in(agent: Path) -> Policy:
     return read_npz(small) if small.exists() else read_zip(agent / "policy.zip")
 
 
+def weights_digest(agents: Sequence[Path]) -> hashlib._Hash:
+    """SHA-256 of the policies in the folders of agents."""
+    digest = hashlib.sha256()
+    for agent in agents:
+        digest.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
+    return digest
+
+
 def inputs_digest(
     agents: Sequence[Path],
     robot: Robot,
@@ -134,9 +143,7 @@ def inputs_digest(
         task: The task.
         settings: Repeats, seed, whether actions are sampled, discount per control period.
     """
-    digest = hashlib.sha256()
-    for agent in agents:
-        digest.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
+    digest = weights_digest(agents)
     digest.update(repr((robot, testbed.key(), task.energy, task.steps, settings)).encode())
     return digest.hexdigest()
 

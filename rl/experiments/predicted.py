@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rl.controllers import Controller
 from rl.experiments.arms import TITLES
+from rl.forecast.make import drawn_digest
 from rl.forecast.realities import Realities
 from rl.forecast.statistics import interval
 from rl.forecast.swims import SimulationSettings, swim
@@ -22,9 +24,11 @@ Agents = dict[str, list[Callable[[int], Controller]]]
 def predict(
     arms: Agents,
     task: Task,
+    file: Path,
+    key: str,
+    *,
     robot: Robot,
     realities: Realities,
-    *,
     seed: int,
     trials: int = 2,
     settings: SimulationSettings,
@@ -34,6 +38,8 @@ def predict(
     Args:
         arms: The agents of each arm.
         task: The task.
+        file: File of the trials so far, which are not run again if their key is the same.
+        key: Digest of the agents.
         robot: The robot.
         realities: Draws of what the real robot may be.
         seed: Seed of starts, noise and disturbances.
@@ -45,7 +51,11 @@ def predict(
         less that of the arm, in the same realities.
     """
     each = {f"{arm}-{k}": make for arm, of_arm in arms.items() for k, make in enumerate(of_arm)}
-    swum = swim(robot, task, realities, each, trials=trials, seed=seed, settings=settings)
+    inputs = (key, drawn_digest(realities), robot, task.name, task.energy, task.steps, settings)
+    swum = swim(
+        robot, task, realities, each, trials=trials, seed=seed, settings=settings,
+        file=file, key=repr(inputs),
+    )  # fmt: skip
     even = np.full(len(realities.models), 1 / len(realities.models))
     first, mean = 0, {}
     for arm, of_arm in arms.items():

@@ -73,7 +73,7 @@ def make_forecast(
     drawn = draw_realities(robot, model, ranges, sample, count[0], rng, diagnosed=diagnosed)
     origin = provenance([*inputs, *recordings, *_files(policies)], seed)
     swimmers = [origin["inputs"][str(path)] for path in _files(policies)]
-    key = repr((_digest(drawn, residuals), swimmers, robot, task.name, steps, settings))
+    key = repr((drawn_digest(drawn, residuals), swimmers, robot, task.name, steps, settings))
     with progress_bar("forecast") as progress:
         swum = swims.swim(
             robot, task, drawn, controllers, trials=count[1], seed=seed, settings=settings,
@@ -168,7 +168,8 @@ def _files(policies: Sequence[str]) -> list[Path]:
     return [path for name in policies if (path := Path(with_price(name)[0])).exists()]
 
 
-def _digest(realities: Realities, residuals: Sequence[Array]) -> str:
+def drawn_digest(realities: Realities, residuals: Sequence[Array] = ()) -> str:
+    """SHA-256 of drawn realities and of the residuals that disturb their trials."""
     digest = hashlib.sha256(repr((realities.names, realities.noise)).encode())
     for array in (realities.values, realities.law, realities.unexplained, *residuals):
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import rl.experiments.testbeds
+import rl.forecast.swims
 from rl.commands.ablate import make_testbeds
 from rl.deploy.export import read_zip
 from rl.experiments.ablation import ablate, bootstrap
@@ -145,16 +146,21 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
             run(read_reality(path))
 
 
-def test_each_arm_is_forecast_beside_what_it_does(ablated, trained, tmp_path, robot, model):
+def test_each_arm_is_forecast_beside_what_it_does(
+    ablated, trained, tmp_path, robot, model, monkeypatch
+):
     rng = np.random.default_rng(0)
     sample = JointSample(("j1.kp_Nm_per_rad",), ("",), rng.uniform(1.9, 2.3, (50, 1)))
     drawn = draw_realities(robot, model, RANGES, sample, 20, rng)
     settings = SimulationSettings()
     shutil.copytree(trained, tmp_path / "run")
-    found = ablated(
-        tmp_path / "run",
-        predictor=partial(predict, robot=robot, realities=drawn, seed=0, settings=settings),
-    )
+    predictor = partial(predict, robot=robot, realities=drawn, seed=0, settings=settings)
+    found = ablated(tmp_path / "run", predictor=predictor)
+    with monkeypatch.context() as patch:
+        patch.setattr(rl.forecast.swims, "run_episodes", None)  # nothing is left to swim
+        assert ablated(tmp_path / "run", predictor=predictor) == found
+        with pytest.raises(TypeError):
+            ablated(tmp_path / "run", predictor=partial(predictor, seed=1))
     forecast = found["forecast"]
     assert list(forecast) == ["all", "no-servo"] and "loses" not in forecast["all"]
     lost = forecast["all"]["reward"][0] - forecast["no-servo"]["reward"][0]
