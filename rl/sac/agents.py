@@ -11,13 +11,15 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from stable_baselines3 import SAC
 from torch import Tensor, nn
 
 from rl.sac.batched import Activations, Layers, adam, mirrored
+
+if TYPE_CHECKING:
+    from rl.sac.sac import SwimSAC
 
 _SMALL = 1e-6
 _LOG_STD = (-20.0, 2.0)
@@ -106,10 +108,9 @@ class Agents:
 
     def __init__(
         self,
-        models: Sequence[SAC],
+        models: Sequence[SwimSAC],
         settings: Settings,
         device: torch.device,
-        odd: Sequence[float] | None = None,
     ) -> None:
         """Copy the parameters of models of the same shape.
 
@@ -117,14 +118,10 @@ class Agents:
             models: The agents.
             settings: Hyper-parameters.
             device: Device of the training.
-            odd: Columns of an observation that change sign under mirroring; default: those of the
-                view of the models.
         """
         self.models, self.settings, self.device = list(models), settings, device
-        A = len(self.models)
-        space: Any = self.models[0].action_space
-        self.O = int(self.models[0].observation_space.shape[0])  # type: ignore[index]
-        self.J = int(space.shape[0])
+        A, first = len(self.models), self.models[0]
+        self.O, self.J = first.view.size(len(first.joints)), len(first.joints)
         hidden = settings.hidden
         extra = int(settings.prices > 1)  # the price, in the first column
         self.actor = Layers.of(A, (extra + self.O, *hidden, 2 * self.J), device)
@@ -145,12 +142,11 @@ class Agents:
         self.memory = torch.zeros(A, settings.memory, width, device=device)
         self.position, self.filled = 0, 0
         self._filled = torch.zeros(1, device=device)
-        model_0: Any = self.models[0]
-        self._odd = mirrored(model_0.view.odd(self.J) if odd is None else odd, self.J, device)
+        self._odd = mirrored(first.view.odd(self.J), self.J, device)
         self._agent = torch.arange(A, device=device)[:, None]
         self._graph: torch.cuda.CUDAGraph | None = None
 
-    def _share(self, a: int, model: SAC) -> None:
+    def _share(self, a: int, model: SwimSAC) -> None:
         """Make the parameters of a model views of the shared ones, keeping their values."""
 
         def tie(linear: Any, layers: Layers, k: int, c: int, rows: slice) -> None:  # noqa: ANN401

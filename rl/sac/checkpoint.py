@@ -87,7 +87,7 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
             lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in rows)]
             write_whole(directory / "progress.csv", "\n".join(lines) + "\n")
             model.num_timesteps = progress.steps
-            setattr(model, "by_price", _by_price(agents, a))  # noqa: B010 - kept with the model
+            model.by_price = _by_price(agents, a)
             model.save(directory / ".policy.zip")
             os.replace(directory / ".policy.zip", directory / "policy.zip")
     temporary = folder / f".{CHECKPOINT}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rl.env import action_space, observation_space
 from rl.observer import View
 from rl.sac.agents import Settings
 from rl.world import World
+from sim2real.arrays import Array32
 from sim2real.errors import InputError
 
 
@@ -40,10 +42,24 @@ class NormedPolicy(SACPolicy):
 class SwimSAC(SAC):
     """SAC whose networks are views of those of ``Agents``, which trains them.
 
-    ``predict`` and ``save`` are those of Stable-Baselines3; ``SAC.load`` reads the saved models.
-    Further attributes: ``joints``; ``joint_low`` and ``joint_high``, the angles in rad of actions
-    -1 and 1; and ``view``, the definition of the observations.
+    ``predict`` and ``save`` are those of Stable-Baselines3; ``SAC.load`` reads the saved models,
+    with the attributes below.
+
+    Attributes:
+        view: Definition of the observations.
+        joints: Names of the joints.
+        joint_low: Angles of actions -1 in rad, shape (J,).
+        joint_high: Angles of actions 1 in rad, shape (J,).
+        trained_over: 5 % and 95 % quantile of each parameter of the robots of the training.
+        by_price: Effect of the price of energy on the actor, see ``rl.deploy.export.set_price``.
     """
+
+    view: View
+    joints: list[str]
+    joint_low: Array32
+    joint_high: Array32
+    trained_over: Mapping[str, Sequence[float]]
+    by_price: dict[str, Any]
 
     def get_parameters(self) -> dict[str, Any]:
         """Copies of the parameters, which are views of shared tensors."""
@@ -95,15 +111,13 @@ def make_sac(
         seed=seed,
         device="cpu",
     )
-    attributes: Any = model
-    attributes.view = view
-    attributes.joints = [joint.name for joint in world.simulator.robot.joints]
-    attributes.joint_low = world.low.cpu().numpy()
-    attributes.joint_high = world.high.cpu().numpy()
+    model.view = view
+    model.joints = [joint.name for joint in world.simulator.robot.joints]
+    model.joint_low, model.joint_high = world.low.cpu().numpy(), world.high.cpu().numpy()
     return model
 
 
-def start_from(model: SAC, path: Path) -> None:
+def start_from(model: SwimSAC, path: Path) -> None:
     """Copy the networks and the entropy coefficient of a saved model.
 
     Raises:
@@ -112,12 +126,12 @@ def start_from(model: SAC, path: Path) -> None:
     from rl.deploy.export import read_agent, view_of
 
     saved: Any = read_agent(path)
-    target: Any = model
-    if view_of(saved) != target.view:
-        raise InputError(path, "view", f"{view_of(saved)}", f"{target.view}, as this training has")
+    if view_of(saved) != model.view:
+        raise InputError(path, "view", f"{view_of(saved)}", f"{model.view}, as this training has")
     try:
-        target.policy.load_state_dict(saved.policy.state_dict())
+        model.policy.load_state_dict(saved.policy.state_dict())
     except RuntimeError as error:
         problem = str(error).splitlines()[-1].strip()
         raise InputError(path, "networks", problem, "those of this training's recipe") from None
-    target.log_ent_coef.data.copy_(saved.log_ent_coef.data)
+    entropy: Any = model.log_ent_coef
+    entropy.data.copy_(saved.log_ent_coef.data)

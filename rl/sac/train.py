@@ -265,7 +265,7 @@ def _train(
     settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
     models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
     for model, one in zip(models, draws, strict=True):
-        setattr(model, "trained_over", spread_of(one.models))  # noqa: B010 - kept with the model
+        model.trained_over = spread_of(one.models)
     if len(first) > S:
         raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
     for a, model in enumerate(models if first else []):
