@@ -160,17 +160,20 @@ def _step(
     held |= (x >= high - margin) & (slope < 0)
     diagonal = np.einsum("nff->nf", normal)
     held |= diagonal <= 1e-12 * diagonal.max(axis=1, initial=0.0, keepdims=True) + 1e-300
-    moving = ~held
+    moving, factor = ~held, 1 + damping[rows, None]
     matrix = normal * (moving[:, :, None] & moving[:, None])
-    size = np.where(moving, diagonal * (1 + damping[rows, None]), 1.0)
-    np.einsum("nff->nf", matrix)[...] = size
-    step = np.linalg.solve(matrix, np.where(moving, -slope, 0.0)[:, :, None])[:, :, 0]
-    longest = np.abs(step).max(axis=1, initial=0.0, keepdims=True)
-    step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))
-    step = np.where(free[rows], np.clip(x + step, low, high) - x, 0.0)
-    gain = -np.einsum("nf,nf->n", slope, step)
-    gain -= 0.5 * np.einsum("nf,nfg,ng->n", step, normal, step)
-    return np.asarray(step), np.asarray(gain)
+    while True:
+        np.einsum("nff->nf", matrix)[...] = np.where(moving, diagonal * factor, 1.0)
+        step = np.linalg.solve(matrix, np.where(moving, -slope, 0.0)[:, :, None])[:, :, 0]
+        longest = np.abs(step).max(axis=1, initial=0.0, keepdims=True)
+        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))
+        step = np.where(free[rows], np.clip(x + step, low, high) - x, 0.0)
+        gain = -np.einsum("nf,nf->n", slope, step)
+        gain -= 0.5 * np.einsum("nf,nfg,ng->n", step, normal, step)
+        uphill = gain < 0  # a step cut at its bounds; more damping turns it towards the slope
+        if not uphill.any():
+            return np.asarray(step), np.asarray(gain)
+        factor = np.where(uphill[:, None], 2 * factor, factor)
 
 
 def cannot_win(

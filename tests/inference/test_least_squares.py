@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from sim2real.inference.least_squares import (
     Expansion,
@@ -14,6 +14,7 @@ from sim2real.inference.least_squares import (
     rms,
     robust_loss,
     robust_scale,
+    stacked,
 )
 
 T = np.linspace(0, 3, 300)
@@ -78,6 +79,25 @@ def test_a_parameter_that_is_pushed_against_its_bound_stays_there():
     assert found.x[0, 0] == 1.4
     expected = by_scipy(0, bounds=([0, 0], [1.4, 10]))
     np.testing.assert_allclose(found.x[0], expected, rtol=1e-4)
+
+
+def test_correlated_parameters_reach_the_minimum_within_bounds():
+    """A step that is cut at one bound alone can be uphill, far from the minimum."""
+    rng = np.random.default_rng(0)
+    common = rng.normal(size=(30, 40, 1))
+    matrix = 10 * (common + 0.1 * rng.normal(size=(30, 40, 3)))
+    target = np.einsum("nkf,nf->nk", matrix, rng.uniform(-2, 2, (30, 3)))
+
+    def linear(x, index):
+        error = np.einsum("nkf,nf->nk", matrix[index], x) - target[index]
+        return stacked([expansion(e, a) for e, a in zip(error, matrix[index], strict=True)])
+
+    start, low, high = (np.full((30, 3), v) for v in (0.0, -0.5, 0.5))
+    found = minimise(linear, start, low, high, settled=1e-9, evaluations=200)
+    assert found.converged.all()
+    for n in range(30):
+        best = lsq_linear(matrix[n], target[n], (low[n], high[n]), method="bvls").cost
+        assert found.expansion.loss[n] == pytest.approx(best, rel=1e-4, abs=1e-6)
 
 
 def test_places_without_a_parameter_stay():
