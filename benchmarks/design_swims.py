@@ -39,7 +39,7 @@ from world import World  # noqa: E402
 
 from benchmarks.pool_decisions import judged  # noqa: E402
 from sim.design.design_swim import design_swim  # noqa: E402
-from sim.inference.coordinates import Swum  # noqa: E402
+from sim.inference.coordinates import SwimSimulator  # noqa: E402
 from sim.inference.diagnose_swims import diagnosis_of  # noqa: E402
 from sim.inference.in_water import (  # noqa: E402
     CELL_M,
@@ -98,7 +98,7 @@ class Known(NamedTuple):
     """What a diagnosis of a robot's swims starts from."""
 
     model: Model
-    simulate: Swum
+    simulate: SwimSimulator
     prior: SwimPrior
     law_error: LawError
 

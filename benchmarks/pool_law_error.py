@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from sim.inference.coordinates import ERROR, Coordinates, Swum
+from sim.inference.coordinates import ERROR, Coordinates, SwimSimulator
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import (
     BANDS,
@@ -57,7 +57,7 @@ _OWN = ("error.surge_1", "error.surge_2", "error.surge_3", "error.yaw_off_1")
 """Columns that only a swim has: they change along it."""
 
 
-def placed(folder: Path, files: Files) -> tuple[Robot, Model, Swum]:
+def placed(folder: Path, files: Files) -> tuple[Robot, Model, SwimSimulator]:
     """A robot, its model and its simulator."""
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
     return robot, *robot_in_water(robot, model, files, threads=1)

@@ -1,4 +1,4 @@
-"""The forecast of an ablation: what each arm is expected to do in reality, beside what it does."""
+"""The forecast of an ablation: what each arm is expected to do in reality, and what it does."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.cases.case import Case, Curve, Figure
-from sim.cases.swimming import Swum, swim
+from sim.cases.swimming import SwimPath, swim
 from sim2real.arrays import Array
 
 SPEED = 0.54
@@ -46,7 +46,7 @@ def radii() -> Array:
     return np.asarray(np.maximum(taper, _TIP))
 
 
-def eel(cells: int, cycles: int, *, device: str = "cpu", threads: int = 2) -> Swum:
+def eel(cells: int, cycles: int, *, device: str = "cpu", threads: int = 2) -> SwimPath:
     """Simulate the eel with a number of cells per body length."""
     return swim(
         [Eel()],

@@ -65,7 +65,7 @@ class Gait:
 
 
 @dataclass(frozen=True)
-class Swum:
+class SwimPath:
     """Paths of robots: cycles (T,), x, y and heading of the head (T, E, 3), in body lengths."""
 
     cycles: Array
@@ -97,7 +97,7 @@ def swim(
     cycles: int = _CYCLES,
     device: str = "cpu",
     threads: int = 2,
-) -> Swum:
+) -> SwimPath:
     """Simulate robots of one shape with prescribed joints, each in a box of still water.
 
     Args:
@@ -151,7 +151,7 @@ def swim(
         bodies.step(KINEMATIC)
         if (step + 1) % steps == 0:
             path.append(bodies.motion.q.numpy()[:, :3].copy())
-    return Swum(np.arange(cycles + 1.0), np.array(path))
+    return SwimPath(np.arange(cycles + 1.0), np.array(path))
 
 
 SYMMETRIC = (0.06, 0.06, 0.06, 0.06, 0.06)
@@ -169,7 +169,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     straight = [Gait(heading=h) for h in HEADINGS]
     others = [Gait(wave=-1.0), Gait(side=-1.0), Gait(turn=0.1), Gait(turn=0.1, side=-1.0)]
 
-    def swum(gaits: Sequence[Gait], cells: int, **more: Any) -> Swum:  # noqa: ANN401
+    def swum(gaits: Sequence[Gait], cells: int, **more: Any) -> SwimPath:  # noqa: ANN401
         return swim(gaits, cells, cycles=cycles, device=device, threads=threads, **more)
 
     main = swum([*straight, *others], fine)

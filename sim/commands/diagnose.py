@@ -22,7 +22,7 @@ from sim2real.viewers.scenes import diagnosed
 from sim2real.viewers.signal_group import Scene
 
 if TYPE_CHECKING:
-    from sim.inference.coordinates import Swum
+    from sim.inference.coordinates import SwimSimulator
     from sim.inference.swims import Swim
 
 
@@ -35,15 +35,15 @@ def run(options: argparse.Namespace) -> int:
     diagnosis = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))
     print(diagnosis)
     write_all(diagnosis, out)
-    swum = _swum(recordings, robot, options)
+    read = _read_swims(recordings, robot, options)
     if not options.no_page:
         page, count = out.with_suffix(".html"), len(recordings)
         counted = "1 recording" if count == 1 else f"{count} recordings"
         subtitle = f"{counted}, verdict: {diagnosis.verdict.replace('_', ' ')}"
-        section = _section(diagnosis, swum, robot)
+        section = _section(diagnosis, read, robot)
         write_page(page, f"Diagnosis of {robot.name}", subtitle, [section], diagnosis.provenance)
         print(f"\npage: {page}")
-    write_views(options, lambda: _scene(diagnosis, recordings, swum, robot))
+    write_views(options, lambda: _scene(diagnosis, recordings, read, robot))
     return 0
 
 
@@ -54,11 +54,13 @@ def write_all(diagnosis: Diagnosis, out: Path) -> None:
     write_diagnosis(write_commands(diagnosis, out), out, enriched.name)
 
 
-Swims = tuple[list["Swim"], "Swum | None"]
+Swims = tuple[list["Swim"], "SwimSimulator | None"]
 """The swims, and the simulator of their diagnosis."""
 
 
-def _swum(recordings: list[Recording], robot: Robot, options: argparse.Namespace) -> Swims | None:
+def _read_swims(
+    recordings: list[Recording], robot: Robot, options: argparse.Namespace
+) -> Swims | None:
     """The swims and their simulator; None for recordings of a bench, or if nothing shows them."""
     shown = not options.no_page or options.rerun or options.mcap
     if not (shown and recordings[0].is_swim):
@@ -70,21 +72,21 @@ def _swum(recordings: list[Recording], robot: Robot, options: argparse.Namespace
     return swims, simulator_of(robot, read_model(options.model), options.in_water, options.device)
 
 
-def _section(diagnosis: Diagnosis, swum: Swims | None, robot: Robot) -> Section:
-    if swum is None:
+def _section(diagnosis: Diagnosis, read: Swims | None, robot: Robot) -> Section:
+    if read is None:
         return diagnosis_section(diagnosis)
     from sim.view.diagnosis_page import swims_section
 
-    swims, simulate = swum
+    swims, simulate = read
     return swims_section(diagnosis, swims, simulate, robot)
 
 
 def _scene(
-    diagnosis: Diagnosis, recordings: list[Recording], swum: Swims | None, robot: Robot
+    diagnosis: Diagnosis, recordings: list[Recording], read: Swims | None, robot: Robot
 ) -> Scene:
-    if swum is None:
+    if read is None:
         return diagnosed(diagnosis)
     from sim.view.swim_scene import swims_scene
 
-    swims, simulate = swum
+    swims, simulate = read
     return swims_scene(diagnosis, recordings, swims, simulate, robot)

@@ -252,11 +252,11 @@ def _limits(effect: Candidate, p: Parameter) -> tuple[float, float, float, float
     return low, p.high, 0.5 * p.typical, p.prior_sd
 
 
-Swum = Callable[[Sequence[Model], Swim], Array]
+SwimSimulator = Callable[[Sequence[Model], Swim], Array]
 """From models (E) and a swim to tracks (E, T, 3 + J)."""
 
 
-def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) -> Array:
+def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator) -> Array:
     """Signals of a swim at points (E, F), shape (E, T, 3 + J).
 
     Points that differ only in camera effects and the current share a simulation.
@@ -271,7 +271,7 @@ def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: Swum) ->
     return _signals(track, [coordinates.parameters(x) for x in points], swim)
 
 
-def seen_as(models: Sequence[Model], swim: Swim, simulate: Swum) -> Array:
+def seen_as(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> Array:
     """Signals of a swim by models; current and camera as in ``swum``, shape (E, T, 3 + J)."""
     parameters = []
     for model in models:

@@ -17,7 +17,7 @@ import numpy as np
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
-from sim.inference.coordinates import Swum, seen_as, swum
+from sim.inference.coordinates import SwimSimulator, seen_as, swum
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
 from sim.inference.resistance import resistance, with_resistance
@@ -54,11 +54,11 @@ def diagnose_swims(
     swims: Sequence[Swim],
     model: Model,
     robot: Robot,
-    simulate: Swum,
+    simulate: SwimSimulator,
     *,
     references: Sequence[Swim] = (),
     law_error: LawError = LAW_ERROR,
-    resimulate: Callable[[Model], tuple[Swum, Model] | None] = lambda result: None,
+    resimulate: Callable[[Model], tuple[SwimSimulator, Model] | None] = lambda result: None,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """Find the effects of body and camera that the simulator leaves out.

@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from sim.calibration.emulator import path_of, steps_of
 from sim.inference.blocks import bounds
-from sim.inference.coordinates import Swum
+from sim.inference.coordinates import SwimSimulator
 from sim.inference.swims import Swim
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.prescribed import carry
@@ -30,7 +30,7 @@ SUBSTEPS = 4
 its error."""
 
 
-def by_followed_twin(robot: Robot, **settings: Any) -> Swum:  # noqa: ANN401 - options of Twin
+def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: ANN401 - options of Twin
     """The twin as a simulator for swims with measured poses."""
     options = {"substeps": SUBSTEPS, **settings}
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from sim.calibration.emulator import path_of, steps_of
 from sim.fluid.wall import SLIP, Wall
-from sim.inference.coordinates import WATER, Coordinates, Swum
+from sim.inference.coordinates import WATER, Coordinates, SwimSimulator
 from sim.inference.followed import by_followed_twin
 from sim.inference.searched import learned
 from sim.inference.swims import Swim, with_values
@@ -175,7 +175,7 @@ def resimulation(
     swims: Sequence[Swim],
     water: InWater,
     **options: Any,  # noqa: ANN401
-) -> Callable[[Model], tuple[Swum, Model] | None]:
+) -> Callable[[Model], tuple[SwimSimulator, Model] | None]:
     """A function that simulates swims in the fluid again, with the effects of a fitted model.
 
     It returns the simulator corrected by these simulations and the model that they used; None where
@@ -189,7 +189,7 @@ def resimulation(
         options: Options of ``swum_in_water``.
     """
 
-    def simulate(fitted: Model) -> tuple[Swum, Model] | None:
+    def simulate(fitted: Model) -> tuple[SwimSimulator, Model] | None:
         with_effects = with_fluid_effects(model, fitted)
         if not values(with_effects):
             return None
@@ -228,7 +228,7 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any)
     return replace(water, law=law)
 
 
-def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any) -> Swum:  # noqa: ANN401, D417
+def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any) -> SwimSimulator:  # noqa: ANN401, D417
     """The twin (with ``options``), corrected by simulations in the fluid.
 
     Args:
@@ -269,7 +269,7 @@ def robot_in_water(
     model: Model,
     files: Sequence[Path],
     **options: Any,  # noqa: ANN401
-) -> tuple[Model, Swum]:
+) -> tuple[Model, SwimSimulator]:
     """A model and a simulator corrected by simulations in the fluid; without files, the twin alone.
 
     Args:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from sim.inference.coordinates import Swum
+from sim.inference.coordinates import SwimSimulator
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.in_water import (
     VARIANTS,
@@ -31,7 +31,7 @@ from sim2real.progress import progress_bar
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 
-Resimulate = Callable[[Model], tuple[Swum, Model] | None]
+Resimulate = Callable[[Model], tuple[SwimSimulator, Model] | None]
 """A function from a fitted model to a simulator corrected with it, see ``diagnose_swims``."""
 THREADS = 2
 """CPU threads of the fluid."""
@@ -90,7 +90,7 @@ def diagnose_recorded_swims(
 
 
 def _compared(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> Diagnosis:
-    """The diagnosis with what designed recordings were expected to tell, beside what they told."""
+    """The diagnosis with what designed recordings were expected to tell, and what they showed."""
     rivals = diagnosis.swim_rivals
     assert rivals is not None
     found = {frozenset(one.effects): one.probability for one in rivals.sets}
@@ -100,14 +100,14 @@ def _compared(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> Diagnosi
 
 def simulator_of(
     robot: Robot, model: Model, in_water: Path | None = None, device: str = "cpu"
-) -> Swum | None:
+) -> SwimSimulator | None:
     """The simulator of a diagnosis, for plots; None where the fluid was simulated again."""
     if in_water is not None and device != "cpu":
         return None
     return robot_in_water(robot, model, [in_water] if in_water else [])[1]
 
 
-def _no_resimulation(fitted: Model) -> tuple[Swum, Model] | None:
+def _no_resimulation(fitted: Model) -> tuple[SwimSimulator, Model] | None:
     return None
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
-from sim.inference.coordinates import Coordinates, Swum, seen_as
+from sim.inference.coordinates import Coordinates, SwimSimulator, seen_as
 from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
 from sim.inference.linear_fit import together
@@ -121,7 +121,7 @@ def learned(
     references: Sequence[Swim],
     model: Model,
     robot: Robot,
-    simulate: Swum,
+    simulate: SwimSimulator,
     law_error: LawError = LAW_ERROR,
 ) -> SwimPrior:
     """Prior of a robot's swims, learned from reference swims in which nothing is missing.
@@ -186,7 +186,7 @@ def searched(
     swims: Sequence[Swim],
     model: Model,
     robot: Robot,
-    simulate: Swum,
+    simulate: SwimSimulator,
     prior: SwimPrior,
     progress: Progress = lambda share: None,
     simulated: Model | None = None,

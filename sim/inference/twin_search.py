@@ -19,7 +19,7 @@ import numpy as np
 
 from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
-from sim.inference.coordinates import DOUBT, ERROR, Coordinates, Swum, in_fit, swum
+from sim.inference.coordinates import DOUBT, ERROR, Coordinates, SwimSimulator, in_fit, swum
 from sim.inference.linear_fit import Fit, Slope, SwimPrior, bounded
 from sim.inference.starts import with_other_sizes
 from sim.inference.swims import Swim
@@ -62,7 +62,7 @@ class TwinSwims:
 
     coordinates: Coordinates
     swims: Sequence[Swim]
-    simulate: Swum
+    simulate: SwimSimulator
     prior: SwimPrior
     cost: float = 0.0
     doubted: Sequence[Array] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sim.inference.coordinates import Swum
+from sim.inference.coordinates import SwimSimulator
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import Swim
 from sim.view.calibration_plot import comparison_block
@@ -30,7 +30,7 @@ _PLOTTED = 3
 
 
 def swims_section(
-    diagnosis: Diagnosis, swims: Sequence[Swim], simulate: Swum | None, robot: Robot
+    diagnosis: Diagnosis, swims: Sequence[Swim], simulate: SwimSimulator | None, robot: Robot
 ) -> Section:
     """The verdict, the effects with their probabilities, the rivals, and the errors.
 
@@ -81,7 +81,7 @@ def swims_section(
     return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in diagnosis.gate)])
 
 
-def _plot(swim: Swim, before: Model, after: Model, simulate: Swum, robot: Robot) -> Block:
+def _plot(swim: Swim, before: Model, after: Model, simulate: SwimSimulator, robot: Robot) -> Block:
     caption = "measured, and simulated before and after; both models were fitted to all of it"
     return comparison_block(
         swim, before, after, lambda models, *_: simulate(models, swim), robot,

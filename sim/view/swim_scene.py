@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.inference.coordinates import Swum
+from sim.inference.coordinates import SwimSimulator
 from sim.inference.swims import Swim
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis
@@ -21,7 +21,7 @@ def swims_scene(
     diagnosis: Diagnosis,
     recordings: Sequence[Recording],
     swims: Sequence[Swim],
-    simulate: Swum | None,
+    simulate: SwimSimulator | None,
     robot: Robot,
 ) -> Scene:
     """The recordings, and the swims of the plain and of the enriched model from the same start.

@@ -47,7 +47,7 @@ class JointCase:
         model: The model of it to start from, or None.
         references: Its recordings from before, see ``Case``.
         servo: Its data sheet, or None.
-        stated: Sets of effects that recordings were designed to tell apart; all are tried.
+        stated: Sets of effects that recordings were designed to distinguish; all are tried.
     """
 
     name: str

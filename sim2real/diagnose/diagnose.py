@@ -26,7 +26,7 @@ from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.diagnose.page.supplements import with_checks
 from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
-from sim2real.diagnose.torque_speed_line import limits_beside, on_their_lines
+from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lines
 from sim2real.effects import named
 from sim2real.identification.fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
@@ -199,7 +199,7 @@ def _first_look(
     """The joints, with their motor's limit where that shows, and every set that was tried."""
     batch = Batch([joint.traces for joint in joints], device)
     ledgers = _looked(batch, joints, rng)
-    lines = limits_beside(batch, joints, [ledger.best for ledger in ledgers])
+    lines = models_with_limits(batch, joints, [ledger.best for ledger in ledgers])
     if not lines:
         return list(joints), ledgers
     joints = [replace(joint, model=lines.get(j, joint.model)) for j, joint in enumerate(joints)]

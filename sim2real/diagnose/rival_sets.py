@@ -142,7 +142,7 @@ class StatedSet:
 
 
 def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet, ...]:
-    """The sets of effects of a joint that recordings were designed to tell apart.
+    """The sets of effects of a joint that recordings were designed to distinguish.
 
     Raises:
         InputError: If what a recording's JSON says under ``rivals`` is of another form.

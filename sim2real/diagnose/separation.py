@@ -27,7 +27,7 @@ def task(first: tuple[str, ...], second: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class Separation:
-    """Two sets of effects that a recording was to tell apart.
+    """Two sets of effects that a recording was to distinguish.
 
     Attributes:
         component: The joint.

@@ -87,7 +87,7 @@ def _on_its_line(
     return model, rms(motor.fit.residuals) / rms(plain.residuals)
 
 
-def limits_beside(
+def models_with_limits(
     batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
 ) -> dict[int, JointModel]:
     """Plain models with their motor's limit, of joints that reach it.

@@ -16,8 +16,6 @@ TICK_RAD = math.radians(0.24)
 CENTRE_TICKS, LARGEST_TICKS = 500, 1000
 LONGEST_MOVE_MS = 30_000
 BAUD_RATES = (115_200, 9600)  # servos sometimes fall back to the second
-BYTE_S = 10 / BAUD_RATES[0]
-"""Time of one byte on the wire: eight bits, a start and a stop bit."""
 
 
 class BusCommand(IntEnum):

@@ -33,9 +33,9 @@ from sim2real.servo.rollout import (
     Simulator,
     active_effects,
     coarse_substep,
-    contexts,
     longest_substep,
     rollout,
+    trace_contexts,
 )
 from sim2real.servo.trace import Trace
 
@@ -160,7 +160,7 @@ def _guess_errors(
     else:
         substep = longest_substep(theta, theta[:, 3], steps_per_radian=6.0, longest_s=4e-3)
         step = np.maximum(substep, shortest_s)  # the fast mode of strong damping decays within it
-        factor, offset = contexts([trace])
+        factor, offset = trace_contexts([trace])
         rows = theta * factor + offset
         angle = rollout(
             rows, trace.t, trace.command, varying=trace.varying, substep_s=step, threads=2

@@ -33,7 +33,7 @@ _VERDICTS = {
     "explained": ("good", "The named effects account for the mismatch."),
     "ambiguous": (
         "info",
-        "Several effects, which these recordings cannot tell apart, account equally well for the "
+        "Several effects, which these recordings cannot distinguish, account equally well for the "
         "mismatch.",
     ),
     "partly_explained": (

@@ -17,11 +17,11 @@ from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import (
     active_effects,
     coarse_substep,
-    contexts,
     longest_substep,
     padded,
     simulate,
     to_warp,
+    trace_contexts,
     workers,
 )
 from sim2real.servo.trace import Trace
@@ -125,7 +125,7 @@ class Batch:
         self._signals = [to_warp(x, device) for x in signals]
         self._position, self._counts = (to_warp(x, device) for x in (position, counts))
         self._length = self._signals[2]
-        self._contexts = [to_warp(x, device) for x in contexts(all_traces)]
+        self._contexts = [to_warp(x, device) for x in trace_contexts(all_traces)]
 
     def count(self, joint: Integers) -> Array:
         """Number of samples whose innovations count, for each of these joints, shape (N,)."""

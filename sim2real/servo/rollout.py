@@ -101,7 +101,7 @@ def rollout_on(
 
     ``substep_s`` and ``threads`` are those of ``rollout``.
     """
-    factor, offset = contexts([trace])
+    factor, offset = trace_contexts([trace])
     rows = theta * factor + offset
     return rollout(
         rows,
@@ -186,7 +186,7 @@ def padded_loads(loads: Sequence[VaryingLoad | None], start: Array) -> tuple[Arr
     return grid, values
 
 
-def contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:
+def trace_contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:
     """Factors and offsets of a servo's parameters on S recordings, both of shape (S, P).
 
     A recording states a supply voltage, a firmware gain and a load, and when angles are sampled.
@@ -211,7 +211,7 @@ class Simulator:
         """
         self.traces, self.threads = traces, threads
         signals, position, self._load = padded(traces)
-        self._factor, self._offset = contexts(traces)
+        self._factor, self._offset = trace_contexts(traces)
         self._signals = [to_warp(x, "cpu") for x in signals]
         self.position, self.length = to_warp(position, "cpu"), self._signals[2]
         self._pool = workers(threads)

@@ -1,4 +1,4 @@
-"""How sure: probabilities of effects, and which of them the recordings cannot tell apart."""
+"""Probabilities of effects, and which of them the recordings cannot distinguish."""
 
 from __future__ import annotations
 
