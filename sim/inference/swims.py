@@ -215,7 +215,7 @@ def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Arra
     out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
     swam = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
     if swam.size:
-        poses = [observed(swim.t, track[e, :, :3], values(models[e])) for e in swam]
+        poses = [observed(swim.t, track[e, :, :3], values(models[int(e)])) for e in swam]
         out[swam, :, :3] = body_velocity(swim.t, np.array(poses))
         out[swam, :, 3:] = track[swam, :, 3:]
     return out
