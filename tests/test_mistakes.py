@@ -200,9 +200,11 @@ def test_arguments(call: Callable[[], object], parts: tuple[str, ...]) -> None:
 
 
 def test_a_lone_effect_is_a_list_of_one() -> None:
-    alone, listed = (s2r.identify(GOOD, BENCH, effects=e) for e in ("backlash", ["backlash"]))
+    alone, listed = (
+        s2r.identify(GOOD, BENCH, effects=e) for e in ("coulomb_friction", ["coulomb_friction"])
+    )
     assert alone.joints["j1"].effects == listed.joints["j1"].effects
-    assert alone.joints["j1"].effects[0].effect == "backlash"
+    assert alone.joints["j1"].effects[0].effect == "coulomb_friction"
 
 
 def test_no_data_sheet_means_the_linear_law() -> None:

@@ -215,12 +215,11 @@ def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Arra
     """
     track = simulator(models, swim.command, swim.start)
     out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
-    for e, model in enumerate(models):
-        if not np.isfinite(track[e]).all():
-            continue
-        pose = observed(swim.t, track[e, :, :3], values(model))
-        out[e, :, :3] = body_velocity(swim.t, pose)
-        out[e, :, 3:] = track[e, :, 3:]
+    swam = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
+    if swam.size:
+        poses = [observed(swim.t, track[e, :, :3], values(models[int(e)])) for e in swam]
+        out[swam, :, :3] = body_velocity(swim.t, np.array(poses))
+        out[swam, :, 3:] = track[swam, :, 3:]
     return out
 
 

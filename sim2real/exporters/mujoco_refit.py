@@ -80,15 +80,14 @@ def mujoco_refit(
     data = {
         name: fitting_data(name, joint, recordings, robot) for name, joint in model.joints.items()
     }
-    rough += [model.joints[name] for name, joint in result.model.joints.items() if _bristly(joint)]
-    if rough:
-        plainer = written()[0]
-        rough[:] = [
-            model.joints[name]
-            for name in model.joints
-            if model.joints[name] in rough and _nearer(plainer, result, name, data[name])
-        ]
-        result, export = written()
+    bristly = [name for name, joint in result.model.joints.items() if _bristly(joint)]
+    if bristly:
+        rough += [model.joints[name] for name in bristly]
+        plainer = written()
+        nearer = [name for name in bristly if _nearer(plainer[0], result, name, data[name])]
+        rough[:] = [model.joints[name] for name in nearer]
+        if nearer:
+            result, export = plainer if nearer == bristly else written()
     agreement = tuple(_agreement(result, name, data[name]) for name in model.joints)
     return MujocoExport(export, result, agreement)
 

@@ -76,7 +76,7 @@ def _starts(
 ) -> Array:
     """Rows (N, P) with the smallest losses of a grid and a scan, each apart from the others.
 
-    Every fourth value of a parameter in the scan is the smallest one.
+    Every fourth value of a parameter in the scan is that without the effect.
 
     Args:
         traces: The joint's recordings.
@@ -112,7 +112,8 @@ def _starts(
         for k, (p, share) in enumerate(zip(own, point[3:], strict=True)):
             strength = STRENGTHS[0] * (STRENGTHS[-1] / STRENGTHS[0]) ** (share * 4 / 3)
             value = np.clip(strength * p.nominal, p.low, p.high)
-            row[columns[k]], size[k] = p.low if share > 0.75 else value, p.nominal
+            absent = max(p.low, 0.0)
+            row[columns[k]], size[k] = absent if share > 0.75 else value, p.nominal
     residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
     losses = [robust_loss(error, OUTLIER_SD * plain.scale_rad) for error in residuals]
     places = np.log(0.1 + np.abs(rows[:, columns]) / sizes)

@@ -326,10 +326,16 @@ def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()
 
 
 def errors(simulator: Simulator, rows: Array, substep_s: float | None = None) -> list[Array]:
-    """Simulated minus measured angle of servos (B, P) at used samples, (B, n) per trace."""
+    """Simulated minus measured angle of servos (B, P) at used samples, (B, n) per trace.
+
+    The longest sub-step is ``substep_s`` for all, by default one for each servo.
+    """
+    longest: float | Array
     if substep_s is None:
-        substep_s = simulator.substep(rows, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
-    angles = simulator.angles(rows, substep_s)
+        longest = simulator.substeps(rows, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+    else:
+        longest = substep_s
+    angles = simulator.angles(rows, longest)
     return [(a - t.position)[:, t.used] for a, t in zip(angles, simulator.traces, strict=True)]
 
 

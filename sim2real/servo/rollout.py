@@ -223,31 +223,42 @@ class Simulator:
 
     def substep(self, theta: Array, steps_per_radian: float, longest_s: float) -> float:
         """Common sub-step in s for all servos (B, P), infinite if all are linear."""
-        if self.is_linear(theta):
-            return np.inf
-        inertia = self._load[:, 0, None]
-        return float(longest_substep(theta, inertia, steps_per_radian, longest_s).min())
+        return float(self.substeps(theta, steps_per_radian, longest_s).min())
 
-    def angles(self, theta: Array, substep_s: float) -> list[Array]:
+    def substeps(self, theta: Array, steps_per_radian: float, longest_s: float) -> Array:
+        """Sub-step in s for each of the servos (B, P), shape (B,), infinite if all are linear."""
+        if self.is_linear(theta):
+            return np.full(len(theta), np.inf)
+        inertia = self._load[:, 0, None]
+        least: Array = longest_substep(theta, inertia, steps_per_radian, longest_s).min(axis=0)
+        return least
+
+    def angles(self, theta: Array, substep_s: float | Array) -> list[Array]:
         """Angles in rad of servos (B, P) with the load of each recording, one array (B, T) each.
 
-        ``substep_s`` is the longest sub-step; if it is infinite, all servos must be linear.
+        ``substep_s`` is the longest sub-step, the same for all servos or one for each, shape (B,);
+        if it is infinite, all servos must be linear.
         """
-        parts = [part for part in np.array_split(theta, self.threads) if part.size]
-        results = list(self._pool.map(lambda part: self.run(part, substep_s).numpy(), parts))
+        substeps = np.broadcast_to(substep_s, len(theta))
+        threads = min(self.threads, len(theta))
+        parts = zip(*(np.array_split(x, threads) for x in (theta, substeps)), strict=True)
+        results = list(self._pool.map(lambda part: self.run(*part).numpy(), parts))
         S = len(self.traces)
         return [
             np.concatenate([angle[s::S, : trace.t.size] for angle in results])
             for s, trace in enumerate(self.traces)
         ]
 
-    def run(self, theta: Array, substep_s: float) -> Any:  # noqa: ANN401 - Warp has no stubs
+    def run(self, theta: Array, substep_s: float | Array) -> Any:  # noqa: ANN401 - Warp has no stubs
         """Angles of servos (B, P) as a Warp array, one row per servo and recording, (B * S, T).
+
+        ``substep_s`` is that of ``angles``.
 
         Raises:
             ValueError: If the sub-step is infinite and a servo is not linear.
         """
-        if np.isinf(substep_s) and not self.is_linear(theta):
+        exact = bool(np.isinf(substep_s).all())
+        if exact and not self.is_linear(theta):
             raise ValueError("no exact solution with effects, a pendulum or a varying load")
         S = len(self.traces)
         rows = (theta[:, None] * self._factor + self._offset).reshape(-1, theta.shape[1])
@@ -255,11 +266,11 @@ class Simulator:
         T = self._signals[0].shape[1]
         angle: Any = wp.empty((len(rows), T), dtype=wp.float64, device="cpu")
         servos = to_warp(rows, "cpu")
-        if np.isinf(substep_s):
+        if exact:
             inputs = [servos, to_warp(signal, "cpu"), *self._signals[:3]]
             wp.launch(solve_servos, dim=len(rows), inputs=inputs, outputs=[angle], device="cpu")
         else:
-            longest = np.full(len(rows), substep_s)
+            longest = np.repeat(np.broadcast_to(substep_s, len(theta)), S)
             simulate(
                 active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle
             )

@@ -15,18 +15,22 @@ pytest.importorskip("torch", reason="the extra 'rl' is not installed")
 from rl.commands.options import COMMANDS
 from rl.experiments.arms import ARMS
 from rl.sac.recipes import RECIPES
-from rl.task import TASKS
+from rl.task import TASKS, shortened
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 FILES = ["--robot", str(POOL / "robot.toml"), "--model", str(POOL / "model.json")]
 SMALL = ["--task", "near", "--envs", "2", "--steps", "2000", "--segment", "1000"]
 
 
-def test_a_policy_is_trained_and_evaluated(tmp_path, capsys):
-    few = ["--updates-per-step", "0.01", "--ranges", str(POOL / "ranges.json")]
-    assert main(["train", *FILES, *SMALL, *few, "--out", str(tmp_path / "run")]) == 0
+def test_a_policy_is_trained_and_evaluated(tmp_path, capsys, monkeypatch):
+    few = ["--updates-per-step", "0.01", "--ranges", str(POOL / "ranges.json"), "--trials", "2"]
+    with monkeypatch.context() as patch:
+        for name, task in TASKS.items():  # the trials that choose the price and the best agent
+            patch.setitem(TASKS, name, shortened(task, 50))
+        assert main(["train", *FILES, *SMALL, *few, "--out", str(tmp_path / "run")]) == 0
     policy = tmp_path / "run" / "policy-0" / "policy.zip"
     assert str(policy) in capsys.readouterr().out
+    assert json.loads((tmp_path / "run" / "trials.json").read_text())["best"] == "policy-0"
     assert (tmp_path / "run" / "curve.png").exists()
     out, plot = tmp_path / "turn.json", tmp_path / "turn.png"
     call = ["evaluate", str(policy), "pnl", *FILES, "--episodes", "3"]

@@ -1,6 +1,7 @@
 """What tests of the data sets' generators share."""
 
 import importlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -8,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+os.environ.setdefault("NUMBA_OPT", "1")  # read by Numba when it is imported; compiles faster
 
 DATASETS = Path(__file__).parents[2] / "datasets"
 POOL = (

@@ -54,7 +54,7 @@ def commands(kind: str, t: Array, rng: np.random.Generator) -> Array:
     return np.asarray(0.4 * np.sin(2 * np.pi * (0.1 + 0.1 * s) * s))
 
 
-def write_log(servo: Servo, kind: str, path: Path, seed: int, seconds: float = 12.0) -> None:
+def write_log(servo: Servo, kind: str, path: Path, seed: int, seconds: float = 8.0) -> None:
     """``time_ms,goal,present`` with clock jitter, angles in counts."""
     rng = np.random.default_rng(seed)
     t = PERIOD_S * np.arange(round(seconds / PERIOD_S))

@@ -41,7 +41,7 @@ def lens_of(shot):
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
-    folder, shot = tmp_path_factory.mktemp("film"), overhead.Shot(samples=5)
+    folder, shot = tmp_path_factory.mktemp("film"), overhead.Shot(samples=3)
     pictures = overhead.frames(shot, TIMES, rng=np.random.default_rng(0), hidden=HIDDEN)
     video = overhead.write_video(folder / "swim.avi", pictures, RATE, "FFV1")
     toml = folder / "camera.toml"

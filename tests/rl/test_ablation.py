@@ -80,7 +80,9 @@ def ablated(robot, model):
     def call(folder, reality=None, predictor=None):
         arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
         places = make_testbeds(robot, arms, PLAN, RANGES, reality or model)
-        return ablate(folder, robot, arms, PLAN, places, repeats=3, predictor=predictor)
+        return ablate(
+            folder, robot, arms, PLAN, places, repeats=3, longest=100, predictor=predictor
+        )
 
     return call
 
@@ -131,7 +133,7 @@ def make(robot, n, seed, device):
 
 def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp_path, monkeypatch):
     path = tmp_path / "glider.py"
-    path.write_text(GLIDER.format(turns=0.01))
+    path.write_text(GLIDER.format(turns=0.05))
     found = run(read_reality(path))
     assert "glider.py" in found["said"]["reality"]
     agent = found["agents"][0]["reality"]
@@ -141,7 +143,7 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
     with monkeypatch.context() as patch:
         patch.setattr(rl.experiments.testbeds, "run_real_episodes", None)  # nothing is left to swim
         assert run(read_reality(path)) == found
-        path.write_text(GLIDER.format(turns=0.02))
+        path.write_text(GLIDER.format(turns=0.06))
         with pytest.raises(TypeError):
             run(read_reality(path))
 
@@ -151,7 +153,7 @@ def test_each_arm_is_forecast_beside_what_it_does(
 ):
     rng = np.random.default_rng(0)
     sample = JointSample(("j1.kp_Nm_per_rad",), ("",), rng.uniform(1.9, 2.3, (50, 1)))
-    drawn = draw_realities(robot, model, RANGES, sample, 20, rng)
+    drawn = draw_realities(robot, model, RANGES, sample, 8, rng)
     settings = SimulationSettings()
     shutil.copytree(trained, tmp_path / "run")
     predictor = partial(predict, robot=robot, realities=drawn, seed=0, settings=settings)

@@ -30,12 +30,19 @@ from sim2real.velocity import body_velocity
 IN_WATER = read_law_error(law_error.IN_WATER)
 
 
+NAMES = ("camera_latency", "skin_elasticity", "pool_current")
+"""A few candidates, so that tests take seconds."""
+
+
+def only(patch, names):
+    """Search these candidates alone."""
+    listed = [one for one in candidates(FISH) if one[0] in names]
+    patch.setattr(places, "candidates", lambda robot: listed)
+
+
 @pytest.fixture
 def few(monkeypatch):
-    """A few candidates, so that the test takes seconds."""
-    names = ("camera_latency", "skin_elasticity", "pool_current")
-    listed = [one for one in candidates(FISH) if one[0] in names]
-    monkeypatch.setattr(places, "candidates", lambda robot: listed)
+    only(monkeypatch, NAMES)
 
 
 def swum(truth, seed=0):
@@ -56,8 +63,31 @@ def diagnosed(effects, references=()):
     return diagnose_swims(*given, references=[swum({}, seed=k + 1) for k in range(len(references))])
 
 
-def test_what_was_concealed_is_named(few):
-    found = diagnosed({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
+SKIN_LEFT_OUT = {"skin_elasticity.stiffness_Nm_per_rad": 0.6}
+
+
+@pytest.fixture(scope="module")
+def skin():
+    """The diagnosis of a swim of a robot with a skin, and the fits that had not seen the end.
+
+    Of each such fit the coordinates, and where the fit to the whole swim and this one came to lie.
+    """
+    seen = []
+    held = TwinSwims.held
+
+    def told(self, members, fit, share):
+        found, left = held(self, members, fit, share)
+        seen.append((self.coordinates, fit.x, found.x))
+        return found, left
+
+    with pytest.MonkeyPatch.context() as patch:
+        only(patch, NAMES)
+        patch.setattr(TwinSwims, "held", told)
+        return diagnosed(SKIN_LEFT_OUT), seen
+
+
+def test_what_was_concealed_is_named(skin):
+    found, _ = skin
     assert found.effects[0].effect == "skin_elasticity"
     named = found.effects[0]
     assert named.probability > 0.9
@@ -67,8 +97,8 @@ def test_what_was_concealed_is_named(few):
     assert any("no reference swims" in line for line in found.gate)
 
 
-def test_the_sets_that_stay_open_are_listed_with_their_parameters(few):
-    rivals = diagnosed({"skin_elasticity.stiffness_Nm_per_rad": 0.6}).swim_rivals
+def test_the_sets_that_stay_open_are_listed_with_their_parameters(skin):
+    rivals = skin[0].swim_rivals
     first, *others = rivals.sets
     assert "skin_elasticity" in first.effects
     assert first.coordinates["skin_elasticity.stiffness_Nm_per_rad"] == pytest.approx(0.6, rel=0.06)
@@ -81,20 +111,11 @@ def test_the_sets_that_stay_open_are_listed_with_their_parameters(few):
     np.testing.assert_allclose(rivals.pose_sd, [0.002, 0.002, 0.008], rtol=0.3)
 
 
-def test_errors_are_of_a_fit_that_has_not_seen_the_end(few, monkeypatch):
-    seen = []
-    held = TwinSwims.held
-
-    def told(self, members, fit, share):
-        found, left = held(self, members, fit, share)
-        seen.append((self.coordinates, fit.x, found.x))
-        return found, left
-
-    monkeypatch.setattr(TwinSwims, "held", told)
-    found = diagnosed({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
-    c, whole, first = seen[-1]
+def test_errors_are_of_a_fit_that_has_not_seen_the_end(skin):
+    found, fits = skin
+    c, whole, first = fits[-1]
     assert not np.array_equal(whole, first), "else this test can tell nothing"
-    swim = swum({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
+    swim = swum(SKIN_LEFT_OUT)
     (track,) = by_followed_twin(FISH)([c.model_at(first)], swim)
     pose = observed(swim.t, track[:, :3], values(c.model_at(first)))
     error = body_velocity(swim.t, pose)[:, 0] - swim.signals[:, 0]
@@ -118,8 +139,8 @@ def test_a_late_camera_is_found_from_afar(few):
 
 def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
     """Where a filter was tried first for a late camera, the camera is tried without it, too."""
-    names = ("camera_latency", "pose_filter")
-    listed = [one for one in candidates(FISH) if one[0] in names]
+    only(monkeypatch, ("camera_latency", "pose_filter"))
+    listed = places.candidates(FISH)
     monkeypatch.setattr(places, "candidates", lambda robot: sorted(listed, reverse=True))
     monkeypatch.setattr(twin_search, "FIRST", 1)
     hopes = TwinSwims.additions
@@ -291,7 +312,7 @@ def test_what_is_there_is_not_passed_off_as_error(few):
     """A strong skin, left out, seems to be there by no more than error may seem to be."""
     simulate = by_followed_twin(FISH)
     before = learned([], servos(), FISH, simulate, IN_WATER)
-    strong = swum({"skin_elasticity.stiffness_Nm_per_rad": 0.6})
+    strong = swum(SKIN_LEFT_OUT)
     problem = TwinSwims(Coordinates.of(FISH, servos()), [strong], simulate, before)
     plain = problem.plain()
     step = np.abs(problem.seems(plain.members, plain.fit))

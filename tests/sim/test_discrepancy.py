@@ -22,7 +22,7 @@ OURS = replace(IN_WATER, shift={}, usual={})
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    names = ("camera_latency", "linear_drag", "pool_current")
+    names = ("camera_latency", "linear_drag")
     listed = [one for one in candidates(FISH) if one[0] in names]
     monkeypatch.setattr(places, "candidates", lambda robot: listed)
 
@@ -73,9 +73,9 @@ def test_an_error_that_is_usual_is_no_evidence():
     simulate = by_followed_twin(FISH)
     own = IN_WATER.imitated["error.surge_0"]
     references = [swum({}, seed=k) for k in (1, 2)]
+    prior = learned(references, servos(), FISH, simulate, OURS)
 
     def evidence(share):
-        prior = learned(references, servos(), FISH, simulate, OURS)
         swim = slower(swum({}, seed=3), share)
         found = searched([swim], servos(), FISH, simulate, prior)
         return found.best.evidence - found.plain.evidence
