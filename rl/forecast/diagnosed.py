@@ -74,6 +74,7 @@ class Diagnosed:
             if joint.component in joints:
                 joints[joint.component] = _servo(joints[joint.component], joint, rng)
         body = values(model)
+        in_law = "twin" in model.body  # a calibrated law makes up for what its model lacks
         for one in self.possible:
             present = rng.random() < one.probability
             drawn = one.drawn(rng)
@@ -86,6 +87,8 @@ class Diagnosed:
             else:
                 effect = find(BODY, one.effect, "diagnosis")
                 place = f"{effect.name}.{one.component}" if effect.by_material else effect.name
+                if in_law and not any(k.startswith(f"{place}.") for k in body):
+                    continue
                 body = {k: x for k, x in body.items() if not k.startswith(f"{place}.")}
                 if present:
                     body |= {f"{place}.{k}": x for k, x in drawn.items()}

@@ -1,0 +1,76 @@
+"""The twin's error in forecasts, from calibrations and trials in several waters of a development set.
+
+    python benchmarks/forecast_realities.py swim OUT --seed 8 --groups 8 --in-group 8
+    python benchmarks/forecast_realities.py forecast OUT
+    python benchmarks/forecast_law.py OUT
+
+Writes ``rl/forecast/twin_error.json``: how far laws that were calibrated on one swim are from that
+fitted to the fluid, and how real energy differs from that forecast. The median over realities and
+half the distance of the 16 % and 84 % quantile, so that the few robots whose joints oscillate do not decide. Each
+water is left out in turn, so that the spread of the estimates is seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from rl.forecast import twin_error
+from sim.twin.law import FITTED
+from sim2real.arrays import Array
+from sim2real.model import read_model
+from sim2real.output import write_json
+
+
+def robust(values: Array) -> tuple[float, float]:
+    """Median, and half the distance of the 16 % and 84 % quantile."""
+    low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
+    return float(middle), float(high - low) / 2
+
+
+def main() -> None:
+    """Measure the error."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("out", type=Path)
+    out: Path = parser.parse_args().out
+    law: dict[str, list[float]] = {}
+    ratio: dict[int, list[float]] = {}
+    for path in sorted((out / "forecasts").glob("??-??.npz")):
+        model = read_model(path.with_suffix(".model.json"))
+        for name in model.body["posterior"]["names"]:
+            if name.startswith("twin."):
+                at, usual = model.body["twin"][name[5:]], getattr(FITTED, name[5:])
+                law.setdefault(name, []).append(at - usual)
+        g, r = map(int, path.stem.split("-"))
+        answers = json.loads((out / "answers" / f"{g:02d}.json").read_text())
+        who, ok = np.array(answers["who"]), ~np.array(answers["stopped"])[r]
+        real = np.array(answers["energy"], dtype=np.float64)[r]
+        with np.load(path) as kept:
+            values = kept["full.energy"]
+        law_free = values / (1 + kept_error(path)[None, :, None])
+        forecast = np.log(law_free).mean(axis=(1, 2))
+        pairs = [(np.log(real[(who == k) & ok]).mean(), forecast[k]) for k in set(who[ok])]
+        ratio.setdefault(g, []).append(float(np.mean([a - b for a, b in pairs])))
+    for g in ratio:
+        print(
+            "without water", g, robust(np.array(sum((x for k, x in ratio.items() if k != g), [])))
+        )
+    middle, sd = robust(np.array(sum(ratio.values(), [])))
+    content = json.loads(twin_error.FILE.read_text())
+    content["from"] = {"waters": len(ratio), "realities": sum(map(len, ratio.values()))}
+    content["swim"] = {k: float(np.sqrt(np.mean(np.square(x)))) for k, x in law.items()}
+    content["energy"] = {"mean": middle, "sd": sd}
+    write_json(twin_error.FILE, content)
+
+
+def kept_error(path: Path) -> Array:
+    """The relative error of the energy in each draw of a forecast, shape (N,)."""
+    with np.load(path) as kept:
+        return np.asarray(kept["parameters"][:, list(kept["names"]).index("law error.energy")])
+
+
+if __name__ == "__main__":
+    main()
