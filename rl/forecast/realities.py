@@ -2,8 +2,8 @@
 
 A draw has servos from the joint posterior sample and the ranges, effects with the probabilities of
 a diagnosis, a body from its calibration combined with the law fitted to the fluid, the error of the
-twin as measured against the fluid and in trials, and what the fit leaves unexplained (Kennedy and O'Hagan, J. R. Stat. Soc. B 63
-(2001) 425: parameters, discrepancy and noise are kept apart).
+twin as measured against the fluid and in trials, and what the fit leaves unexplained (Kennedy and
+O'Hagan, J. R. Stat. Soc. B 63 (2001) 425: parameters, discrepancy and noise are kept apart).
 """
 
 from __future__ import annotations
