@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from rl.forecast import twin_error
+from rl.forecast.realities import DEVIATIONS
 from sim.twin.law import FITTED
 from sim2real.arrays import Array
 from sim2real.model import read_model
@@ -50,16 +51,14 @@ def main() -> None:
         who, ok = np.array(answers["who"]), ~np.array(answers["stopped"])[r]
         real = np.array(answers["energy"], dtype=np.float64)[r]
         with np.load(path) as kept:
-            values = kept["full.energy"]
-        law_free = values / (1 + kept_error(path)[None, :, None])
-        forecast = np.log(law_free).mean(axis=(1, 2))
-        pairs = [(np.log(real[(who == k) & ok]).mean(), forecast[k]) for k in set(who[ok])]
-        ratio.setdefault(g, []).append(float(np.mean([a - b for a, b in pairs])))
+            error = kept["parameters"][:, list(kept["names"]).index(DEVIATIONS[3])]
+            forecast = np.log(kept["full.energy"] / (1 + error[:, None])).mean(axis=(1, 2))
+        found = [np.log(real[(who == k) & ok]).mean() - forecast[k] for k in set(who[ok])]
+        ratio.setdefault(g, []).append(float(np.mean(found)))
     for g in ratio:
-        print(
-            "without water", g, robust(np.array(sum((x for k, x in ratio.items() if k != g), [])))
-        )
-    middle, sd = robust(np.array(sum(ratio.values(), [])))
+        others = [x for k, values in ratio.items() if k != g for x in values]
+        print("without water", g, *robust(np.array(others)))
+    middle, sd = robust(np.array([x for values in ratio.values() for x in values]))
     content = json.loads(twin_error.FILE.read_text())
     content["from"] = {"waters": len(ratio), "realities": sum(map(len, ratio.values()))}
     content["swim"] = {k: float(np.sqrt(np.mean(np.square(x)))) for k, x in law.items()}
