@@ -10,7 +10,8 @@ and bench values that are off by up to 5 % are known (``inputs``); the trials of
 ``answers``, whose hashes are printed before anything is forecast, and which only ``score`` reads.
 Each reality is diagnosed and calibrated in the twin, and forecast three times: from all that is
 known, from the calibrated model alone, and from hand-set ranges (Lin, Liu, Wang 2024, Table II:
-latency and sensor noise). All stages resume.
+latency and sensor noise). All stages resume; diagnoses and calibrated
+models are kept, so that after a change of the forecast only ``forecasts/*.npz`` are to be removed.
 """
 
 from __future__ import annotations
@@ -205,7 +206,7 @@ def hand_set(ranges: Ranges) -> Ranges:
 def alone(model: Model, n: int, noise: Noise) -> Realities:
     """The calibrated model as the only reality."""
     parameters = np.random.default_rng(0).standard_normal((n, 1))
-    return Realities((model,) * n, noise, ("none",), parameters, np.zeros((n, 3)), np.zeros(6))
+    return Realities((model,) * n, noise, ("none",), parameters, np.zeros((n, 4)), np.zeros(6))
 
 
 def forecast_one(folder: Path, draws: int, seconds: float) -> str:
@@ -221,10 +222,12 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     recording, task = read_recording(folder / "known.csv"), task_of(seconds)
     rng = np.random.default_rng(0)
     ranges, sample = known_of(bench, rng)
-    found = diagnose([recording], robot, bench)
-    diagnosis = out.with_suffix(".json")
-    write_diagnosis(found, diagnosis, "enriched.json")
-    model = calibrate([recording], robot, found.model).model
+    diagnosis, calibrated = out.with_suffix(".json"), out.with_suffix(".model.json")
+    if not calibrated.exists():
+        found = diagnose([recording], robot, bench)
+        write_diagnosis(found, diagnosis, "enriched.json")
+        write_model(calibrate([recording], robot, found.model).model, calibrated)
+    model = read_model(calibrated)
     residuals = residuals_of([recording], model, robot)
     controllers = named_controllers(POLICIES, robot)
     few = dict(list(controllers.items())[:2])
@@ -239,7 +242,7 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     one = alone(model, 20, drawn.noise)
     content |= {f"alone.{n}": x for n, x in swim(robot, task, one, few, **settings).figures.items()}
     by_hand = draw_realities(robot, model, hand_set(ranges), sample, draws, rng)
-    flat = replace(by_hand, law=np.zeros((draws, 3)), unexplained=np.zeros(6))
+    flat = replace(by_hand, law=np.zeros((draws, 4)), unexplained=np.zeros(6))
     body = {k: x for k, x in model.body.items() if k not in ("posterior", "interval")}
     models = tuple(replace(m, body={**body, "effects": []}) for m in flat.models)
     flat = replace(flat, models=models)

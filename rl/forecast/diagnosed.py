@@ -68,12 +68,16 @@ class Diagnosed:
     fit: Mapping[str, Mapping[str, float | None]]
 
     def drawn(self, model: Model, rng: np.random.Generator) -> Model:
-        """The model with a set of effects for each diagnosed joint, and effects of the body."""
+        """The model with a set of effects for each diagnosed joint, and effects of the body.
+
+        A calibrated law has made up for effects that its model lacks, so they are not added to it.
+        """
         joints = dict(model.joints)
         for joint in self.rivals:
             if joint.component in joints:
                 joints[joint.component] = _servo(joints[joint.component], joint, rng)
         body = values(model)
+        calibrated = "twin" in model.body
         for one in self.possible:
             present = rng.random() < one.probability
             drawn = one.drawn(rng)
@@ -86,6 +90,8 @@ class Diagnosed:
             else:
                 effect = find(BODY, one.effect, "diagnosis")
                 place = f"{effect.name}.{one.component}" if effect.by_material else effect.name
+                if calibrated and not any(k.startswith(f"{place}.") for k in body):
+                    continue
                 body = {k: x for k, x in body.items() if not k.startswith(f"{place}.")}
                 if present:
                     body |= {f"{place}.{k}": x for k, x in drawn.items()}

@@ -1,9 +1,9 @@
 """Realities that agree with everything known of a robot: one draw of all that is uncertain each.
 
 A draw has servos from the joint posterior sample and the ranges, effects with the probabilities of
-a diagnosis, a body from the covariance of its calibration, the error of the twin's law as measured
-against the fluid, and what the fit leaves unexplained (Kennedy and O'Hagan, J. R. Stat. Soc. B 63
-(2001) 425: parameters, discrepancy and noise are kept apart).
+a diagnosis, a body from its calibration combined with the law fitted to the fluid, the error of the
+twin as measured against the fluid and in trials, and what the fit leaves unexplained (Kennedy and
+O'Hagan, J. R. Stat. Soc. B 63 (2001) 425: parameters, discrepancy and noise are kept apart).
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from rl.forecast.diagnosed import Diagnosed
+from rl.forecast.twin_error import TWIN_ERROR, TwinError
 from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.swims import Coefficients, with_values
+from sim.twin.law import FITTED
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -26,8 +28,8 @@ from sim2real.ranges.entry import Range, Ranges
 from sim2real.robot import Robot
 
 _BODY = ("surge", "sway", "yaw_rate")
-DEVIATIONS = tuple(f"law error.{name}" for name in _BODY)
-"""Parameters of a draw that are relative errors of the simulated velocities."""
+DEVIATIONS = tuple(f"law error.{name}" for name in (*_BODY, "energy"))
+"""Parameters of a draw that are relative errors of the simulated velocities and energy."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,8 @@ class Realities:
         noise: Noise of camera and joints.
         names: Names of the P parameters in which the draws differ.
         values: Their values, shape (N, P).
-        law: Relative errors of surge, sway and yaw rate, constant in a reality, shape (N, 3).
+        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, shape
+            (N, 4).
         unexplained: Standard deviation of what the fit leaves unexplained in surge and sway in m/s,
             yaw rate in rad/s and joint angles in rad, shape (3 + J,).
     """
@@ -62,6 +65,7 @@ def draw_realities(
     *,
     diagnosed: Diagnosed | None = None,
     error: LawError = LAW_ERROR,
+    forecast_error: TwinError = TWIN_ERROR,
 ) -> Realities:
     """Draw realities.
 
@@ -75,15 +79,17 @@ def draw_realities(
         diagnosed: Effects with their probabilities, if they were diagnosed.
         error: Error of the twin. Velocities of a calibrated body have its relative error; a body
             that was not calibrated has laws as different as those of the robots in ``error``.
+        forecast_error: Error of calibrated laws, and of the energy of trials in them.
     """
     models = draw_models(model, ranges, robot, n, rng, sample)
     if diagnosed is not None:
         models = [diagnosed.drawn(one, rng) for one in models]
-    models = _with_bodies(models, model, error, rng)
-    law = np.zeros((n, 3))
+    models = _with_bodies(models, model, error, forecast_error, rng)
+    law = np.zeros((n, 4))
     if "twin" in model.body:
         # the mean speed and turn are slow; sway is zero on average, what matters of it is its beat
-        law = rng.standard_normal((n, 3)) * error.shares[(0, 1, 2), (0, 1, 0)]
+        law[:, :3] = rng.standard_normal((n, 3)) * error.shares[(0, 1, 2), (0, 1, 0)]
+        law[:, 3] = np.expm1(rng.normal(*forecast_error.energy, n))
     names, table = parameters_of(models)
     varied = table.std(axis=0) > 1e-9 * np.abs(table).mean(axis=0)
     names = [name for name, one in zip(names, varied, strict=True) if one]
@@ -106,7 +112,11 @@ def draw_realities(
 
 
 def _with_bodies(
-    models: Sequence[Model], model: Model, error: LawError, rng: np.random.Generator
+    models: Sequence[Model],
+    model: Model,
+    error: LawError,
+    forecast_error: TwinError,
+    rng: np.random.Generator,
 ) -> list[Model]:
     """Models with bodies drawn from their calibration, or from laws of other robots.
 
@@ -126,7 +136,9 @@ def _with_bodies(
         late -= late.mean(axis=0)
         mean = np.array(posterior["mean"])[own]
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
-        mean, covariance = _with_prior(names, mean, covariance, error)
+        mean, covariance = _with_prior(names, mean, covariance, forecast_error)
+        if posterior.get("cell_m") is None:  # one swim tells nothing of the other coefficients
+            models = [replace(one, body={**one.body, "twin": vars(FITTED)}) for one in models]
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
         interval = model.body.get("interval", {})
@@ -158,14 +170,14 @@ def _overfit(model: Model) -> float:
 
 
 def _with_prior(
-    names: Sequence[str], mean: Array, covariance: Array, error: LawError
+    names: Sequence[str], mean: Array, covariance: Array, error: TwinError
 ) -> tuple[Array, Array]:
-    """A calibration combined with what the law's coefficients of other robots are (Bayes)."""
+    """A calibration with the twin's error in a swim, combined with the fluid's law (Bayes)."""
+    covariance = covariance + np.diag([error.swim.get(name, 0.0) ** 2 for name in names])
+    usual = np.array([getattr(FITTED, name.removeprefix("twin."), 0.0) for name in names])
     scale = np.sqrt(np.diag(covariance))
     precision = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
-    prior = np.array([1 / error.unknown.get(n, np.inf) ** 2 if n.startswith("twin.") else 0.0
-                      for n in names])  # fmt: skip
-    usual = np.array([error.usual.get(name, 0.0) for name in names])
+    prior = np.array([(error.prior * x) ** -2 if x > 0 else 0.0 for x in usual])
     combined = np.linalg.inv(precision + np.diag(prior))
     return combined @ (precision @ mean + prior * usual), combined
 

@@ -111,7 +111,11 @@ def swim(
                 episodes = _episodes(
                     robot, task, realities, rows, make, trials, [seed, part], settings, residuals
                 )
-                for name, values in measured(episodes, task).items():
+                figures = measured(episodes, task)
+                more = np.repeat(realities.law[rows, 3], trials) * figures["energy"]
+                figures["energy"] = figures["energy"] + more
+                figures["reward"] = figures["reward"] - task.energy * more
+                for name, values in figures.items():
                     table[name][k, rows] = values.reshape(-1, trials)
                 head = rows[rows < n]
                 path = episodes.pose[::5, : len(head) * trials : trials, :2]
@@ -123,8 +127,9 @@ def swim(
                     np.savez_compressed(stream, **content)
                     write_whole(file, stream.getvalue())
             progress((part * K + k + 1) / (K * len(parts)))
-    figures = {name: table[name] for name in FIGURES}
-    return SimulatedTrials(figures, table["paths"], table["targets"])
+    return SimulatedTrials(
+        {name: table[name] for name in FIGURES}, table["paths"], table["targets"]
+    )
 
 
 def film(
@@ -211,7 +216,7 @@ def _episodes(
             robot, replace(task, place=lambda *_: start), draws, n_envs=E,
             fidelity=settings.fidelity, device=settings.device, cell_m=settings.cell_m,
             threads=settings.threads, seed=int(rng.integers(2**31)),
-            around=lambda simulator: Inexact(simulator, realities.law[each], disturbance),
+            around=lambda simulator: Inexact(simulator, realities.law[each, :3], disturbance),
         )  # fmt: skip
         watch = None if watched is None else watched(world)
         return run_episodes(world, make(E), name="forecast", watch=watch)

@@ -177,7 +177,8 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     }
     settled = {_names(entry) for entry in raw["sets"] if entry["settled"]}
     held_out = {_names(entry): (entry["loss"], entry["speed"]) for entry in raw["held"]}
-    best = max((s for s in held_out if s and s in settled), key=lambda s: evidence[s])
+    some = [s for s in held_out if s]
+    best = max([s for s in some if s in settled] or some, key=lambda s: evidence[s])
     keys = list(evidence)
     log_weights = np.array([evidence[s] for s in keys]) / temperature
     probabilities = np.exp(log_weights - log_weights.max())

@@ -1,4 +1,4 @@
-"""What is believed of a servo before the next recording: draws of its parameters, and its noise."""
+"""Prior of a servo before the next recording: draws of its parameters, and its noise."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def belief_of(
     draws: int = 8,
     seed: int = 0,
 ) -> Belief:
-    """What is believed of one joint: its fitted model, or its data sheet where there is none.
+    """The prior of one joint: its fitted model, or its data sheet where there is none.
 
     Args:
         robot: The robot.

@@ -1,7 +1,7 @@
 """Expected precision of a servo's parameters after a recording of given commands.
 
-Fisher information of the simulated angles in the noise of the fit, averaged over what is believed
-of the servo. The intervals are those of a least-squares fit whose residual is correlated: with J
+Fisher information of the simulated angles in the noise of the fit, averaged over the prior of the
+servo. The intervals are those of a least-squares fit whose residual is correlated: with J
 the derivatives by the logarithms of the parameters, S the covariance of the errors, s2 the variance
 of white noise and P the precision of the prior::
 
@@ -53,7 +53,7 @@ class Information:
     """Scores commands by how precisely a fit to their recording would determine a servo.
 
     Attributes:
-        belief: What is believed of the servo.
+        belief: Prior of the servo.
         limits: Limits of the commands.
         substep_s: Longest sub-step of the rollouts, s.
         difference: Step of the forward differences, relative to a parameter.

@@ -30,7 +30,7 @@ class JointDesign:
     """The commands of one joint and what is expected of them.
 
     Attributes:
-        information: The objective: what was believed of the servo, and the limits.
+        information: The objective: the prior of the servo, and the limits.
         found: The result of the search.
         precision: Expected precision of the parameters, of one command (N = 1).
         origin: What the belief comes from, ``"model"`` or ``"data sheet"``.
@@ -43,7 +43,7 @@ class JointDesign:
 
     @property
     def belief(self) -> Belief:
-        """What was believed of the servo."""
+        """The prior of the servo."""
         return self.information.belief
 
     @property

@@ -22,8 +22,10 @@ from rl.forecast.statistics import best, effective, expected, interval
 from rl.forecast.swims import SimulationSettings, film, measured, swim
 from rl.forecast.training_ranges import training_ranges
 from rl.forecast.trials import Trials, read_trials, update
+from rl.forecast.twin_error import TwinError
 from rl.randomize import draw_models, spread_of
 from rl.task import CONTROL_S, TASKS, shortened
+from sim.twin.law import FITTED
 from sim.twin.twin import Twin
 from sim.view.plane import front_ends
 from sim2real.body import values
@@ -210,10 +212,20 @@ def test_draws_are_joint_and_have_the_error_of_the_law(robot, model):
     posterior = {"names": ["twin.along", "twin.linear"], "mean": [0.3, 0.2]}
     posterior["covariance"] = [[1e-4, -0.9e-4], [-0.9e-4, 1e-4]]
     body = {"twin": {"along": 0.3, "linear": 0.2}, "posterior": posterior}
-    calibrated = draw_realities(robot, replace(model, body=body), RANGES, sample(rng), 400, rng)
-    pair = calibrated.values[:, [calibrated.names.index(n) for n in posterior["names"]]]
+    fitted = replace(model, body=body)
+
+    def drawn_with(error):
+        known = (robot, fitted, RANGES, sample(rng), 400, rng)
+        made = draw_realities(*known, forecast_error=error)
+        return made, made.values[:, [made.names.index(n) for n in posterior["names"]]]
+
+    exact, pair = drawn_with(TwinError(100.0, {}, (0.2, 0.0)))
     assert abs(np.corrcoef(pair.T)[0, 1] + 0.9) < 0.05
-    assert 0.05 < calibrated.law[:, 0].std() < 0.1
+    assert abs(pair[:, 0].mean() - 0.3) < 0.005
+    assert 0.05 < exact.law[:, 0].std() < 0.1
+    assert np.allclose(exact.law[:, 3], np.expm1(0.2))
+    _, doubtful = drawn_with(TwinError(0.1, {"twin.along": 1.0}, (0.0, 0.0)))
+    assert abs(doubtful[:, 0].mean() / FITTED.along - 1) < 0.02, "one swim says little of the law"
 
 
 def test_effects_are_drawn_with_their_probabilities(model):
@@ -228,6 +240,8 @@ def test_effects_are_drawn_with_their_probabilities(model):
     named = [values(m) for m in models]
     assert abs(np.mean(["skin_elasticity.stiffness_Nm_per_rad" in x for x in named]) - 0.3) < 0.08
     assert all(x["surface_friction.rubber.coefficient"] == 0.02 for x in named)
+    calibrated = replace(model, body={"twin": vars(FITTED)})
+    assert not values(diagnosed.drawn(calibrated, rng)), "the law has made up for what it lacks"
     torque = [effects[0].parameters["torque_Nm"] for effects in rubbing if effects]
     assert abs(np.mean(torque) - 0.05) < 0.003 and np.std(torque) > 0.005
 

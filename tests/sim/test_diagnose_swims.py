@@ -245,6 +245,13 @@ def test_what_predicts_worse_is_not_offered():
     assert said.verdict in ("unexplained", "partly_explained")
 
 
+def test_sets_whose_fits_did_not_converge_are_compared_where_there_are_no_others():
+    swims = raw(((), 0.0), ((LATE,), 60.0))
+    unsettled = swims | {"sets": [entry | {"settled": False} for entry in swims["sets"]]}
+    said = decide(unsettled, LAW_ERROR.decisions)
+    assert [one.name for one in said.named] == [LATE]
+
+
 def test_what_is_nearly_certain_need_not_change_the_speed():
     """A trim bends a path: its model predicts all signals better, and the speed hardly."""
     sets = [((), 0.0), ((LATE,), 400.0)]
