@@ -331,6 +331,8 @@ class Swimmer:
     def _sponge(self) -> None:
         tank = self.tank
         if not tank.sponge:
+            if self.bodies.wall.ghosts:
+                self.fluid.level()
             return
         reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
         self._launch(
