@@ -17,7 +17,7 @@ import warp as wp
 from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
 from sim.fluid.section import along, position_on, surface
 from sim.fluid.wall import Touch, friction
-from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, neighbour, within
+from sim.lattice.cell import BODY, FLUID, GHOST, KIND, SLIP, Box, Covered, neighbour, within
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
@@ -212,6 +212,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         x = wp.static(c[k][0])
                         y = wp.static(c[k][1])
                         beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
+                        if (beside & wp.static(KIND)) == wp.static(SLIP):  # the surface reflects
+                            beside = int(flags[neighbour(n, x, y, 0, box)])
                         if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
                             across = off + float(x) * lateral[0] + float(y) * lateral[1]
                             if covered.back[slot][3] > 0.0 and across * off < 0.0:

@@ -173,7 +173,9 @@ def surface(
     if off > 1.0e-4:
         ahead = -blunt * over / off
         sideways = lateral / off
-    if over == 0.0 and length > 0.0:
+    thick = w * wp.sqrt(wp.max(1.0 - z * z / (h * h), 0.0))
+    parallel = blunt < 1.0 and thick < sealed(wp.vec3(pose[3], pose[2], 0.0))
+    if over == 0.0 and length > 0.0 and not parallel:
         narrows = out * taper(width, s) / w + up * up * w * w * taper(height, s) / (h * h * h * out)
         ahead += narrows / length
     n = wp.normalize(
@@ -186,7 +188,7 @@ def surface(
     d = distance(off, z, w, h)
     other = float(0.0)
     if blunt < 1.0:
-        half = wp.max(w * wp.sqrt(wp.max(1.0 - z * z / (h * h), 0.0)), sealed(n))
+        half = wp.max(thick, sealed(n))
         d = off - half
         beyond = wp.max(
             wp.abs(z) - h + wp.static(SHEET), wp.max(back - length, -back) - w + wp.static(SHEET)
