@@ -5,7 +5,8 @@ send is linear in the body's velocity. Its sums over each link are those of ``co
 part of what they send to the water, R v + b what they send to each other, which arrives in them in
 the next step, and a the rest of both less all that arrives in them. So the momentum of bodies and
 water is conserved. The mass that all links together would bring into the water, as a mean over
-``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains.
+``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains;
+what covered and uncovered cells leave over is taken from walled boxes by ``Fluid.level``.
 Friction acts on the water within a cell of the surface.
 """
 
