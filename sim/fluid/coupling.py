@@ -24,7 +24,7 @@ import warp as wp
 from sim.fluid.section import along, distance, position_on, side, solid_share
 from sim.fluid.wall import Touch, friction
 from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, within
-from sim.lattice.populations import populations
+from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
 SUMS = 26
@@ -35,8 +35,6 @@ density rho, solid share c and velocity u gets the velocity N v + d: E sums (1 -
 c rho N, a sums rho d, b sums c rho (u + d). Without slip c counts as 0. The last two are the
 momentum along the axis that the inner water is given, and the mass at the surface that it is taken
 from."""
-FIXED_POINT = float(2**32)
-"""Scale of the sums, which are integers so that their order makes no difference."""
 _MOST_SHARE = 0.99999
 NEAR = 3.0
 """Distance in cells from a link's outline within which a column of cells is processed."""

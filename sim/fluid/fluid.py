@@ -217,6 +217,22 @@ class Fluid:
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], **more: Any) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, **more)
 
+    def level(self) -> None:
+        """Make the mean density of each box 1 again, over all cells that are not walls.
+
+        What the mass of a box differs by is taken alike from the populations at rest of all its
+        cells, which changes neither the momentum nor the differences of pressure.
+        """
+        columns = self.boxes, self.size[0] * self.size[1]
+        water = [self.f, self.flags, self.box]
+        self._launch(self.kernels.weigh, columns, [*water, self.t, self._net])
+        self._launch(
+            self.kernels.level,
+            (self.boxes, self.cells),
+            [*water, self.fluid_cells, self._net],
+        )
+        self._net.zero_()
+
     def set(
         self,
         density: NDArray[Any] | None = None,

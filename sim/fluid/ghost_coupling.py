@@ -5,7 +5,8 @@ send is linear in the body's velocity. Its sums over each link are those of ``co
 part of what they send to the water, R v + b what they send to each other, which arrives in them in
 the next step, and a the rest of both less all that arrives in them. So the momentum of bodies and
 water is conserved. The mass that all links together would bring into the water, as a mean over
-``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains.
+``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains;
+what covered and uncovered cells leave over is taken from walled boxes by ``Fluid.level``.
 Friction acts on the water within a cell of the surface.
 """
 
@@ -17,7 +18,7 @@ import warp as wp
 from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
 from sim.fluid.section import along, position_on, surface
 from sim.fluid.wall import Touch, friction
-from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, neighbour, within
+from sim.lattice.cell import BODY, FLUID, GHOST, KIND, SLIP, Box, Covered, neighbour, within
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
@@ -212,6 +213,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         x = wp.static(c[k][0])
                         y = wp.static(c[k][1])
                         beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
+                        if (beside & wp.static(KIND)) == wp.static(SLIP):  # the surface reflects
+                            beside = int(flags[neighbour(n, x, y, 0, box)])
                         if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
                             across = off + float(x) * lateral[0] + float(y) * lateral[1]
                             if covered.back[slot][3] > 0.0 and across * off < 0.0:

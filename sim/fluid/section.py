@@ -6,7 +6,7 @@ from sim.fluid.wall import Touch
 
 RAMP = 1.0
 """Width in cells over which a cell's solid share falls from 1 to 0."""
-SHEET = 0.5
+SHEET, EDGE = 1.5, 0.5
 """For ghost cells, in cells: half-thickness below which a tall part is a sheet, and distance by
 which the edges of a sheet are moved inwards."""
 
@@ -152,14 +152,15 @@ def surface(
 ):
     """Signed distance from a link's surface, its normal, and depth of the other side if thin.
 
-    Sections are ellipses. Parts thinner than the grid resolves are a sheet with the normals of its
-    two sides, without a round edge, which ends where the link ends. The depth is 0 where the link
-    is thick.
+    Sections are ellipses. Parts thinner than ``SHEET`` are a sheet with the normals of its two
+    sides, without a round edge, which the water leaves along the sides; it ends where the link
+    ends. Where its thickness is the least that is closed, its sides are parallel. The depth is 0
+    where the link is thick.
     """
     back, lateral, clamped, s = axial_place(x, y, pose, length)
     w = along(width, s)
     h = along(height, s)
-    blunt = wp.clamp(w - wp.static(SHEET) + wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)
+    blunt = wp.clamp(w - wp.static(SHEET) + 2.0 * wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)
     over = back - clamped
     off = wp.sqrt(lateral * lateral + blunt * over * over)
     low = wp.max(h - 0.5, 0.0)
@@ -173,7 +174,9 @@ def surface(
     if off > 1.0e-4:
         ahead = -blunt * over / off
         sideways = lateral / off
-    if over == 0.0 and length > 0.0:
+    thick = w * wp.sqrt(wp.max(1.0 - z * z / (h * h), 0.0))
+    parallel = blunt < 1.0 and thick < sealed(wp.vec3(pose[3], pose[2], 0.0))
+    if over == 0.0 and length > 0.0 and not parallel:
         narrows = out * taper(width, s) / w + up * up * w * w * taper(height, s) / (h * h * h * out)
         ahead += narrows / length
     n = wp.normalize(
@@ -186,10 +189,10 @@ def surface(
     d = distance(off, z, w, h)
     other = float(0.0)
     if blunt < 1.0:
-        half = wp.max(w * wp.sqrt(wp.max(1.0 - z * z / (h * h), 0.0)), sealed(n))
+        half = wp.max(thick, sealed(n))
         d = off - half
         beyond = wp.max(
-            wp.abs(z) - h + wp.static(SHEET), wp.max(back - length, -back) - w + wp.static(SHEET)
+            wp.abs(z) - h + wp.static(EDGE), wp.max(back - length, -back) - w + wp.static(EDGE)
         )
         if beyond > 0.0:
             d = wp.max(d, beyond)

@@ -20,7 +20,7 @@ from sim.lattice.cell import FLUID, GHOST, KIND, Box, within
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 
-REACH = 1.2
+REACH = 0.5
 """Least distance in cells from the surface of the water that ghost cells continue."""
 
 

@@ -9,7 +9,7 @@ import warp as wp
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, within
 from sim.lattice.collision import collision
 from sim.lattice.ghost import ghosts
-from sim.lattice.populations import populations
+from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
 SUPERSONIC = 0.16
@@ -25,12 +25,16 @@ class Kernels:
         fields: Density and velocity of all cells.
         initialise: Set populations from density, velocity and strain rate.
         damp: Damp the flow far from the robot.
+        weigh: Mass of each box beyond that of water at rest.
+        level: Take that mass out again, alike from each cell.
     """
 
     step: Any
     fields: Any
     initialise: Any
     damp: Any
+    weigh: Any
+    level: Any
 
 
 @cache
@@ -242,4 +246,39 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         for d in range(wp.static(lattice.Q)):
             write(f, d, cell, box.total, keep * read(f, d, cell, box.total))
 
-    return Kernels(step, fields, initialise, damp)
+    @wp.kernel(enable_backward=False, module="unique")
+    def weigh(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        excess: wp.array(dtype=wp.int64),
+    ):
+        """Add one column of cells."""
+        e, column = wp.tid()
+        mass = wp.float64(0.0)
+        for z in range(box.nz):
+            n = e * box.cells + column + box.nx * box.ny * z
+            flag = int(flags[n])
+            if (flag & wp.static(KIND)) == wp.static(FLUID):
+                m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                mass += wp.float64(m[0])
+        wp.atomic_add(excess, e, wp.int64(mass * wp.float64(wp.static(FIXED_POINT))))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def level(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        cells: int,
+        excess: wp.array(dtype=wp.int64),
+    ):
+        """Take each fluid cell's share from its population at rest, which has no momentum."""
+        e, n = wp.tid()
+        cell = e * box.cells + n
+        if (int(flags[cell]) & wp.static(KIND)) == wp.static(FLUID):
+            mass = wp.float64(excess[e]) / wp.float64(wp.static(FIXED_POINT))
+            share = float(mass / wp.float64(cells))
+            write(f, 0, cell, box.total, read(f, 0, cell, box.total) - share)
+
+    return Kernels(step, fields, initialise, damp, weigh, level)

@@ -31,6 +31,8 @@ Source: Lehmann et al., Phys. Rev. E 106 (2022) 015308.
 """
 WIDE_FROM = 2**31
 """Number of slots from which on memory is wide."""
+FIXED_POINT = float(2**32)
+"""Scale of sums over cells, which are integers so that their order makes no difference."""
 _LONGEST_ROW = 2**31 - 1
 """Largest number of bytes in a row of wide memory: Warp's strides have 32 bits."""
 

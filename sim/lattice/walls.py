@@ -18,10 +18,8 @@ from typing import Any
 import warp as wp
 
 from sim.lattice.cell import INLET, KIND, MOVING, SLIP, Box, neighbour
-from sim.lattice.populations import populations
+from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
-
-_FIXED_POINT = float(2**32)
 
 
 @dataclass(frozen=True)
@@ -181,7 +179,7 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
         if (int(flags[e * box.cells + listed[k]]) & wp.static(KIND)) != wp.static(INLET):
             u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
         out = u[normal[k] // 2] * float(1 - 2 * (normal[k] % 2))
-        wp.atomic_add(sums, e, wp.int64(wp.float64(out) * wp.float64(wp.static(_FIXED_POINT))))
+        wp.atomic_add(sums, e, wp.int64(wp.float64(out) * wp.float64(wp.static(FIXED_POINT))))
         through[e, k] = wp.vec4(u[0], u[1], u[2], m[0])
 
     return walls, openings
@@ -191,6 +189,6 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
 def let_out(sums: wp.array(dtype=wp.int64), outlets: float, excess: wp.array(dtype=wp.float32)):
     """Density minus 1 at the ``outlets`` outlet cells of box e."""
     e = wp.tid()
-    net = wp.float64(sums[e]) / wp.float64(wp.static(_FIXED_POINT))
+    net = wp.float64(sums[e]) / wp.float64(wp.static(FIXED_POINT))
     sums[e] = wp.int64(0)
     excess[e] = wp.static(3.0**0.5) * float(net) / outlets

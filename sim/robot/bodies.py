@@ -8,11 +8,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fluid.coupling import FIXED_POINT, SUMS, cover_kernel
+from sim.fluid.coupling import SUMS, cover_kernel
 from sim.fluid.fluid import Fluid
 from sim.fluid.ghost_coupling import ghost_kernels
 from sim.fluid.wall import MEMORY, NO_SLIP, Wall
 from sim.lattice.cell import Covered
+from sim.lattice.populations import FIXED_POINT
 from sim.lattice.units import Units
 from sim.robot.chain import RING, Chain, Motion, OnGrid
 from sim.robot.effects import OFF, Outside, surface_drag

@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import BODY, Box
+from sim.lattice.cell import BODY, GHOST, Box
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 from sim.robot.chain import RING, Chain, Motion
@@ -87,9 +87,7 @@ def calm(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - W
         cell = e * box.cells + n
         for d in range(wp.static(lattice.Q)):
             write(f, d, cell, box.total, 0.0)
-        flag = int(flags[cell])
-        if (flag & wp.static(BODY)) != 0:
-            flags[cell] = wp.uint8(flag - wp.static(BODY))
+        flags[cell] = wp.uint8(int(flags[cell]) & wp.static(~(BODY | GHOST) & 255))
         if n == 0:
             stopped[e] = -1
 

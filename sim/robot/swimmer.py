@@ -329,18 +329,17 @@ class Swimmer:
         self._sponge()
 
     def _sponge(self) -> None:
-        tank = self.tank
+        tank, fluid = self.tank, self.fluid
         if not tank.sponge:
+            if self.bodies.wall.ghosts:
+                fluid.level()
             return
         reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
         self._launch(
-            self.fluid.kernels.damp,
-            (self.n_envs, self.fluid.cells),
-            [
-                self.fluid.f, self.fluid.box, self.bodies.grid.position, reach,
-                float(tank.sponge), _SPONGE,
-            ],
-        )  # fmt: skip
+            fluid.kernels.damp,
+            (self.n_envs, fluid.cells),
+            [fluid.f, fluid.box, self.bodies.grid.position, reach, float(tank.sponge), _SPONGE],
+        )
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)

@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
+from swimming_robots import FISH, servos
 
 from sim.cases import momentum, spheroid
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
-from sim.lattice.cell import GHOST
+from sim.lattice.cell import GHOST, KIND
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
 from sim.robot.shape import Hull, displaced
+from sim.robot.swimmer import Swimmer
 from sim2real.errors import InputError
 
 SLIPS = Wall(slip=True, ghosts=True)
@@ -104,3 +106,28 @@ def test_a_body_that_drifts_with_its_water_leaves_it_in_uniform_motion():
 def test_ghost_cells_need_slip():
     with pytest.raises(InputError, match="slip=True"):
         Wall(slip=False, ghosts=True)
+
+
+def test_a_towed_spheroid_has_the_friction_of_its_line(monkeypatch):
+    """The line of 1957 with the ideal fluid's slip; ghost cells must not push the layer back."""
+    monkeypatch.setattr(spheroid, "_LENGTHS", 0.5)
+    drag = [spheroid.drag(24, Wall(True, line, ghosts=True)) for line in ("turbulent", "none")]
+    moved, found = drag[0][0], drag[0][1] - drag[1][1]
+    expected = spheroid.slipping() * spheroid.plate()
+    assert found[moved > moved[-1] / 2].mean() == pytest.approx(expected, rel=0.2)
+
+
+def test_leveling_restores_the_mass_of_a_tank():
+    """Mean density over all cells, of which the moving body covers some, in cells of 4 cm."""
+    swimmer = Swimmer(FISH, servos(), cell_m=0.04, walls=True, wall=SLIPS, box_m=(1.5, 1.0, 0.4))
+    for k in range(20):
+        swimmer.step(np.full(3, 0.5 * (-1) ** (k // 5)))
+    fluid = swimmer.fluid
+    density, velocity = fluid.moments()
+    water = (fluid.flags.numpy().reshape(fluid.size[::-1]).T & KIND) == 0
+    assert abs((density[0].astype(np.float64)[water] - 1).mean()) < 1e-7
+    assert (swimmer.state().stopped < 0).all()
+    fluid.set(density=density + 1e-4, velocity=velocity)
+    fluid.level()
+    density, velocity = fluid.moments()
+    assert abs((density[0].astype(np.float64)[water] - 1).mean()) < 1e-7
