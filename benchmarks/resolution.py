@@ -1,11 +1,12 @@
 """How swimming speed and forces depend on the size of the cells, in three dimensions.
 
-    python benchmarks/resolution.py [--device cuda:0] [--cells 0.02 0.01 0.005] [--out FOLDER]
+    python benchmarks/resolution.py [--device cuda:0] [--cells 0.02 0.01 0.005] [--wall ghost]
 
 The three-joint robot swims with its servos under four travelling waves; its speed is that of the
 last seconds. Then its body is held: towed straight, beating without advance, beating while towed.
 What other runs have found for other cells or waves stays in ``resolution.json``, so that cells can
-be swum on several machines; ``resolution.png`` shows all.
+be simulated on several machines; ``resolution.png`` shows all. With ``--wall ghost`` the files are
+``ghost.json`` and ``ghost.png``.
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ import numpy as np
 from fluid_speed import MODEL, ROBOT
 from tqdm import tqdm
 
+from sim.fluid.wall import SLIP, Wall
 from sim.robot.multibody import HELD
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.arrays import Array
 
 VISCOSITY_M2_S = 5e-5
 """The same at all sizes, so that only the cells differ."""
+WALLS = {"default": SLIP, "ghost": Wall(slip=True, line="turbulent", ghosts=True)}
 SECONDS, COUNTED = 8.0, 4.0
 HELD_S, HELD_COUNTED = 3.0, 2.0
 ADVANCE = (0.2, 0.0, 0.18)
@@ -66,22 +69,24 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cells", type=float, nargs="*", default=[0.04, 0.02])
     parser.add_argument("--waves", type=int, nargs="*", default=[0, 1, 2, 3], help="which swim")
+    parser.add_argument("--wall", choices=WALLS, default="default")
     parser.add_argument("--no-held", action="store_true", help="do not measure held forces")
     parser.add_argument("--out", type=Path, default=Path("reports/resolution"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    target = options.out / "resolution.json"
+    wall = WALLS[options.wall]
+    target = options.out / ("ghost.json" if wall.ghosts else "resolution.json")
     rows: dict[float, dict[str, Any]] = {}
     if target.exists():
         rows = {row["cell_m"]: row for row in json.loads(target.read_text())["rows"]}
     for cell in sorted(options.cells, reverse=True):
         row = rows.setdefault(cell, {"cell_m": cell, "speed_m_s": [[None, None] for _ in WAVES]})
         start = time.perf_counter()
-        speed = swim(cell, options.device, options.waves) if options.waves else []
+        speed = swim(cell, options.device, options.waves, wall) if options.waves else []
         for k, found in zip(options.waves, speed, strict=True):
             row["speed_m_s"][k] = [float(x) for x in found]
         if not options.no_held:
-            row["force_N"] = [float(x) for x in held(cell, options.device)]
+            row["force_N"] = [float(x) for x in held(cell, options.device, wall)]
         row["wall_s"] = time.perf_counter() - start
         shown = "  ".join(
             f"{WAVES[k].name} {v:.4f}" for k, (v, _) in zip(options.waves, speed, strict=True)
@@ -96,15 +101,15 @@ def main() -> None:
             "rows": [rows[c] for c in sorted(rows, reverse=True)],
         }  # fmt: skip
         target.write_text(json.dumps(result, indent=1) + "\n")
-    draw(json.loads(target.read_text()), options.out / "resolution.png")
+    draw(json.loads(target.read_text()), target.with_suffix(".png"))
 
 
-def swim(cell: float, device: str, which: list[int]) -> Array:
+def swim(cell: float, device: str, which: list[int], wall: Wall) -> Array:
     """Speed of each wave, and how much its halves differ, shape (waves, 2); NaN where it broke."""
     waves = [WAVES[k] for k in which]
     swimmer = Swimmer(
         ROBOT, MODEL, n_envs=len(waves), cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S,
-        device=device, threads=2,
+        device=device, threads=2, wall=wall,
     )  # fmt: skip
     path = []
     for k in tqdm(range(round(SECONDS / CONTROL_S)), desc=f"{cell:g} m", disable=None):
@@ -123,11 +128,11 @@ def swim(cell: float, device: str, which: list[int]) -> Array:
     return out
 
 
-def held(cell: float, device: str) -> Array:
+def held(cell: float, device: str, wall: Wall) -> Array:
     """Mean force along the body of each of ``CASES`` in N, its motion prescribed."""
     swimmer = Swimmer(
         ROBOT, MODEL, n_envs=len(CASES), cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S,
-        device=device, threads=2,
+        device=device, threads=2, wall=wall,
     )  # fmt: skip
     bodies, h = swimmer.bodies, swimmer.units.step_s
     beats = np.array([0.0, 1.0, 1.0])[:, None]

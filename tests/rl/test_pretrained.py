@@ -82,7 +82,7 @@ def test_models_drift_apart_as_their_servos_do(robot):
         }
         return replace(model, joints=joints)
 
-    assert drift(model, model, swim, twin, error) == 0.0
+    assert drift(model, model, swim, twin, error) == pytest.approx(0.0, abs=1e-9)
     little, much = (drift(late(s), model, swim, twin, error) for s in (0.002, 0.04))
     assert 0 < little < 1 < much
     assert drift(late(0.04), model, swim, twin, 2 * error) == pytest.approx(much / 2)
