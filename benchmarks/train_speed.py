@@ -26,9 +26,10 @@ from stable_baselines3.common.logger import configure
 from rl.env import action_space, observation_space
 from rl.make import draws_of, make_world
 from rl.observer import PAPER
-from rl.sac.agents import PLAIN, Agents
+from rl.sac.agents import Agents
 from rl.sac.recipes import RECIPES
 from rl.sac.sac import make_sac
+from rl.sac.settings import PLAIN
 from rl.sac.train import Arm, Plan, train
 from rl.task import TASKS
 from rl.world import Draws, World

@@ -10,7 +10,6 @@ import numpy as np
 
 from rl.controllers import Controller
 from rl.experiments.arms import TITLES
-from rl.forecast.make import drawn_digest
 from rl.forecast.realities import Realities
 from rl.forecast.statistics import interval
 from rl.forecast.swims import SimulationSettings, swim
@@ -51,7 +50,7 @@ def predict(
         less that of the arm, in the same realities.
     """
     each = {f"{arm}-{k}": make for arm, of_arm in arms.items() for k, make in enumerate(of_arm)}
-    inputs = (key, drawn_digest(realities), robot, task.name, task.energy, task.steps, settings)
+    inputs = (key, realities.digest(), robot, task.name, task.energy, task.steps, settings)
     swum = swim(
         robot, task, realities, each, trials=trials, seed=seed, settings=settings,
         file=file, key=repr(inputs),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,7 +24,6 @@ from rl.forecast.trials import read_trials
 from rl.sac.recipes import RECIPES
 from rl.task import CONTROL_S, Task
 from sim.view.video import check_video
-from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.output import provenance
@@ -73,7 +71,7 @@ def make_forecast(
     drawn = draw_realities(robot, model, ranges, sample, count[0], rng, diagnosed=diagnosed)
     origin = provenance([*inputs, *recordings, *_files(policies)], seed)
     swimmers = [origin["inputs"][str(path)] for path in _files(policies)]
-    key = repr((drawn_digest(drawn, residuals), swimmers, robot, task.name, steps, settings))
+    key = repr((drawn.digest(residuals), swimmers, robot, task.name, steps, settings))
     with progress_bar("forecast") as progress:
         swum = swims.swim(
             robot, task, drawn, controllers, trials=count[1], seed=seed, settings=settings,
@@ -166,14 +164,6 @@ def _trained(
 def _files(policies: Sequence[str]) -> list[Path]:
     """The policies that are files."""
     return [path for name in policies if (path := Path(with_price(name)[0])).exists()]
-
-
-def drawn_digest(realities: Realities, residuals: Sequence[Array] = ()) -> str:
-    """SHA-256 of drawn realities and of the residuals that disturb their trials."""
-    digest = hashlib.sha256(repr((realities.names, realities.noise)).encode())
-    for array in (realities.values, realities.law, realities.unexplained, *residuals):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
 
 
 def _notes(model: Model, drawn: Realities, recorded: bool) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ O'Hagan, J. R. Stat. Soc. B 63 (2001) 425: parameters, discrepancy and noise are
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,6 +54,13 @@ class Realities:
     values: Array
     law: Array
     unexplained: Array
+
+    def digest(self, residuals: Sequence[Array] = ()) -> str:
+        """SHA-256 of the draws, and of residuals that disturb their trials."""
+        found = hashlib.sha256(repr((self.names, self.noise)).encode())
+        for array in (self.values, self.law, self.unexplained, *residuals):
+            found.update(np.ascontiguousarray(array).tobytes())
+        return found.hexdigest()
 
 
 def draw_realities(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rl.observer import PAPER, View
-from rl.sac.agents import PLAIN, Settings
+from rl.sac.settings import PLAIN, Settings
 from rl.sac.train import Plan
 from rl.task import TASKS
 from sim2real.errors import InputError

@@ -14,7 +14,7 @@ from torch import nn
 
 from rl.env import action_space, observation_space
 from rl.observer import View
-from rl.sac.agents import Settings
+from rl.sac.settings import Settings
 from rl.world import World
 from sim2real.arrays import Array32
 from sim2real.errors import InputError

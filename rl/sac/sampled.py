@@ -11,7 +11,7 @@ import torch
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, read_agent, set_price
-from rl.sac.agents import Settings
+from rl.sac.settings import Settings
 from sim2real.arrays import Array32, Mask
 
 

@@ -13,9 +13,10 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from rl.decisions import Decisions
 from rl.deploy.export import read_agent, set_price
 from rl.observer import PAPER, View
-from rl.sac.agents import PLAIN, Agents, Batch, Settings, mirrored
+from rl.sac.agents import Agents, Batch, mirrored
 from rl.sac.checkpoint import Progress, save
 from rl.sac.sac import make_sac
+from rl.sac.settings import PLAIN, Settings
 from rl.task import Task
 from sim2real.errors import InputError
 

@@ -15,8 +15,8 @@ from rl.deploy.forward import read_npz
 from rl.deploy.header import c_header
 from rl.observer import PAPER, Observer, View
 from rl.randomize import Noise
-from rl.sac.agents import Settings
 from rl.sac.sac import make_sac
+from rl.sac.settings import Settings
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from tests.rl.test_export import COMPILER, answered_in_c

@@ -9,9 +9,9 @@ import torch
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
 from rl.observer import PAPER
-from rl.sac.agents import Settings
 from rl.sac.sac import make_sac
 from rl.sac.sampled import SampledController
+from rl.sac.settings import Settings
 from sim2real.errors import InputError
 
 

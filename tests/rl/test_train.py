@@ -21,9 +21,9 @@ from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.trials import run_trials
 from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
-from rl.sac.agents import Settings
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.curve import draw_curves, read_progress
+from rl.sac.settings import Settings
 from rl.sac.train import Arm, Plan, train, train_in_parts
 from rl.task import TASKS, shortened
 from rl.world import Draws
