@@ -10,8 +10,8 @@ and bench values that are off by up to 5 % are known (``inputs``); the trials of
 ``answers``, whose hashes are printed before anything is forecast, and which only ``score`` reads.
 Each reality is diagnosed and calibrated in the twin, and forecast three times: from all that is
 known, from the calibrated model alone, and from hand-set ranges (Lin, Liu, Wang 2024, Table II:
-latency and sensor noise). All stages resume; diagnoses and calibrated
-models are kept, so that after a change of the forecast only ``forecasts/*.npz`` are to be removed.
+latency and sensor noise). All stages resume; diagnoses and calibrated models are kept, so that
+after a change of the forecast only ``forecasts/*.npz`` are to be removed.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ import numpy as np
 from fluid_speed import MODEL, ROBOT
 from resolution import WALLS, WAVES
 
+from sim.cases import hard_commands as shaking
 from sim.cases import momentum, spheroid
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
@@ -48,50 +49,23 @@ def light(links: int) -> Masses:
     return Masses(np.ones(links), np.ones(links), np.zeros(links))
 
 
+def towed(
+    length: int, wall: Wall, device: str, *, body: float = 1.0, degrees: float = 0.0
+) -> float:
+    """Drag coefficient of a spheroid on its wetted area: 0 in ideal fluid, in any frame."""
+    moved, drag = spheroid.drag(length, wall, device=device, threads=1, body=body, degrees=degrees)
+    return float(drag[moved > moved[-1] / 2].mean())
+
+
 def friction(length: int, walls: tuple[Wall, Wall], device: str) -> Result:
-    """Friction of a towed spheroid over Hoerner's; its drag coefficient without."""
-    drag = []
-    for wall in walls:
-        moved, c = spheroid.drag(length, wall, device=device, threads=1)
-        drag.append(float(c[moved > moved[-1] / 2].mean()))
-    return {"over_hoerner": (drag[0] - drag[1]) / (spheroid.slipping() * spheroid.plate())}
+    """Friction of a towed spheroid over Hoerner's, from its drag with and without."""
+    rough, bare = (towed(length, wall, device) for wall in walls)
+    return {"over_hoerner": (rough - bare) / (spheroid.slipping() * spheroid.plate())}
 
 
-def frame(
-    length: int, wall: Wall, device: str, *, body: float, degrees: float, lengths: float
-) -> Result:
-    """Drag coefficient of a spheroid on its wetted area, without friction: 0 in ideal fluid.
-
-    It moves along its axis at ``body`` times a speed, the water far away at ``body - 1`` times it.
-    """
-    speed, water = 0.05, body - 1.0
-    box = (2.5, 1.25, 1.25) if degrees == 0 else (2.5, 1.75, 1.25)
-    cells = tuple(round(side * length) for side in box)
-    fluid = Fluid(D3Q19, cells, viscosity=1e-3, smagorinsky=0.1, device=device)
-    hull = spheroid.prolate(float(length))
-    links, angle = hull.length.size, np.deg2rad(degrees)
-    ahead = np.array([np.cos(angle), np.sin(angle)])
-    fluid.set(velocity=np.array([*(water * speed * ahead), 0.0]))
-    middle = (cells[2] - 1) / 2 + 0.1
-    bodies = Bodies(fluid, hull, light(links), LATTICE_UNITS, middle=middle, wall=wall)
-    place = np.array([cells[0] / 2, cells[1] / 2 + 0.2])
-    if degrees:  # the middle of the path in the middle of the box
-        place += ahead * length * (0.5 - 0.5 * body * lengths)
-    start = np.zeros((1, 2 + links))
-    start[0, :3] = *place, angle
-    bodies.place(start)
-    steps, ramp = round(lengths * length / speed), 0.1 * length / speed
-    share = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, (np.arange(steps) + 1) / ramp))
-    rates, force = np.zeros(2 + links), np.zeros(steps)
-    for n in range(steps):
-        rates[:2] = body * speed * share[n] * ahead
-        bodies.prescribe(rates)
-        bodies.step(HELD)
-        force[n] = -(bodies.motion.force.numpy()[0, :, :2].sum(axis=0) @ ahead)
-    if fluid.stopped.numpy()[0] >= 0:
-        force[:] = np.nan
-    unit = 0.5 * speed**2 * spheroid.wetted(length)
-    return {"drag_coefficient": float(force[steps // 2 :].mean() / unit)}
+def frame(length: int, wall: Wall, device: str, body: float, degrees: float) -> Result:
+    """Drag coefficient in a frame of reference, see ``spheroid.drag``."""
+    return {"drag_coefficient": towed(length, wall, device, body=body, degrees=degrees)}
 
 
 def carried(length: int, wall: Wall, device: str) -> Result:
@@ -124,8 +98,8 @@ def tank(cell_m: float, wall: Wall, device: str, steps: int) -> Result:
 
 
 def hard_commands(cell_m: float, wall: Wall, device: str, seconds: float) -> Result:
-    """Square waves in phase, in antiphase, and jumps, at four density ratios; -1: none stopped."""
-    rng, ratios = np.random.default_rng(5), np.repeat([0.5, 1.0, 2.0, 10.0], 3)
+    """Three kinds of hard commands at four density ratios; -1 where a box did not stop."""
+    ratios = np.repeat([0.5, 1.0, 2.0, 10.0], 3)
     E, J = ratios.size, len(ROBOT.joints)
     swimmer = Swimmer(ROBOT, MODEL, n_envs=E, cell_m=cell_m, device=device, wall=wall)
     usual = masses(ROBOT, [MODEL] * E, swimmer.hull)
@@ -134,15 +108,8 @@ def hard_commands(cell_m: float, wall: Wall, device: str, seconds: float) -> Res
     rows = servo_rows(ROBOT, [MODEL] * E)
     swimmer.bodies.adopt(np.arange(E), heavy, rows, swimmer.outside)
     swimmer.reset()
-    most = np.array([joint.limits_rad for joint in ROBOT.joints])[:, 1]
-    jumps = rng.uniform(-1, 1, (E, J))
-    for k in range(round(seconds / CONTROL_S)):
-        up = np.sign(np.sin(2 * np.pi * 2.0 * (k * CONTROL_S + 1e-6)))
-        if k % round(0.25 / CONTROL_S) == 0:
-            jumps = rng.uniform(-1, 1, (E, J))
-        antiphase = np.tile(up * (-1.0) ** np.arange(J), (E, 1))
-        kinds = np.stack([np.full((E, J), up), antiphase, jumps])
-        swimmer.step(np.minimum(0.8, most) * kinds[np.arange(E) % 3, np.arange(E)])
+    for kinds in shaking.commands(seconds, J, np.random.default_rng(5)):
+        swimmer.step(np.tile(kinds, (4, 1)))
     stopped = swimmer.state().stopped
     return {"density_ratio": ratios.tolist(), "stopped_at_step": stopped.tolist()}
 
@@ -248,8 +215,7 @@ def cases(wall: Wall, device: str, tiny: bool) -> dict[str, Callable[[], Result]
         for name, body in {"towed": 1.0, "in a stream": 0.0}.items():
             for degrees in (0.0, 20.0):
                 jobs[f"spheroid {name} at {degrees:g} degrees, {thick}"] = partial(
-                    frame, length, bare, device, body=body, degrees=degrees,
-                    lengths=0.1 if tiny else 1.0,
+                    frame, length, bare, device, body, degrees
                 )  # fmt: skip
         if length > 24:
             jobs[f"carried mass, spheroid {thick}"] = partial(carried, length, bare, device)

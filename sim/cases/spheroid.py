@@ -30,7 +30,7 @@ _VISCOSITY, _SMAGORINSKY = 1e-3, 0.1
 _PERIOD, _PERIODS = 800, 2
 _SWAY = 0.2
 """Amplitude of the oscillation in cells."""
-_SHAKEN, _TOWED = (2.0, 1.25, 1.25), (2.5, 1.25, 1.25)
+_SHAKEN, _TOWED, _TOWED_ASKEW = (2.0, 1.25, 1.25), (2.5, 1.25, 1.25), (2.5, 1.75, 1.25)
 """Periodic boxes in lengths."""
 _SPEED = 0.05
 """Towing speed in cells per step."""
@@ -126,9 +126,28 @@ def masses(length: int, wall: Wall, *, device: str = "cpu", threads: int = 2) ->
     return np.asarray(force / (omega * volume * np.hypot(fit[0], fit[1])))
 
 
-def drag(length: int, wall: Wall, *, device: str = "cpu", threads: int = 2) -> tuple[Array, Array]:
-    """Lengths towed end-on, and the drag coefficient on the wetted area; in m, kg and s."""
-    cells = tuple(round(side * length) for side in _TOWED)
+def drag(
+    length: int,
+    wall: Wall,
+    *,
+    body: float = 1.0,
+    degrees: float = 0.0,
+    device: str = "cpu",
+    threads: int = 2,
+) -> tuple[Array, Array]:
+    """Lengths moved through the water end-on, and the drag coefficient on the wetted area.
+
+    Args:
+        length: Cells along the body.
+        wall: The wall model.
+        body: Frame of reference: the body moves at this share of the speed through the water, the
+            water far away at this share less 1. It is towed at 1, and in a stream at rest at 0.
+        degrees: Angle of the body and its motion to the cells.
+        device: Device of the fluid.
+        threads: CPU threads of the fluid.
+    """
+    sides = _TOWED if degrees == 0 else _TOWED_ASKEW
+    cells = tuple(round(side * length) for side in sides)
     fluid = Fluid(
         D3Q19,
         cells,
@@ -137,22 +156,29 @@ def drag(length: int, wall: Wall, *, device: str = "cpu", threads: int = 2) -> t
         device=device,
         threads=threads,
     )
+    angle = np.deg2rad(degrees)
+    ahead = np.array([np.cos(angle), np.sin(angle)])
+    if body != 1.0:
+        fluid.set(velocity=np.array([*((body - 1.0) * _SPEED * ahead), 0.0]))
     hull, cell = prolate(LENGTH_M), LENGTH_M / length
     units = Units(cell, _SPEED * cell / SPEED_M_S, cell)
     links = hull.length.size
     light = Masses(np.ones(links), np.ones(links), np.zeros(links))
     bodies = Bodies(fluid, hull, light, units, middle=(cells[2] - 1) / 2 + 0.1, wall=wall)
+    place = np.array([cells[0] / 2, cells[1] / 2 + 0.2])
+    if degrees:  # the middle of the path in that of the box
+        place += ahead * length * (0.5 - 0.5 * body * _LENGTHS)
     start = np.zeros((1, 2 + links))
-    start[0, :2] = cell * cells[0] / 2, cell * (cells[1] / 2 + 0.2)
+    start[0, :3] = *(cell * place), angle
     bodies.place(start)
     steps, ramp = round(_LENGTHS * length / _SPEED), 0.1 * length / _SPEED
     share = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, (np.arange(steps) + 1) / ramp))
     rates, force = np.zeros(2 + links), np.zeros(steps)
     for n in range(steps):
-        rates[0] = SPEED_M_S * share[n]
+        rates[:2] = body * SPEED_M_S * share[n] * ahead
         bodies.prescribe(rates)
         bodies.step(HELD)
-        force[n] = -bodies.motion.force.numpy()[0, :, 0].sum()
+        force[n] = -(bodies.motion.force.numpy()[0, :, :2].sum(axis=0) @ ahead)
     if fluid.stopped.numpy()[0] >= 0:  # the flow broke down
         force[:] = np.nan
     unit = 0.5 * WATER_KG_M3 * SPEED_M_S**2 * wetted(LENGTH_M)
