@@ -4,8 +4,9 @@ A cell whose centre lies inside a body sends out, towards each neighbour in the 
 at equilibrium. Across the surface their velocity is the body's; along it, that with which the links
 of the cell exchange no momentum along the surface, or, where the links do not determine it, that of
 the water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
-passes but what the moving surface displaces. Uniform flow along a plane of any direction is an
-exact solution. Cells that the body uncovers hold water that continues the water outside.
+passes but what the moving surface displaces; what ghost cells send to each other has the density
+of the water outside, as cells that the body uncovers hold it. Uniform flow along a plane of any
+direction is an exact solution.
 Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
 lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that displace what the surface
 displaces).
@@ -102,6 +103,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
         ``p`` are those that arrive, ``face`` the surface's normal and the density, ``water`` the
         velocity along it and, for the terms of second order, that across it. ``leak`` is the
         density that the links lack so that the body's surface as a whole lets no mass through.
+        Few links can need a density far from that of the water outside, which the rest has.
         """
         rho = face[3]
         u = wp.vec3(
@@ -128,10 +130,10 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
                 passed += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
                 passed += wp.static(w[k]) * rho * (odd - even)
                 weight += wp.static(w[k])
-        rest = rho - 1.0
-        if weight > 0.0:
-            rest = passed / weight - leak
         for k in range(wp.static(Q)):
+            rest = rho - 1.0
+            if (links & wp.static(1 << k)) != 0:
+                rest = passed / weight - leak
             out[k] += wp.static(w[k]) * rest
         return out
 

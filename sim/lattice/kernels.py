@@ -12,8 +12,8 @@ from sim.lattice.ghost import ghosts
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
-SUPERSONIC = 0.16
-"""Square of the speed in lattice units (0.4) beyond which the method is not valid."""
+SUPERSONIC = 1 / 3
+"""Square of the speed of sound in lattice units, beyond which the method is not valid."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if (flag & wp.static(GHOST)) != 0:
             at = slot_of(n, e, box, covered)
             out = ghost_out(at[0], p, body_velocity(at, e, covered, twist, centre), covered)
-        if halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
+        elif halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
             stopped[e] = n - e * box.cells
         if halted < 0:
             store(f, n, j, t, box.total, out)
