@@ -64,7 +64,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     neighbours, moments = pop.neighbours, pop.moments
     water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
-    slipping, passing = ghost.slipping, ghost.passing
+    slipping, passing, positive = ghost.slipping, ghost.passing, ghost.positive
     c, Q = lattice.velocities, lattice.Q
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -226,6 +226,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                     at = wp.vec3(float(X), float(Y), float(z))
                     facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
                     water = slipping(p, near, facing, water)
+                    facing = positive(p, near, facing, water)
                     passed += passing(near, facing, water)
                     covered.face[slot] = facing
                     covered.water[slot] = water
@@ -249,6 +250,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                             f, flags, box, t, e, at, o, covered.back[slot][3], body
                         )
                         water = slipping(p, far, facing, water)
+                        facing = positive(p, far, facing, water)
                         passed += passing(far, facing, water)
                         covered.back[slot] = facing
                         covered.beyond[slot] = water

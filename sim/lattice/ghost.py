@@ -34,6 +34,7 @@ class Ghosts(NamedTuple):
         momentum: Momentum in the plane of the populations in some directions.
         slipping: Velocity along the surface with which nothing is exchanged along it.
         passing: Mass that a cell's links bring into the water.
+        positive: Density for which no population that a cell sends to the water is negative.
     """
 
     water_at: Any
@@ -41,6 +42,7 @@ class Ghosts(NamedTuple):
     momentum: Any
     slipping: Any
     passing: Any
+    positive: Any
 
 
 @cache
@@ -191,6 +193,39 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
         return out
 
     @wp.func
+    def positive(p: Vector, links: int, face: wp.vec4, water: wp.vec4) -> wp.vec4:
+        """``face`` with the largest density for which no population sent to the water is negative.
+
+        A surface that recedes from water at rest by more than 1/6 cells in a step would take more
+        from it than arrives.
+        """
+        u = wp.vec3(water[0], water[1], water[2])
+        u += water[3] * wp.vec3(face[0], face[1], face[2])
+        still = 1.5 * wp.dot(u, u)
+        arrived = float(0.0)
+        displaced = float(0.0)
+        weight = float(0.0)
+        least = float(0.0)
+        for k in range(wp.static(Q)):
+            if (links & wp.static(1 << k)) != 0:
+                q = wp.vec3(
+                    wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
+                )
+                cu = wp.dot(q, u)
+                even = 4.5 * cu * cu - still
+                arrived += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
+                displaced += wp.static(w[k]) * (3.0 * cu - even)
+                weight += wp.static(w[k])
+                least = wp.min(least, 3.0 * cu + even)
+        if weight == 0.0:
+            return face
+        least += displaced / weight
+        rho = face[3]
+        if least < 0.0:
+            rho = wp.min(rho, wp.max(1.0 + arrived / weight, 0.0) / -least)
+        return wp.vec4(face[0], face[1], face[2], rho)
+
+    @wp.func
     def momentum(p: Vector, links: int) -> wp.vec2:
         m = wp.vec2()
         for k in range(wp.static(Q)):
@@ -198,4 +233,4 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
                 m += p[k] * wp.vec2(wp.static(float(c[k][0])), wp.static(float(c[k][1])))
         return m
 
-    return Ghosts(water_at, emitted, momentum, slipping, passing)
+    return Ghosts(water_at, emitted, momentum, slipping, passing, positive)
