@@ -129,7 +129,7 @@ def swim(cell: float, device: str, which: list[int], wall: Wall) -> Array:
 
 
 def held(cell: float, device: str, wall: Wall) -> Array:
-    """Mean force along the body of each of ``CASES`` in N, its motion prescribed."""
+    """Mean force along the held body in each of ``CASES`` in N; NaN where the box stopped."""
     swimmer = Swimmer(
         ROBOT, MODEL, n_envs=len(CASES), cell_m=cell, viscosity_m2_s=VISCOSITY_M2_S,
         device=device, threads=2, wall=wall,
@@ -154,7 +154,8 @@ def held(cell: float, device: str, wall: Wall) -> Array:
                 seen.append(bodies.motion.force.numpy()[:, :, 0].sum(axis=1))
         swimmer._sponge()
         force.append(np.mean(seen, axis=0))
-    return np.asarray(np.mean(force[-round(HELD_COUNTED / CONTROL_S) :], axis=0))
+    mean = np.mean(force[-round(HELD_COUNTED / CONTROL_S) :], axis=0)
+    return np.where(swimmer.state().stopped < 0, mean, np.nan)
 
 
 def draw(result: dict[str, Any], target: Path) -> None:

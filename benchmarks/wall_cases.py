@@ -97,7 +97,9 @@ def tank(cell_m: float, wall: Wall, device: str, steps: int) -> Result:
     return {"all": float(most[0]), "outside": float(most[1]), "steps": periods * swimmer.substeps}
 
 
-def hard_commands(cell_m: float, wall: Wall, device: str, seconds: float) -> Result:
+def hard_commands(
+    cell_m: float, wall: Wall, device: str, seconds: float, *, scale: float = 1.0, seed: int = 5
+) -> Result:
     """Three kinds of hard commands at four density ratios; -1 where a box did not stop."""
     ratios = np.repeat([0.5, 1.0, 2.0, 10.0], 3)
     E, J = ratios.size, len(ROBOT.joints)
@@ -108,10 +110,10 @@ def hard_commands(cell_m: float, wall: Wall, device: str, seconds: float) -> Res
     rows = servo_rows(ROBOT, [MODEL] * E)
     swimmer.bodies.adopt(np.arange(E), heavy, rows, swimmer.outside)
     swimmer.reset()
-    for kinds in shaking.commands(seconds, J, np.random.default_rng(5)):
+    for kinds in scale * shaking.commands(seconds, J, np.random.default_rng(seed)):
         swimmer.step(np.tile(kinds, (4, 1)))
     stopped = swimmer.state().stopped
-    return {"density_ratio": ratios.tolist(), "stopped_at_step": stopped.tolist()}
+    return {"density_ratio": ratios.tolist(), "stopped_in_cell": stopped.tolist()}
 
 
 def section(chord: float, thickness: float, links: int = 8) -> tuple[Hull, float]:
@@ -221,7 +223,12 @@ def cases(wall: Wall, device: str, tiny: bool) -> dict[str, Callable[[], Result]
             jobs[f"carried mass, spheroid {thick}"] = partial(carried, length, bare, device)
     cell_m = 0.04 if tiny else 0.02
     jobs["mass of a tank"] = partial(tank, cell_m, wall, device, 20 if tiny else 10_000)
-    jobs["hard commands"] = partial(hard_commands, cell_m, wall, device, 0.1 if tiny else 60.0)
+    hard = partial(hard_commands, wall=wall, device=device, seconds=0.1 if tiny else 60.0)
+    jobs["hard commands"] = partial(hard, cell_m)
+    jobs["hard commands, 1.3 times as large"] = partial(hard, cell_m, scale=1.3)
+    jobs["hard commands, smaller cells"] = partial(hard, 0.75 * cell_m)
+    for seed in (6, 7):
+        jobs[f"hard commands, seed {seed}"] = partial(hard, cell_m, seed=seed)
     size = (16, 32, 20) if tiny else (48, 128, 200)
     jobs["momentum"] = partial(conserved, *size, wall, device)
     for side in (8,) if tiny else (12, 24):

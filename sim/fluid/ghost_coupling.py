@@ -64,7 +64,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     neighbours, moments = pop.neighbours, pop.moments
     water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
-    slipping, passing = ghost.slipping, ghost.passing
+    slipping, passing, positive = ghost.slipping, ghost.passing, ghost.positive
     c, Q = lattice.velocities, lattice.Q
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -226,18 +226,20 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                     at = wp.vec3(float(X), float(Y), float(z))
                     facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
                     water = slipping(p, near, facing, water)
+                    facing = positive(p, near, facing, water)
                     passed += passing(near, facing, water)
                     covered.face[slot] = facing
                     covered.water[slot] = water
                     covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
                     still = Vector()
                     out = emitted(p, near, facing, water, water[3], leak)
-                    rate = emitted(still, near, facing, wp.vec4(), 1.0, 0.0)
+                    unit = wp.vec4(o[0], o[1], o[2], 1.0)
+                    rate = emitted(still, near, unit, wp.vec4(), 1.0, 0.0)
                     s = momentum(out, near)
-                    ds = momentum(rate, near)
+                    ds = facing[3] * momentum(rate, near)
                     among = wp.static(2**lattice.Q - 1) - near - far
                     k0 = momentum(out, among)
-                    dk = momentum(rate, among)
+                    dk = facing[3] * momentum(rate, among)
                     n2 = wp.vec2(o[0], o[1])
                     sends += wp.outer(ds, n2)
                     keeps += wp.outer(dk, n2)
@@ -249,6 +251,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                             f, flags, box, t, e, at, o, covered.back[slot][3], body
                         )
                         water = slipping(p, far, facing, water)
+                        facing = positive(p, far, facing, water)
                         passed += passing(far, facing, water)
                         covered.back[slot] = facing
                         covered.beyond[slot] = water

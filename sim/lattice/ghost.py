@@ -4,8 +4,9 @@ A cell whose centre lies inside a body sends out, towards each neighbour in the 
 at equilibrium. Across the surface their velocity is the body's; along it, that with which the links
 of the cell exchange no momentum along the surface, or, where the links do not determine it, that of
 the water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
-passes but what the moving surface displaces. Uniform flow along a plane of any direction is an
-exact solution. Cells that the body uncovers hold water that continues the water outside.
+passes but what the moving surface displaces; what ghost cells send to each other has the density
+of the water outside, as cells that the body uncovers hold it. Uniform flow along a plane of any
+direction is an exact solution.
 Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
 lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that displace what the surface
 displaces).
@@ -33,6 +34,7 @@ class Ghosts(NamedTuple):
         momentum: Momentum in the plane of the populations in some directions.
         slipping: Velocity along the surface with which nothing is exchanged along it.
         passing: Mass that a cell's links bring into the water.
+        positive: Density for which no population that a cell sends to the water is negative.
     """
 
     water_at: Any
@@ -40,6 +42,7 @@ class Ghosts(NamedTuple):
     momentum: Any
     slipping: Any
     passing: Any
+    positive: Any
 
 
 @cache
@@ -102,6 +105,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
         ``p`` are those that arrive, ``face`` the surface's normal and the density, ``water`` the
         velocity along it and, for the terms of second order, that across it. ``leak`` is the
         density that the links lack so that the body's surface as a whole lets no mass through.
+        Few links can need a density far from that of the water outside, which the rest has.
         """
         rho = face[3]
         u = wp.vec3(
@@ -128,10 +132,10 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
                 passed += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
                 passed += wp.static(w[k]) * rho * (odd - even)
                 weight += wp.static(w[k])
-        rest = rho - 1.0
-        if weight > 0.0:
-            rest = passed / weight - leak
         for k in range(wp.static(Q)):
+            rest = rho - 1.0
+            if (links & wp.static(1 << k)) != 0:
+                rest = passed / weight - leak
             out[k] += wp.static(w[k]) * rest
         return out
 
@@ -189,6 +193,39 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
         return out
 
     @wp.func
+    def positive(p: Vector, links: int, face: wp.vec4, water: wp.vec4) -> wp.vec4:
+        """``face`` with the largest density for which no population sent to the water is negative.
+
+        A surface that recedes from water at rest by more than 1/6 cells in a step would take more
+        from it than arrives.
+        """
+        u = wp.vec3(water[0], water[1], water[2])
+        u += water[3] * wp.vec3(face[0], face[1], face[2])
+        still = 1.5 * wp.dot(u, u)
+        arrived = float(0.0)
+        displaced = float(0.0)
+        weight = float(0.0)
+        least = float(0.0)
+        for k in range(wp.static(Q)):
+            if (links & wp.static(1 << k)) != 0:
+                q = wp.vec3(
+                    wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
+                )
+                cu = wp.dot(q, u)
+                even = 4.5 * cu * cu - still
+                arrived += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
+                displaced += wp.static(w[k]) * (3.0 * cu - even)
+                weight += wp.static(w[k])
+                least = wp.min(least, 3.0 * cu + even)
+        if weight == 0.0:
+            return face
+        least += displaced / weight
+        rho = face[3]
+        if least < 0.0:
+            rho = wp.min(rho, wp.max(1.0 + arrived / weight, 0.0) / -least)
+        return wp.vec4(face[0], face[1], face[2], rho)
+
+    @wp.func
     def momentum(p: Vector, links: int) -> wp.vec2:
         m = wp.vec2()
         for k in range(wp.static(Q)):
@@ -196,4 +233,4 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
                 m += p[k] * wp.vec2(wp.static(float(c[k][0])), wp.static(float(c[k][1])))
         return m
 
-    return Ghosts(water_at, emitted, momentum, slipping, passing)
+    return Ghosts(water_at, emitted, momentum, slipping, passing, positive)

@@ -12,8 +12,10 @@ from sim.lattice.ghost import ghosts
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
-SUPERSONIC = 0.16
-"""Square of the speed in lattice units (0.4) beyond which the method is not valid."""
+SUPERSONIC = 1 / 3
+"""Square of the speed of sound in lattice units, beyond which the method is not valid."""
+FAST = (1 - SUPERSONIC**0.5) ** 2
+"""Square of the speed beyond which sound passes more than a cell in a step: cells relax wholly."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,9 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if square > 0.0 or damping > 0.0:
             above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5 + damping
             rate = wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
+        speed2 = wp.dot(m, m) * inv * inv
+        if speed2 > wp.static(FAST):
+            rate = wp.vec2(1.0, 1.0)
         out = relaxed(p, rest, m, inv, rate[0], rate[1])
         if (flag & wp.static(BODY)) + driven != 0:
             push = drive[e]
@@ -154,7 +159,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if (flag & wp.static(GHOST)) != 0:
             at = slot_of(n, e, box, covered)
             out = ghost_out(at[0], p, body_velocity(at, e, covered, twist, centre), covered)
-        if halted < 0 and not (wp.dot(m, m) * inv * inv < wp.static(SUPERSONIC)):
+        elif halted < 0 and not (speed2 < wp.static(SUPERSONIC)):
             stopped[e] = n - e * box.cells
         if halted < 0:
             store(f, n, j, t, box.total, out)

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.cases import momentum, spheroid
+from sim.cases import hard_commands, momentum, spheroid
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
 from sim.lattice.cell import GHOST, KIND
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
+from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced
 from sim.robot.swimmer import Swimmer
 from sim2real.errors import InputError
@@ -115,6 +116,17 @@ def test_a_towed_spheroid_has_the_friction_of_its_line(monkeypatch):
     moved, found = drag[0][0], drag[0][1] - drag[1][1]
     expected = spheroid.slipping() * spheroid.plate()
     assert found[moved > moved[-1] / 2].mean() == pytest.approx(expected, rel=0.2)
+
+
+def test_hard_commands_do_not_stop_a_light_robot():
+    """Half as heavy as its water; its tail moves by up to 0.4 cells in a step."""
+    swimmer = Swimmer(FISH, servos(), wall=SLIPS, box_m=(0.9, 0.7, 0.3))
+    usual = masses(FISH, [servos()], swimmer.hull)
+    light = Masses(usual.mass / 2, usual.inertia / 2, usual.com)
+    swimmer.bodies.adopt(np.arange(1), light, servo_rows(FISH, [servos()]), swimmer.outside)
+    for together in 1.3 * hard_commands.commands(1.6, 3, np.random.default_rng(5))[:, 0]:
+        swimmer.step(together)
+    assert (swimmer.state().stopped < 0).all()
 
 
 def test_leveling_restores_the_mass_of_a_tank():

@@ -117,7 +117,7 @@ def test_a_robot_thinner_than_the_cells_still_swims():
 def test_a_supersonic_cell_stops_its_own_box():
     swimmer = small(n_envs=2)
     velocity = np.zeros((2, *swimmer.tank.size, 3))
-    velocity[1, 2, 3, 0, 0] = 0.5
+    velocity[1, 2, 3, 0, 0] = 0.7
     swimmer.fluid.set(velocity=velocity)
     beat(swimmer, 3)
     state = swimmer.state()
