@@ -8,8 +8,8 @@ RAMP = 1.0
 """Width in cells over which a cell's solid share falls from 1 to 0."""
 SHEET, EDGE = 1.5, 0.5
 """For ghost cells, in cells: half-thickness below which a tall part is a sheet, and distance by
-which the edges of a sheet are moved inwards. By its added mass a plate with this ``EDGE`` acts 0.5
-to 0.9 cells too large at each edge (``benchmarks/wall_constants.py``)."""
+which the edges of a sheet are moved inwards. By its added mass a plate with this ``EDGE`` acts 0.6
+to 1 cells too large at each edge (``benchmarks/wall_constants.py``)."""
 
 
 @wp.func
