@@ -1,10 +1,12 @@
 """Where a wall along which the water slips acts, against potential flow, for its three lengths.
 
-    python benchmarks/wall_constants.py [--inset 0 0.2 0.4] [--edge 0.6 0.8 1.0]
+    python benchmarks/wall_constants.py [--inset 0 0.2 0.4] [--edge 0.6 0.8 1.0] [--thin 0.3 0.7]
 
 A disc and a plate, nowhere special on the grid, are set in motion across their axis; the water that
 goes along tells how large they seem. Printed: by how many cells a disc's radius and a plate's half
-width seem too large, for each value that ``sim.fluid.wall`` could have.
+width seem too large, for each value that ``sim.fluid.wall`` could have, and with ghost cells for
+each half-thickness of the plate. The ghost cells' ``sim.fluid.section.EDGE`` is fixed when Warp
+compiles; a plate whose half width seems too large by x needs an ``EDGE`` that is larger by x.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from sim.robot.shape import Hull
 
 RADII, HALVES, HEADINGS = (3.0, 6.0, 12.0), (3.0, 6.0, 12.0), (0.0, 0.3, 0.785)
 _THIN = 0.15
+FORCED, GHOSTS = Wall(slip=True), Wall(slip=True, ghosts=True)
 
 
 def main() -> None:
@@ -30,6 +33,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--inset", type=float, nargs="*", default=[0.0, 0.2, 0.4])
     parser.add_argument("--edge", type=float, nargs="*", default=[0.6, 0.8, 1.0])
+    parser.add_argument("--thin", type=float, nargs="*", default=[0.3, 0.7, 1.2])
     options = parser.parse_args()
     rng = np.random.default_rng(1)
     for inset in options.inset:
@@ -38,6 +42,9 @@ def main() -> None:
     for edge in options.edge:
         sim.fluid.wall.EDGE = edge
         print(f"edge {edge:g}: plate", *(f"{h:g} cells {plate(h, rng):+.2f}," for h in HALVES))
+    for thin in options.thin:
+        found = (f"{h:g} cells {plate(h, rng, thin, GHOSTS):+.2f}," for h in HALVES)
+        print(f"ghost cells, half-thickness {thin:g}: plate", *found)
 
 
 def disc(radius: float, rng: np.random.Generator) -> float:
@@ -49,11 +56,12 @@ def disc(radius: float, rng: np.random.Generator) -> float:
     return float(radius * (np.sqrt(found / alone) - 1))
 
 
-def plate(half: float, rng: np.random.Generator) -> float:
-    """Cells by which a thin plate's half width seems too large."""
-    length = 2 * (half - _THIN)
-    found = np.mean([added(length, _THIN, a, round(10 * half), 0.004, rng) for a in HEADINGS])
-    return float(half * (np.sqrt(found / (np.pi * half**2)) - 1))
+def plate(half: float, rng: np.random.Generator, thin: float = _THIN, wall: Wall = FORCED) -> float:
+    """Cells by which a thin plate's half width seems too large; its images are allowed for."""
+    length, side = 2 * (half - thin), round(10 * half)
+    found = np.mean([added(length, thin, a, side, 0.004, rng, wall) for a in HEADINGS])
+    alone = found / (1 + found / (2 * side**2))
+    return float(half * (np.sqrt(alone / (np.pi * half**2)) - 1))
 
 
 def added(
@@ -63,6 +71,7 @@ def added(
     side: int,
     speed: float,
     rng: np.random.Generator,
+    wall: Wall = FORCED,
 ) -> float:
     """Area of water that goes along across the axis, from the force of an even acceleration."""
     half = np.full((1, 3), half_width)
@@ -70,7 +79,7 @@ def added(
     light = Masses(np.ones(1), np.ones(1), np.full(1, length / 2))
     bodies = Bodies(
         fluid, Hull(np.array([length]), half, half), light, Units(1.0, 1.0, 1.0, 1.0),
-        wall=Wall(slip=True),
+        wall=wall,
     )  # fmt: skip
     x, y = side / 2 + rng.uniform(-0.5, 0.5, 2)
     bodies.place(np.array([[x, y, heading]]))

@@ -25,7 +25,7 @@ DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
 """In cells: depth below the surface from which the inner water moves with the body; distance by
 which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
 moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
-disc acts 0.1 cells too large, a plate 0.2 to 0.4 (``benchmarks/wall_constants.py``)."""
+disc acts 0.1 cells too large, a plate 0.1 to 0.3 (``benchmarks/wall_constants.py``)."""
 MEMORY = 40.0
 """Steps over which the momentum that the inner water takes from the outer is averaged."""
 

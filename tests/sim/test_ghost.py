@@ -9,7 +9,7 @@ from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
 from sim.lattice.cell import GHOST, KIND
 from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9
+from sim.lattice.velocities import D2Q9, D3Q19
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
 from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced
@@ -102,6 +102,22 @@ def test_a_body_that_drifts_with_its_water_leaves_it_in_uniform_motion():
     water = (fluid.flags.numpy().reshape(48, 72).T & GHOST) == 0
     assert np.abs(velocity[0, ..., 0, 0] - speed)[water].max() < 0.02 * speed
     assert np.abs(density[0, ..., 0] - 1)[water].max() < 1e-3
+
+
+def test_a_sheet_is_as_high_at_any_height_on_the_grid():
+    """Ghost cells of an upright plate whose edges lie differently between the layers of cells."""
+    half_height, half_width = 3.25, 0.33
+    counts = []
+    for offset in (0.0, 0.3, 0.5, 0.7):
+        fluid = Fluid(D3Q19, (48, 32, 16), viscosity=1e-3)
+        hull = Hull(np.array([30.0]), np.full((1, 3), half_width), np.full((1, 3), half_height))
+        light = Masses(np.ones(1), np.ones(1), np.full(1, 15.0))
+        bodies = Bodies(fluid, hull, light, LATTICE, middle=7.0 + offset, wall=SLIPS)
+        bodies.place(np.array([[38.3, 21.2, 0.4]]))
+        bodies.prescribe(np.zeros(3))
+        bodies.step(HELD)
+        counts.append(((fluid.flags.numpy() & GHOST) != 0).sum())
+    assert np.ptp(counts) < 0.05 * np.mean(counts)
 
 
 def test_ghost_cells_need_slip():
