@@ -7,8 +7,8 @@ identified.
 
     python benchmarks/design.py --servos 200 --processes 32 --out reports/design
 
-Servos that ``servos.jsonl`` in that folder has are not run again. Those that fail, as where the
-design refuses a load that the servo cannot hold, are listed there and counted.
+Servos that ``servos.jsonl`` in that folder has are not run again. Those that fail are listed there
+and counted.
 """
 
 from __future__ import annotations
