@@ -7,8 +7,8 @@ identified.
 
     python benchmarks/design.py --servos 200 --processes 32 --out reports/design
 
-Servos that ``servos.jsonl`` in that folder has are not run again. Those that fail, as where the
-design refuses a load that the servo cannot hold, are listed there and counted.
+Servos that ``servos.jsonl`` in that folder has are not run again. Those that fail are listed there
+and counted.
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ Row = dict[str, Any]
 PLANTS = ("mujoco", "voltage", "own")
 SECONDS, RATE_HZ = 30.0, 50.0
 LIMITS_RAD = (-0.8, 0.8)
+SLOW_RAD, FAST_RAD = 0.3, 0.04
+"""Amplitudes of the set-points from which the truth is fitted; their torque is less than 0.35 rad
+times kp, the smallest stall torque."""
 USUAL = ("sine", "square", "chirp", "multisine", "swevers")
 DESIGNS = ("design", "from the data sheet")
 GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
@@ -181,23 +184,24 @@ def identified(recording: Any, others: Any, robot: Any) -> tuple[Any, Row]:  # n
 def truth(servo: Any, plant: str, robot: Any, rng: np.random.Generator) -> dict[str, float]:  # noqa: ANN401
     """Gains and latency of the PD servo that a servo behaves like.
 
-    Those of a fit to small steps, which no drive limits, without noise, cogging and eccentricity:
-    the pseudo-true parameters (White, Econometrica 50 (1982) 1-25). Sampling by the controller and
-    the plant's own steps change damping and latency by about 1 % from the values that are set.
+    The pseudo-true parameters (White, Econometrica 50 (1982) 1-25), with the inertia of the rotor
+    free wherever ``identify`` finds it. They are those of a fit without noise, cogging and
+    eccentricity, to set-points that differ at every sample, so that the latency contains the mean
+    wait for the controller's next one, that turn a pendulum slowly by ``SLOW_RAD``, which its
+    weight needs to set the scale of the gains, and that no drive limits. Sampling by the controller
+    and the plant's own steps change damping, inertia and latency by about 1 % from the values set.
     """
     from sim2real.identification.identify import identify
-    from sim2real.signals import excitation
 
     exact = replace(servo.sensor, step_rad=1e-6, white_rad=1e-6, wander_rad=0.0)
     nuisances = servo.nuisances | {"ripple_Nm": 0.0}
-    clean = replace(
-        servo, eccentric=(0.0, 1.0, 0.0), nuisances=nuisances, sensor=exact, rotor_inertia=0.0
-    )  # all of the inertia is then the load's, as a servo without a motor's law has no rotor
-    signal = excitation(
-        "steps", robot.joints, seconds=SECONDS, rate_hz=RATE_HZ, rng=rng, amplitude_rad=0.15
-    )
-    recording = recorded(clean, plant, signal.command[:, 0], rng, "clean")
-    model = identify([recording], robot, law="pd").joints["j1"]
+    clean = replace(servo, eccentric=(0.0, 1.0, 0.0), nuisances=nuisances, sensor=exact)
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    command = SLOW_RAD * np.sin(2 * np.pi * 0.1 * t) + rng.uniform(-FAST_RAD, FAST_RAD, t.size)
+    command[0] = 0.0
+    recording = recorded(clean, plant, command, rng, "clean")
+    effects = ("unmodelled_inertia",) if servo.loads["a"].gravity_Nm else ()
+    model = identify([recording], robot, law="pd", effects=effects).joints["j1"]
     return {name: getattr(model, name) for name in GAINS}
 
 

@@ -5,7 +5,7 @@ Commands that keep the limits are played by ``sim2real record`` without a change
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,8 @@ class CommandLimits:
         period_s: Time between set-points, s.
         resolution_rad: Set-points are multiples of it, rad.
         rest_s: Time at rest at the beginning and at the end, s.
+        largest_held_rad: Angle beyond which the servo cannot hold its load, rad; infinite where
+            that does not narrow the range.
     """
 
     joint: str
@@ -51,6 +53,7 @@ class CommandLimits:
     period_s: float = PERIOD_S
     resolution_rad: float = FINEST_RAD
     rest_s: float = REST_S
+    largest_held_rad: float = np.inf
 
     @property
     def ticks(self) -> tuple[int, int]:
@@ -136,21 +139,33 @@ def check_seconds(seconds: float, limits: CommandLimits, *, least_motion_s: floa
         raise InputError("--seconds", "", f"{seconds:g} s", expected)
 
 
-def check_load(load: Load, limits: CommandLimits, robot: Robot) -> None:
-    """Check that the servo can hold its load at the ends of the range.
+def holding(limits: CommandLimits, load: Load, robot: Robot) -> CommandLimits:
+    """The limits, narrowed to the angles at which the servo can hold its load.
+
+    There the weight of its pendulum, which hangs at 0 rad, takes at most the torque budget.
 
     Raises:
-        InputError: If the weight of its pendulum exceeds the torque budget.
+        InputError: If it can hold the load nowhere in the range.
     """
-    weight = load.gravity_Nm * np.sin(min(np.abs(limits.position_rad).max(), np.pi / 2))
-    if weight > limits.rms_torque_Nm:
+    if load.gravity_Nm <= limits.rms_torque_Nm:
+        return limits
+    most = float(np.arcsin(limits.rms_torque_Nm / load.gravity_Nm))
+    low, high = limits.position_rad
+    if -most <= low and high <= most:
+        return limits
+    ends = max(low, -most), min(high, most)
+    narrowed = replace(limits, position_rad=ends, largest_held_rad=most)
+    lowest, highest = narrowed.ticks
+    if highest - lowest < 2:
         servo = _joint(robot, None, limits.joint).servo
-        found = f"{weight:.3g} N m to hold the load"
+        nearest = min(max(low, 0.0), high)
+        found = f"{load.gravity_Nm * abs(np.sin(nearest)):.3g} N m or more to hold the load"
         expected = (
-            f"at most {limits.rms_torque_Nm:.3g} N m at the ends of the range: a lighter load, or "
-            "a narrower range"
+            f"less than {limits.rms_torque_Nm:.3g} N m in a part of the range: a lighter load, or "
+            "a range about the angle at which it hangs"
         )
         raise InputError(servo.where[0], f"{servo.where[1]}.max_torque_Nm", found, expected)
+    return narrowed
 
 
 def violations(commands: Array, limits: CommandLimits, *, slack: float = 1e-9) -> list[list[str]]:

@@ -11,7 +11,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.design.belief import Belief, belief_of
 from sim2real.design.information import Information, Precision
-from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
+from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
 from sim2real.design.search import SearchResult, best
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.inference.normal import Z90
@@ -92,6 +92,7 @@ class JointDesign:
             "angle_error_rad": self.belief.noise.angle_rad,
             "rms_torque_Nm": None if self.belief.load is PER_INERTIA else torque,
             "commands_compared": self.found.evaluated,
+            "range_rad": list(self.limits.position_rad),
         }
 
     def _place(self, name: str) -> int:
@@ -158,6 +159,8 @@ def design(
 ) -> Design:
     """Commands that determine the servos best, within the limits of the robot.
 
+    A joint moves where its servo can hold the load, see ``limits.holding``.
+
     Args:
         robot: The robot.
         model: Its fitted servos; None for what the data sheets say.
@@ -169,7 +172,8 @@ def design(
         progress: Called with the share that is done.
 
     Raises:
-        InputError: If limits contradict each other, or the duration is too short.
+        InputError: If limits contradict each other, the duration is too short, or a servo can hold
+            its load nowhere in its range.
     """
     names = designed_joints(robot, model)
     limits = {name: limits_of(robot, model, name) for name in names}
@@ -178,15 +182,15 @@ def design(
     designs = {}
     for k, (name, joint) in enumerate(limits.items()):
         belief = belief_of(robot, model, joint, load=(loads or {}).get(name), seed=seed)
-        check_load(belief.load, joint, robot)
-        information = Information(belief, joint)
+        held = holding(joint, belief.load, robot)
+        information = Information(belief, held)
 
         def report(share: float, done: int = k) -> None:
             progress((done + share) / len(names))
 
         rng = np.random.default_rng([seed, k])
         found = best(
-            information, joint, seconds, rng=rng, drawn=drawn, rounds=rounds, progress=report
+            information, held, seconds, rng=rng, drawn=drawn, rounds=rounds, progress=report
         )
         precision = information.precision(found.command[None])
         designs[name] = JointDesign(information, found, precision, MODEL if model else SHEET)

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import CommandLimits, check_load, check_seconds, limits_of
+from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
 from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import best
 from sim2real.diagnose.rival_sets import JointRivals, OpenSets, entropy
@@ -266,7 +266,7 @@ def design_for_rivals(
     limits = {one.component: _limits(robot, one, seconds) for one in rivals}
     for context in contexts:
         for name in context.loads.keys() & limits.keys():
-            check_load(context.loads[name], limits[name], robot)
+            limits[name] = holding(limits[name], context.loads[name], robot)
     stages = len(rivals) * (len(offered) + 1)
     done = iter(range(stages))
 

@@ -32,8 +32,11 @@ def repeating_error(
 
     The residual contains an error of the measured angle and a torque that act through the closed
     loop of gains, inertia and gravity, both random functions of the simulated angle: Fourier series
-    over the visited range with independent coefficients. Each has one variance for slow and one
-    for fine waves; the four are estimated from the residual by ``variance_components``.
+    over the visited range with independent coefficients. Each has one prior variance for slow and
+    one for fine waves; the four are estimated from the residual by ``variance_components``. A wave
+    that the residual shows counts with its own power, as cogging is a single wave, and one that the
+    fit has absorbed with the variance of its kind. Phases are arbitrary: the cosine and the sine of
+    a wave share its power.
 
     Args:
         best: The fit.
@@ -46,7 +49,7 @@ def repeating_error(
 
     Returns:
         The covariance of each kind of error, shape (C, F, F), and the effective number of
-        coefficients from which its variance is estimated, shape (C,).
+        coefficients from which its power is estimated, shape (C,).
     """
     error = np.concatenate(best.residuals)
     traces = [trace for trace in traces if trace.used.any()]
@@ -71,22 +74,26 @@ def repeating_error(
     groups = [kind[:, part] for kind in kinds for part in (slow, ~slow) if part.any()]
     weight = (1 + (error / (OUTLIER_SD * best.scale_rad)) ** 2)[:, None] ** -1.5
     root = np.sqrt(weight)
-    variances, freedom = variance_components(
+    squares, freedom = variance_components(
         root[:, 0] * error, root * slopes, prior, [root * group for group in groups]
     )
-    gradients = [(weight * slopes).T @ group for group in groups]
-    covariances = [v * g @ g.T for v, g in zip(variances, gradients, strict=True)]
+    covariances = []
+    for square, group in zip(squares, groups, strict=True):
+        power = np.tile(square.reshape(2, -1).mean(axis=0), 2)
+        gradient = (weight * slopes).T @ group
+        covariances.append(power * gradient @ gradient.T)
     return np.array(covariances), freedom
 
 
 def variance_components(
     error: Array, slopes: Array, prior: Array, groups: Sequence[Array], *, rounds: int = 15
-) -> tuple[Array, Array]:
-    """Variances of the coefficients of groups of functions in a residual, beside white noise.
+) -> tuple[list[Array], Array]:
+    """Expected squares of the coefficients of groups of functions in a residual with white noise.
 
-    Restricted maximum likelihood, which allows for what the fit has absorbed (Patterson and
-    Thompson, Biometrika 58 (1971) 545-554), by fixed-point steps (MacKay, Neural Computation 4
-    (1992) 415-447): a variance is the sum of squared coefficients over their effective number.
+    Each group has one prior variance. Restricted maximum likelihood, which allows for what the fit
+    has absorbed (Patterson and Thompson, Biometrika 58 (1971) 545-554), by fixed-point steps
+    (MacKay, Neural Computation 4 (1992) 415-447): a variance is the sum of squared coefficients
+    over their effective number.
 
     Args:
         error: Residual, shape (n,).
@@ -96,7 +103,8 @@ def variance_components(
         rounds: Number of steps.
 
     Returns:
-        The variance of each group, and its effective number of coefficients, shapes (C,).
+        Expected squares of the coefficients of each group given the residual, shapes (m,): their
+        mean is the prior variance of the group. The effective number of coefficients of each, (C,).
     """
     group = np.repeat(np.arange(len(groups)), [g.shape[1] for g in groups])
     start = np.cumsum(np.bincount(group)) - np.bincount(group)
@@ -121,7 +129,8 @@ def variance_components(
         left = square - 2 * coefficients @ target + coefficients @ products @ coefficients
         free = max(error.size - len(prior) - freedom.sum(), 1.0)
         noise = max(left / free, 1e-3 * noise)
-    return variances, freedom
+    squares = coefficients**2 + variance * np.diag(remaining)
+    return np.split(squares, start[1:]), freedom
 
 
 def _simulated(trace: Trace, error: Array) -> Array:

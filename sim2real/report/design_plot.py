@@ -38,6 +38,8 @@ def design_report(design: Design) -> str:
     lines = []
     for name, joint in design.joints.items():
         lines += [f"{printable(name)}, expected 90 % intervals, from what its {joint.origin} says"]
+        if np.isfinite(held := joint.limits.largest_held_rad):
+            lines += [f"  within {held:.2g} rad of hanging, where its servo can hold the load"]
         for parameter, width in joint.expected.items():
             known = "" if joint.determined[parameter] else "  not determined"
             label = readable_name(parameter)

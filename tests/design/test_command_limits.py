@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim2real.design.candidates import FAMILIES, draw
-from sim2real.design.limits import check_load, check_seconds, limits_of, violations, within
+from sim2real.design.limits import check_seconds, holding, limits_of, violations, within
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.robot import Joint, Link, Robot, Servo
@@ -80,11 +80,19 @@ def test_limits_that_contradict_each_other(bench, message):
         limits_of(bench)
 
 
+def test_a_heavy_load_narrows_the_range_to_where_the_servo_can_hold_it():
+    bench = robot(limits=(-0.8, 0.2))
+    limits, heavy = limits_of(bench), Load(0.05, 1.0, 0.2)
+    assert holding(limits, Load(0.05, 0.5, 0.1), bench) is limits
+    low, high = holding(limits, heavy, bench).position_rad
+    assert high == 0.2
+    assert heavy.gravity_Nm * np.sin(-low) == pytest.approx(limits.rms_torque_Nm)
+
+
 def test_a_load_that_the_servo_cannot_hold():
-    bench = robot()
-    check_load(Load(0.05, 0.5, 0.1), limits_of(bench), bench)
-    with pytest.raises(InputError, match=r"max_torque_Nm: found 1.41 N m to hold the load"):
-        check_load(Load(0.05, 1.0, 0.2), limits_of(bench), bench)
+    bench = robot(limits=(0.6, 0.9))
+    with pytest.raises(InputError, match=r"max_torque_Nm: found 1.11 N m or more to hold the load"):
+        holding(limits_of(bench), Load(0.05, 1.0, 0.2), bench)
 
 
 @pytest.mark.parametrize("seconds", [0.0, 2.0, 1e6, float("nan")])

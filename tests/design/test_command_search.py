@@ -16,6 +16,7 @@ from sim2real.signals import UNIT, excitation
 _LINK = Link("link")
 ROBOT = Robot("b", (_LINK, _LINK), (Joint("j1", Servo("s", 1.67, 5.24, 0.00153), (-0.8, 0.8)),))
 LIMITS = limits_of(ROBOT)
+LIGHT = Load(0.002)
 SMALL = {"drawn": 24, "rounds": 2, "batch": 12}
 
 
@@ -64,9 +65,8 @@ def plan():
     return planned()
 
 
-def planned():
-    loads = {"j1": Load(0.002)}
-    return design(ROBOT, seconds=6.0, loads=loads, seed=4, drawn=12, rounds=1)
+def planned(load=LIGHT):
+    return design(ROBOT, seconds=6.0, loads={"j1": load}, seed=4, drawn=12, rounds=1)
 
 
 def test_a_plan_states_what_it_promises(plan):
@@ -85,3 +85,12 @@ def test_a_plan_states_what_it_promises(plan):
 def test_a_seed_determines_the_plan(plan):
     again = planned()
     np.testing.assert_array_equal(again.joints["j1"].found.command, plan.joints["j1"].found.command)
+
+
+def test_a_heavy_pendulum_is_moved_where_it_can_be_held(plan):
+    heavy = Load(0.042, 1.0, 0.2)
+    narrow = planned(heavy)
+    reached = np.abs(narrow.joints["j1"].found.command).max()
+    assert reached > 0.1 and heavy.gravity_Nm * np.sin(reached) <= LIMITS.rms_torque_Nm
+    assert "where its servo can hold the load" in str(narrow)
+    assert "hold" not in str(plan)

@@ -16,8 +16,8 @@ def test_variances_are_recovered_beside_noise_and_fitted_parameters():
         error = rng.standard_normal(800) + slopes @ [3.0, -2.0]
         for sd, group in zip(of_group, groups, strict=True):
             error += group @ (sd * rng.standard_normal(30))
-        variances, freedom = variance_components(error, slopes, np.zeros((2, 2)), groups)
-        found.append(variances)
+        squares, freedom = variance_components(error, slopes, np.zeros((2, 2)), groups)
+        found.append([square.mean() for square in squares])
         assert np.all((freedom > 25) & (freedom <= 30))
     assert np.mean(found, axis=0) == pytest.approx([0.25, 4.0], rel=0.15)
 
@@ -27,6 +27,18 @@ def test_no_variance_is_found_in_white_noise():
     group = rng.standard_normal((800, 30))
     slopes = rng.standard_normal((800, 2))
     error = rng.standard_normal(800)
-    variances, freedom = variance_components(error, slopes, np.zeros((2, 2)), [group])
-    assert variances[0] < 2e-3
+    (squares,), freedom = variance_components(error, slopes, np.zeros((2, 2)), [group])
+    assert squares.mean() < 2e-3
     assert freedom[0] < 30
+
+
+def test_a_single_wave_keeps_its_power_and_one_that_the_fit_absorbs_has_that_of_the_others():
+    rng = np.random.default_rng(1)
+    group = rng.standard_normal((800, 30))
+    slopes = group[:, [5]]
+    error = rng.standard_normal(800) + 2.0 * group[:, 7]
+    (squares,), _ = variance_components(error, slopes, np.zeros((1, 1)), [group])
+    others = np.delete(squares, [5, 7])
+    assert squares[7] == pytest.approx(4.0, rel=0.15)
+    assert squares[5] == pytest.approx(squares.mean(), rel=0.15)
+    assert others.max() < 0.2 * squares[5]
