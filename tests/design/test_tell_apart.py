@@ -7,9 +7,10 @@ import pytest
 from good_input import message
 from rival_pair import PERIOD, RIVALS
 from simulated import robot
+from violations import violations
 
 from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import limits_of, violations
+from sim2real.design.limits import limits_of
 from sim2real.design.rivals import RivalObjective
 from sim2real.design.tell_apart import design_for_rivals, forecast
 from sim2real.diagnose.rival_sets import read_rival_sets
