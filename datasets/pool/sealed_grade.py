@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.inference.coordinates import SwimSimulator, seen_as
+from sim.inference.coordinates import SwimSimulator, signals_of
 from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
@@ -162,7 +162,7 @@ def _held_out(
         beside_it = by_twin_in_water(robot, read_model(folder / "beside.json"), water, threads=1)
 
     def error(file: str, simulator: SwimSimulator) -> Array:
-        said = seen_as([read_model(folder / file)], swim, simulator)[0]
+        said = signals_of([read_model(folder / file)], swim, simulator)[0]
         return np.asarray(np.sqrt(np.mean((said - swim.signals) ** 2, axis=0)))
 
     base = error("baseline.json", simulate)

@@ -190,8 +190,8 @@ def picture(figure: Figure) -> Picture:
 
 _FORECAST = (
     "Rewards that were predicted from the model and its ranges alone, without the reality: mean of "
-    "many turns with the 90 % interval over drawn realities, beside that measured in reality. Lost "
-    "is the reward of all techniques less that of the arm."
+    "many turns with the 90 % interval over drawn realities, and the reward measured in reality. "
+    "Lost is the reward of all techniques minus that of the arm."
 )
 _DIFFERENCES = (
     "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "

@@ -145,7 +145,7 @@ def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:
 
 
 def _planned(signal: str) -> dict[str, Any]:
-    """What the JSON beside commands says of the loads, the context and rivals of a design."""
+    """Loads, context and rivals of a design, from the JSON in the folder of its commands."""
     sidecar = Path(signal).with_suffix(".json")
     if signal in UNIT or not sidecar.exists():
         return {"loads": {}}

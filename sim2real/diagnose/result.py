@@ -234,7 +234,7 @@ class Diagnosis(NotebookDisplay):
         unfinished: Joints whose search for sets of effects was ended by its budget.
         rival_sets: By joint, the sets of effects that the recordings leave open.
         swim_rivals: Of swims, the sets of effects of body and camera that they leave open.
-        separations: What designed recordings were expected to tell, and what they told.
+        separations: Sets of effects that recordings were designed to distinguish, and the outcome.
         provenance: As returned by ``sim2real.output.provenance``.
     """
 

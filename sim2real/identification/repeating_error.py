@@ -82,7 +82,7 @@ def repeating_error(
 def variance_components(
     error: Array, slopes: Array, prior: Array, groups: Sequence[Array], *, rounds: int = 15
 ) -> tuple[Array, Array]:
-    """Variances of the coefficients of groups of functions in a residual, beside white noise.
+    """Variances of the coefficients of groups of functions in a residual with white noise.
 
     Restricted maximum likelihood, which allows for what the fit has absorbed (Patterson and
     Thompson, Biometrika 58 (1971) 545-554), by fixed-point steps (MacKay, Neural Computation 4

@@ -76,7 +76,7 @@ def test_a_context_is_asked_for_where_it_tells_more():
 def test_where_nothing_can_be_told_it_says_so():
     found = designed(replace(RIVALS, noise_rad=5.0), samples=1.0)
     assert not found.informative
-    assert str(found).startswith("Nothing more can be told apart within these limits")
+    assert str(found).startswith("Nothing more can be distinguished within these limits")
 
 
 def test_another_robot_is_refused():

@@ -147,8 +147,8 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
                 separation=0.0,
                 duration_s=trace.duration_s,
                 statement=f"Repeat the command of {trace.name} on {joint.name} in the state of the "
-                "references: beside a repeat what the model lacks cancels, and far smaller "
-                "changes show.",
+                "references: the error of the model is the same in a repeated recording, so far "
+                "smaller changes are detected.",
                 t=trace.t - trace.t[0],
                 signal=trace.command,
             )

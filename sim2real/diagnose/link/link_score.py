@@ -63,7 +63,7 @@ def _score_fold(job: ScoreJob, k: int, rng: np.random.Generator, *, draws: int =
     ]
     fit = LinkFit(others, job.fit.effect, common=job.fit.common, start=job.fit)
     segments = [joint.segments[k] for joint in joints]
-    channels = [channel_of(*pair) for pair in zip(segments, fit.noises, strict=True)]
+    channels = [channel_of(*pair) for pair in zip(segments, fit.noise_models, strict=True)]
     groups = [channels] if job.fit.common else [[channel] for channel in channels]
     drawn = [_drawn(group, fit.arrivals, rng, draws) for group in groups]
     (results,) = EventFilter([*groups, *(x for some in drawn for x in some)]).run([fit.arrivals])

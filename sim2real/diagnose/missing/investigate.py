@@ -97,7 +97,7 @@ class Finding:
         """Share by which an effect, added to the others, lowers the held-out error; or infinity.
 
         Infinity where that cannot be measured: of rounding, and where nothing is held out. Of an
-        uneven link, which nobody can foretell, it is the share by which it raises the error; none
+        uneven link, which cannot be predicted, it is the share by which it raises the error; none
         where set-points come no later than the controller's next turn would take them anyway.
         """
         if self.link is not None and self.link.effect == effect:
@@ -272,7 +272,7 @@ def _with_links(
         joints: The joints of the batch.
         robots: Which of them share a link.
         findings: What each is missing besides.
-        longest_jitter_s: Jitter from which nothing is said; if finite, nothing is said of losses.
+        longest_jitter_s: Jitter from which none is reported; if finite, no losses are reported.
     """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
