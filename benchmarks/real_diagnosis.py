@@ -54,7 +54,7 @@ TEXT = """# Real recordings of a real servo
 
 A Dynamixel XL330 turns a pendulum: four trajectories at each of two firmware gains, recorded by the
 [BAM](https://github.com/Rhoban/bam) project. `python benchmarks/real_diagnosis.py` makes this page;
-errors are those of the angle in mrad while the torque is on, mean absolute unless RMSE is said.
+errors are those of the angle in mrad while the torque is on, mean absolute unless RMSE is stated.
 
 | | plain servo -> {last}, mean absolute error | bar | |
 | --- | --- | --- | --- |
