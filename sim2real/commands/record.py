@@ -186,6 +186,6 @@ def _plot(path: Path | None, signal: Excitation, joints: Sequence[Joint]) -> Non
     if path is None:
         return
     from sim2real.hardware.plots import signal_figure
-    from sim2real.report import save_png
+    from sim2real.report.drawing import save_png
 
     save_png(signal_figure(signal, joints), path)
