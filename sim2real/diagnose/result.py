@@ -265,11 +265,11 @@ class Diagnosis(NotebookDisplay):
         Args:
             signal: The measured signal, ``"j2.position_rad"``.
         """
-        plain, rich = (
+        plain, enriched = (
             errors.get("train") if errors.get("heldout") is None else errors["heldout"]
             for errors in (fit.get(signal, {}) for fit in (self.baseline_fit, self.enriched_fit))
         )
-        return None if rich == plain else rich
+        return None if enriched == plain else enriched
 
     def __str__(self) -> str:
         """Verdict, effects and mismatches, one per line."""

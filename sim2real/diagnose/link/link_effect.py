@@ -81,7 +81,7 @@ class LinkScore:
 
 
 @dataclass(frozen=True)
-class Uneven:
+class IrregularTiming:
     """Irregular timing that explains a part of a robot's residuals.
 
     Attributes:
@@ -116,12 +116,12 @@ class Uneven:
     score: LinkScore | None = None
 
 
-def links(robots: Sequence[LinkData]) -> list[Uneven]:
+def links(robots: Sequence[LinkData]) -> list[IrregularTiming]:
     """The likelier of the two effects on every robot's link; ``gain`` 0 below what is noticed."""
     return shared(link, robots)
 
 
-def link(robot: LinkData) -> Uneven:
+def link(robot: LinkData) -> IrregularTiming:
     """The likelier of the two effects on one robot's link."""
     joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
     samples = sum(joint.counts[0] for joint in joints)
@@ -129,7 +129,7 @@ def link(robot: LinkData) -> Uneven:
     fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
     best = max(fits, key=lambda fit: fit.gain)
     if best.gain < max(robot.noticed, negligible):
-        return Uneven(best.effect, shares=tuple(0.0 for _ in joints))
+        return IrregularTiming(best.effect, shares=tuple(0.0 for _ in joints))
     return best.result()
 
 
@@ -171,7 +171,7 @@ class LinkFit:
         effect: str,
         *,
         common: bool,
-        start: Uneven | None = None,
+        start: IrregularTiming | None = None,
     ) -> None:
         self.joints, self.effect, self.common = joints, effect, common
         self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
@@ -305,7 +305,7 @@ class LinkFit:
             out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
         return out
 
-    def result(self) -> Uneven:
+    def result(self) -> IrregularTiming:
         """The effect, its standard deviation and gain at each joint, and what it explains."""
         arrivals, events = self.arrivals, self._filter(self.noise_models)
         name = "delay_sd_s" if self.effect == "latency_jitter" else "loss"
@@ -329,7 +329,7 @@ class LinkFit:
         )
         single = len(self.joints) == 1
         shares = [self] if single else [fitted([joint], self.effect)[0] for joint in self.joints]
-        return Uneven(
+        return IrregularTiming(
             self.effect,
             self.gain,
             float(value),

@@ -10,10 +10,10 @@ import numpy as np
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, with_noise
 from sim2real.diagnose.link.link_effect import (
     MOST_LAGS,
+    IrregularTiming,
     LinkData,
     LinkFit,
     LinkScore,
-    Uneven,
     channel_of,
 )
 from sim2real.inference.correlated_noise import whitened
@@ -30,7 +30,7 @@ class ScoreJob:
     """
 
     folds: tuple[LinkData, ...]
-    fit: Uneven
+    fit: IrregularTiming
 
 
 def link_score(job: ScoreJob) -> LinkScore:

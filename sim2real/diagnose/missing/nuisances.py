@@ -118,7 +118,7 @@ def with_nuisances(
     return based
 
 
-def beside_rivals(
+def with_rivals(
     problem: ServoSearch,
     ledgers: Sequence[Tried],
     large: Sequence[float],
