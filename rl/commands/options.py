@@ -300,12 +300,7 @@ def _demo(command: argparse.ArgumentParser) -> None:
 
 
 COMMANDS = (
-    Command(
-        "demo",
-        "rl.commands.demo",
-        _demo,
-        "sim2real demo --out reports/demo",
-    ),
+    Command("demo", "rl.commands.demo", _demo, "sim2real demo --out reports/demo"),
     Command(
         "train",
         "rl.commands.train",

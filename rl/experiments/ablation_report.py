@@ -10,13 +10,7 @@ import numpy as np
 
 from rl.experiments.ablation import bootstrap
 from rl.experiments.arms import TITLES
-from rl.experiments.differences import (
-    OUTCOME,
-    STILL,
-    Difference,
-    differences,
-    seeds_needed,
-)
+from rl.experiments.differences import OUTCOME, STILL, Difference, differences, seeds_needed
 from rl.experiments.predicted import HEADER, predicted_rows
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan

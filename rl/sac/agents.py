@@ -49,12 +49,7 @@ class Agents:
         filled: Number of stored transitions, the same for every agent.
     """
 
-    def __init__(
-        self,
-        models: Sequence[SwimSAC],
-        settings: Settings,
-        device: torch.device,
-    ) -> None:
+    def __init__(self, models: Sequence[SwimSAC], settings: Settings, device: torch.device) -> None:
         """Copy the parameters of models of the same shape.
 
         Args:

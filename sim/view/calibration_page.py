@@ -83,10 +83,7 @@ class SignalError:
 
 
 def signal_errors(
-    swim: Swim,
-    calibrated: Calibrated,
-    simulator: Simulator,
-    robot: Robot,
+    swim: Swim, calibrated: Calibrated, simulator: Simulator, robot: Robot
 ) -> list[SignalError]:
     """The errors of every signal of a swim that a model was calibrated to.
 

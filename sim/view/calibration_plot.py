@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 
 
 def comparison(
-    swim: Swim,
-    before: Model,
-    after: Model,
-    simulator: Simulator,
-    robot: Robot,
+    swim: Swim, before: Model, after: Model, simulator: Simulator, robot: Robot
 ) -> Figure:
     """Surge, sway, yaw rate and the first joint, with the held-out part shaded.
 

@@ -157,9 +157,7 @@ def _scan(command: argparse.ArgumentParser) -> None:
 def _virtual_servo(command: argparse.ArgumentParser) -> None:
     _add_protocol(command)
     command.add_argument(
-        "--servo",
-        metavar="NAME",
-        help="model of the servos (default XL330-M288 or STS3215)",
+        "--servo", metavar="NAME", help="model of the servos (default XL330-M288 or STS3215)"
     )
     command.add_argument(
         "--ids", default="1", metavar="LIST", help="ids of the servos, such as 1,2,3 (default 1)"
@@ -268,12 +266,7 @@ COMMANDS = (
         _bench,
         "sim2real bench --bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
     ),
-    Command(
-        "scan",
-        "sim2real.commands.scan",
-        _scan,
-        "sim2real scan --port /dev/ttyUSB0",
-    ),
+    Command("scan", "sim2real.commands.scan", _scan, "sim2real scan --port /dev/ttyUSB0"),
     Command(
         "virtual-servo",
         "sim2real.commands.virtual_servo",

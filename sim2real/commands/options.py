@@ -124,12 +124,7 @@ def _completion(command: argparse.ArgumentParser) -> None:
 
 
 COMMANDS = (
-    Command(
-        "example",
-        "sim2real.commands.example",
-        _example,
-        "sim2real example --out example",
-    ),
+    Command("example", "sim2real.commands.example", _example, "sim2real example --out example"),
     Command(
         "check",
         "sim2real.commands.check",

@@ -173,12 +173,7 @@ def _joint_results(
         joints = on_one_clock(batch, joints, robots, [ledger.best for ledger in first_ledgers])
     batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
-        batch,
-        joints,
-        robots,
-        first_ledgers,
-        rng=rng,
-        progress=lambda share: progress(0.8 * share),
+        batch, joints, robots, first_ledgers, rng=rng, progress=lambda share: progress(0.8 * share)
     )
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
     findings, enriched, offered, errors = judged_and_offered(joints, findings, robots, device)

@@ -273,7 +273,4 @@ def _limits(diagnosis: Diagnosis) -> list[Block]:
     if not rows:
         return []
     text = "Effects smaller than these cannot be detected in these recordings."
-    return [
-        Text(text, heading="Detection limits"),
-        Table(("effect", *places), rows, _LIMITS),
-    ]
+    return [Text(text, heading="Detection limits"), Table(("effect", *places), rows, _LIMITS)]

@@ -104,12 +104,7 @@ def rollout_on(
     factor, offset = trace_contexts([trace])
     rows = theta * factor + offset
     return rollout(
-        rows,
-        trace.t,
-        trace.command,
-        varying=trace.varying,
-        substep_s=substep_s,
-        threads=threads,
+        rows, trace.t, trace.command, varying=trace.varying, substep_s=substep_s, threads=threads
     )
 
 

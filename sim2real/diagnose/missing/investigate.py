@@ -345,10 +345,7 @@ def _on_all(
 
 
 def link_data(
-    batch: Batch,
-    joints: Sequence[JointCase],
-    robot: Sequence[int],
-    fits: Sequence[Fits],
+    batch: Batch, joints: Sequence[JointCase], robot: Sequence[int], fits: Sequence[Fits]
 ) -> LinkData:
     """Residuals of single fits on a robot's joints, for ``links``."""
     residuals = residual_angles(batch, joined(fits))

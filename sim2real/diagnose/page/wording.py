@@ -95,8 +95,7 @@ def diagnosis(
             arm=case.robot.arm,
         ),
         baseline=Model(
-            joints={joint.name: joint.model(enriched=False) for joint in joints},
-            arm=case.robot.arm,
+            joints={joint.name: joint.model(enriched=False) for joint in joints}, arm=case.robot.arm
         ),
         provenance=origin,
     )
