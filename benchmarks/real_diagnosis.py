@@ -105,7 +105,7 @@ Of the losses none is picked by hand: they are taken together where they lower t
 on the training recordings by more than their number accounts for, which they do in all ten fits.
 
 **The loss has many minima**, as a slowly moving arm sticks or just does not. The least one may
-predict other motions badly: from three trajectories of gain 200 it foretells the fourth,
+predict other motions badly: from three trajectories of gain 200 it predicts the fourth,
 `up_and_down`, with an RMSE of 97 mrad. So 24 searches are made, and of their minima the one is
 taken whose neighbours (losses and rotor inertia varied by a tenth of the prior's width) fit best
 on average. `identify` names what differs at other minima that fit as well.

@@ -48,7 +48,7 @@ BARS = (
     ("Expected calibration error", "ece", "<=", 0.07),
     ("90 % intervals that hold the truth", "parameter_covered", "80 to 97 %", 0.80),
     ("Held out: the enriched model no worse", "no_worse", ">=", 0.98),
-    ("Held out: within 1.5 noises, effects of the catalogue", "within_noise", ">=", 0.80),
+    ("Held out: within 1.5 times the noise, effects of the catalogue", "within_noise", ">=", 0.80),
     ("Held out: harm where nothing is missing", "harm", "<=", 0.02),
 )
 """Of the issue."""
