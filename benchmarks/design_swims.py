@@ -44,7 +44,7 @@ from sim.inference.diagnose_swims import diagnosis_of  # noqa: E402
 from sim.inference.in_water import (  # noqa: E402
     CELL_M,
     robot_in_water,
-    swum_in_water,
+    simulate_in_water,
     with_nearest_law,
     write_water,
 )
@@ -171,7 +171,7 @@ def in_water(options: Options, bench: Bench, name: str, paths: Sequence[Path]) -
     file = bench.path(None, name)
     if options.water and not file.exists():
         swims = [read(bench, path) for path in paths]
-        made = swum_in_water(
+        made = simulate_in_water(
             bench.drawn.robot, bench.model, swims,
             cell_m=options.water_cell_m, device=options.device,
         )  # fmt: skip

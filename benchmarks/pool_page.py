@@ -86,7 +86,7 @@ ALSO = (
 
 def failures(results: Row) -> list[str]:
     """Every case in which something went wrong."""
-    lines = ["| case | kind | concealed (strength) | oracle | said | held out, m/s | wrong |",
+    lines = ["| case | kind | concealed (strength) | oracle | diagnosis | held out, m/s | wrong |",
              "|---|---|---|---:|---|---|---|"]  # fmt: skip
     for row in results["cases"]:
         if not row["failures"]:

@@ -55,7 +55,7 @@ in mrad.
 | each gain from the other | {across} | {across_shipped} |
 
 Chosen on gain 200: {chosen_200}; on gain 800: {chosen_800}. One gain hardly tells the settings
-apart, and they differ in what they foretell. So `identify` keeps the spreads of the last column,
+apart, and their predictions differ. So `identify` keeps the spreads of the last column,
 with the drive wherever a servo reports it ([what that is worth](real_diagnosis.md)).
 """
 

@@ -54,7 +54,7 @@ TEXT = """# Real recordings of a real servo
 
 A Dynamixel XL330 turns a pendulum: four trajectories at each of two firmware gains, recorded by the
 [BAM](https://github.com/Rhoban/bam) project. `python benchmarks/real_diagnosis.py` makes this page;
-errors are those of the angle in mrad while the torque is on, mean absolute unless RMSE is said.
+errors are those of the angle in mrad while the torque is on, mean absolute unless RMSE is stated.
 
 | | plain servo -> {last}, mean absolute error | bar | |
 | --- | --- | --- | --- |
@@ -105,7 +105,7 @@ Of the losses none is picked by hand: they are taken together where they lower t
 on the training recordings by more than their number accounts for, which they do in all ten fits.
 
 **The loss has many minima**, as a slowly moving arm sticks or just does not. The least one may
-predict other motions badly: from three trajectories of gain 200 it foretells the fourth,
+predict other motions badly: from three trajectories of gain 200 it predicts the fourth,
 `up_and_down`, with an RMSE of 97 mrad. So 24 searches are made, and of their minima the one is
 taken whose neighbours (losses and rotor inertia varied by a tenth of the prior's width) fit best
 on average. `identify` names what differs at other minima that fit as well.

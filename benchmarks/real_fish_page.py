@@ -34,7 +34,7 @@ the reduced-order twin (part 1). The twin is fast enough to be calibrated and di
 ## 1. Speed, with what the hull leaves out
 
 `python benchmarks/real_fish.py FOLDER --device cuda:0 --cells 0.01 0.0067`. Speeds are m/s along
-the fish's own heading; nothing is fitted but the one number where it is said so.
+the fish's own heading; nothing is fitted except the one number where stated.
 
 ![Predicted and measured speed and yaw against the beat](real_fish.png)
 

@@ -49,7 +49,7 @@ _LIMITS = """
   wide. Better on four of four clips is a chance of 1 in 16 for a coin.
 - The clips are one fish, one day, one beat each: a fault that all share (the scale, good to 5 %;
   the time base; the camera's tilt) is not seen by leaving one out.
-- Joints are prescribed, so nothing about the tendons, the motor or the skin can be said: skin
+- Joints are prescribed, so nothing about the tendons, the motor or the skin can be inferred: skin
   effects ({hidden}) do nothing here and were not tried. Those that the law has under another name
   ({law}) were not tried either.
 - At 80 frames a second, as the motor's label would have it, speeds are a third larger. Calibrated,
@@ -58,7 +58,7 @@ _LIMITS = """
 - From two clips instead of three, all six ways: {s2:.3f}, {w2:.3f}, {y2:.3f}, {m2:.3f} (by the beat
   {b2:.3f}; the regression's sway {r2:.3f} and yaw rate {q2:.3f}: it needs the third clip, the twin
   does not).
-- The published simulator's 0.019 m/s is over eight clips, five parameters fitted on two: beside
+- The published simulator's 0.019 m/s is over eight clips, five parameters fitted on two: with
   {m:.3f} m/s here it is no ranking.
 """
 

@@ -74,7 +74,7 @@ falls, and a part of the bend in kp goes; what bends it still is not known.
 ## What is not here
 
 `fishsim` has no commands: `identify` refuses it in one line. Sources and licences of the recordings
-stand beside them.
+are in their folder.
 """
 
 

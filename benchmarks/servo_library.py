@@ -27,7 +27,7 @@ from sim2real.arrays import Array
 from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
 from sim2real.recording import GRAVITY_M_S2, Load, Recording, read_recording
-from sim2real.report.servo_table import markdown_table
+from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import predict
 from sim2real.servo_library.catalogue import FOLDER, shipped
@@ -90,7 +90,9 @@ def main() -> None:
     names += [name for name in library.names if name.startswith("xl330_bam")]
     rows = [gain_row(library[name]) for name in names]
     gains = table(("entry", *(f"recordings at gain {gain}" for gain in GAINS)), rows)
-    text = TEXT.format(table=markdown_table(library.entries), gains=gains, supply=BENCH_V)
+    servos = [(*cells(entry), entry.licence, entry.source) for entry in library.entries]
+    listing = table((*COLUMNS, "licence", "source"), servos)
+    text = TEXT.format(table=listing, gains=gains, supply=BENCH_V)
     PAGE.write_text(text)
     print(text)
 

@@ -37,7 +37,7 @@ STS3215_SOURCE = "11 servos on 3 backlash stands, by B. Kotov (Robonine); loads 
 PROCESSES = 2
 TEXT = """# Types of servos
 
-What recordings of other servos of a make have told is worth something where little was recorded.
+A prior from recordings of other servos of the same make helps where few recordings exist.
 A type is a file, `identification/types/NAME.json`: for each parameter of the motor's law the middle
 and the spread to expect of the next servo. `type = "NAME"` in a servo's table of `robot.toml` puts
 them in the place of the general priors; `identify --together` does the same with what the other

@@ -41,7 +41,7 @@ def main() -> None:
     if cpu:
         parts += ["## Two CPU cores\n", boxes(cpu), robots(cpu)]
     if rival:
-        parts += ["## Beside XLB\n", beside(rival)]
+        parts += ["## Compared with XLB\n", beside(rival)]
     (folder / "README.md").write_text("\n".join(parts))
 
 

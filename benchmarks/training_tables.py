@@ -1,6 +1,6 @@
 """The tables of reports/training: policies by group, mean and spread over seeds, and controllers.
 
-    python benchmarks/training_tables.py reports/training/fluid/turn.json [...]
+    python benchmarks/training_tables.py reports/training/fresh/fluid-rand-turn.json [...]
 
 Each file is one that ``sim2real evaluate --out`` or ``benchmarks/energy_curve.py`` has written; a
 group is what stands before a policy's seed, as in ``fluid-710/policy.npz``.

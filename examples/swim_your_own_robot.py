@@ -51,8 +51,8 @@ t = np.arange(0, 6, 0.02)
 wave = np.sin(2 * np.pi * t[:, None] - 1.2 * np.arange(3)) * [0.3, 0.45, 0.6]
 wave *= np.minimum(t, 1)[:, None]  # it begins at rest
 commands = s2r.Recording("wave", "pool", JOINTS, t, wave, np.full_like(wave, np.nan))
-swum = s2r.simulate(commands, robot, model, fidelity="twin")
-print(swum)
-figure = swum.plot()
+swim = s2r.simulate(commands, robot, model, fidelity="twin")
+print(swim)
+figure = swim.plot()
 figure.savefig(out / "way.png")
 figure

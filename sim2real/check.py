@@ -63,11 +63,7 @@ class Check(NotebookDisplay):
 
 
 def check(
-    recording: Recording,
-    robot: Robot | None = None,
-    *,
-    seed: int = 0,
-    identifiable: bool = True,
+    recording: Recording, robot: Robot | None = None, *, seed: int = 0, identifiable: bool = True
 ) -> Check:
     """Check a recording; with ``robot``, also against its limits and data sheets.
 

@@ -29,12 +29,7 @@ _UNITS = (
     ("_m", "m", " mm", 1e3),
 )
 """Ending of the name, unit in files, unit in sentences, and factor from the first to the second."""
-_PER_INERTIA = {
-    "N m/rad": "1/s²",
-    "N m s/rad": "1/s",
-    "N m": "1/s²",
-    "kg m²": "",
-}
+_PER_INERTIA = {"N m/rad": "1/s²", "N m s/rad": "1/s", "N m": "1/s²", "kg m²": ""}
 """Units of models with an unknown load: torques are per unit of inertia."""
 _NAMES = {
     "kp_Nm_per_rad": "kp",

@@ -14,7 +14,7 @@ from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
 
 import sim2real as s2r
 from sim2real.errors import InputError
-from sim2real.exporters.plain import plain
+from sim2real.exporters.actuators_json import actuators_json
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
 from sim2real.plausible import lead_s, validate_recording
@@ -192,7 +192,10 @@ def test_columns_that_were_found(tmp_path: Path) -> None:
             lambda: s2r.simulate(GOOD, BENCH, SERVO, fidelity="real"),  # type: ignore[arg-type]
             ("fidelity", "'real'", "fluid, twin"),
         ),
-        (lambda: plain(SERVO, robot("a", "b")), ("joints", "a, b", "the model's joint j1")),
+        (
+            lambda: actuators_json(SERVO, robot("a", "b")),
+            ("joints", "a, b", "the model's joint j1"),
+        ),
     ],
 )
 def test_arguments(call: Callable[[], object], parts: tuple[str, ...]) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.inference.coordinates import SwimSimulator, seen_as
+from sim.inference.coordinates import SwimSimulator, signals_of
 from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
 from sim.inference.swims import swim_of
 from sim2real.model import read_model
@@ -48,7 +48,7 @@ BARS = (
     ("Expected calibration error", "ece", "<=", 0.07),
     ("90 % intervals that hold the truth", "parameter_covered", "80 to 97 %", 0.80),
     ("Held out: the enriched model no worse", "no_worse", ">=", 0.98),
-    ("Held out: within 1.5 noises, effects of the catalogue", "within_noise", ">=", 0.80),
+    ("Held out: within 1.5 times the noise, effects of the catalogue", "within_noise", ">=", 0.80),
     ("Held out: harm where nothing is missing", "harm", "<=", 0.02),
 )
 """Of the issue."""
@@ -162,7 +162,7 @@ def _held_out(
         beside_it = by_twin_in_water(robot, read_model(folder / "beside.json"), water, threads=1)
 
     def error(file: str, simulator: SwimSimulator) -> Array:
-        said = seen_as([read_model(folder / file)], swim, simulator)[0]
+        said = signals_of([read_model(folder / file)], swim, simulator)[0]
         return np.asarray(np.sqrt(np.mean((said - swim.signals) ** 2, axis=0)))
 
     base = error("baseline.json", simulate)

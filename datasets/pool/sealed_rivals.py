@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.inference.coordinates import LAW, Coordinates, swum
+from sim.inference.coordinates import LAW, Coordinates, signals_at
 from sim.inference.followed import by_followed_twin
 from sim.inference.swims import swim_of
 from sim2real.model import Model, read_model, write_model
@@ -52,7 +52,7 @@ def answer(folder: Path, out: Path) -> str:
     scale = np.maximum(np.broadcast_to(swim.noise, swim.signals.shape[1]), 1e-6)
 
     def rows(points: Array) -> Array:
-        error = (swum(c, swim, c.clipped(points), simulate) - swim.signals) / scale
+        error = (signals_at(c, swim, c.clipped(points), simulate) - swim.signals) / scale
         return np.nan_to_num(error).reshape(len(points), -1)
 
     def slope(x: Array) -> tuple[Array, Array]:

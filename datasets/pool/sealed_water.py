@@ -20,8 +20,8 @@ from sim.inference.in_water import (
     CELL_M,
     key,
     read_water_swims,
-    swum_again,
-    swum_in_water,
+    simulate_again,
+    simulate_in_water,
     with_nearest_law,
     write_water,
 )
@@ -48,7 +48,7 @@ def again(options: argparse.Namespace, folder: Path, robot: Robot) -> None:
     if options.heldout:
         held_out = read_water_swims(options.heldout / out.name)
         water = replace(water, steps={**water.steps, **held_out.steps})
-    made = swum_again(robot, models, swims, water, cell_m=options.cell_m, device=options.device)
+    made = simulate_again(robot, models, swims, water, cell_m=options.cell_m, device=options.device)
     write_water(out, made)
     print(f"{folder.name}: {len(swims)} again, {time.perf_counter() - start:.0f} s", flush=True)
 
@@ -98,7 +98,7 @@ def main() -> None:
         swims = [swim for part in parts.values() for swim in part]
         if not swims:
             continue
-        water = swum_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
+        water = simulate_in_water(robot, model, swims, cell_m=options.cell_m, device=options.device)
         for target, part in parts.items():
             own = {key(swim): water.steps[key(swim)] for swim in part}
             write_water(target / out.name, replace(water, steps=own))

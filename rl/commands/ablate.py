@@ -138,7 +138,7 @@ def make_testbeds(
         arms: The arms.
         plan: How they are trained.
         ranges: Source of the sensor noise, if the reality is a model.
-        reality: A model for the library's simulator, or a file with its own simulator or rig.
+        reality: A model for the library's simulator, or a Python file, see ``reality``.
         cell_m: Cell size in m, if the reality is a model; default: half of that in training.
     """
     S = len(plan.seeds)

@@ -40,8 +40,8 @@ def swim_section(policy: Path, robot: Robot, model: Model, film: Path, seed: int
     name = "trained in the twin, tested in the fluid"
     limits = [joint.limits_rad for joint in robot.joints]
     with Video(film) as video, Film(video, world, name, width=_WIDTH) as watch:
-        swum = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
-    time_s = float(swum.time_s[0])
+        trial = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
+    time_s = float(trial.time_s[0])
     if np.isfinite(time_s):
         outcome = f"It arrives after {time_s:.1f} s."
     else:

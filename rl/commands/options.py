@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from rl import verbs
-from sim2real.commands.command import Command
+from sim2real.commands.command import Command, add_file, add_flag, add_number
 from sim2real.commands.placement import add_executor
 from sim2real.commands.verb import add_verb
 
@@ -18,14 +18,13 @@ _ARMS = (
 
 
 def _water(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--robot", type=Path, required=True, help="the robot (robot.toml)")
-    command.add_argument(
-        "--model", type=Path, required=True, help="its servos and body (MODEL.json)"
-    )
-    command.add_argument(
+    add_file(command, "--robot", "ROBOT", "the robot (robot.toml)", required=True)
+    add_file(command, "--model", "MODEL", "its servos and body (MODEL.json)", required=True)
+    add_file(
+        command,
         "--ranges",
-        type=Path,
-        help="randomization ranges that episodes are drawn from (ranges.json)",
+        "RANGES",
+        "randomization ranges that episodes are drawn from (ranges.json)",
     )
     command.add_argument(
         "--fidelity",
@@ -36,23 +35,15 @@ def _water(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
     )
-    command.add_argument(
-        "--cell-m",
-        type=float,
-        default=0.02,
-        metavar="M",
-        help="side of a cell of the fluid, m (default 0.02)",
-    )
-    command.add_argument(
-        "--threads", type=int, default=1, help="CPU threads of the simulator (default 1)"
-    )
+    add_number(command, "--cell-m", "M", "side of a cell of the fluid, m", 0.02)
+    add_number(command, "--threads", "THREADS", "CPU threads of the simulator", 1)
 
 
 def _sampled(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
+    add_flag(
+        command,
         "--sampled",
-        action="store_true",
-        help="sample actions from the policy, as in training, instead of taking their mean",
+        "sample actions from the policy, as in training, instead of taking their mean",
     )
 
 
@@ -96,9 +87,7 @@ def _plan(command: argparse.ArgumentParser) -> None:
 
 def _train(command: argparse.ArgumentParser) -> None:
     _water(command)
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="FOLDER", help="folder of the run"
-    )
+    add_file(command, "--out", "FOLDER", "folder of the run", required=True)
     command.add_argument(
         "--controller",
         choices=("sac", "discrete-cpg"),
@@ -107,16 +96,8 @@ def _train(command: argparse.ArgumentParser) -> None:
         "generator",
     )
     command.add_argument("--task", choices=_TASKS, help="task to train on (default chain)")
-    command.add_argument(
-        "--quick", action="store_true", help="a small run in the twin: minutes on a CPU"
-    )
-    command.add_argument(
-        "--seeds",
-        type=int,
-        default=1,
-        metavar="N",
-        help="number of agents, one per random seed (default 1)",
-    )
+    add_flag(command, "--quick", "a small run in the twin: minutes on a CPU")
+    add_number(command, "--seeds", "N", "number of agents, one per random seed", 1)
     _plan(command)
     command.add_argument(
         "--first",
@@ -134,50 +115,38 @@ def _train(command: argparse.ArgumentParser) -> None:
         help="held-out episodes that select each agent's price of energy, and the best "
         "agent (default 20; 0 for none)",
     )
-    command.add_argument(
-        "--tensorboard", action="store_true", help="also write TensorBoard event files"
-    )
-    command.add_argument(
-        "--no-plots", action="store_true", help="do not plot the learning curve (curve.png)"
-    )
+    add_flag(command, "--tensorboard", "also write TensorBoard event files")
+    add_flag(command, "--no-plots", "do not plot the learning curve (curve.png)")
     _executor(command)
 
 
 def _ablate(command: argparse.ArgumentParser) -> None:
     _water(command)
-    command.add_argument(
+    add_file(
+        command,
         "--reality",
-        type=Path,
-        required=True,
-        help="the reality that policies are tested in and never trained in: MODEL.json, or a"
+        "REALITY",
+        "the reality that policies are tested in and never trained in: MODEL.json, or a"
         " Python file with a function make",
+        required=True,
     )
-    command.add_argument(
+    add_file(
+        command,
         "--enriched",
-        type=Path,
-        help="model with diagnosed effects (MODEL.json), for the arm all-and-effects",
+        "ENRICHED",
+        "model with diagnosed effects (MODEL.json), for the arm all-and-effects",
     )
-    command.add_argument(
+    add_file(
+        command,
         "--truth",
-        type=Path,
-        metavar="MODEL",
-        help="true parameters (MODEL.json), for the arm ceiling (default: --reality, if that"
+        "MODEL",
+        "true parameters (MODEL.json), for the arm ceiling (default: --reality, if that"
         " is a model)",
     )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="FOLDER", help="folder of the run"
-    )
+    add_file(command, "--out", "FOLDER", "folder of the run", required=True)
     command.add_argument("--arms", nargs="+", choices=_ARMS, help="arms to compare (default: all)")
-    command.add_argument(
-        "--seeds",
-        type=int,
-        default=6,
-        metavar="N",
-        help="random seeds, each one agent, of each arm (default 6)",
-    )
-    command.add_argument(
-        "--repeats", type=int, default=10, help="episodes that each agent is tested on (default 10)"
-    )
+    add_number(command, "--seeds", "N", "random seeds, each one agent, of each arm", 6)
+    add_number(command, "--repeats", "REPEATS", "episodes that each agent is tested on", 10)
     command.add_argument(
         "--reality-cell-m",
         type=float,
@@ -185,12 +154,10 @@ def _ablate(command: argparse.ArgumentParser) -> None:
         help="cell of the fluid in the reality, m (default: half of that in training, or as "
         "the Python file states)",
     )
-    command.add_argument("--forecast", action="store_true", help="also forecast each arm's reward")
+    add_flag(command, "--forecast", "also forecast each arm's reward")
     _sampled(command)
     command.add_argument("--task", choices=_TASKS, help="task to train on (default chain)")
-    command.add_argument(
-        "--quick", action="store_true", help="a small run in the twin: minutes on a CPU"
-    )
+    add_flag(command, "--quick", "a small run in the twin: minutes on a CPU")
     command.add_argument(
         "--first",
         nargs="+",
@@ -214,41 +181,35 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
     _water(command)
     command.add_argument("--task", choices=_TASKS, default="turn", help="task (default turn)")
     _sampled(command)
-    command.add_argument("--episodes", type=int, default=50, help="number of episodes (default 50)")
+    add_number(command, "--episodes", "EPISODES", "number of episodes", 50)
     command.add_argument(
         "--energy-weight", type=float, help="weight of the energy in the reward (default 0.0007)"
     )
-    command.add_argument(
+    add_file(
+        command,
         "--gains",
-        type=Path,
-        metavar="TOML",
-        help="gains of the controllers pnl and adrc (default: tuned in the twin)",
+        "TOML",
+        "gains of the controllers pnl and adrc (default: tuned in the twin)",
     )
-    command.add_argument("--out", type=Path, metavar="JSON", help="file to write the results to")
-    command.add_argument(
-        "--plot", type=Path, metavar="PNG", help="plot of the trajectories to write"
-    )
-    command.add_argument(
+    add_file(command, "--out", "JSON", "file to write the results to")
+    add_file(command, "--plot", "PNG", "plot of the trajectories to write")
+    add_file(
+        command,
         "--video",
-        type=Path,
-        metavar="MP4",
-        help="video of the first episode of each policy to write (.mp4, .avi or .gif)",
+        "MP4",
+        "video of the first episode of each policy to write (.mp4, .avi or .gif)",
     )
 
 
 def _forecast(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.forecast, positional=("policies",), leave_out=("kept",))
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="JSON", help="forecast to write (forecast.json)"
-    )
-    command.add_argument("--no-page", action="store_true", help="do not write the HTML page")
+    add_file(command, "--out", "JSON", "forecast to write (forecast.json)", required=True)
+    add_flag(command, "--no-page", "do not write the HTML page")
 
 
 def _export(command: argparse.ArgumentParser) -> None:
-    command.add_argument("policy", type=Path, metavar="POLICY", help="trained policy (POLICY.zip)")
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="file to write (policy.npz)"
-    )
+    add_file(command, "policy", "POLICY", "trained policy (POLICY.zip)")
+    add_file(command, "--out", "FILE", "file to write (policy.npz)", required=True)
     command.add_argument(
         "--format",
         nargs="+",
@@ -264,9 +225,7 @@ def _export(command: argparse.ArgumentParser) -> None:
 
 
 def _swim(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "policy", type=Path, metavar="POLICY", help="policy (policy.npz or policy.zip)"
-    )
+    add_file(command, "policy", "POLICY", "policy (policy.npz or policy.zip)")
     command.add_argument(
         "--target",
         required=True,
@@ -296,26 +255,18 @@ def _swim(command: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="address of this computer to which a tracker sends poses, with --bus: udp://HOST:PORT",
     )
-    command.add_argument(
+    add_number(
+        command,
         "--max-temperature",
-        type=float,
-        default=65.0,
-        metavar="C",
-        help="stop when a servo is hotter, with --bus, degrees Celsius (default 65)",
+        "C",
+        "stop when a servo is hotter, with --bus, degrees Celsius",
+        65.0,
     )
-    command.add_argument(
-        "--virtual", action="store_true", help="drive a virtual robot, simulated in the twin"
-    )
-    command.add_argument(
-        "--robot", type=Path, help="the robot, with --virtual or --bus (robot.toml)"
-    )
-    command.add_argument(
-        "--model", type=Path, help="servos and body of the virtual robot (MODEL.json)"
-    )
-    command.add_argument(
-        "--seconds", type=float, default=20.0, help="longest time to swim, s (default 20)"
-    )
-    command.add_argument("--out", type=Path, metavar="CSV", help="recording of the swim to write")
+    add_flag(command, "--virtual", "drive a virtual robot, simulated in the twin")
+    add_file(command, "--robot", "ROBOT", "the robot, with --virtual or --bus (robot.toml)")
+    add_file(command, "--model", "MODEL", "servos and body of the virtual robot (MODEL.json)")
+    add_number(command, "--seconds", "SECONDS", "longest time to swim, s", 20.0)
+    add_file(command, "--out", "CSV", "recording of the swim to write")
 
 
 def _demo(command: argparse.ArgumentParser) -> None:
@@ -340,21 +291,16 @@ def _demo(command: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="folder for the report (default reports/demo)",
     )
-    command.add_argument(
+    add_flag(
+        command,
         "--train",
-        action="store_true",
-        help="train the ablation's agents in this run, minutes on two cores (default: evaluate "
+        "train the ablation's agents in this run, minutes on two cores (default: evaluate "
         "those shipped with the data)",
     )
 
 
 COMMANDS = (
-    Command(
-        "demo",
-        "rl.commands.demo",
-        _demo,
-        "sim2real demo --out reports/demo",
-    ),
+    Command("demo", "rl.commands.demo", _demo, "sim2real demo --out reports/demo"),
     Command(
         "train",
         "rl.commands.train",

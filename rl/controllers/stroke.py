@@ -46,10 +46,7 @@ class Stroke:
 
 
 def begin(
-    generator: CentralPatternGenerator,
-    mask: Mask,
-    left: Mask,
-    observation: NDArray[np.floating],
+    generator: CentralPatternGenerator, mask: Mask, left: Mask, observation: NDArray[np.floating]
 ) -> None:
     """Reset robots in ``mask`` to their present angles, with the first beat towards the target.
 

@@ -95,8 +95,8 @@ class BusRobot(Received):
         pose = np.full(3, np.nan)
         with contextlib.suppress(BlockingIOError):
             while True:
-                told = read_telemetry(self._poses.recv(LARGEST), 0)
-                pose = pose if told is None else told.pose
+                telemetry = read_telemetry(self._poses.recv(LARGEST), 0)
+                pose = pose if telemetry is None else telemetry.pose
         return pose
 
 

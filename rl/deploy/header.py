@@ -6,18 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rl import observer
 from rl.deploy.forward import Policy
-from rl.observer import (
-    HALF_M,
-    KEPT_RAD,
-    LARGEST,
-    NEAR_M,
-    RATE_RAD_S,
-    STROKE,
-    SURGE_M_S,
-    SWAY_M_S,
-    YAW_RAD_S,
-)
 from sim2real.arrays import Array32
 from sim2real.velocity import NEWEST
 
@@ -203,9 +193,10 @@ def c_header(policy: Policy) -> str:
     view, O, J = policy.view, len(policy.observation), len(policy.joints)  # noqa: E741
     F = view.size(J)
     numbers = {
-        "surge": SURGE_M_S, "sway": SWAY_M_S, "yaw": YAW_RAD_S, "rate": RATE_RAD_S,
-        "near": NEAR_M, "half": HALF_M, "largest": LARGEST, "turn": 2 * np.pi, "kept": KEPT_RAD,
-        "pi": np.pi, "stroke": STROKE,
+        "surge": observer.SURGE_M_S, "sway": observer.SWAY_M_S, "yaw": observer.YAW_RAD_S,
+        "rate": observer.RATE_RAD_S, "near": observer.NEAR_M, "half": observer.HALF_M,
+        "largest": observer.LARGEST, "kept": observer.KEPT_RAD, "stroke": observer.STROKE,
+        "turn": 2 * np.pi, "pi": np.pi,
     }  # fmt: skip
     literals = {name: _number(np.float32(value)) for name, value in numbers.items()}
     parts = [_SCALED if view.scaled else _PLAIN]

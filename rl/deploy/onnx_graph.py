@@ -7,18 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from rl import observer
 from rl.deploy.forward import Policy
-from rl.observer import (
-    HALF_M,
-    KEPT_RAD,
-    LARGEST,
-    NEAR_M,
-    RATE_RAD_S,
-    STROKE,
-    SURGE_M_S,
-    SWAY_M_S,
-    YAW_RAD_S,
-)
 from sim2real.errors import InputError
 
 _DOC = """One decision. observation (N, O): {columns}. begin (N, 1): 1 where a swim starts, else 0.
@@ -108,23 +98,24 @@ def _decision(g: _Graph, policy: Policy, J: int, O: int) -> None:  # noqa: E741
     turn, pi = np.float32(2 * np.pi), np.float32(np.pi)
     offset = g.add("Where", g.add("Greater", raw, 0.0), -turn, turn)
     wrapped = g.add("Add", raw, offset)
-    allowed = g.add("LessOrEqual", g.add("Abs", wrapped), np.float32(KEPT_RAD))
+    allowed = g.add("LessOrEqual", g.add("Abs", wrapped), np.float32(observer.KEPT_RAD))
     crossed = g.add("And", g.add("Less", g.add("Mul", raw, last_bearing), 0.0), allowed)
     bearing = g.add("Where", crossed, wrapped, raw)
     parts = [clipped]
     if view.scaled:
         squares = g.add("Add", g.add("Mul", ahead, ahead), g.add("Mul", leftward, leftward))
-        distance = g.add("Div", g.add("Add", g.add("Sqrt", squares), NEAR_M), HALF_M)
-        scale = np.array([SURGE_M_S, SWAY_M_S, YAW_RAD_S])
-        rate = g.add("Div", g.columns(clipped, 3 + J, 3 + 2 * J), RATE_RAD_S)
+        distance = g.add("Add", g.add("Sqrt", squares), observer.NEAR_M)
+        distance = g.add("Div", distance, observer.HALF_M)
+        scale = np.array([observer.SURGE_M_S, observer.SWAY_M_S, observer.YAW_RAD_S])
+        rate = g.add("Div", g.columns(clipped, 3 + J, 3 + 2 * J), observer.RATE_RAD_S)
         body = [g.add("Div", g.columns(clipped, 0, 3), scale), share, rate]
         body += [g.add("Sin", bearing), g.add("Cos", bearing), g.add("Log", distance)]
-        parts = [g.cut(g.add("Concat", *body, axis=1), -LARGEST, LARGEST)]
+        parts = [g.cut(g.add("Concat", *body, axis=1), -observer.LARGEST, observer.LARGEST)]
     parts += [g.add("Div", bearing, pi), side] if view.sides else []
     parts += [g.columns(decisions, 0, view.memory * J)] if view.memory else []
     decision = _network(g, policy, g.add("Concat", *parts, axis=1))
     mean = g.add("ReduceMean", decision, axes=[1], keepdims=1)
-    strokes = g.add("Greater", g.add("Abs", mean), STROKE)
+    strokes = g.add("Greater", g.add("Abs", mean), observer.STROKE)
     side = g.add("Where", strokes, g.add("Sign", mean), side)
     before = g.columns(decisions, 0, J)
     kept_decisions = g.columns(decisions, 0, (K - 1) * J)

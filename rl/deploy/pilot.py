@@ -71,14 +71,14 @@ class Pilot:
         self.rest: Array = np.clip(0.0, self.policy.low, self.policy.high).astype(np.float64)
 
     @property
-    def swum_s(self) -> float:
+    def elapsed_s(self) -> float:
         """Seconds since the end of rest, by the robot's clock; negative before."""
         return self._rows[-1][2].t_s - self._rows[0][2].t_s - REST_S if self._rows else -REST_S
 
     @property
     def over(self) -> bool:
         """Whether the swim has ended."""
-        late = self.swum_s > self.seconds - CONTROL_S / 2
+        late = self.elapsed_s > self.seconds - CONTROL_S / 2
         return self.stopped is not None or self._reached_s is not None or late
 
     def answer(self, news: list[Telemetry], arrived_s: float) -> Array | None:
@@ -90,7 +90,7 @@ class Pilot:
         if self._rows and newest.t_s - self._rows[-1][2].t_s < _SOON * CONTROL_S:
             return None
         self._rows.append((arrived_s, self.rest, newest))
-        if self.swum_s < -CONTROL_S / 2:
+        if self.elapsed_s < -CONTROL_S / 2:
             return self.rest
         if self._measurements.blind_s > SILENCE_S:
             self.stopped = f"no pose or joint angles for {SILENCE_S:g} s"
@@ -104,10 +104,10 @@ class Pilot:
         distance = float(np.hypot(*observation[-2:]))
         self._closest_m = min(self._closest_m, distance)
         if distance < self.arrive_m:
-            self._reached_s = max(self.swum_s, 0.0)
+            self._reached_s = max(self.elapsed_s, 0.0)
         if self.over:
             return self.rest
-        period = round(self.swum_s / CONTROL_S)
+        period = round(self.elapsed_s / CONTROL_S)
         gone = 1 if self._period is None else period - self._period
         self._period = period
         return np.asarray(self._controller.act(observation[None], gone)[0], dtype=np.float64)

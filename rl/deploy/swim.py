@@ -45,12 +45,12 @@ def swim(
     answered = time.monotonic()
     try:
         while not pilot.over:
-            before, time_s = pilot.swum_s, time.monotonic()
+            before, time_s = pilot.elapsed_s, time.monotonic()
             command = pilot.answer(news, time_s)
             if command is not None:
                 answered = time_s
                 link.send(command)
-                progress(max(pilot.swum_s, 0.0) - max(before, 0.0))
+                progress(max(pilot.elapsed_s, 0.0) - max(before, 0.0))
             elif time_s - answered > SILENCE_S:
                 pilot.stopped = f"no answer from the robot for {SILENCE_S:g} s"
             if interrupted():

@@ -10,13 +10,7 @@ import numpy as np
 
 from rl.experiments.ablation import bootstrap
 from rl.experiments.arms import TITLES
-from rl.experiments.differences import (
-    OUTCOME,
-    STILL,
-    Difference,
-    differences,
-    seeds_needed,
-)
+from rl.experiments.differences import OUTCOME, STILL, Difference, differences, seeds_needed
 from rl.experiments.predicted import HEADER, predicted_rows
 from rl.sac.curve import draw_curves
 from rl.sac.train import Plan
@@ -190,8 +184,8 @@ def picture(figure: Figure) -> Picture:
 
 _FORECAST = (
     "Rewards that were predicted from the model and its ranges alone, without the reality: mean of "
-    "many turns with the 90 % interval over drawn realities, beside that measured in reality. Lost "
-    "is the reward of all techniques less that of the arm."
+    "many turns with the 90 % interval over drawn realities, and the reward measured in reality. "
+    "Lost is the reward of all techniques minus that of the arm."
 )
 _DIFFERENCES = (
     "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "

@@ -57,24 +57,18 @@ def paired(first: Array, second: Array) -> Difference:
     return Difference(mean, mean - margin, mean + margin, sd, S)
 
 
-def differences(
-    results: Mapping[str, Any],
-    testbed: str = "reality",
-    key: str = OUTCOME,
-    *,
-    floor: float | None = None,
-) -> dict[str, Difference]:
-    """Differences of "all" and each other arm of an ablation, by arm.
+def differences(results: Mapping[str, Any], *, floor: float | None = None) -> dict[str, Difference]:
+    """Differences in reality of "all" and each other arm of an ablation, by arm.
 
     Args:
         results: Result of ``ablate``.
-        testbed: ``reality`` or ``simulation``.
-        key: Compared quantity.
         floor: Lower bound applied to each turn; none by default.
     """
     table: dict[str, dict[int, float]] = {}
     for agent in results["agents"]:
-        mean = float(np.maximum(agent[testbed][key], -np.inf if floor is None else floor).mean())
+        mean = float(
+            np.maximum(agent["reality"][OUTCOME], -np.inf if floor is None else floor).mean()
+        )
         table.setdefault(agent["arm"], {})[agent["seed"]] = mean
     reference = table.pop("all", {})
     out = {}

@@ -51,7 +51,7 @@ def predict(
     """
     each = {f"{arm}-{k}": make for arm, of_arm in arms.items() for k, make in enumerate(of_arm)}
     inputs = (key, realities.digest(), robot, task.name, task.energy, task.steps, settings)
-    swum = swim(
+    predicted = swim(
         robot, task, realities, each, trials=trials, seed=seed, settings=settings,
         file=file, key=repr(inputs),
     )  # fmt: skip
@@ -59,7 +59,7 @@ def predict(
     first, mean = 0, {}
     for arm, of_arm in arms.items():
         own = slice(first, first := first + len(of_arm))
-        mean[arm] = {figure: x[own].mean(axis=0) for figure, x in swum.figures.items()}
+        mean[arm] = {figure: x[own].mean(axis=0) for figure, x in predicted.figures.items()}
     out: dict[str, Any] = {
         arm: {figure: interval(x, even) for figure, x in of_arm.items()}
         for arm, of_arm in mean.items()

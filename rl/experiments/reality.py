@@ -1,7 +1,8 @@
 """A user-defined reality: a Python file that moves and measures robots.
 
-``sim2real ablate --reality FILE.py`` tests trained policies in it: a rig, or a surrogate with its
-own dynamics. The file is run like a script and may import modules of its own folder. It defines::
+``sim2real ablate --reality FILE.py`` tests trained policies in it: a test bench, or a surrogate
+with its own dynamics. The file is run like a script and may import modules of its own folder. It
+defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's

@@ -55,6 +55,16 @@ class Realities:
     law: Array
     unexplained: Array
 
+    @property
+    def velocity_error(self) -> Array:
+        """Relative errors of surge, sway and yaw rate, shape (N, 3)."""
+        return self.law[:, :3]
+
+    @property
+    def energy_error(self) -> Array:
+        """Relative error of the energy, shape (N,)."""
+        return self.law[:, 3]
+
     def digest(self, residuals: Sequence[Array] = ()) -> str:
         """SHA-256 of the draws, and of residuals that disturb their trials."""
         found = hashlib.sha256(repr((self.names, self.noise)).encode())

@@ -112,7 +112,7 @@ def swim(
                     robot, task, realities, rows, make, trials, [seed, part], settings, residuals
                 )
                 figures = measured(episodes, task)
-                more = np.repeat(realities.law[rows, 3], trials) * figures["energy"]
+                more = np.repeat(realities.energy_error[rows], trials) * figures["energy"]
                 figures["energy"] = figures["energy"] + more
                 figures["reward"] = figures["reward"] - task.energy * more
                 for name, values in figures.items():
@@ -211,12 +211,13 @@ def _episodes(
     else:
         disturbance = disturbances(realities.unexplained, task.steps, E, rng)
     draws = [Draws((realities.models[d],), realities.noise) for d in each]
+    error = realities.velocity_error[each]
     with own_stream(settings.device):
         world = make_world(
             robot, replace(task, place=lambda *_: start), draws, n_envs=E,
             fidelity=settings.fidelity, device=settings.device, cell_m=settings.cell_m,
             threads=settings.threads, seed=int(rng.integers(2**31)),
-            around=lambda simulator: Inexact(simulator, realities.law[each, :3], disturbance),
+            around=lambda simulator: Inexact(simulator, error, disturbance),
         )  # fmt: skip
         watch = None if watched is None else watched(world)
         return run_episodes(world, make(E), name="forecast", watch=watch)

@@ -49,12 +49,7 @@ class Agents:
         filled: Number of stored transitions, the same for every agent.
     """
 
-    def __init__(
-        self,
-        models: Sequence[SwimSAC],
-        settings: Settings,
-        device: torch.device,
-    ) -> None:
+    def __init__(self, models: Sequence[SwimSAC], settings: Settings, device: torch.device) -> None:
         """Copy the parameters of models of the same shape.
 
         Args:
@@ -221,11 +216,11 @@ class Agents:
         """
         s, A, B = self.settings, len(self.models), batch.reward.shape[1]
         if noise is None:
-            noises = torch.randn(A, 2 * B, self.J, device=self.device)
+            normal = torch.randn(A, 2 * B, self.J, device=self.device)
         else:
-            noises = torch.cat(noise, dim=1)
+            normal = torch.cat(noise, dim=1)
         pair = torch.cat([batch.observation, batch.following], dim=1)
-        activations, actions, log_ps, std = self._policy(pair, noises)
+        activations, actions, log_ps, std = self._policy(pair, normal)
         activations = activations.first(B)
         action, next_action = actions[:, :B], actions[:, B:]
         log_p = log_ps[:, :B]
@@ -245,7 +240,7 @@ class Agents:
         pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
         d = self.critic.backward(q, pick.view(2 * A, B, 1), inputs_only=True)
         by_action = d.view(A, 2, B, -1)[..., -self.J :].sum(dim=1)
-        spread = noises[:, :B] * std[:, :B]
+        spread = normal[:, :B] * std[:, :B]
         self._descend_policy(activations, action, spread, alpha[..., None] / B, by_action)
         adam(
             self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate

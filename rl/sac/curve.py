@@ -28,8 +28,8 @@ def read_progress(folder: Path) -> dict[str, Array]:
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def grouped(progress: Mapping[str, Array], least: int = LEAST) -> tuple[Array, Array, Array]:
-    """Steps, mean return and success over groups of rows with at least ``least`` episodes.
+def grouped(progress: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+    """Steps, mean return and success over groups of rows with at least ``LEAST`` episodes.
 
     Successful episodes end first: rows with few episodes would be biased towards them.
     """
@@ -38,7 +38,7 @@ def grouped(progress: Mapping[str, Array], least: int = LEAST) -> tuple[Array, A
     for k, count in enumerate(progress["episodes"]):
         if count > 0:
             rows.append(k)
-        if rows and (sum(progress["episodes"][rows]) >= least):
+        if rows and (sum(progress["episodes"][rows]) >= LEAST):
             weight = progress["episodes"][rows]
             mean, won = (
                 np.average(progress[n][rows], weights=weight) for n in ("mean_return", "success")

@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim.calibration.fluid_calibration import InFluid, calibrate_in_fluid
-from sim.calibration.swim_parameters import (
-    appendage_parameters,
-    law_parameters,
-    servo_parameters,
-)
+from sim.calibration.swim_parameters import appendage_parameters, law_parameters, servo_parameters
 from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_fluid, by_twin, with_values
 from sim2real.display import NotebookDisplay

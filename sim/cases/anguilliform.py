@@ -72,15 +72,15 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     cycles = 4 if quick else 8
     figures, curves = [], []
     for cells in sizes:
-        swum = eel(cells, cycles, device=device, threads=threads)
+        eels = eel(cells, cycles, device=device, threads=threads)
         bar = 0.1 if fine and cells == sizes[-1] else None
         name = f"speed at {cells} cells a body length, body lengths a cycle"
-        figures.append(Figure(name, float(swum.speed()[0]), SPEED, bar))
-        each = np.linalg.norm(np.diff(swum.path[:, 0, :2], axis=0), axis=1)
+        figures.append(Figure(name, float(eels.speed()[0]), SPEED, bar))
+        each = np.linalg.norm(np.diff(eels.path[:, 0, :2], axis=0), axis=1)
         curves.append(
             Curve(
-                f"Speed at {cells} cells", "cycle", "body lengths a cycle", swum.cycles[1:], each,
-                swum.cycles[[1, -1]], np.full(2, SPEED),
+                f"Speed at {cells} cells", "cycle", "body lengths a cycle", eels.cycles[1:], each,
+                eels.cycles[[1, -1]], np.full(2, SPEED),
             )
         )  # fmt: skip
     return Case(

@@ -30,13 +30,11 @@ class CentreLines:
         place: Cell centres along either line, shape (N,).
         u: Along the lid, on the vertical line, shape (N,).
         v: Upwards, on the horizontal line, shape (N,).
-        turnovers: Lengths that the lid moved until the flow was steady.
     """
 
     place: Array
     u: Array
     v: Array
-    turnovers: int
 
 
 def slide(reynolds: float, cells: int, *, device: str = "cpu", threads: int = 2) -> CentreLines:
@@ -58,10 +56,8 @@ def slide(reynolds: float, cells: int, *, device: str = "cpu", threads: int = 2)
     )
     before = np.zeros((cells, cells, 3), np.float32)
     u = before
-    turnovers = 0
-    while turnovers < _LONGEST:
+    for _ in range(_LONGEST):
         fluid.step(round(cells / _LID))
-        turnovers += 1
         u = fluid.moments()[1][0, 1:, 1:-1, 0] / _LID
         change = float(np.abs(u - before).max())
         before = u
@@ -69,9 +65,7 @@ def slide(reynolds: float, cells: int, *, device: str = "cpu", threads: int = 2)
             break
     middle = cells // 2
     place = (np.arange(cells) + 0.5) / cells
-    return CentreLines(
-        place, u[middle, :, 0].astype(float), u[:, middle, 1].astype(float), turnovers
-    )
+    return CentreLines(place, u[middle, :, 0].astype(float), u[:, middle, 1].astype(float))
 
 
 @dataclass(frozen=True)

@@ -103,12 +103,7 @@ def kinetic_energy(bodies: Bodies) -> Array:
 
 
 def shake(
-    seconds: float,
-    joints: int,
-    rng: np.random.Generator,
-    *,
-    device: str = "cpu",
-    threads: int = 2,
+    seconds: float, joints: int, rng: np.random.Generator, *, device: str = "cpu", threads: int = 2
 ) -> Shaken:
     """Simulate one robot with three kinds of commands, with energies at every step of the lattice.
 

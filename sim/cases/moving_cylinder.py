@@ -118,9 +118,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     late = times > 2.0
     towed, held = drag[late].mean(axis=0)
     axis = "time in diameters over the speed"
-    figures = [
-        Figure("mean drag coefficient towed, against held", float(towed), float(held), 0.02),
-    ]
+    figures = [Figure("mean drag coefficient towed, against held", float(towed), float(held), 0.02)]
     curves = [
         Curve(
             "Drag towed; reference: held in a stream", axis, "drag coefficient",

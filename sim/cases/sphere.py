@@ -70,11 +70,7 @@ def drag(
     radius = np.full((1, 3), diameter / 2)
     still = Masses(np.ones(1), np.ones(1), np.zeros(1))
     sphere = Bodies(
-        fluid,
-        Hull(np.zeros(1), radius, radius),
-        still,
-        Units(1.0, 1.0, 1.0, 1.0),
-        middle=0.5,
+        fluid, Hull(np.zeros(1), radius, radius), still, Units(1.0, 1.0, 1.0, 1.0), middle=0.5
     )
     sphere.place(np.array([[_AHEAD * diameter + 0.5, 0.5, 0.0]]))
     ramp = Ramp(fluid, round(_RAMP * diameter / _SPEED))

@@ -149,12 +149,7 @@ def drag(
     sides = _TOWED if degrees == 0 else _TOWED_ASKEW
     cells = tuple(round(side * length) for side in sides)
     fluid = Fluid(
-        D3Q19,
-        cells,
-        viscosity=_VISCOSITY,
-        smagorinsky=_SMAGORINSKY,
-        device=device,
-        threads=threads,
+        D3Q19, cells, viscosity=_VISCOSITY, smagorinsky=_SMAGORINSKY, device=device, threads=threads
     )
     angle = np.deg2rad(degrees)
     ahead = np.array([np.cos(angle), np.sin(angle)])

@@ -169,11 +169,11 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     straight = [Gait(heading=h) for h in HEADINGS]
     others = [Gait(wave=-1.0), Gait(side=-1.0), Gait(turn=0.1), Gait(turn=0.1, side=-1.0)]
 
-    def swum(gaits: Sequence[Gait], cells: int, **more: Any) -> SwimPath:  # noqa: ANN401
+    def simulated(gaits: Sequence[Gait], cells: int, **more: Any) -> SwimPath:  # noqa: ANN401
         return swim(gaits, cells, cycles=cycles, device=device, threads=threads, **more)
 
-    main = swum([*straight, *others], fine)
-    flap = swum([_FLAP], fine, radii=SYMMETRIC)
+    main = simulated([*straight, *others], fine)
+    flap = simulated([_FLAP], fine, radii=SYMMETRIC)
     speed, mean = main.speed(), float(main.speed()[: len(straight)].mean())
     figures = [
         _heading(h, fine, v, mean, 0.15 if quick else 0.05)
@@ -191,13 +191,13 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     ]
     curves = [_speeds(f"{fine} cells", np.array(HEADINGS), speed[: len(straight)])]
     if not quick:
-        coarse = swum(straight, 26).speed()
+        coarse = simulated(straight, 26).speed()
         level = float(coarse.mean())
         figures += [_heading(h, 26, v, level, 0.15) for h, v in zip(HEADINGS, coarse, strict=True)]
         figures.append(Figure("26 against 52 cells, body lengths a cycle", level, mean))
         curves.append(_speeds("26 cells", np.array(HEADINGS), coarse))
     if device != "cpu" and not quick:
-        finest = float(swum(straight[:1], 104).speed()[0])
+        finest = float(simulated(straight[:1], 104).speed()[0])
         name = "52 against 104 cells, body lengths a cycle"
         figures.append(Figure(name, float(speed[0]), finest, 0.15))
     return Case(

@@ -6,45 +6,32 @@ import argparse
 from pathlib import Path
 
 from sim import verbs
-from sim2real.commands.command import Command, add_former, add_views
+from sim2real.commands.command import Command, add_file, add_flag, add_former, add_views
 from sim2real.commands.verb import add_verb
 
 
 def _simulate(command: argparse.ArgumentParser) -> None:
-    command.add_argument("model", type=Path, metavar="MODEL", help="servos and body (MODEL.json)")
-    command.add_argument(
-        "recordings",
-        type=Path,
-        metavar="COMMANDS",
-        help="recording or table of commands (t_s, J.command_rad)",
+    add_file(command, "model", "MODEL", "servos and body (MODEL.json)")
+    add_file(
+        command, "recordings", "COMMANDS", "recording or table of commands (t_s, J.command_rad)"
     )
     add_verb(command, verbs.simulate, leave_out=("recordings", "model"))
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="recording to write"
-    )
+    add_file(command, "--out", "CSV", "recording to write", required=True)
     add_views(command)
     add_former(command, "--picture", "plot")
 
 
 def _calibrate(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.calibrate)
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="MODEL", help="model to write (MODEL.json)"
-    )
-    command.add_argument(
-        "--no-plots", action="store_true", help="do not plot the fit (MODEL.RECORDING.png)"
-    )
+    add_file(command, "--out", "MODEL", "model to write (MODEL.json)", required=True)
+    add_flag(command, "--no-plots", "do not plot the fit (MODEL.RECORDING.png)")
 
 
 def _validate(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
     )
-    command.add_argument(
-        "--quick",
-        action="store_true",
-        help="coarse versions with wider tolerances, in seconds",
-    )
+    add_flag(command, "--quick", "coarse versions with wider tolerances, in seconds")
     command.add_argument(
         "--only", nargs="+", default=(), metavar="CASE", help="cases to run (default: all)"
     )
@@ -59,23 +46,15 @@ def _validate(command: argparse.ArgumentParser) -> None:
 
 def _diagnose(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.diagnose)
-    command.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIAGNOSIS",
-        help="diagnosis to write (diagnosis.json)",
-    )
-    command.add_argument("--no-page", action="store_true", help="do not write the HTML report")
+    add_file(command, "--out", "DIAGNOSIS", "diagnosis to write (diagnosis.json)", required=True)
+    add_flag(command, "--no-page", "do not write the HTML report")
     add_views(command)
 
 
 def _design(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.design)
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="commands to write (next.csv)"
-    )
-    command.add_argument("--no-page", action="store_true", help="do not write the HTML page")
+    add_file(command, "--out", "CSV", "commands to write (next.csv)", required=True)
+    add_flag(command, "--no-page", "do not write the HTML page")
 
 
 COMMANDS = (

@@ -27,10 +27,10 @@ class SwimDesign(RivalDesign):
     """A swim to make next, from standstill in the middle of the pool, heading along x.
 
     Attributes:
-        swum_by: The joints that ``command`` of the forecast moves, in its order.
+        moved_joints: The joints that ``command`` of the forecast moves, in its order.
     """
 
-    swum_by: tuple[str, ...] = field(default=())
+    moved_joints: tuple[str, ...] = field(default=())
 
     @property
     def setting(self) -> str:
@@ -43,7 +43,7 @@ class SwimDesign(RivalDesign):
         return Recording(
             name=name,
             kind="pool",
-            joints=self.swum_by,
+            joints=self.moved_joints,
             t=self.t,
             command=body.command,
             position=np.full(body.command.shape, np.nan),
@@ -115,7 +115,7 @@ def design_swim(
             raise InputError(robot.path or robot.name, "limits", found, "a shorter swim")
     names = tuple(joint.joint for joint in limits.joints)
     body = forecast(objective, result.command)
-    return SwimDesign(AS_IT_IS, (body,), least, swum_by=names)
+    return SwimDesign(AS_IT_IS, (body,), least, moved_joints=names)
 
 
 def _usual(limits: SwimLimits, seconds: float) -> Array:

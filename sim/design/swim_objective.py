@@ -5,8 +5,8 @@ a spread for what its parameters may still be. Signals are transformed and white
 diagnosis (``sim.inference.blocks``): pose noise, and the error of the twin as a share of a signal's
 size. The rest of this error imitates effects, differently in each swim: every coordinate has the
 variance of that imitation besides that of its estimate. So drag, friction or added mass that the
-error imitates do not count as told apart. The rest of the error is not independent as it is taken
-to be, so that distances are divided by the temperature of the diagnosis, as its evidence is.
+error imitates do not count as distinguished. The rest of the error is not independent, as is
+assumed, so that distances are divided by the temperature of the diagnosis, as its evidence is.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.fft import idct
 from sim.design.swim_commands import SwimLimits
 from sim.fluid.tank import POOL_M
 from sim.inference.blocks import Blocks, spectrum
-from sim.inference.coordinates import Coordinates, swum
+from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.followed import SUBSTEPS, by_followed_twin
 from sim.inference.law_error import NEVER
 from sim.inference.swims import PoseNoise, Swim
@@ -150,8 +150,8 @@ class SwimObjective:
         twin.reset(pose=np.zeros((len(commands), 3)))
         state = twin.state()
         first = np.concatenate([state.pose, state.measured], axis=1)[:, None]
-        swum_on = twin.swim(commands[:, :-1], which=np.arange(len(commands)))
-        return np.concatenate([first, swum_on], axis=1)
+        track = twin.swim(commands[:, :-1], which=np.arange(len(commands)))
+        return np.concatenate([first, track], axis=1)
 
     def _torque(self, commands: Array, angles: Array) -> Array:
         """Torques of the servos, N m, shape (N, T, J), by their gains; set-points arrive late."""
@@ -184,7 +184,7 @@ class SwimObjective:
             np.zeros(track.shape), np.concatenate([np.zeros(3), rivals.joint_sd_rad]),
             pose=track[:, :3], pose_noise=PoseNoise(rivals.pose_sd, rivals.pose_lag_s),
         )  # fmt: skip
-        signals = swum(self._coordinates, swim, self._points, self._simulate)
+        signals = signals_at(self._coordinates, swim, self._points, self._simulate)
         if self._blocks is None or self._blocks.seen.shape != track.shape:
             self._blocks = Blocks.of(swim)
         blocks = replace(self._blocks, power=self._blocks.about(signals[0]))

@@ -256,7 +256,9 @@ SwimSimulator = Callable[[Sequence[Model], Swim], Array]
 """From models (E) and a swim to tracks (E, T, 3 + J)."""
 
 
-def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator) -> Array:
+def signals_at(
+    coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator
+) -> Array:
     """Signals of a swim at points (E, F), shape (E, T, 3 + J).
 
     Points that differ only in camera effects and the current share a simulation.
@@ -271,8 +273,8 @@ def swum(coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimu
     return _signals(track, [coordinates.parameters(x) for x in points], swim)
 
 
-def seen_as(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> Array:
-    """Signals of a swim by models; current and camera as in ``swum``, shape (E, T, 3 + J)."""
+def signals_of(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> Array:
+    """Signals of a swim by models; current and camera as in ``signals_at``, shape (E, T, 3 + J)."""
     parameters = []
     for model in models:
         effects = values(model)

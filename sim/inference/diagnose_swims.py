@@ -5,7 +5,7 @@ the error of the twin counts as noise. An effect is reported if it predicts the 
 better when fitted to the beginning. Effects that imitate one another form a group. Where an unnamed
 shape (``unlisted``) fits better than all effects, the diagnosis abstains. Thresholds are in
 ``law_error.json``. Where the search names nothing, without references, the mean speeds alone may
-say that something resists (``resistance``).
+state the drag area (``resistance``).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
-from sim.inference.coordinates import SwimSimulator, seen_as, swum
+from sim.inference.coordinates import SwimSimulator, signals_at, signals_of
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.next_swim import next_swim
 from sim.inference.resistance import resistance, with_resistance
@@ -85,7 +85,9 @@ def diagnose_swims(
     diagnosis = diagnosis_of(result, robot, law_error, referred=bool(references))
     if references or any(e.probability >= law_error.decisions["likely"] for e in diagnosis.effects):
         return diagnosis
-    lacking = resistance(swims, model, robot, lambda models, swim: seen_as(models, swim, simulate))
+    lacking = resistance(
+        swims, model, robot, lambda models, swim: signals_of(models, swim, simulate)
+    )
     return with_resistance(diagnosis, lacking, law_error.decisions)
 
 
@@ -224,7 +226,7 @@ def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
     """Root mean square errors of each signal in the first and the last part of the swims."""
     parts: tuple[list[Array], list[Array]] = ([], [])
     for swim in problem.swims:
-        (signals,) = swum(problem.coordinates, swim, fit.x[None], problem.simulate)
+        (signals,) = signals_at(problem.coordinates, swim, fit.x[None], problem.simulate)
         cut = round(swim.t.size * (1 - HELD_OUT))
         error = signals - swim.signals
         parts[0].append(error[:cut])

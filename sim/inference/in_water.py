@@ -54,7 +54,7 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = dict(
 """Variants of the fluid, in larger cells: viscosity, sub-grid constant and box relative to those of
 the first, and the friction line of a laminar boundary layer: the place of transition is unknown."""
 
-SWUM = (
+RESIMULATED = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
     "trim_asymmetry", "appendage_",
 )  # fmt: skip
@@ -90,7 +90,7 @@ def key(swim: Swim) -> bytes:
     return swim.command.astype(np.float32).tobytes() + heading.tobytes()
 
 
-def swum_in_water(
+def simulate_in_water(
     robot: Robot,
     model: Model | Sequence[Model],
     swims: Sequence[Swim],
@@ -143,12 +143,12 @@ def swum_in_water(
 
 
 def with_fluid_effects(model: Model, fitted: Model) -> Model:
-    """The model with the servos of a fitted model and its effects that are in ``SWUM``."""
-    effects = {name: v for name, v in values(fitted).items() if name.startswith(SWUM)}
+    """The model with the servos of a fitted model and its effects that are in ``RESIMULATED``."""
+    effects = {name: v for name, v in values(fitted).items() if name.startswith(RESIMULATED)}
     return with_values(replace(model, joints=fitted.joints), effects)
 
 
-def swum_again(
+def simulate_again(
     robot: Robot,
     models: Sequence[Model],
     swims: Sequence[Swim],
@@ -162,9 +162,9 @@ def swum_again(
         models: One for each swim, from ``with_fluid_effects``.
         swims: Recordings whose commands are used.
         water: Earlier simulations; their differences between variants are kept.
-        options: Options of ``swum_in_water``.
+        options: Options of ``simulate_in_water``.
     """
-    again = swum_in_water(robot, models, swims, variants={}, **options).steps
+    again = simulate_in_water(robot, models, swims, variants={}, **options).steps
     steps = {k: np.concatenate([first[:1], water.steps[k][1:]]) for k, first in again.items()}
     return replace(water, steps=steps)
 
@@ -186,14 +186,14 @@ def resimulation(
         model: The model from ``InWater.of``.
         swims: Recordings whose commands are used.
         water: Earlier simulations.
-        options: Options of ``swum_in_water``.
+        options: Options of ``simulate_in_water``.
     """
 
     def simulate(fitted: Model) -> tuple[SwimSimulator, Model] | None:
         with_effects = with_fluid_effects(model, fitted)
         if not values(with_effects):
             return None
-        again = swum_again(robot, [with_effects] * len(swims), swims, water, **options)
+        again = simulate_again(robot, [with_effects] * len(swims), swims, water, **options)
         return by_twin_in_water(robot, with_effects, again), with_effects
 
     return simulate
@@ -322,5 +322,5 @@ def read_water_swims(path: Path) -> InWater:
 
 __all__ = [
     "InWater", "by_twin_in_water", "read_water_swims", "resimulation", "robot_in_water",
-    "swum_again", "swum_in_water", "with_fluid_effects", "with_nearest_law", "write_water",
+    "simulate_again", "simulate_in_water", "with_fluid_effects", "with_nearest_law", "write_water",
 ]  # fmt: skip

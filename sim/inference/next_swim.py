@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.inference.blocks import Blocks
-from sim.inference.coordinates import swum
+from sim.inference.coordinates import signals_at
 from sim.inference.twin_search import Fit, TwinSwims
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
@@ -85,7 +85,9 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str
         command = commands_of(t, joints)
         empty = np.zeros((t.size, 3 + joints))
         swim = replace(before, t=t, command=command, signals=empty, pose=None, repeated=0.0)
-        signals = swum(problem.coordinates, swim, np.stack([best.x, rival.x]), problem.simulate)
+        signals = signals_at(
+            problem.coordinates, swim, np.stack([best.x, rival.x]), problem.simulate
+        )
         blocks = Blocks.of(replace(swim, signals=signals[0]))
         errors = blocks.errors(signals[1]) * blocks.weights(problem.prior.shares)
         candidates.append((float(np.sqrt(np.sum(errors**2))), name, command))

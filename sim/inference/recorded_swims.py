@@ -15,7 +15,7 @@ from sim.inference.in_water import (
     read_water_swims,
     resimulation,
     robot_in_water,
-    swum_in_water,
+    simulate_in_water,
     with_nearest_law,
     write_water,
 )
@@ -118,7 +118,7 @@ def _simulated_in_water(
     if not path.exists():
         check_writable(path)
         print(f"the fluid simulates {len(swims)} swims with {1 + len(VARIANTS)} sets of settings")
-        simulations = swum_in_water(robot, model, swims, device=device, threads=THREADS)
+        simulations = simulate_in_water(robot, model, swims, device=device, threads=THREADS)
         write_water(path, with_nearest_law(robot, model, simulations))
     water = read_water_swims(path)
     for swim in swims:

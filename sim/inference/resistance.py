@@ -32,7 +32,7 @@ _LEAST_M_S, _LEAST_RAD_S = 0.01, 0.02
 
 @dataclass(frozen=True)
 class Resistance:
-    """How much resists that the robot file leaves out.
+    """Drag area of what the robot file leaves out.
 
     Attributes:
         area: Estimate of the drag area in m2.
@@ -185,7 +185,7 @@ def named(found: Resistance, decisions: Mapping[str, float]) -> NamedEffect:
         baseline_shift={},
         stability=1.0,
         statement=(
-            f"Something resists that the robot file leaves out: a drag area of {mean} (90 %: {low} "
+            f"The robot has a drag area that the robot file leaves out: {mean} (90 %: {low} "
             f"to {high}), about {readable(PLACE, found.place.mean)} behind the front. The estimate "
             "is from mean speeds and yaw rates alone, and keeps the simulator as it is."
         ),

@@ -18,7 +18,7 @@ import numpy as np
 
 from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
-from sim.inference.coordinates import Coordinates, SwimSimulator, seen_as
+from sim.inference.coordinates import Coordinates, SwimSimulator, signals_of
 from sim.inference.discrepancy import SHARE
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
 from sim.inference.linear_fit import together
@@ -285,7 +285,7 @@ def changed(problem: TwinSwims, x: Array, simulated: Model | None = None) -> lis
     kept = {name: v for name, v in values(full).items() if name in shown}
     kept |= values(simulated) if simulated else {}
     without = replace(full, body={**full.body, "effects": listed(kept)})
-    signals = [seen_as([full, without], swim, problem.simulate) for swim in problem.swims]
+    signals = [signals_of([full, without], swim, problem.simulate) for swim in problem.swims]
     return [pair[0] - pair[1] for pair in signals]
 
 

@@ -6,13 +6,7 @@ from collections.abc import Sequence
 
 from sim.inference.swims import SIGNALS
 from sim2real.arrays import Array
-from sim2real.diagnose.result import (
-    Diagnosis,
-    Mismatch,
-    NamedEffect,
-    Rival,
-    Verdict,
-)
+from sim2real.diagnose.result import Diagnosis, Mismatch, NamedEffect, Rival, Verdict
 from sim2real.model import Model
 from sim2real.robot import Robot
 

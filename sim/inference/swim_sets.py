@@ -38,14 +38,14 @@ def rival_sets(
     fits = {frozenset(names_of(h.members)): h for h in result.found}
     chosen = list(_representatives(probability, most))
     total = sum(probability[names] for names in chosen)
-    noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
+    noise_models = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
     joint_sd = [np.broadcast_to(s.noise, s.signals.shape[1])[3:] for s in problem.swims]
     columns = problem.coordinates.columns
     return SwimRivals(
         component="body",
         period_s=CONTROL_S,
-        pose_sd=np.mean([n.sd for n in noises], axis=0) if noises else np.zeros(3),
-        pose_lag_s=noises[0].lag_s if noises else 0.0,
+        pose_sd=np.mean([n.sd for n in noise_models], axis=0) if noise_models else np.zeros(3),
+        pose_lag_s=noise_models[0].lag_s if noise_models else 0.0,
         joint_sd_rad=np.mean(joint_sd, axis=0),
         shares=problem.prior.shares,
         imitation={

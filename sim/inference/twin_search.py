@@ -19,7 +19,7 @@ import numpy as np
 
 from sim.inference import discrepancy, poses
 from sim.inference.blocks import Blocks, spectrum
-from sim.inference.coordinates import DOUBT, ERROR, Coordinates, SwimSimulator, in_fit, swum
+from sim.inference.coordinates import DOUBT, ERROR, Coordinates, SwimSimulator, in_fit, signals_at
 from sim.inference.linear_fit import Fit, Slope, SwimPrior, bounded
 from sim.inference.starts import with_other_sizes
 from sim.inference.swims import Swim
@@ -114,7 +114,7 @@ class TwinSwims:
         self.rollouts += len(points) * len(self.swims)
         parts = []
         for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
-            error = blocks.errors(swum(self.coordinates, swim, points, self.simulate))
+            error = blocks.errors(signals_at(self.coordinates, swim, points, self.simulate))
             parts.append((error * weight).reshape(len(points), -1))
         return np.concatenate(parts, axis=1)
 

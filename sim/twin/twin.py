@@ -164,10 +164,7 @@ class Twin:
         self.outside = changed(self.outside, effects, which, self.n_envs)
 
     def reset(
-        self,
-        mask: Mask | None = None,
-        pose: Array | None = None,
-        joint: Array | None = None,
+        self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
     ) -> None:
         """Put robots at rest; as ``Swimmer.reset``."""
         E, J = self.n_envs, len(self.robot.joints)

@@ -83,11 +83,7 @@ class SignalError:
 
 
 def signal_errors(
-    swim: Swim,
-    calibrated: Calibrated,
-    simulator: Simulator,
-    robot: Robot,
-    held_out: float = HELD_OUT_SHARE,
+    swim: Swim, calibrated: Calibrated, simulator: Simulator, robot: Robot
 ) -> list[SignalError]:
     """The errors of every signal of a swim that a model was calibrated to.
 
@@ -96,11 +92,10 @@ def signal_errors(
         calibrated: The calibration, of this swim alone.
         simulator: Simulator of the calibration.
         robot: The robot.
-        held_out: Share of the swim, at its end, that was held out.
     """
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]
-    first = round(swim.t.size * (1 - held_out))
+    first = round(swim.t.size * (1 - HELD_OUT_SHARE))
     (after,) = simulated(swim, [calibrated.model], simulator)
     offset = np.nanmean((after - swim.signals)[first:], axis=0)
     size = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))

@@ -21,14 +21,7 @@ if TYPE_CHECKING:
 
 
 def comparison(
-    swim: Swim,
-    before: Model,
-    after: Model,
-    simulator: Simulator,
-    robot: Robot,
-    *,
-    label: str = "calibrated",
-    held_out: float = HELD_OUT_SHARE,
+    swim: Swim, before: Model, after: Model, simulator: Simulator, robot: Robot
 ) -> Figure:
     """Surge, sway, yaw rate and the first joint, with the held-out part shaded.
 
@@ -38,10 +31,9 @@ def comparison(
         after: The fitted model.
         simulator: Simulator of both.
         robot: The robot.
-        label: Label of the fitted model.
-        held_out: Share of the swim, at its end, that the fit did not use.
     """
-    return _drawn(swim, simulated(swim, [before, after], simulator), robot, label, held_out)
+    tracks = simulated(swim, [before, after], simulator)
+    return _drawn(swim, tracks, robot, "calibrated", HELD_OUT_SHARE)
 
 
 def comparison_block(
@@ -55,7 +47,10 @@ def comparison_block(
     label: str = "calibrated",
     held_out: float = HELD_OUT_SHARE,
 ) -> Block:
-    """The same for a page, with plots to zoom into; other arguments as for ``comparison``."""
+    """The same for a page, with plots to zoom into; other arguments as for ``comparison``.
+
+    ``label`` names the fitted model; ``held_out`` is the share, at the end, that it did not use.
+    """
     tracks = simulated(swim, [before, after], simulator)
     drawing = _drawn(swim, tracks, robot, label, held_out)
     end = float(swim.t[-1])

@@ -12,10 +12,7 @@ from xml.etree.ElementTree import Element
 from sim2real.errors import InputError, one_of
 from sim2real.structured import Fields, finite_number, read_text
 
-_PARTS = {
-    "link": ("inertial",),
-    "joint": ("origin", "parent", "child", "axis", "limit"),
-}
+_PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit")}
 """Elements of a URDF that determine its dynamics."""
 
 

@@ -111,7 +111,8 @@ def _write_page(
 ) -> None:
     """The page, if the extra for reports is installed."""
     try:
-        from sim2real.report import identification_section, write_page
+        from sim2real.report.identification import identification_section
+        from sim2real.report.page import write_page
         from sim2real.report.recordings import recordings_section
 
         shown = replay(model, [recording])

@@ -27,6 +27,26 @@ class Command(NamedTuple):
     resumes: bool = False
 
 
+def add_file(
+    command: argparse.ArgumentParser, name: str, metavar: str, text: str, *, required: bool = False
+) -> None:
+    """Add a file or folder: an option, or a positional argument where its name has no dashes."""
+    command.add_argument(name, type=Path, metavar=metavar, help=text).required |= required
+
+
+def add_number(
+    command: argparse.ArgumentParser, name: str, metavar: str, text: str, default: float
+) -> None:
+    """Add a number, of the type of its default, which the help states."""
+    text += f" (default {default:g})"
+    command.add_argument(name, type=type(default), default=default, metavar=metavar, help=text)
+
+
+def add_flag(command: argparse.ArgumentParser, name: str, text: str) -> None:
+    """Add an option without a value."""
+    command.add_argument(name, action="store_true", help=text)
+
+
 def add_recordings(command: argparse.ArgumentParser) -> None:
     """The recordings that a command reads."""
     command.add_argument(
@@ -40,12 +60,8 @@ def add_recordings(command: argparse.ArgumentParser) -> None:
 
 def add_views(command: argparse.ArgumentParser) -> None:
     """The files for viewers of time series that a command writes if asked to."""
-    command.add_argument(
-        "--rerun", type=Path, metavar="RRD", help="file of all signals for Rerun (FILE.rrd)"
-    )
-    command.add_argument(
-        "--mcap", type=Path, metavar="MCAP", help="file of all signals for Foxglove (FILE.mcap)"
-    )
+    add_file(command, "--rerun", "RRD", "file of all signals for Rerun (FILE.rrd)")
+    add_file(command, "--mcap", "MCAP", "file of all signals for Foxglove (FILE.mcap)")
 
 
 def add_former(command: argparse.ArgumentParser, name: str, stands_for: str) -> None:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sim2real.commands.command import Command
+from sim2real.commands.command import Command, add_file
 
 
 def _export_servo(command: argparse.ArgumentParser) -> None:
-    command.add_argument("model", type=Path, metavar="MODEL", help="identified servos (MODEL.json)")
+    add_file(command, "model", "MODEL", "identified servos (MODEL.json)")
     command.add_argument(
         "--to",
         required=True,
         choices=("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json"),
         help="simulator or format to write for",
     )
-    command.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
-    command.add_argument(
-        "--robot", type=Path, help="the robot, for joint limits and data sheets (robot.toml)"
+    add_file(command, "--out", "FILE", "file to write", required=True)
+    add_file(
+        command, "--robot", "ROBOT", "the robot, for joint limits and data sheets (robot.toml)"
     )
     command.add_argument(
         "--recordings",
@@ -32,28 +32,20 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
 
 
 def _export_ranges(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "ranges", type=Path, metavar="RANGES", help="randomization ranges (ranges.json)"
-    )
+    add_file(command, "ranges", "RANGES", "randomization ranges (ranges.json)")
     command.add_argument(
         "--to",
         required=True,
         choices=("isaaclab", "mjlab", "newton", "mujoco-playground"),
         help="simulator to write for",
     )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="Python file to write"
-    )
+    add_file(command, "--out", "FILE", "Python file to write", required=True)
 
 
 def _robot(command: argparse.ArgumentParser) -> None:
     command.add_argument("action", choices=("from-urdf", "from-mjcf"), help="format to read")
-    command.add_argument(
-        "source", type=Path, metavar="FILE", help="description of the robot (URDF or MJCF)"
-    )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="TOML", help="robot to write (robot.toml)"
-    )
+    add_file(command, "source", "FILE", "description of the robot (URDF or MJCF)")
+    add_file(command, "--out", "TOML", "robot to write (robot.toml)", required=True)
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="joints to take, in order (default: all)"
     )
@@ -66,9 +58,7 @@ def _servos(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "model", nargs="?", type=Path, metavar="MODEL", help="add: identified servo (MODEL.json)"
     )
-    command.add_argument(
-        "--out", type=Path, metavar="MODEL", help="model to write (add: entry, NAME.json)"
-    )
+    add_file(command, "--out", "MODEL", "model to write (add: entry, NAME.json)")
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="joints that have this servo (default j1)"
     )
@@ -84,9 +74,7 @@ def _servos(command: argparse.ArgumentParser) -> None:
         metavar="V",
         help="write the model for this supply voltage; add: that of the recordings",
     )
-    command.add_argument(
-        "--plot", type=Path, metavar="PNG", help="plot of stall torque and no-load speed"
-    )
+    add_file(command, "--plot", "PNG", "plot of stall torque and no-load speed")
     add = command.add_argument_group("add", "what the entry states, unless the model does")
     add.add_argument("--joint", metavar="JOINT", help="joint of a model that has several")
     add.add_argument("--as", dest="entry", metavar="NAME", help="name of the entry")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sim2real.commands.hand_over import hand_over
+from sim2real.commands.write_export import write_export
 from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
 from sim2real.exporters.ranges_mjlab import mjlab_ranges
 from sim2real.exporters.ranges_newton import newton_ranges
@@ -24,4 +24,4 @@ def run(options: argparse.Namespace) -> int:
     """Write the ranges for another simulator; print what it does not express."""
     check_writable(options.out)
     export = TARGETS[options.to](read_ranges(options.ranges))
-    return hand_over(export, options)
+    return write_export(export, options)

@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple, Protocol
 
-from sim2real.commands.hand_over import hand_over
+from sim2real.commands.write_export import write_export
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
-from sim2real.exporters import genesis, isaaclab, mjlab, mujoco, newton, plain, urdf
+from sim2real.exporters import actuators_json, genesis, isaaclab, mjlab, mujoco, newton, urdf
 from sim2real.exporters.actuator import Export, LeftOut, limit_effects
 from sim2real.model import JointModel, Model, read_model
 from sim2real.output import check_writable
@@ -45,7 +45,7 @@ TARGETS = {
     "newton": Target(newton.newton, _always(*newton.HAS, *SOFT)),
     "genesis": Target(genesis.genesis, _always(*genesis.HAS)),
     "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
-    "json": Target(plain.plain, _always(*(effect.name for effect in CATALOGUE))),
+    "json": Target(actuators_json.actuators_json, _always(*(effect.name for effect in CATALOGUE))),
 }
 
 
@@ -66,12 +66,12 @@ def run(options: argparse.Namespace) -> int:
         from sim2real.exporters.mujoco_refit import mujoco_refit
 
         checked = mujoco_refit(model, recordings, robot)
-        return hand_over(checked.export, options, checked.expressible.refits, checked.agreement)
+        return write_export(checked.export, options, checked.expressible.refits, checked.agreement)
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
-        return hand_over(target.write(model, robot), options)
+        return write_export(target.write(model, robot), options)
     from sim2real.exporters.expressible import expressible
 
     nearest = expressible(model, target.expressed, recordings, robot)
     export = target.write(nearest.model, robot, nearest.dropped)
-    return hand_over(export, options, nearest.refits)
+    return write_export(export, options, nearest.refits)

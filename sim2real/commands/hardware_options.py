@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from sim2real.commands.command import Command
+from sim2real.commands.command import Command, add_file, add_flag, add_number
 
 _PORT = "port: /dev/ttyUSB0, socket://HOST:PORT or udp://HOST:PORT"
 
@@ -37,17 +37,18 @@ def _record(command: argparse.ArgumentParser) -> None:
         metavar="SIGNAL",
         help="steps, sine, square, chirp, multisine, or a file of commands (COMMANDS.csv)",
     )
-    command.add_argument(
+    add_file(
+        command,
         "--robot",
-        type=Path,
+        "ROBOT",
+        "the robot, for the limits of its joints (robot.toml)",
         required=True,
-        help="the robot, for the limits of its joints (robot.toml)",
     )
     _add_bus(command)
     command.add_argument(
         "--ids", metavar="LIST", help="id of the servo of each joint, such as 1,2,3"
     )
-    command.add_argument("--out", type=Path, metavar="CSV", help="recording to write")
+    add_file(command, "--out", "CSV", "recording to write")
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="joints to move (default: all)"
     )
@@ -73,20 +74,14 @@ def _record(command: argparse.ArgumentParser) -> None:
         help="what the robot moves in (default air)",
     )
     command.add_argument("--source", metavar="TEXT", help="source of the recording, stored with it")
-    command.add_argument("--seconds", type=float, default=30.0, help="duration, s (default 30)")
+    add_number(command, "--seconds", "SECONDS", "duration, s", 30.0)
     command.add_argument(
         "--amplitude",
         type=float,
         metavar="RAD",
         help="amplitude, rad (default: 3/4 of what the limits allow)",
     )
-    command.add_argument(
-        "--frequency",
-        type=float,
-        default=1.0,
-        metavar="HZ",
-        help="frequency of sine and square, Hz (default 1)",
-    )
+    add_number(command, "--frequency", "HZ", "frequency of sine and square, Hz", 1.0)
     command.add_argument(
         "--band",
         type=float,
@@ -95,16 +90,12 @@ def _record(command: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="lowest and highest frequency of chirp and multisine, Hz (default 0.1 2)",
     )
-    command.add_argument(
-        "--max-temperature",
-        type=float,
-        default=65.0,
-        metavar="C",
-        help="stop when a servo is hotter, degrees Celsius (default 65)",
+    add_number(
+        command, "--max-temperature", "C", "stop when a servo is hotter, degrees Celsius", 65.0
     )
-    command.add_argument("--overwrite", action="store_true", help="replace an existing recording")
-    command.add_argument("--dry-run", action="store_true", help="show the signal and move nothing")
-    command.add_argument("--plot", type=Path, metavar="PNG", help="plot of the signal to write")
+    add_flag(command, "--overwrite", "replace an existing recording")
+    add_flag(command, "--dry-run", "show the signal and move nothing")
+    add_file(command, "--plot", "PNG", "plot of the signal to write")
 
 
 def _bench(command: argparse.ArgumentParser) -> None:
@@ -130,9 +121,7 @@ def _bench(command: argparse.ArgumentParser) -> None:
         metavar="LIST",
         help="inertia of the load on each servo, kg m2, instead of --mass and --arm",
     )
-    command.add_argument(
-        "--unknown-load", action="store_true", help="identify per unit of inertia, ask nothing"
-    )
+    add_flag(command, "--unknown-load", "identify per unit of inertia, ask nothing")
     command.add_argument(
         "--shaft",
         choices=("horizontal", "vertical"),
@@ -140,28 +129,19 @@ def _bench(command: argparse.ArgumentParser) -> None:
         help="horizontal (default): the mass hangs straight down at the centre of the servo; "
         "vertical: no gravity",
     )
-    command.add_argument(
-        "--reach",
-        type=float,
-        default=0.6,
-        metavar="RAD",
-        help="largest deviation from the centre, rad (default 0.6)",
-    )
-    command.add_argument(
+    add_number(command, "--reach", "RAD", "largest deviation from the centre, rad", 0.6)
+    add_file(
+        command,
         "--robot",
-        type=Path,
-        help="limits and data sheet, one joint per servo (robot.toml); by default those of the "
+        "ROBOT",
+        "limits and data sheet, one joint per servo (robot.toml); by default those of the "
         "servo's model are written to the folder",
     )
-    command.add_argument("--seconds", type=float, default=30.0, help="duration, s (default 30)")
-    command.add_argument(
-        "--max-temperature",
-        type=float,
-        default=65.0,
-        metavar="C",
-        help="stop when a servo is hotter, degrees Celsius (default 65)",
+    add_number(command, "--seconds", "SECONDS", "duration, s", 30.0)
+    add_number(
+        command, "--max-temperature", "C", "stop when a servo is hotter, degrees Celsius", 65.0
     )
-    command.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    add_flag(command, "--overwrite", "replace an existing folder")
 
 
 def _scan(command: argparse.ArgumentParser) -> None:
@@ -177,9 +157,7 @@ def _scan(command: argparse.ArgumentParser) -> None:
 def _virtual_servo(command: argparse.ArgumentParser) -> None:
     _add_protocol(command)
     command.add_argument(
-        "--servo",
-        metavar="NAME",
-        help="model of the servos (default XL330-M288 or STS3215)",
+        "--servo", metavar="NAME", help="model of the servos (default XL330-M288 or STS3215)"
     )
     command.add_argument(
         "--ids", default="1", metavar="LIST", help="ids of the servos, such as 1,2,3 (default 1)"
@@ -189,80 +167,31 @@ def _virtual_servo(command: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="listen there for UDP packets (default: open a pseudo-terminal)",
     )
-    command.add_argument("--model", type=Path, help="servos to simulate, in order (MODEL.json)")
-    command.add_argument(
-        "--kp",
-        type=float,
-        default=2.2,
-        metavar="NM_PER_RAD",
-        help="proportional gain without --model, N m/rad (default 2.2)",
+    add_file(command, "--model", "MODEL", "servos to simulate, in order (MODEL.json)")
+    add_number(command, "--kp", "NM_PER_RAD", "proportional gain without --model, N m/rad", 2.2)
+    add_number(command, "--kd", "NMS_PER_RAD", "damping without --model, N m s/rad", 0.06)
+    add_number(command, "--latency", "S", "latency without --model, s", 0.06)
+    add_number(command, "--inertia", "KGM2", "inertia of the load without --model, kg m2", 0.002)
+    add_number(command, "--supply", "V", "reported supply voltage, V", 7.4)
+    add_number(
+        command, "--temperature", "C", "reported temperature at the start, degrees Celsius", 30.0
     )
-    command.add_argument(
-        "--kd",
-        type=float,
-        default=0.06,
-        metavar="NMS_PER_RAD",
-        help="damping without --model, N m s/rad (default 0.06)",
-    )
-    command.add_argument(
-        "--latency",
-        type=float,
-        default=0.06,
-        metavar="S",
-        help="latency without --model, s (default 0.06)",
-    )
-    command.add_argument(
-        "--inertia",
-        type=float,
-        default=0.002,
-        metavar="KGM2",
-        help="inertia of the load without --model, kg m2 (default 0.002)",
-    )
-    command.add_argument(
-        "--supply",
-        type=float,
-        default=7.4,
-        metavar="V",
-        help="reported supply voltage, V (default 7.4)",
-    )
-    command.add_argument(
-        "--temperature",
-        type=float,
-        default=30.0,
-        metavar="C",
-        help="reported temperature at the start, degrees Celsius (default 30)",
-    )
-    command.add_argument(
-        "--heating",
-        type=float,
-        default=0.0,
-        metavar="C_PER_S",
-        help="rate at which it rises, degrees Celsius per second (default 0)",
+    add_number(
+        command, "--heating", "C_PER_S", "rate at which it rises, degrees Celsius per second", 0.0
     )
     command.add_argument(
         "--loss", type=float, default=0.0, help="share of packets lost in each direction"
     )
     command.add_argument("--noise", type=float, default=0.0, help="share of corrupted bytes")
-    command.add_argument(
-        "--echo", action="store_true", help="echo what the host sends, as on a half-duplex wire"
-    )
-    command.add_argument(
-        "--fast", action="store_true", help="transmit without the delay of the baud rate"
-    )
+    add_flag(command, "--echo", "echo what the host sends, as on a half-duplex wire")
+    add_flag(command, "--fast", "transmit without the delay of the baud rate")
 
 
 def _track(command: argparse.ArgumentParser) -> None:
-    command.add_argument("video", type=Path, metavar="VIDEO", help="overhead video of the pool")
-    command.add_argument("--camera", type=Path, required=True, help="camera (camera.toml)")
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="pool recording to write"
-    )
-    command.add_argument(
-        "--servo",
-        type=Path,
-        metavar="CSV",
-        help="recording of the servos to combine with the poses",
-    )
+    add_file(command, "video", "VIDEO", "overhead video of the pool")
+    add_file(command, "--camera", "CAMERA", "camera (camera.toml)", required=True)
+    add_file(command, "--out", "CSV", "pool recording to write", required=True)
+    add_file(command, "--servo", "CSV", "recording of the servos to combine with the poses")
     command.add_argument(
         "--joints",
         nargs="+",
@@ -314,15 +243,8 @@ def _calibrate_camera(command: argparse.ArgumentParser) -> None:
         metavar="LIST",
         help="ids of markers at the corners of the pool, such as 10,11,12,13",
     )
-    command.add_argument(
-        "--pool-picture",
-        type=Path,
-        metavar="PICTURE",
-        help="picture that shows the corners of the pool",
-    )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="TOML", help="camera (camera.toml)"
-    )
+    add_file(command, "--pool-picture", "PICTURE", "picture that shows the corners of the pool")
+    add_file(command, "--out", "TOML", "camera (camera.toml)", required=True)
 
 
 _DICTIONARIES = (
@@ -344,12 +266,7 @@ COMMANDS = (
         _bench,
         "sim2real bench --bus feetech --port /dev/ttyUSB0 --ids 1 --mass 0.1 --arm 0.12",
     ),
-    Command(
-        "scan",
-        "sim2real.commands.scan",
-        _scan,
-        "sim2real scan --port /dev/ttyUSB0",
-    ),
+    Command("scan", "sim2real.commands.scan", _scan, "sim2real scan --port /dev/ttyUSB0"),
     Command(
         "virtual-servo",
         "sim2real.commands.virtual_servo",

@@ -46,7 +46,8 @@ def _scene(replays: Sequence[Replay]) -> Scene:
 def _plot(model: Model, replays: Callable[[], Sequence[Replay]], out: Path) -> None:
     """One figure per joint: of the held-out recording, or of the first."""
     try:
-        from sim2real.report import fit_figure, save_png
+        from sim2real.report.drawing import save_png
+        from sim2real.report.fit_plot import fit_figure
     except ModuleNotFoundError as error:
         print(f"no plots: {error}", file=sys.stderr)
         return

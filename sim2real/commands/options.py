@@ -6,7 +6,14 @@ import argparse
 from pathlib import Path
 
 from sim2real import verbs
-from sim2real.commands.command import Command, add_former, add_recordings, add_views
+from sim2real.commands.command import (
+    Command,
+    add_file,
+    add_flag,
+    add_former,
+    add_recordings,
+    add_views,
+)
 from sim2real.commands.verb import add_verb
 
 
@@ -22,65 +29,48 @@ def _example(command: argparse.ArgumentParser) -> None:
 
 def _check(command: argparse.ArgumentParser) -> None:
     add_recordings(command)
-    command.add_argument(
-        "--robot", type=Path, help="the robot, to check limits and names as well (robot.toml)"
+    add_file(
+        command, "--robot", "ROBOT", "the robot, to check limits and names as well (robot.toml)"
     )
 
 
 def _identify(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.identify)
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="MODEL", help="model to write (MODEL.json)"
-    )
-    command.add_argument(
-        "--no-plots", action="store_true", help="do not plot the fits (MODEL.JOINT.png)"
-    )
+    add_file(command, "--out", "MODEL", "model to write (MODEL.json)", required=True)
+    add_flag(command, "--no-plots", "do not plot the fits (MODEL.JOINT.png)")
     add_views(command)
 
 
 def _density(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.density, positional=("robot",))
-    command.add_argument("--model", type=Path, help="model to add the densities to (MODEL.json)")
-    command.add_argument("--out", type=Path, metavar="MODEL", help="model to write (MODEL.json)")
-    command.add_argument(
-        "--plot", type=Path, metavar="PNG", help="plot of the mass distribution to write"
-    )
+    add_file(command, "--model", "MODEL", "model to add the densities to (MODEL.json)")
+    add_file(command, "--out", "MODEL", "model to write (MODEL.json)")
+    add_file(command, "--plot", "PNG", "plot of the mass distribution to write")
     add_former(command, "--png", "plot")
 
 
 def _ranges(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.ranges, leave_out=("chains",))
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="RANGES", help="ranges to write (ranges.json)"
-    )
-    command.add_argument("--no-page", action="store_true", help="do not write the HTML report")
+    add_file(command, "--out", "RANGES", "ranges to write (ranges.json)", required=True)
+    add_flag(command, "--no-page", "do not write the HTML report")
 
 
 def _predict(command: argparse.ArgumentParser) -> None:
-    command.add_argument("model", type=Path, metavar="MODEL", help="model (MODEL.json)")
-    command.add_argument(
-        "commands", type=Path, metavar="COMMANDS", help="commands: a CSV with t_s and J.command_rad"
-    )
-    command.add_argument(
-        "--out", type=Path, required=True, metavar="CSV", help="prediction to write (predicted.csv)"
-    )
+    add_file(command, "model", "MODEL", "model (MODEL.json)")
+    add_file(command, "commands", "COMMANDS", "commands: a CSV with t_s and J.command_rad")
+    add_file(command, "--out", "CSV", "prediction to write (predicted.csv)", required=True)
     add_views(command)
 
 
 def _import(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
+    add_file(
+        command,
         "source",
-        type=Path,
-        help="a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table "
+        "source",
+        "a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table "
         "(.csv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)",
     )
-    command.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="CSV",
-        help="recording to write (of parameters: model)",
-    )
+    add_file(command, "--out", "CSV", "recording to write (of parameters: model)", required=True)
     command.add_argument("--state-topic", metavar="TOPIC", help="bag: measured joint states")
     command.add_argument(
         "--command-topic",
@@ -98,9 +88,7 @@ def _import(command: argparse.ArgumentParser) -> None:
         help="dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or"
         " range_0_100; JOINT=UNIT for one joint",
     )
-    command.add_argument(
-        "--calibration", type=Path, metavar="JSON", help="calibration file of LeRobot"
-    )
+    add_file(command, "--calibration", "JSON", "calibration file of LeRobot")
     command.add_argument("--counts-per-turn", type=int, metavar="N", help="encoder counts per turn")
     command.add_argument("--zero-count", type=float, metavar="N", help="encoder count at angle 0")
     command.add_argument(
@@ -136,12 +124,7 @@ def _completion(command: argparse.ArgumentParser) -> None:
 
 
 COMMANDS = (
-    Command(
-        "example",
-        "sim2real.commands.example",
-        _example,
-        "sim2real example --out example",
-    ),
+    Command("example", "sim2real.commands.example", _example, "sim2real example --out example"),
     Command(
         "check",
         "sim2real.commands.check",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from sim2real.commands.command import add_number
+
 
 def add_executor(
     command: argparse.ArgumentParser, *, default: str | None = None, otherwise: str = ""
@@ -29,9 +31,7 @@ def add_executor(
     command.add_argument(
         "--address", help="address of the Ray cluster, HOST:PORT (default: a local one)"
     )
-    command.add_argument(
-        "--retries", type=int, default=2, help="times that a failed run is repeated (default 2)"
-    )
+    add_number(command, "--retries", "RETRIES", "times that a failed run is repeated", 2)
 
 
 def where_jobs_run(options: argparse.Namespace) -> dict[str, Any]:

@@ -145,7 +145,7 @@ def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:
 
 
 def _planned(signal: str) -> dict[str, Any]:
-    """What the JSON beside commands says of the loads, the context and rivals of a design."""
+    """Loads, context and rivals of a design, from the JSON in the folder of its commands."""
     sidecar = Path(signal).with_suffix(".json")
     if signal in UNIT or not sidecar.exists():
         return {"loads": {}}
@@ -186,6 +186,6 @@ def _plot(path: Path | None, signal: Excitation, joints: Sequence[Joint]) -> Non
     if path is None:
         return
     from sim2real.hardware.plots import signal_figure
-    from sim2real.report import save_png
+    from sim2real.report.drawing import save_png
 
     save_png(signal_figure(signal, joints), path)

@@ -59,7 +59,7 @@ class Information:
         difference: Step of the forward differences, relative to a parameter.
         features: Number of Fourier features of the errors that repeat with the angle.
         every: Number of samples per sample at which these errors are evaluated.
-        others: Weight of the mean logarithm of all widths beside that of the widest of the gains.
+        others: Weight of the mean logarithm of all widths; that of the widest of the gains is 1.
         threads: CPU threads.
     """
 

@@ -21,7 +21,7 @@ over that of the noise, the evidence of n samples against the wrong set is then 
 of log(1 + R) over frequencies (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991,
 section 5.8), by Jensen's inequality at most n/2 log(1 + r'r / n). That stands for r'r / 2 here.
 
-The law of an effect is wrong by a share q of its own response, in a shape that nobody knows. Had
+The law of an effect is wrong by a share q of its own response, in an unknown shape. Had
 that error the shape of r, its variance along r would be q**2 ||e||**2, with e the response that a
 refitted plain servo leaves of a set's effects. A diagnosis therefore trusts a share
 1 / (1 + q**2 E) of the evidence (``effect_probabilities.trusted_share``), with E = ||e||**2 / 2,

@@ -71,7 +71,7 @@ class ExpectedSeparation:
     expected: float
 
     def __str__(self) -> str:
-        """The sets, and how surely they are expected to be told apart."""
+        """The sets, and the expected probability of distinguishing them."""
         return f"{self.component}: {task(self.first, self.second)} with {self.expected:.2f}"
 
 
@@ -183,7 +183,7 @@ class RivalDesign(NotebookDisplay):
 
     @property
     def informative(self) -> bool:
-        """Whether some pair of open sets is expected to be told apart."""
+        """Whether some pair of open sets is expected to be distinguished."""
         return any(pair.expected >= SEPARATED for pair in self._open())
 
     def _open(self) -> list[ExpectedSeparation]:
@@ -207,7 +207,7 @@ class RivalDesign(NotebookDisplay):
     def _exhausted(self) -> str:
         best = max(self._open(), key=lambda pair: pair.expected)
         return (
-            "Nothing more can be told apart within these limits: no command that was tried "
+            "Nothing more can be distinguished within these limits: no command that was tried "
             f"separates two sets with {SEPARATED:g}. The best: {best}."
         )
 

@@ -1,8 +1,8 @@
-"""Clocks that run apart as crystals do: what that adds to each recording is taken off.
+"""Corrects recordings for the drift between the clocks of set-points and angles.
 
-Set-points and angles are stamped by two clocks. Those of crystals differ by some 20 ppm, by another
-amount in each recording: after half a minute that is a millisecond, which shows wherever the sensor
-is good, and which nobody acts on. A larger drift is an effect and is not corrected.
+Set-points and angles are stamped by two clocks. Quartz oscillators differ by
+some 20 ppm, by another amount in each recording: a millisecond after half a minute, which a good
+sensor detects, and which needs no action. A larger drift is an effect and is not corrected.
 """
 
 from __future__ import annotations

@@ -173,22 +173,17 @@ def _joint_results(
         joints = on_one_clock(batch, joints, robots, [ledger.best for ledger in first_ledgers])
     batch = Batch([joint.traces for joint in joints], device)
     findings = investigate(
-        batch,
-        joints,
-        robots,
-        first_ledgers,
-        rng=rng,
-        progress=lambda share: progress(0.8 * share),
+        batch, joints, robots, first_ledgers, rng=rng, progress=lambda share: progress(0.8 * share)
     )
     findings = [against_references(batch, *pair) for pair in zip(joints, findings, strict=True)]
-    findings, rich, offered, errors = judged_and_offered(joints, findings, robots, device)
+    findings, enriched, offered, errors = judged_and_offered(joints, findings, robots, device)
     findings = with_link_scores(batch, joints, robots, findings, errors)
     plain = [finding.tried.plain for finding in findings]
     before, after = (
         residual_angles(batch, joined([h.fit for h in servos])) for servos in (plain, offered)
     )
     fitted = [_least_squares(*pair) for pair in zip(recorded, plain, strict=True)]
-    of_joints = zip(joints, findings, rich, offered, before, after, fitted, errors, strict=True)
+    of_joints = zip(joints, findings, enriched, offered, before, after, fitted, errors, strict=True)
     results = [JointFindings(*of_joint) for of_joint in of_joints]
     return [[results[j] for j in robot] for robot in robots]
 

@@ -37,7 +37,7 @@ class JointFindings:
     Attributes:
         joint: Its recordings.
         finding: What it is missing.
-        rich: The servo with what was found, negligible effects included.
+        enriched: The servo with what was found, negligible effects included.
         offered: The servo of the enriched model, see ``offer``.
         before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
         after: Those of the offered one.
@@ -48,7 +48,7 @@ class JointFindings:
 
     joint: JointCase
     finding: Finding
-    rich: Hypothesis
+    enriched: Hypothesis
     offered: Hypothesis
     before: Array
     after: Array
@@ -96,14 +96,16 @@ class JointFindings:
 
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
-        plain, rich = (self.unseen.get(s) for s in (self.finding.tried.base, self.rich.members))
-        if plain is None or rich is None:
+        plain, enriched = (
+            self.unseen.get(s) for s in (self.finding.tried.base, self.enriched.members)
+        )
+        if plain is None or enriched is None:
             return {"rmse_before": None, "rmse_after": None, "recoverable_removed": None}
         removable = plain.rmse - min(self.floor, plain.rmse)
-        removed = (plain.rmse - rich.rmse) / removable if removable > 0 else 0.0
+        removed = (plain.rmse - enriched.rmse) / removable if removable > 0 else 0.0
         return {
             "rmse_before": plain.rmse,
-            "rmse_after": rich.rmse,
+            "rmse_after": enriched.rmse,
             "recoverable_removed": float(np.clip(removed, -1.0, 1.0)),
         }
 
@@ -150,14 +152,14 @@ class JointFindings:
             return {first: Estimate(link.value, link.sd, *ends)}
         if effect == ROUNDING and step is not None:
             return {first: Estimate(step, _DIGIT_RAD, step - _DIGIT_RAD, step + _DIGIT_RAD)}
-        servos, variance = self.rich.fit.servos, self.rich.fit.variances
+        servos, variance = self.enriched.fit.servos, self.enriched.fit.variances
         estimates = {}
         for k, column in enumerate(servos.columns[0]):
             owner, _, name = COLUMNS[column].partition(".")
             if owner != effect:
                 continue
             mean = float(servos.theta[0, column])
-            law = 0.0 if name.endswith("phase_rad") else law_error(self.rich, effect) * mean
+            law = 0.0 if name.endswith("phase_rad") else law_error(self.enriched, effect) * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
             low = max(mean - Z90 * sd, float(servos.low[0, k]))
             high = min(mean + Z90 * sd, float(servos.high[0, k]))

@@ -234,7 +234,7 @@ class Diagnosis(NotebookDisplay):
         unfinished: Joints whose search for sets of effects was ended by its budget.
         rival_sets: By joint, the sets of effects that the recordings leave open.
         swim_rivals: Of swims, the sets of effects of body and camera that they leave open.
-        separations: What designed recordings were expected to tell, and what they told.
+        separations: Sets of effects that recordings were designed to distinguish, and the outcome.
         provenance: As returned by ``sim2real.output.provenance``.
     """
 
@@ -265,11 +265,11 @@ class Diagnosis(NotebookDisplay):
         Args:
             signal: The measured signal, ``"j2.position_rad"``.
         """
-        plain, rich = (
+        plain, enriched = (
             errors.get("train") if errors.get("heldout") is None else errors["heldout"]
             for errors in (fit.get(signal, {}) for fit in (self.baseline_fit, self.enriched_fit))
         )
-        return None if rich == plain else rich
+        return None if enriched == plain else enriched
 
     def __str__(self) -> str:
         """Verdict, effects and mismatches, one per line."""

@@ -1,4 +1,4 @@
-"""What a designed recording was expected to tell of rival sets of effects, and what it told."""
+"""Rival sets of effects that a recording was designed to distinguish, and the outcome."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim2real.effects import plain
 from sim2real.structured import Fields
 
 SEPARATED = 0.9
-"""Probability from which one of two sets of effects is told from the other."""
+"""Probability from which two sets of effects count as distinguished."""
 
 
 def in_words(effects: tuple[str, ...], other: tuple[str, ...] = ()) -> str:
@@ -18,7 +18,7 @@ def in_words(effects: tuple[str, ...], other: tuple[str, ...] = ()) -> str:
 
 
 def task(first: tuple[str, ...], second: tuple[str, ...]) -> str:
-    """What telling two sets apart means, as a clause without a subject."""
+    """How two sets differ, as a clause without a subject."""
     here, there = in_words(first, second), in_words(second, first)
     if here and there:
         return f"separate {here} from {there}"
@@ -67,7 +67,7 @@ def separations(
     most: int = 6,
     least: float = 1e-3,
 ) -> tuple[Separation, ...]:
-    """Expectation beside outcome, for what recordings were designed to tell of a component.
+    """Expectation and outcome of what recordings were designed to distinguish in a component.
 
     Args:
         component: The joint or the body.

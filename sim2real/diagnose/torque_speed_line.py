@@ -49,7 +49,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
         if not data or (model is not None and (model.law != "pd" or model.effects)):
             continue
         line = _on_its_line(data, joint.servo, rng)
-        # What changes the error by less, nobody would miss.
+        # A smaller change of the error is irrelevant.
         if line is not None and line[1] < 1 - DECISION.negligible:
             lines[joint.name] = line[0]
     if not lines:

@@ -10,15 +10,15 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 
 from sim2real.executor.job import Job, JobOutcome, write_job
 from sim2real.executor.process import Died, failure, start, stop
-from sim2real.executor.seats import Seat
+from sim2real.executor.slots import Slot
 
 
 def run_local(
-    jobs: Iterator[Job], seats: Sequence[Seat], variables: Mapping[str, str], *, retries: int
+    jobs: Iterator[Job], slots: Sequence[Slot], variables: Mapping[str, str], *, retries: int
 ) -> Generator[JobOutcome | None]:
-    """Run each job in one of the ``seats``; one that dies gets up to ``retries`` more attempts.
+    """Run each job in one of the ``slots``; one that dies gets up to ``retries`` more attempts.
 
-    A job is taken from ``jobs`` when a seat is free.
+    A job is taken from ``jobs`` when a slot is free.
 
     Yields:
         The outcome of each job as it ends, and None at every poll in between. Closing the
@@ -28,7 +28,7 @@ def run_local(
     running: dict[int, tuple[Job, subprocess.Popen[bytes]]] = {}
     try:
         while True:
-            for number, gpus in enumerate(seats):
+            for number, gpus in enumerate(slots):
                 if number in running:
                     continue
                 if job := died.popleft() if died else next(jobs, None):

@@ -19,7 +19,7 @@ from sim2real.executor.cluster import run_on_ray
 from sim2real.executor.job import LOG, NOT_STARTED, Job, JobOutcome, is_done
 from sim2real.executor.local import run_local
 from sim2real.executor.process import child_environment
-from sim2real.executor.seats import seats
+from sim2real.executor.slots import slots
 from sim2real.output import check_writable
 
 
@@ -71,7 +71,7 @@ def run_jobs(
     in_time = takewhile(lambda _: time.monotonic() < deadline, started)
     variables = child_environment(cpus)
     if executor == "local":
-        places = seats(at_once, cpus=cpus, gpus=gpus)
+        places = slots(at_once, cpus=cpus, gpus=gpus)
         running = run_local(in_time, places, variables, retries=retries)
     elif executor == "ray":
         running = run_on_ray(in_time, address, variables, cpus=cpus, gpus=gpus, retries=retries)

@@ -139,11 +139,10 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
 
 def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
     # Other laws of the drive are mapped to kd, limit and back_emf, which every exporter supports.
-    law = getattr(joint, "law", "pd")
-    if law not in LAWS:
+    if joint.law not in LAWS:
         expected = f"one of {', '.join(LAWS)}"
-        raise InputError("model", f"joints.{name}.law", repr(law), expected)
-    motor = {key: value for key, value in getattr(joint, "motor", {}).items() if value}
+        raise InputError("model", f"joints.{name}.law", repr(joint.law), expected)
+    motor = {key: value for key, value in joint.motor.items() if value}
     effects: dict[str, dict[str, float]] = {}
     for fitted in joint.effects:
         parameters = {

@@ -213,10 +213,7 @@ def _output_losses(servo: Actuator) -> dict[str, str]:
 def _softness(stick: float, creep: float) -> dict[str, str]:
     """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0."""
     constant, impedance = constraint(stick, creep, 2 * TIMESTEP_S)
-    return {
-        "solreffriction": _text(constant, 1),
-        "solimpfriction": _text(impedance, impedance),
-    }
+    return {"solreffriction": _text(constant, 1), "solimpfriction": _text(impedance, impedance)}
 
 
 def _motor(servo: Actuator, section: Element) -> list[LeftOut]:

@@ -14,10 +14,7 @@ from sim2real.errors import InputError
 
 
 def simulate(
-    xml: str,
-    t: Array,
-    command: Mapping[str, Array],
-    start: Mapping[str, float] | None = None,
+    xml: str, t: Array, command: Mapping[str, Array], start: Mapping[str, float] | None = None
 ) -> dict[str, Array]:
     """Simulated sensor angles of an exported model for given commands.
 

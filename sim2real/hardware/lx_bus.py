@@ -10,15 +10,7 @@ from typing import Any, ClassVar
 
 from sim2real.hardware import lx
 from sim2real.hardware.lx import BusCommand, Packet, expects_reply, is_reply, load, move
-from sim2real.hardware.servo_bus import (
-    PATIENCE_S,
-    BusServo,
-    Cycle,
-    Found,
-    Reading,
-    Scale,
-    Stopped,
-)
+from sim2real.hardware.servo_bus import PATIENCE_S, BusServo, Cycle, Found, Reading, Scale, Stopped
 from sim2real.hardware.transport import Transport
 from sim2real.hardware.wire_bus import WireBus
 

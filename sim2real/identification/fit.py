@@ -20,14 +20,7 @@ from sim2real.inference.least_squares import (
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.motor import MOTOR_BIT
-from sim2real.servo.parameters import (
-    BASE,
-    COLUMNS,
-    INERTIA_LEFT_OUT,
-    LINE,
-    ROTOR,
-    ROTOR_INERTIA,
-)
+from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, LINE, ROTOR, ROTOR_INERTIA
 from sim2real.servo.rollout import (
     LONGEST_SUBSTEP_S,
     Simulator,

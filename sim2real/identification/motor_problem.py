@@ -118,11 +118,7 @@ class MotorProblem:
         return self._differences(self.terms, x, np.full((len(x), len(self.free)), difference))
 
     def _differences(
-        self,
-        evaluate: Callable[[Array], Array],
-        x: Array,
-        step: Array,
-        base: Array | None = None,
+        self, evaluate: Callable[[Array], Array], x: Array, step: Array, base: Array | None = None
     ) -> tuple[Array, Array]:
         """Values at ``x`` and their derivatives by steps (B, F) of each free parameter, in units.
 

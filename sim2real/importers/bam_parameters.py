@@ -140,11 +140,7 @@ def _gains(values: dict[str, float], bench: Fields, gain: float, volts: float) -
         "stribeck_speed_rad_s": _stribeck_speed(values),
     }
     kept = {name: value for name, value in motor.items() if value > 0}
-    return {
-        "kp_Nm_per_rad": per_volt * volts * gain * scale,
-        "kd_Nms_per_rad": kd,
-        "motor": kept,
-    }
+    return {"kp_Nm_per_rad": per_volt * volts * gain * scale, "kd_Nms_per_rad": kd, "motor": kept}
 
 
 def _stribeck_speed(values: dict[str, float]) -> float:

@@ -19,5 +19,6 @@ Example, a straight line through points::
         return expansion(y - A @ x[0], -A)   # residuals and their derivatives
     fit = minimise(expand, start, low, high)
 
-``sim2real.servo`` defines the problem for a servo's recordings, ``sim.inference`` that for swims.
+``sim2real.identification.servo_problem`` is the problem of a servo's recordings, ``sim.inference``
+that of swims.
 """

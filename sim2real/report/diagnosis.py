@@ -104,14 +104,14 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
 
 
 def _separations(diagnosis: Diagnosis) -> list[Block]:
-    """What designed recordings were expected to tell, beside what they told."""
+    """Which effects designed recordings were expected to separate, and whether they did."""
     if not diagnosis.separations:
         return []
-    text = "What the design of a recording expected of it, and what the recordings have told."
-    told = [(pair.found or 0.0) >= SEPARATED for pair in diagnosis.separations]
+    text = "What recordings were designed to separate, and what they have separated."
+    separated = [(pair.found or 0.0) >= SEPARATED for pair in diagnosis.separations]
     notes = [
         Note("good" if found else "info", str(pair))
-        for pair, found in zip(diagnosis.separations, told, strict=True)
+        for pair, found in zip(diagnosis.separations, separated, strict=True)
     ]
     return [Text(text, heading="Expected and found"), *notes]
 
@@ -273,7 +273,4 @@ def _limits(diagnosis: Diagnosis) -> list[Block]:
     if not rows:
         return []
     text = "Effects smaller than these cannot be detected in these recordings."
-    return [
-        Text(text, heading="Detection limits"),
-        Table(("effect", *places), rows, _LIMITS),
-    ]
+    return [Text(text, heading="Detection limits"), Table(("effect", *places), rows, _LIMITS)]

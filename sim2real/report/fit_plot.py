@@ -110,11 +110,7 @@ def _draw_position(
     axes: Axes, t: Array, command: Array, measured: Array, predicted: Array, *, dots: bool = False
 ) -> None:
     axes.plot(
-        *drawable(t, command),
-        color=FAINT,
-        linewidth=1.0,
-        drawstyle="steps-post",
-        label="command",
+        *drawable(t, command), color=FAINT, linewidth=1.0, drawstyle="steps-post", label="command"
     )
     times, values = drawable(t, measured)
     look = {"marker": "o", "markersize": 3.6, "linestyle": "none"} if dots else {"linewidth": 2.1}

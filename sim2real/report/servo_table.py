@@ -61,13 +61,6 @@ def markdown_row(entry: ServoEntry) -> str:
     )
 
 
-def markdown_table(entries: Sequence[ServoEntry]) -> str:
-    """The servos as a Markdown table."""
-    header = "| " + " | ".join((*COLUMNS, "licence", "source")) + " |"
-    rule = "| " + " | ".join("---" for _ in (*COLUMNS, "licence", "source")) + " |"
-    return "\n".join([header, rule, *map(markdown_row, entries)])
-
-
 def entry_report(entry: ServoEntry) -> str:
     """What a servo is, where it comes from, and its parameters with intervals."""
     facts = dict(zip(COLUMNS, cells(entry), strict=True))

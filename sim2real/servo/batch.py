@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -201,20 +202,12 @@ class Batch:
         fine, coarse = self._substeps(problems, rough=rough)
         dev = self.device
 
-        def put(values: NDArray[Any]) -> Any:  # noqa: ANN401 - Warp has no stubs
-            return to_warp(values, dev)
-
+        put, launch = partial(to_warp, device=dev), partial(wp.launch, device=dev)
         table = put(problems.theta.reshape(N * V, -1))
         theta = wp.empty((rows.size, len(COLUMNS)), dtype=wp.float64, device=dev)
         signals = put(signal)
         table_row = put((problem * V + variant).astype(np.int32))
-        wp.launch(
-            whitening.expand,
-            dim=rows.size,
-            inputs=[table, table_row, signals, *self._contexts],
-            outputs=[theta],
-            device=dev,
-        )
+        launch(whitening.expand, rows.size, [table, table_row, signals, *self._contexts], [theta])
         angle = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
@@ -240,48 +233,24 @@ class Batch:
             repeated = np.isin(base, base[_unstable(angles, servos, exact)])
             if repeated.any():
                 run(fine, rows[repeated])
-        wp.launch(whitening.difference, dim=rows.size, inputs=[*shared, scale, angle], device=dev)
+        launch(whitening.difference, rows.size, [*shared, scale, angle])
         if long_steps:
             angles[servos] = exact
-        wp.launch(
-            whitening.residual, dim=rows.size, inputs=[*shared, self._position, angle], device=dev
-        )
+        launch(whitening.residual, rows.size, [*shared, self._position, angle])
         extras = [self._fetch(angle, first, count, recordings)] if keep else []
         layout = [put(first), put(recordings.astype(np.int32)), put(count), signals, self._length]
         noise_model = coefficients
         if noise_model is None:
             products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
-            wp.launch(
-                whitening.lag_products,
-                dim=products.shape[:2],
-                inputs=[*layout, self._counts, angle],
-                outputs=[products],
-                device=dev,
-            )
+            inputs = [*layout, self._counts, angle]
+            launch(whitening.lag_products, products.shape[:2], inputs, [products])
             noise_model = autoregression(_values(products), self.least_gain)
-        wp.launch(
-            whitening.whiten,
-            dim=rows.size,
-            inputs=[
-                put(problem.astype(np.int32)),
-                signals,
-                self._length,
-                self._counts,
-                put(noise_model),
-                angle,
-            ],
-            device=dev,
-        )
+        noise = [put(problem.astype(np.int32)), signals, self._length, self._counts]
+        launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
         if keep:
             extras.append(self._fetch(angle, first, count, recordings))
         packed = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
-        wp.launch(
-            whitening.gram,
-            dim=packed.shape,
-            inputs=[*layout, *size, angle],
-            outputs=[packed],
-            device=dev,
-        )
+        launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
         return (*_unpacked(_values(packed), size[1], count, order), noise_model, *extras)
 
     def _fetch(self, angle: Any, first: Integers, count: Integers, recordings: Integers) -> Array:  # noqa: ANN401

@@ -104,12 +104,7 @@ def rollout_on(
     factor, offset = trace_contexts([trace])
     rows = theta * factor + offset
     return rollout(
-        rows,
-        trace.t,
-        trace.command,
-        varying=trace.varying,
-        substep_s=substep_s,
-        threads=threads,
+        rows, trace.t, trace.command, varying=trace.varying, substep_s=substep_s, threads=threads
     )
 
 
@@ -322,13 +317,7 @@ class WhitenedServo(Simulator):
         sums: Any = wp.zeros(angle.shape[0], dtype=wp.float64, device="cpu")
         lags, coefficients = self._noise
         inputs = [len(self.traces), lags, self.length, self.position, self._counts, coefficients]
-        wp.launch(
-            innovation_energy,
-            dim=angle.shape[0],
-            inputs=[*inputs, angle],
-            outputs=[sums],
-            device="cpu",
-        )
+        wp.launch(innovation_energy, angle.shape[0], [*inputs, angle], [sums], device="cpu")
         energies: Array = sums.numpy()
         return energies
 
@@ -377,17 +366,10 @@ def simulate(
         order = order[np.lexsort((latency[order], longest[order], signal[order]))]
     memory = wp.zeros((N, CELLS), dtype=wp.float64, device=device)
     mask = wp.from_numpy(np.ascontiguousarray(active), dtype=wp.int64, device=device)
-    inputs = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
-    wp.launch(
-        KERNELS[effects, pairs],
-        dim=1 if pairs else order.size,
-        inputs=[
-            theta, mask, memory, *inputs, order.size if pairs else 1, *signals,
-            to_warp(longest, device),
-        ],
-        outputs=[out],
-        device=device,
-    )  # fmt: skip
+    rows_at_once, launches = (order.size, 1) if pairs else (1, order.size)
+    places = [to_warp(x, device) for x in (signal, order.astype(np.int32))]
+    inputs = [theta, mask, memory, *places, rows_at_once, *signals, to_warp(longest, device)]
+    wp.launch(KERNELS[effects, pairs], launches, inputs, [out], device=device)
 
 
 def to_warp(values: NDArray[Any], device: str) -> Any:  # noqa: ANN401 - Warp has no stubs

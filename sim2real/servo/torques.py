@@ -44,8 +44,5 @@ def slide(
     push = resting * (free - v)
     after = push - wp.clamp(push, -resting * stop, resting * stop)
     return wp.vec4d(
-        state[0] + half * (moving * v + resting * after),
-        after,
-        torque,
-        (after - v) * per_h,
+        state[0] + half * (moving * v + resting * after), after, torque, (after - v) * per_h
     )

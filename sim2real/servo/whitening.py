@@ -17,12 +17,7 @@ Table = wp.array2d(dtype=wp.float64)
 
 @wp.kernel(enable_backward=False)
 def expand(
-    theta: Table,
-    variant: Rows,
-    signal: Rows,
-    factor: Table,
-    offset: Table,
-    out: Table,
+    theta: Table, variant: Rows, signal: Rows, factor: Table, offset: Table, out: Table
 ) -> None:
     """Copy the parameters of its variant to each row, in the context of its recording."""
     row = wp.tid()

@@ -4,9 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from violations import violations
 
 from sim2real.design.candidates import FAMILIES, draw
-from sim2real.design.limits import check_seconds, holding, limits_of, violations, within
+from sim2real.design.limits import check_seconds, holding, limits_of, within
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.robot import Joint, Link, Robot, Servo

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from violations import violations
 
 from sim2real.design.belief import belief_of
 from sim2real.design.candidates import draw
 from sim2real.design.information import Information
-from sim2real.design.limits import limits_of, violations
+from sim2real.design.limits import limits_of
 from sim2real.design.plan import design
 from sim2real.design.search import best
 from sim2real.recording import Load

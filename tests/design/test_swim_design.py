@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from good_input import message
 from rival_swims import FISH, POOL, SERVOS, swim_rivals, swim_set
+from violations import violations
 
 from sim.design.design_swim import design_swim
 from sim.design.swim_commands import SwimLimits, draw, within
@@ -14,7 +15,7 @@ from sim.design.swim_objective import SwimObjective
 from sim.fluid.tank import POOL_M
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
-from sim2real.design.limits import limits_of, violations
+from sim2real.design.limits import limits_of
 from sim2real.diagnose.swim_rivals import read_swim_rivals
 from sim2real.recording import read_commands
 from sim2real.structured import Fields

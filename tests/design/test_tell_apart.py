@@ -7,9 +7,10 @@ import pytest
 from good_input import message
 from rival_pair import PERIOD, RIVALS
 from simulated import robot
+from violations import violations
 
 from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import limits_of, violations
+from sim2real.design.limits import limits_of
 from sim2real.design.rivals import RivalObjective
 from sim2real.design.tell_apart import design_for_rivals, forecast
 from sim2real.diagnose.rival_sets import read_rival_sets
@@ -75,7 +76,7 @@ def test_a_context_is_asked_for_where_it_tells_more():
 def test_where_nothing_can_be_told_it_says_so():
     found = designed(replace(RIVALS, noise_rad=5.0), samples=1.0)
     assert not found.informative
-    assert str(found).startswith("Nothing more can be told apart within these limits")
+    assert str(found).startswith("Nothing more can be distinguished within these limits")
 
 
 def test_another_robot_is_refused():

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from sim2real.diagnose.link.link_effect import Uneven
+from sim2real.diagnose.link.link_effect import IrregularTiming
 from sim2real.diagnose.missing.calibrated_odds import judged, judged_together
 from sim2real.diagnose.missing.investigate import _on_all
 
 
 def on_all(gain, *shares, mismatch=True):
     """Whether joints of which each but the last misses something else share this link."""
-    link = Uneven("packet_loss", gain, shares=shares)
+    link = IrregularTiming("packet_loss", gain, shares=shares)
     findings = [SimpleNamespace(mismatch=mismatch) for _ in shares[:-1]]
     return _on_all(link, link, [*findings, SimpleNamespace(mismatch=False)])
 
@@ -32,7 +32,7 @@ def shared(explained_joint):
     """Findings of two joints on one link, the second with structure that stays."""
     _, (joint,) = explained_joint
     base = joint.finding.tried.plain
-    link = Uneven("packet_loss", 700.0, 0.02, 0.002, shares=(650.0, 50.0))
+    link = IrregularTiming("packet_loss", 700.0, 0.02, 0.002, shares=(650.0, 50.0))
     without = replace(joint.finding.unmodelled, windows_evidence=300.0, excess=6.0)
     first = replace(joint.finding, best=base, groups=(), link=link, excess=1.0, unmodelled=without)
     return [first, replace(first, place=1, excess=2.2)], joint.unseen

@@ -27,7 +27,7 @@ import sim2real.executor.__main__ as worker
 from sim2real.errors import InputError
 from sim2real.executor import Job, map_jobs, run_jobs
 from sim2real.executor.job import NOT_STARTED
-from sim2real.executor.seats import seats, visible_gpus
+from sim2real.executor.slots import slots, visible_gpus
 
 DRIVER = """
 import signal, sys
@@ -167,7 +167,7 @@ def test_seats(
     monkeypatch: pytest.MonkeyPatch, at_once: int | None, gpus: float, expected: list[str]
 ) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
-    assert seats(at_once, cpus=1, gpus=gpus) == expected
+    assert slots(at_once, cpus=1, gpus=gpus) == expected
 
 
 def test_gpus_are_those_the_driver_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

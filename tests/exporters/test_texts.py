@@ -15,12 +15,12 @@ import pytest
 
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.actuator import Actuator
+from sim2real.exporters.actuators_json import actuators_json
 from sim2real.exporters.genesis import genesis
 from sim2real.exporters.isaaclab import _entry, isaaclab
 from sim2real.exporters.mjlab import mjlab
 from sim2real.exporters.mujoco import mujoco
 from sim2real.exporters.newton import newton
-from sim2real.exporters.plain import plain
 from sim2real.exporters.urdf import urdf
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
@@ -29,7 +29,7 @@ from sim2real.servo.prediction import predict
 
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 TYPICAL["torque_saturation"]["free_damping"] = 0.0
-TEXTS = (isaaclab, mjlab, newton, genesis, urdf, plain, mujoco)
+TEXTS = (isaaclab, mjlab, newton, genesis, urdf, actuators_json, mujoco)
 
 
 def servo(name: str = "j1", *effects: str) -> Model:
@@ -148,7 +148,7 @@ def test_urdf_runs_in_mujoco(robot: Robot) -> None:
 
 
 def test_json_has_every_number(robot: Robot) -> None:
-    content = json.loads(plain(servo("j1", "backlash"), robot).text)
+    content = json.loads(actuators_json(servo("j1", "backlash"), robot).text)
     joint = content["joints"]["j1"]
     assert joint["kp_Nm_per_rad"] == 2.2
     assert joint["inertia_kgm2"] == 0.003
@@ -183,7 +183,7 @@ def test_a_name_stays_a_name(export: Any, tmp_path: Path) -> None:
         space: dict[str, Any] = {}
         code = "\n".join(line for line in text.splitlines() if not line.startswith("from "))
         exec(compile(code, "exported.py", "exec"), space)
-    elif export is plain:
+    elif export is actuators_json:
         assert name in json.loads(text)["joints"]
     else:
         assert len(list(ElementTree.fromstring(text).iter("joint"))) >= 2

@@ -20,9 +20,11 @@ from sim2real.diagnose.result import (
 )
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.report import diagnosis_section, diagnosis_what, svg
+from sim2real.report import diagnosis_what
+from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.diagnosis_plots import POINTS, binned, outline
 from sim2real.report.diagnosis_words import how_sure, plain
+from sim2real.report.drawing import svg
 from sim2real.report.page import Figure, Note, Table, Text, render_page
 from sim2real.report.style import WIDE
 from sim2real.units import readable, readable_name

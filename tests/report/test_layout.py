@@ -10,9 +10,11 @@ from rl.experiments.differences import Difference
 from sim.cases.case import Curve
 from sim.view.calibration_plot import comparison
 from sim.view.report import curve_figure
-from sim2real.report import fit_figure, parameter_figure, timing_figure
+from sim2real.report.fit_plot import fit_figure
+from sim2real.report.parameter_plot import parameter_figure
 from sim2real.report.range_plots import density_figure, latency_figure, predictive_figure
 from sim2real.report.style import NARROW, POINTS_PER_INCH, WIDE, house_style
+from sim2real.report.timing_plot import timing_figure
 
 SLACK_POINTS = 1.0
 T = np.linspace(0, 30, 300)

@@ -12,9 +12,19 @@ from scipy.signal import lti, step
 
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.report import Figure, Note, Section, Table, Text, identification_section, write_page
 from sim2real.report.fit_plot import fit_live
-from sim2real.report.page import Film, render_fragment, render_page
+from sim2real.report.identification import identification_section
+from sim2real.report.page import (
+    Figure,
+    Film,
+    Note,
+    Section,
+    Table,
+    Text,
+    render_fragment,
+    render_page,
+    write_page,
+)
 from sim2real.report.quantity import change_text
 from sim2real.report.response import describe_response, step_response
 

@@ -11,9 +11,12 @@ import pytest
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report import fit_figure, parameter_figure, save_png, svg, timing_figure
+from sim2real.report.drawing import save_png, svg
+from sim2real.report.fit_plot import fit_figure
+from sim2real.report.parameter_plot import parameter_figure
 from sim2real.report.series import drawable, gaps, isolated_samples, largest_move, segments
 from sim2real.report.style import NARROW
+from sim2real.report.timing_plot import timing_figure
 
 
 def lines(axes):
@@ -35,7 +38,7 @@ def test_importing_the_report_loads_neither_matplotlib_nor_jinja():
 
 @pytest.mark.parametrize("library", ["matplotlib", "jinja2"])
 def test_a_missing_library_is_said_in_one_line(library, monkeypatch, bench, tmp_path):
-    from sim2real.report import write_page
+    from sim2real.report.page import write_page
 
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ModuleNotFoundError) as raised:

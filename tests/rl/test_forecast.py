@@ -222,8 +222,8 @@ def test_draws_are_joint_and_have_the_error_of_the_law(robot, model):
     exact, pair = drawn_with(TwinError(100.0, {}, (0.2, 0.0)))
     assert abs(np.corrcoef(pair.T)[0, 1] + 0.9) < 0.05
     assert abs(pair[:, 0].mean() - 0.3) < 0.005
-    assert 0.05 < exact.law[:, 0].std() < 0.1
-    assert np.allclose(exact.law[:, 3], np.expm1(0.2))
+    assert 0.05 < exact.velocity_error[:, 0].std() < 0.1
+    assert np.allclose(exact.energy_error, np.expm1(0.2))
     _, doubtful = drawn_with(TwinError(0.1, {"twin.along": 1.0}, (0.0, 0.0)))
     assert abs(doubtful[:, 0].mean() / FITTED.along - 1) < 0.02, "one swim says little of the law"
 

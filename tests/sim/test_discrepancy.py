@@ -10,8 +10,7 @@ from test_diagnose_swims import IN_WATER, swum
 import sim.inference.coordinates as places
 from sim.calibration.swim_parameters import candidates
 from sim.inference import discrepancy
-from sim.inference.coordinates import Coordinates, seen_as
-from sim.inference.coordinates import swum as signals_of
+from sim.inference.coordinates import Coordinates, signals_at, signals_of
 from sim.inference.followed import by_followed_twin
 from sim.inference.searched import learned, searched
 from sim.inference.twin_search import TwinSwims
@@ -59,12 +58,12 @@ def test_what_all_swims_of_a_robot_are_wrong_by_is_foretold(tmp_path):
     fresh = slower(swum({}, seed=3), 0.03)
     problem = TwinSwims(Coordinates.of(FISH, servos()), [fresh], simulate, prior)
     x = problem.centre(frozenset())
-    (said,) = signals_of(problem.coordinates, fresh, x[None], simulate)
+    (said,) = signals_at(problem.coordinates, fresh, x[None], simulate)
     assert said[:, 0].mean() == pytest.approx(fresh.signals[:, 0].mean(), rel=0.008)
     assert problem.coordinates.seems[problem.coordinates.place["error.surge_0"]] < -0.015
     model = problem.coordinates.model_at(x)
     write_model(model, tmp_path / "model.json")
-    (kept,) = seen_as([read_model(tmp_path / "model.json")], fresh, simulate)
+    (kept,) = signals_of([read_model(tmp_path / "model.json")], fresh, simulate)
     np.testing.assert_allclose(kept, said, atol=1e-6)
 
 

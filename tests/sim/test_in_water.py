@@ -16,7 +16,7 @@ from sim.inference.in_water import (
     by_twin_in_water,
     key,
     read_water_swims,
-    swum_in_water,
+    simulate_in_water,
     with_fluid_effects,
     with_nearest_law,
     write_water,
@@ -193,7 +193,7 @@ def test_files_that_are_none_or_of_other_swims_are_told(water, tmp_path, capsys)
 def test_the_fluid_swims_all_waters_and_other_cells_differ():
     swim = swum({})
     short = replace(swim, t=swim.t[:30], command=swim.command[:30])
-    found = swum_in_water(FISH, servos(), [short], cell_m=0.04)
+    found = simulate_in_water(FISH, servos(), [short], cell_m=0.04)
     (steps,) = found.steps.values()
     assert steps.shape == (1 + len(WATER), 29, 3 + len(FISH.joints))
     assert np.isfinite(steps).all()

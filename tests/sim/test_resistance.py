@@ -59,7 +59,7 @@ def test_an_area_is_found_and_helps_swims_left_out():
     assert np.all(after < 0.4 * before)
     told = with_resistance(diagnosis(), found, LAW_ERROR.decisions)
     assert told.verdict == "partly_explained"
-    assert "Something resists" in told.effects[0].statement
+    assert "drag area" in told.effects[0].statement
     assert " cm² (90 %: " in told.effects[0].statement
 
 

@@ -36,7 +36,7 @@ from sim2real.diagnose.changed.explained import (
     settled,
 )
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.link.link_effect import LinkData, Uneven, link
+from sim2real.diagnose.link.link_effect import IrregularTiming, LinkData, link
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
 from sim2real.diagnose.missing.unmodelled import Windows
 from sim2real.identification.servo_problem import Set
@@ -63,7 +63,7 @@ class Change:
         row: Parameters of the case with what is likeliest, shape (P,).
         nameless: Probability that there is something that no effect explains.
         windows: Where that is, for each recording, if it has an end or a beginning.
-        link: What is uneven on the link since, or None.
+        link: Irregular timing of the link since, or None.
     """
 
     groups: tuple[Group, ...]
@@ -71,7 +71,7 @@ class Change:
     row: Array
     nameless: float = 0.0
     windows: Windows | None = None
-    link: Uneven | None = None
+    link: IrregularTiming | None = None
 
     def posterior(self, base: Set) -> EffectPosterior:
         """The probabilities as those of sets of effects, nothing more than ``base`` among them."""
@@ -134,7 +134,7 @@ def changed(of: Explained, step_rad: float = 0.0) -> Change:
     limit = DECISION.change.foreign_misfit * of.scale2
     foreign = of.way == "law" and not named and energy(settled(of)) > limit
     if of.way == "repeat" and not named and (windows is None or _lasting(of, windows)):
-        late = _uneven(of)
+        late = _irregular_timing(of)
         if late is not None:
             return late
     if windows is None and not foreign:
@@ -352,7 +352,7 @@ def _lasting(of: Explained, windows: Windows) -> bool:
     return covered > 0.5 * sum(float(np.ptp(of.traces[r].t)) for r in of.case)
 
 
-def _uneven(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change | None:
+def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change | None:
     """Jitter of the link that no repeat has, or None.
 
     The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is

@@ -220,7 +220,7 @@ def contrast(of: Explained, by: Directions) -> Contrast:
 
 
 def straight(of: Explained) -> float:
-    """How many times as far as its start a change goes along a straight line."""
+    """Multiples of its initial value that a change reaches along a straight line."""
     return DECISION.change.max_extrapolation if of.way == "law" else 1.0
 
 

@@ -90,13 +90,13 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
     tried, plain = finding.tried, finding.tried.plain.fit.servos
     named = [group for group in change.groups if group.probability >= DECISION.named]
     link = change.link.effect if change.link is not None else ""
-    rich = tried.base | {group.members[0] for group in named} - {link}
-    if rich != tried.base:
+    enriched = tried.base | {group.members[0] for group in named} - {link}
+    if enriched != tried.base:
         # As fitted with the servo of the references: the case alone determines its servo less well.
-        servos = with_effects(plain, rich, change.row, references[0].load.inertia_kgm2)
+        servos = with_effects(plain, enriched, change.row, references[0].load.inertia_kgm2)
         servos = replace(servos, theta=change.row[None])
         fit = minimise(batch, servos, iterations=1, blocks=BLOCKS)
-        tried.tried[rich] = Hypothesis(rich, fit, float(fit.loglikelihood[0]))
+        tried.tried[enriched] = Hypothesis(enriched, fit, float(fit.loglikelihood[0]))
     coarser = _coarser(joint)
     coarse = tuple(
         replace(g, probability=min(g.probability, coarser))
@@ -107,7 +107,7 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
     return replace(
         finding,
         mismatch=bool(named or nameless or coarse),
-        best=tried.tried.get(rich, tried.plain),
+        best=tried.tried.get(enriched, tried.plain),
         posterior=change.posterior(tried.base),
         groups=(*coarse, *change.groups),
         unexplained=nameless,
@@ -147,8 +147,8 @@ def repeat(joints: Sequence[JointCase]) -> Experiment | None:
                 separation=0.0,
                 duration_s=trace.duration_s,
                 statement=f"Repeat the command of {trace.name} on {joint.name} in the state of the "
-                "references: beside a repeat what the model lacks cancels, and far smaller "
-                "changes show.",
+                "references: the error of the model is the same in a repeated recording, so far "
+                "smaller changes are detected.",
                 t=trace.t - trace.t[0],
                 signal=trace.command,
             )

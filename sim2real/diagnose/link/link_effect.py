@@ -81,7 +81,7 @@ class LinkScore:
 
 
 @dataclass(frozen=True)
-class Uneven:
+class IrregularTiming:
     """Irregular timing that explains a part of a robot's residuals.
 
     Attributes:
@@ -97,7 +97,7 @@ class Uneven:
         unexplained: For each joint, by recording, the residual in rad without what the irregular
             timing is expected to do, shape (T,).
         arrivals: How set-points arrive.
-        noises: Of each joint.
+        noise_models: Of the residual of each joint.
         score: Log-likelihood of held-out recordings; None where nothing was held out.
     """
 
@@ -112,16 +112,16 @@ class Uneven:
     lost_s: tuple[tuple[Array, ...], ...] = ()
     unexplained: tuple[tuple[Array, ...], ...] = ()
     arrivals: Arrivals = Arrivals()
-    noises: tuple[Noise, ...] = ()
+    noise_models: tuple[Noise, ...] = ()
     score: LinkScore | None = None
 
 
-def links(robots: Sequence[LinkData]) -> list[Uneven]:
+def links(robots: Sequence[LinkData]) -> list[IrregularTiming]:
     """The likelier of the two effects on every robot's link; ``gain`` 0 below what is noticed."""
     return shared(link, robots)
 
 
-def link(robot: LinkData) -> Uneven:
+def link(robot: LinkData) -> IrregularTiming:
     """The likelier of the two effects on one robot's link."""
     joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
     samples = sum(joint.counts[0] for joint in joints)
@@ -129,7 +129,7 @@ def link(robot: LinkData) -> Uneven:
     fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
     best = max(fits, key=lambda fit: fit.gain)
     if best.gain < max(robot.noticed, negligible):
-        return Uneven(best.effect, shares=tuple(0.0 for _ in joints))
+        return IrregularTiming(best.effect, shares=tuple(0.0 for _ in joints))
     return best.result()
 
 
@@ -162,7 +162,7 @@ class LinkFit:
     Attributes:
         gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
         arrivals: How set-points arrive.
-        noises: Of each joint.
+        noise_models: Of the residual of each joint.
     """
 
     def __init__(
@@ -171,65 +171,65 @@ class LinkFit:
         effect: str,
         *,
         common: bool,
-        start: Uneven | None = None,
+        start: IrregularTiming | None = None,
     ) -> None:
         self.joints, self.effect, self.common = joints, effect, common
         self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
-        self.noises = [joint.noise for joint in joints]
+        self.noise_models = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
         if start is not None:
-            total, self.arrivals, self.noises = self._climb(
-                list(start.noises), start.arrivals, steps=4
+            total, self.arrivals, self.noise_models = self._climb(
+                list(start.noise_models), start.arrivals, steps=4
             )
             self.gain = total - alone
             return
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
-        begun = [self._alternated(noises, self.arrivals) for noises in starts]
+        begun = [self._alternated(noise_models, self.arrivals) for noise_models in starts]
         if max(_total(results) for _, _, results in begun) < alone:
             return
         guesses = [
-            self._climb(noises, self.arrivals, steps=2, first=first)
-            for noises, first in zip(starts, begun, strict=True)
+            self._climb(noise_models, self.arrivals, steps=2, first=first)
+            for noise_models, first in zip(starts, begun, strict=True)
         ]
-        total, arrivals, noises = max(guesses, key=lambda guess: guess[0])
-        total, arrivals, noises = self._climb(noises, arrivals, steps=6)
+        total, arrivals, noise_models = max(guesses, key=lambda guess: guess[0])
+        total, arrivals, noise_models = self._climb(noise_models, arrivals, steps=6)
         if total > alone:
-            self.gain, self.arrivals, self.noises = total - alone, arrivals, noises
+            self.gain, self.arrivals, self.noise_models = total - alone, arrivals, noise_models
 
     def _climb(
         self,
-        noises: list[Noise],
+        noise_models: list[Noise],
         arrivals: Arrivals,
         steps: int,
         first: _Alternation | None = None,
     ) -> tuple[float, Arrivals, list[Noise]]:
-        """The best log-likelihood, arrivals and noises of a few alternations between the two.
+        """The best log-likelihood, arrivals and noise models of a few alternations.
 
         ``first`` is the first alternation, where it is known.
         """
-        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noises)
+        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noise_models)
         for step in range(steps):
             known = first if step == 0 else None
-            events, arrivals, results = known or self._alternated(noises, arrivals)
+            events, arrivals, results = known or self._alternated(noise_models, arrivals)
             total = _total(results)
             gained = total - best[0]
             if gained > 0:
-                best = (total, arrivals, noises)
+                best = (total, arrivals, noise_models)
             if gained < DECISION.link.min_gain or step == steps - 1:
                 break
-            noises = self._renewed(noises, events, arrivals, results)
+            noise_models = self._renewed(noise_models, events, arrivals, results)
         return best
 
-    def _alternated(self, noises: Sequence[Noise], arrivals: Arrivals) -> _Alternation:
-        """The filter with these noises, and the arrivals that are likeliest under it."""
-        events = self._filter(noises)
+    def _alternated(self, noise_models: Sequence[Noise], arrivals: Arrivals) -> _Alternation:
+        """The filter with these noise models, and the most likely arrivals under it."""
+        events = self._filter(noise_models)
         return events, *(self._losses if arrivals.loss else self._delays)(events, arrivals)
 
-    def _filter(self, noises: Sequence[Noise]) -> EventFilter:
+    def _filter(self, noise_models: Sequence[Noise]) -> EventFilter:
         channels = [
             [channel_of(segment, noise) for segment in joint.segments]
-            for joint, noise in zip(self.joints, noises, strict=True)
+            for joint, noise in zip(self.joints, noise_models, strict=True)
         ]
         if self.common:
             return EventFilter(list(zip(*channels, strict=True)))
@@ -289,7 +289,7 @@ class LinkFit:
 
     def _renewed(
         self,
-        noises: Sequence[Noise],
+        noise_models: Sequence[Noise],
         events: EventFilter,
         arrivals: Arrivals,
         results: Sequence[Filtered],
@@ -297,7 +297,7 @@ class LinkFit:
         """The noise of each joint, refitted to what the expected deviations leave."""
         out = []
         explained = self._explained(events, arrivals, results)
-        for (joint, covariance), old in zip(explained, noises, strict=True):
+        for (joint, covariance), old in zip(explained, noise_models, strict=True):
             noise, _ = joint.settled(old)
             noise, _ = joint.settled(joint.remodelled(noise, covariance))
             taps = np.append(1.0, -noise.model)
@@ -305,9 +305,9 @@ class LinkFit:
             out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
         return out
 
-    def result(self) -> Uneven:
+    def result(self) -> IrregularTiming:
         """The effect, its standard deviation and gain at each joint, and what it explains."""
-        arrivals, events = self.arrivals, self._filter(self.noises)
+        arrivals, events = self.arrivals, self._filter(self.noise_models)
         name = "delay_sd_s" if self.effect == "latency_jitter" else "loss"
         factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
         options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
@@ -329,7 +329,7 @@ class LinkFit:
         )
         single = len(self.joints) == 1
         shares = [self] if single else [fitted([joint], self.effect)[0] for joint in self.joints]
-        return Uneven(
+        return IrregularTiming(
             self.effect,
             self.gain,
             float(value),
@@ -341,10 +341,10 @@ class LinkFit:
             lost_s,
             tuple(
                 tuple(s.corrected(noise.refit) for s in joint.segments)
-                for (joint, _), noise in zip(explained, self.noises, strict=True)
+                for (joint, _), noise in zip(explained, self.noise_models, strict=True)
             ),
             arrivals,
-            tuple(self.noises),
+            tuple(self.noise_models),
         )
 
 

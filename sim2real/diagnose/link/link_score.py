@@ -10,10 +10,10 @@ import numpy as np
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, with_noise
 from sim2real.diagnose.link.link_effect import (
     MOST_LAGS,
+    IrregularTiming,
     LinkData,
     LinkFit,
     LinkScore,
-    Uneven,
     channel_of,
 )
 from sim2real.inference.correlated_noise import whitened
@@ -30,7 +30,7 @@ class ScoreJob:
     """
 
     folds: tuple[LinkData, ...]
-    fit: Uneven
+    fit: IrregularTiming
 
 
 def link_score(job: ScoreJob) -> LinkScore:
@@ -63,7 +63,7 @@ def _score_fold(job: ScoreJob, k: int, rng: np.random.Generator, *, draws: int =
     ]
     fit = LinkFit(others, job.fit.effect, common=job.fit.common, start=job.fit)
     segments = [joint.segments[k] for joint in joints]
-    channels = [channel_of(*pair) for pair in zip(segments, fit.noises, strict=True)]
+    channels = [channel_of(*pair) for pair in zip(segments, fit.noise_models, strict=True)]
     groups = [channels] if job.fit.common else [[channel] for channel in channels]
     drawn = [_drawn(group, fit.arrivals, rng, draws) for group in groups]
     (results,) = EventFilter([*groups, *(x for some in drawn for x in some)]).run([fit.arrivals])

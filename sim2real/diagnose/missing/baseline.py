@@ -95,11 +95,7 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
 
 
 def with_effects(
-    plain: Servos,
-    effects: Set,
-    theta: Array,
-    inertia: float,
-    held: Set = frozenset(),
+    plain: Servos, effects: Set, theta: Array, inertia: float, held: Set = frozenset()
 ) -> Servos:
     """A servo whose gains, latency and parameters of effects are free.
 

@@ -77,7 +77,7 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
     gain, limit = finding.search.remaining_gain(tried, best.members)
     # Effects of the best set that no group states are no findings.
     servo = tried.tried.get(best.members - (finding.effects - tried.base), tried.plain)
-    plain, rich = unseen.get(tried.base), unseen.get(best.members)
+    plain, enriched = unseen.get(tried.base), unseen.get(best.members)
     more = max(without.excess - 1, 0.0)
     explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
     whole = scaled(
@@ -91,7 +91,7 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
         remaining_gain=gain / max(limit, 1e-9),
         groups=len(groups),
         error_plain=1.0 if plain is None else plain.rmse / finding.noise,
-        error=1.0 if rich is None else rich.rmse / finding.noise,
+        error=1.0 if enriched is None else enriched.rmse / finding.noise,
     )
     of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
     of_groups = []
@@ -113,7 +113,7 @@ def odds_features(finding: Finding, unseen: Mapping[Set, Unseen]) -> OddsFeature
             gain=link.gain,
             joints_share=float(np.mean([x > 0 for x in link.shares])),
             excess=finding.excess,
-            irregularity=finding.uneven,
+            irregularity=finding.irregularity,
             single_joint=len(link.shares) == 1,
         )
     return OddsFeatures(tuple(of_groups), whole, of_link)

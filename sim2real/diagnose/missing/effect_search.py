@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.nuisances import beside_rivals, first_look, with_nuisances
+from sim2real.diagnose.missing.nuisances import first_look, with_nuisances, with_rivals
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
@@ -92,7 +92,7 @@ def search(
             if ledger.best.members != ledger.base and not problem.exhausted(ledger)
         ]
         some, angles = [ledgers[k] for k in going], [large[k] for k in going]
-        changed = beside_rivals(problem, some, angles)
+        changed = with_rivals(problem, some, angles)
         selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.link.link_effect import LinkData, Uneven, links
+from sim2real.diagnose.link.link_effect import IrregularTiming, LinkData, links
 from sim2real.diagnose.missing.baseline import plain_again
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.missing.effect_search import search
@@ -59,7 +59,7 @@ class Finding:
         unknown: Probability that what is missing is not in the catalogue.
         excess: Energy of the best set's residual beyond noise, in variances of the noise.
         noise: Standard deviation of the sensor's noise, rad.
-        link: What is uneven on the link, or None.
+        link: Irregular timing of the link, or None.
         place: Of the joint among those of the link.
     """
 
@@ -74,7 +74,7 @@ class Finding:
     unknown: float
     excess: float
     noise: float
-    link: Uneven | None = None
+    link: IrregularTiming | None = None
     place: int = 0
 
     @property
@@ -88,27 +88,28 @@ class Finding:
         return frozenset(effect for group in self.groups for effect in group.members)
 
     @property
-    def uneven(self) -> float:
-        """Share by which an uneven link raises the error of the joint."""
+    def irregularity(self) -> float:
+        """Share by which irregular timing of the link raises the error of the joint."""
         assert self.link is not None
         return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
 
     def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
         """Share by which an effect, added to the others, lowers the held-out error; or infinity.
 
-        Infinity where that cannot be measured: of rounding, and where nothing is held out. Of an
-        uneven link, which nobody can foretell, it is the share by which it raises the error; none
-        where set-points come no later than the controller's next turn would take them anyway.
+        Infinity where that cannot be measured: of rounding, and where nothing is held out. Of
+        irregular timing of the link, which cannot be predicted, it is the share by which it raises
+        the error; none where set-points come no later than the controller's next turn would take
+        them anyway.
         """
         if self.link is not None and self.link.effect == effect:
             waits = effect == "latency_jitter" and self.link.value < DECISION.controller_wait_s
-            return 0.0 if waits else self.uneven
+            return 0.0 if waits else self.irregularity
         best = self.best.members
-        rich = unseen.get(best)
+        enriched = unseen.get(best)
         without = unseen.get(best - {effect}, unseen.get(self.tried.base))
-        if effect not in best or rich is None or without is None:
+        if effect not in best or enriched is None or without is None:
             return float("inf")
-        return 1 - rich.rmse / without.rmse
+        return 1 - enriched.rmse / without.rmse
 
 
 def investigate(
@@ -261,9 +262,9 @@ def _with_links(
     *,
     longest_jitter_s: float = np.inf,
 ) -> list[Finding]:
-    """Findings that also say what is uneven on the link.
+    """Findings with the irregular timing of their link.
 
-    Set-points that come unevenly can pass for a weak effect. So the link is looked at twice: with
+    Irregular set-points can pass for a weak effect. So the link is examined twice: with
     what was found on its joints and without. Where not all joints show it, set-points may wait for
     the turn of one joint's own, slow controller.
 
@@ -272,15 +273,17 @@ def _with_links(
         joints: The joints of the batch.
         robots: Which of them share a link.
         findings: What each is missing besides.
-        longest_jitter_s: Jitter from which nothing is said; if finite, nothing is said of losses.
+        longest_jitter_s: Jitter from which none is reported; if finite, no losses are reported.
     """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
-    richer = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
+    with_found = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]
     both = links(
         [link_data(batch, joints, robot, [plain[j].fit for j in robot]) for robot in robots]
-        + [link_data(batch, joints, robot, [best[j].fit for j in robot]) for robot in richer]
+        + [link_data(batch, joints, robot, [best[j].fit for j in robot]) for robot in with_found]
     )
-    with_effects = {robot[0]: link for robot, link in zip(richer, both[len(robots) :], strict=True)}
+    with_effects = {
+        robot[0]: link for robot, link in zip(with_found, both[len(robots) :], strict=True)
+    }
     explained, alone = list(findings), list[int]()
     for robot, plain_link in zip(robots, both, strict=False):
         best_link = with_effects.get(robot[0], plain_link)
@@ -291,7 +294,7 @@ def _with_links(
         for k, j in enumerate(robot):
             finding = findings[j]
             own = finding.best.evidence - finding.tried.plain.evidence
-            # Uneven timing instead of the joint's own effects, or together with them.
+            # IrregularTiming timing instead of the joint's own effects, or together with them.
             instead = plain_link.shares[k] > best_link.shares[k] + own
             link = plain_link if instead and plain_link.gain > 0 else best_link
             short = link.effect == "latency_jitter" and link.value < longest_jitter_s
@@ -321,8 +324,10 @@ def _noise(finding: Finding) -> float:
     return float(np.sqrt(fit.error2[0] / fit.count[0]))
 
 
-def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) -> bool:
-    """Whether a link is uneven on more than the joints whose own effects could pass for it.
+def _on_all(
+    plain_link: IrregularTiming, best_link: IrregularTiming, findings: Sequence[Finding]
+) -> bool:
+    """Whether timing is irregular on more than the joints whose own effects could imitate that.
 
     Or on few of them while the others do not contradict it, as a joint that hardly moves shows
     neither losses nor delays: rates that are common to all then explain as much as rates of each.
@@ -340,10 +345,7 @@ def _on_all(plain_link: Uneven, best_link: Uneven, findings: Sequence[Finding]) 
 
 
 def link_data(
-    batch: Batch,
-    joints: Sequence[JointCase],
-    robot: Sequence[int],
-    fits: Sequence[Fits],
+    batch: Batch, joints: Sequence[JointCase], robot: Sequence[int], fits: Sequence[Fits]
 ) -> LinkData:
     """Residuals of single fits on a robot's joints, for ``links``."""
     residuals = residual_angles(batch, joined(fits))

@@ -1,7 +1,7 @@
 """What every servo has a little of: part of the plain servo, before anything is looked for.
 
-Cogging and the sensor's eccentricity are common to all recordings, and nobody acts on a little of
-them. Left out, their waves pass for any effect. They are fitted together with what explains most,
+Cogging and the sensor's eccentricity are common to all recordings, and small ones need no
+action. Left out, their waves pass for any effect. They are fitted together with what explains most,
 so that they do not stand in for it, and kept while they are small relative to the noise.
 """
 
@@ -118,7 +118,7 @@ def with_nuisances(
     return based
 
 
-def beside_rivals(
+def with_rivals(
     problem: ServoSearch,
     ledgers: Sequence[Tried],
     large: Sequence[float],

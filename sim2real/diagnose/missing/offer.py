@@ -35,16 +35,16 @@ def judged_and_offered(
         together = judged_together([findings[j] for j in some], [errors[j] for j in some])
         for j, judgement in zip(some, together, strict=True):
             judgements[j] = judgement
-    rich = [_with_named(finding) for finding in judgements]
-    _add_errors(errors, joints, judgements, [[servo.members] for servo in rich], device)
+    enriched = [_with_named(finding) for finding in judgements]
+    _add_errors(errors, joints, judgements, [[servo.members] for servo in enriched], device)
     for j in searched:
-        rich[j] = _enriched(judgements[j], rich[j], errors[j])
-    fewer = [simpler(*of_joint) for of_joint in zip(judgements, rich, errors, strict=True)]
+        enriched[j] = _enriched(judgements[j], enriched[j], errors[j])
+    fewer = [simpler(*of_joint) for of_joint in zip(judgements, enriched, errors, strict=True)]
     _add_errors(errors, joints, judgements, [[members] for members in fewer], device)
-    offered = list(rich)
+    offered = list(enriched)
     for j in searched:
-        offered[j] = offer(judgements[j], rich[j], fewer[j], errors[j])
-    return judgements, rich, offered, errors
+        offered[j] = offer(judgements[j], enriched[j], fewer[j], errors[j])
+    return judgements, enriched, offered, errors
 
 
 def _add_errors(
@@ -107,20 +107,20 @@ def _enriched(finding: Finding, fewer: Hypothesis, unseen: Mapping[Set, Unseen])
     return finding.best if best.rmse < less.rmse else fewer
 
 
-def simpler(finding: Finding, rich: Hypothesis, unseen: Mapping[Set, Unseen]) -> Set:
+def simpler(finding: Finding, enriched: Hypothesis, unseen: Mapping[Set, Unseen]) -> Set:
     """The effects of a servo without the negligible ones; all of them where that was not tried."""
-    added = rich.members - finding.tried.base
+    added = enriched.members - finding.tried.base
     negligible = {e for e in added if finding.changes(unseen, e) < DECISION.negligible}
-    fewer = rich.members - negligible
-    return fewer if fewer in finding.tried.tried else rich.members
+    fewer = enriched.members - negligible
+    return fewer if fewer in finding.tried.tried else enriched.members
 
 
 def offer(
-    finding: Finding, rich: Hypothesis, fewer: Set, unseen: Mapping[Set, Unseen]
+    finding: Finding, enriched: Hypothesis, fewer: Set, unseen: Mapping[Set, Unseen]
 ) -> Hypothesis:
     """The servo of the enriched model: the one with fewer effects, unless more predict better."""
-    less, more = unseen.get(fewer), unseen.get(rich.members)
+    less, more = unseen.get(fewer), unseen.get(enriched.members)
     if less is None or more is None:
-        return rich
+        return enriched
     better = more.rmse < (1 - DECISION.predictor.min_improvement) * less.rmse
-    return rich if better else finding.tried.tried[fewer]
+    return enriched if better else finding.tried.tried[fewer]

@@ -185,13 +185,7 @@ def screen(
 
 
 def _score(
-    gram: Array,
-    square: Array,
-    count: float,
-    free: int,
-    starts: int,
-    candidate: Index,
-    start: Index,
+    gram: Array, square: Array, count: float, free: int, starts: int, candidate: Index, start: Index
 ) -> Screen:
     total = gram.sum(axis=0)
     error2 = total[0, 0]

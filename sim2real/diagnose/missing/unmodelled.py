@@ -47,10 +47,7 @@ class Unmodelled:
 
 
 def unmodelled(
-    batch: Batch,
-    joints: Sequence[Sequence[Trace]],
-    robots: Sequence[Sequence[int]],
-    plain: Fits,
+    batch: Batch, joints: Sequence[Sequence[Trace]], robots: Sequence[Sequence[int]], plain: Fits
 ) -> list[Unmodelled]:
     """Look for physics without a name in every joint of a batch.
 

@@ -104,7 +104,7 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
 
     Args:
         found: The diagnosis.
-        out: The diagnosis file, beside which it goes.
+        out: The diagnosis file; the commands are written to its folder.
 
     Returns:
         The diagnosis, naming the file.

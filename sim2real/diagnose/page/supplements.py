@@ -76,7 +76,7 @@ def _for_rivals(robot: Robot, joints: Sequence[JointFindings]) -> Experiment | N
 
 
 def _limits(joint: JointFindings) -> list[DetectionLimit]:
-    tried, members = joint.finding.tried, joint.rich.members
+    tried, members = joint.finding.tried, joint.enriched.members
     known = members if members in tried.tried else tried.base
     return detection_limits(*joint.finding.search.seen(tried, known), joint.name)
 
@@ -93,12 +93,12 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
     kp, kd = (float(x) for x in joint.finding.tried.plain.fit.servos.theta[0, :2])
     series = []
     for trace, before, after in zip(joint.joint.traces, joint.before, joint.after, strict=False):
-        plain, rich = (simulated_angle(residual, trace) for residual in (before, after))
+        plain, with_effects = (simulated_angle(residual, trace) for residual in (before, after))
         position = trace.measured
         servo = (trace.load.inertia_kgm2, kd, kp + trace.load.gravity_Nm)
         error = np.where(trace.used, plain - position, np.nan)
         torque, sd = residual_torque(trace.t, error, servo, joint.joint.noise)
-        effects_torque, _ = residual_torque(trace.t, plain - rich, servo, joint.joint.noise)
+        effects_torque, _ = residual_torque(trace.t, plain - with_effects, servo, joint.joint.noise)
         series.append(
             JointSeries(
                 joint=joint.name,
@@ -107,7 +107,7 @@ def _evidence(joint: JointFindings) -> list[JointSeries]:
                 command=trace.command,
                 position=position,
                 baseline=plain,
-                enriched=rich,
+                enriched=with_effects,
                 speed=smooth_speed(trace.t, position),
                 torque=torque,
                 torque_sd=sd,

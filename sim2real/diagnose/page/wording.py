@@ -10,7 +10,7 @@ import numpy as np
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.link.link_effect import Uneven
+from sim2real.diagnose.link.link_effect import IrregularTiming
 from sim2real.diagnose.missing.effect_probabilities import Group
 from sim2real.diagnose.missing.unmodelled import measured_only
 from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, Verdict
@@ -70,8 +70,8 @@ def diagnosis(
         small = []  # negligible next to a mismatch without a name
     inputs = [r.path for r in (*case.recordings, *case.references) if r.path]
     origin = provenance([*inputs, *([case.robot.path] if case.robot.path else [])], seed)
-    uneven = [joint.finding.link for joint in joints if joint.finding.link is not None]
-    links = {link.effect: link.value for link in uneven}
+    irregular = [joint.finding.link for joint in joints if joint.finding.link is not None]
+    links = {link.effect: link.value for link in irregular}
     enriched_fit = {joint.signal: joint.fit(enriched=True) for joint in joints}
     return Diagnosis(
         verdict=_verdict(joints, large, small, changed=bool(case.references)),
@@ -95,8 +95,7 @@ def diagnosis(
             arm=case.robot.arm,
         ),
         baseline=Model(
-            joints={joint.name: joint.model(enriched=False) for joint in joints},
-            arm=case.robot.arm,
+            joints={joint.name: joint.model(enriched=False) for joint in joints}, arm=case.robot.arm
         ),
         provenance=origin,
     )
@@ -135,7 +134,7 @@ def _named_effect(results: Mapping[str, JointFindings], entry: _Named) -> NamedE
     estimates = [results[joint].estimates(group.members[0]) for joint in entry.joints]
     parameters = _combined([estimate for estimate in estimates if estimate])
     plain = result.finding.tried.plain.fit.servos.theta[0]
-    rich = result.rich.fit.servos.theta[0]
+    enriched = result.enriched.fit.servos.theta[0]
     link = result.finding.link
     of_link = link is not None and link.effect == group.members[0]
     per_inertia = result.joint.traces[0].load is PER_INERTIA
@@ -146,7 +145,7 @@ def _named_effect(results: Mapping[str, JointFindings], entry: _Named) -> NamedE
         group=group.members,
         parameters=parameters,
         heldout=result.heldout() | (result.heldout_of_link() if of_link else {}),
-        baseline_shift={name: float(rich[k] - plain[k]) for k, name in enumerate(BASE[:3])},
+        baseline_shift={name: float(enriched[k] - plain[k]) for k, name in enumerate(BASE[:3])},
         stability=group.stability,
         statement=_statement(entry, parameters, per_inertia=per_inertia) + _of_link(results, entry),
     )
@@ -215,7 +214,7 @@ def _of_link(results: Mapping[str, JointFindings], entry: _Named, *, listed: int
     return bursts + packets + where + _score(link)
 
 
-def _score(link: Uneven) -> str:
+def _score(link: IrregularTiming) -> str:
     """A sentence on the likelihood of held-out recordings; empty where none was held out."""
     score = link.score
     if score is None:

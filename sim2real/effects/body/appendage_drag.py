@@ -17,7 +17,7 @@ def _act(robot: Forces, p: Values, _material: str) -> None:
 
 EFFECT = BodyEffect(
     name="appendage_drag",
-    plain="something that resists and is not in the robot file",
+    plain="drag of a part that the robot file leaves out",
     title="drag area that the robot file leaves out, and its distance behind the robot's front",
     parameters=(
         Parameter("area_m2", low=0.0, high=0.1, typical=0.002),

@@ -19,7 +19,9 @@ LAW = (
 )
 
 
-def plain(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+def actuators_json(
+    model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()
+) -> Export:
     """JSON with all identified parameters of the joints, and the law as a formula.
 
     Args:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sim2real.exporters.refit import Refit
 
 
-def hand_over(
+def write_export(
     export: Export,
     options: argparse.Namespace,
     refits: Sequence[Refit] = (),

@@ -9,14 +9,14 @@ import subprocess
 
 from sim2real.errors import InputError
 
-Seat = str  # CUDA_VISIBLE_DEVICES of a job; empty for no GPU
+Slot = str  # CUDA_VISIBLE_DEVICES of a job; empty for no GPU
 
 
-def seats(at_once: int | None, *, cpus: int, gpus: float) -> list[Seat]:
-    """A seat for each job that may run at a time; different GPUs are used first.
+def slots(at_once: int | None, *, cpus: int, gpus: float) -> list[Slot]:
+    """A slot for each job that may run at a time; different GPUs are used first.
 
     Args:
-        at_once: Number of seats; default: as many as fit on the GPUs, or on the CPUs if jobs need
+        at_once: Number of slots; default: as many as fit on the GPUs, or on the CPUs if jobs need
             no GPU.
         cpus: CPU cores that a job needs.
         gpus: GPUs that a job needs: a whole number, or a fraction to share one GPU.
@@ -54,10 +54,10 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _shared(gpus: list[str], part: float) -> list[Seat]:
+def _shared(gpus: list[str], part: float) -> list[Slot]:
     return gpus * int(1 / part + 1e-9)
 
 
-def _grouped(gpus: list[str], size: int) -> list[Seat]:
+def _grouped(gpus: list[str], size: int) -> list[Slot]:
     used = len(gpus) // size * size
     return [",".join(gpus[start : start + size]) for start in range(0, used, size)]
