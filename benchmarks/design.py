@@ -181,15 +181,23 @@ def identified(recording: Any, others: Any, robot: Any) -> tuple[Any, Row]:  # n
     return model, {"values": values, "interval": interval, "figures": figures}
 
 
-def truth(servo: Any, plant: str, robot: Any, rng: np.random.Generator) -> dict[str, float]:  # noqa: ANN401
+def truth(
+    servo: Any,  # noqa: ANN401
+    plant: str,
+    robot: Any,  # noqa: ANN401
+    rng: np.random.Generator,
+    *,
+    starts: int = 12,
+) -> dict[str, float]:
     """Gains and latency of the PD servo that a servo behaves like.
 
     The pseudo-true parameters (White, Econometrica 50 (1982) 1-25), with the inertia of the rotor
-    free wherever ``identify`` finds it. They are those of a fit without noise, cogging and
-    eccentricity, to set-points that differ at every sample, so that the latency contains the mean
-    wait for the controller's next one, that turn a pendulum slowly by ``SLOW_RAD``, which its
-    weight needs to set the scale of the gains, and that no drive limits. Sampling by the controller
-    and the plant's own steps change damping, inertia and latency by about 1 % from the values set.
+    free wherever ``identify`` finds it: those of a fit without noise, cogging and eccentricity to
+    set-points that no drive limits. They differ at every sample, and turn a pendulum slowly by
+    ``SLOW_RAD``, as its weight sets the scale of the gains. The angle is the mean over ``starts``
+    recordings, each a set-point later, so that the latency contains the mean wait for the
+    controller's next sample. Sampling by the controller and the plant's own steps change damping,
+    inertia and latency by about 1 % from the values set.
     """
     from sim2real.identification.identify import identify
 
@@ -199,7 +207,11 @@ def truth(servo: Any, plant: str, robot: Any, rng: np.random.Generator) -> dict[
     t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
     command = SLOW_RAD * np.sin(2 * np.pi * 0.1 * t) + rng.uniform(-FAST_RAD, FAST_RAD, t.size)
     command[0] = 0.0
-    recording = recorded(clean, plant, command, rng, "clean")
+    angles = []
+    for late in range(starts):
+        recording = recorded(clean, plant, np.append(np.zeros(late), command), rng, "clean")
+        angles.append(recording.position[late:])
+    recording = replace(recording, t=t, command=command[:, None], position=np.mean(angles, axis=0))
     effects = ("unmodelled_inertia",) if servo.loads["a"].gravity_Nm else ()
     model = identify([recording], robot, law="pd", effects=effects).joints["j1"]
     return {name: getattr(model, name) for name in GAINS}
