@@ -61,7 +61,7 @@ from open_cases import draw_open_case  # noqa: E402
 
 from sim2real.design.candidates import draw  # noqa: E402
 from sim2real.design.contexts import AS_IT_IS, Context  # noqa: E402
-from sim2real.design.limits import CommandLimits, check_load, limits_of, within  # noqa: E402
+from sim2real.design.limits import CommandLimits, holding, limits_of, within  # noqa: E402
 from sim2real.design.rivals import RivalObjective  # noqa: E402
 from sim2real.design.tell_apart import design_for_rivals, forecast  # noqa: E402
 from sim2real.diagnose.decision import DECISION  # noqa: E402
@@ -202,7 +202,7 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
 def _can_hold(context: Context, limits: CommandLimits, robot: Robot) -> bool:
     """Whether the servo can hold the load of a context."""
     with suppress(InputError):
-        check_load(context.loads[JOINT], limits, robot)
+        holding(limits, context.loads[JOINT], robot)
         return True
     return False
 

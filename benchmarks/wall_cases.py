@@ -105,8 +105,8 @@ def hard_commands(
     E, J = ratios.size, len(ROBOT.joints)
     swimmer = Swimmer(ROBOT, MODEL, n_envs=E, cell_m=cell_m, device=device, wall=wall)
     usual = masses(ROBOT, [MODEL] * E, swimmer.hull)
-    scale = ratios[:, None]
-    heavy = Masses(usual.mass * scale, usual.inertia * scale, usual.com)
+    ratio = ratios[:, None]
+    heavy = Masses(usual.mass * ratio, usual.inertia * ratio, usual.com)
     rows = servo_rows(ROBOT, [MODEL] * E)
     swimmer.bodies.adopt(np.arange(E), heavy, rows, swimmer.outside)
     swimmer.reset()
