@@ -31,6 +31,7 @@ def diagnose(
     model: Model | File | None = None,
     *,
     references: Recorded = (),
+    diagnosis: File | None = None,
     negligible: float = 0.05,
     in_water: File | None = None,
     device: str = "cpu",
@@ -44,6 +45,8 @@ def diagnose(
         robot: The robot that was recorded (robot.toml).
         model: A model to start from; swims need one (MODEL.json).
         references: Earlier recordings of the same robot; only what has changed since is reported.
+        diagnosis: Servos only. A diagnosis of some of the recordings (diagnosis.json): the sets of
+            effects that it left open are tried again, and the ends of recordings are held out.
         negligible: An effect that changes the held-out error by less than this share is listed and
             does not change the verdict.
         in_water: Swims only. The fluid first simulates the recorded commands (a minute on a GPU),
@@ -62,11 +65,14 @@ def diagnose(
     swims = [recording for recording in read if recording.is_swim]
     if not swims:
         from sim2real.diagnose import diagnose as diagnose_servos
+        from sim2real.diagnose.rival_sets import with_open_sets
         from sim2real.progress import progress_bar
 
         if in_water is not None:
             found, expected = "recordings of a bench", "swims in a pool"
             raise InputError("diagnose", "in_water", found, expected)
+        if diagnosis is not None:
+            read = with_open_sets(read, diagnosis)
         with progress_bar("diagnose") as progress:
             return diagnose_servos.diagnose(
                 read,
@@ -84,6 +90,8 @@ def diagnose(
         )
     if start is None:
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
+    if diagnosis is not None:
+        raise InputError("diagnose", "diagnosis", "swims in a pool", "recordings of a bench")
     from sim.inference.recorded_swims import diagnose_recorded_swims
 
     water_file = None if in_water is None else Path(in_water)

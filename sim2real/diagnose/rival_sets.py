@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import xlogy
 
 from sim2real.arrays import Array, Integers
+from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Load, Recording, read_load
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.structured import Fields, read_json
@@ -166,6 +167,28 @@ def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
         entries = top.tables("rivals") if "rivals" in top else []
         found += [entry for entry in entries if entry.text("component") == joint]
     return found
+
+
+def with_open_sets(recordings: Sequence[Recording], path: str | os.PathLike[str]) -> list[Recording]:
+    """The recordings, of which the last states the sets of effects that a diagnosis left open.
+
+    Args:
+        recordings: Recordings of one robot, at least one.
+        path: The earlier diagnosis (diagnosis.json).
+
+    Raises:
+        InputError: If the file is no diagnosis of a servo, or of a joint that was not recorded.
+    """
+    *others, last = recordings
+    entries = []
+    for rivals in rivals_of_file(path):
+        if rivals.component not in last.joints:
+            found, expected = rivals.component, f"one of {', '.join(last.joints)}"
+            raise InputError(path, "rival_sets.component", found, expected)
+        sets = [one.content() for one in rivals.sets]
+        entries.append({"component": rivals.component, "sets": sets})
+    metadata = {**last.metadata, "rivals": [*last.metadata.get("rivals", []), *entries]}
+    return [*others, replace(last, metadata=metadata)]
 
 
 def rivals_of_file(path: str | os.PathLike[str]) -> tuple[JointRivals, ...]:

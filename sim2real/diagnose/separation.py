@@ -82,7 +82,7 @@ def separations(
     return tuple(
         _separation(component, pair, probability, least)
         for entry in stated
-        for pair in entry.tables("pairs")[:most]
+        for pair in (entry.tables("pairs")[:most] if "pairs" in entry else ())
     )
 
 

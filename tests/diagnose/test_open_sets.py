@@ -1,5 +1,6 @@
 """Sets of effects that stay open, and what a designed recording says of them."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from good_input import message
 from simulated import FRICTION, two
 
 from sim2real.diagnose.missing.open_sets import rival_sets, set_probabilities
-from sim2real.diagnose.rival_sets import design_of, read_rival_sets, stated_sets
+from sim2real.diagnose.rival_sets import design_of, read_rival_sets, stated_sets, with_open_sets
 from sim2real.diagnose.separation import separations
 from sim2real.servo.parameters import COLUMNS
 from sim2real.structured import Fields
@@ -64,6 +65,21 @@ def test_they_survive_a_file_and_are_tried_again(rivals):
     stated = stated_sets([recording], "j1")
     assert [one.effects for one in stated] == [frozenset(one.effects) for one in rivals.sets]
     np.testing.assert_array_equal(stated[0].theta[0], rivals.sets[0].theta[0])
+
+
+def test_an_ordinary_recording_is_asked_what_an_earlier_diagnosis_left_open(rivals, tmp_path):
+    file = tmp_path / "first.json"
+    content = {"schema": "sim2real.diagnosis/1", "rival_sets": [rivals.content()]}
+    file.write_text(json.dumps(content))
+    first, second = with_open_sets(two(), file)
+    assert stated_sets([first], "j1") == ()
+    assert [one.effects for one in stated_sets([first, second], "j1")] == [
+        frozenset(one.effects) for one in rivals.sets
+    ]
+    assert separations("j1", design_of([second], "j1"), {}) == ()
+    other = content | {"rival_sets": [rivals.content() | {"component": "j9"}]}
+    file.write_text(json.dumps(other))
+    message(lambda: with_open_sets(two(), file), "first.json: rival_sets.component: found j9")
 
 
 def test_expectation_and_outcome_stand_side_by_side(explained_joint):
