@@ -233,5 +233,6 @@ def _statement(plan: _Plan, score: float, members: Sequence[str], component: str
         )
     return (
         f"Record {component} once more, {_CONTEXTS[plan.context]}, on {plan.signal} "
-        f"({plan.t[-1]:.0f} s): {rivals} would then differ by {score:.0f} times the noise."
+        f"({plan.t[-1]:.0f} s), and diagnose both recordings with --diagnosis: {rivals} would then "
+        f"differ by {score:.0f} times the noise."
     )
