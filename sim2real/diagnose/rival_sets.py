@@ -169,7 +169,9 @@ def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
     return found
 
 
-def with_open_sets(recordings: Sequence[Recording], path: str | os.PathLike[str]) -> list[Recording]:
+def with_open_sets(
+    recordings: Sequence[Recording], path: str | os.PathLike[str]
+) -> list[Recording]:
     """The recordings, of which the last states the sets of effects that a diagnosis left open.
 
     Args:
