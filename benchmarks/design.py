@@ -262,7 +262,7 @@ def widths(arm: Row) -> dict[str, float]:
         value = arm["values"].get(name, 0.0)
         if value > 0 and np.isfinite([low, high]).all():
             width = (high - low) / 2 / value
-            if width < DETERMINED.get(name, 0.5):
+            if 0 < width < DETERMINED.get(name, 0.5):  # 0: a bound of the fit, not an estimate
                 found[name] = width
     return found
 
