@@ -72,6 +72,7 @@ from sim2real.diagnose.missing.open_sets import rival_sets  # noqa: E402
 from sim2real.diagnose.page.next_experiment import loaded, next_experiment  # noqa: E402
 from sim2real.diagnose.page.wording import diagnosis  # noqa: E402
 from sim2real.diagnose.result import Diagnosis, write_diagnosis  # noqa: E402
+from sim2real.diagnose.rival_sets import with_open_sets  # noqa: E402
 from sim2real.errors import InputError  # noqa: E402
 from sim2real.recording import Load, read_recording  # noqa: E402
 from sim2real.robot import Robot, read_robot  # noqa: E402
@@ -113,10 +114,17 @@ def write_take(case: ForeignCase, name: str, folder: Path) -> Path:
     return path
 
 
-def diagnosed(paths: Sequence[Path], robot: Robot) -> tuple[Diagnosis, JointFindings]:
-    """The diagnosis of a bench from its recordings, with what is known of its joint."""
-    given = Case([read_recording(path) for path in paths], robot)
-    ((case, joints),) = examined([given])
+def diagnosed(
+    paths: Sequence[Path], robot: Robot, first: Path | None = None
+) -> tuple[Diagnosis, JointFindings]:
+    """The diagnosis of a bench from its recordings, with what is known of its joint.
+
+    ``first`` is an earlier diagnosis, whose open sets are stated.
+    """
+    recordings = [read_recording(path) for path in paths]
+    if first is not None:
+        recordings = with_open_sets(recordings, first)
+    ((case, joints),) = examined([Case(recordings, robot)])
     found = diagnosis(case, joints, DECISION.negligible, 0)
     (joint,) = joints
     if joint.finding.mismatch:
@@ -264,16 +272,13 @@ def recorded_again(
     folder = bench.folder / arm
     folder.mkdir()
     path = write_take(case, "b", folder)
-    plain = json.loads(path.with_suffix(".json").read_text())
-    sets = [one.content() for one in bench.first.rival_sets[0].sets]
-    with_sets = plain | {"rivals": [{"component": JOINT, "sets": sets}]}
-    contents = {arm: with_sets if arm == "designed" else plain}
+    first = bench.folder / "diagnosis.json"
+    open_sets = {arm: first if arm == "designed" else None}
     if stated and arm != "designed":
-        contents[arm + STATED] = with_sets
+        open_sets[arm + STATED] = first
     rows = {}
-    for label, content in contents.items():
-        path.with_suffix(".json").write_text(json.dumps(content))
-        found, _ = diagnosed([bench.folder / "a.csv", path], bench.robot)
+    for label, earlier in open_sets.items():
+        found, _ = diagnosed([bench.folder / "a.csv", path], bench.robot, earlier)
         entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
         rows[label] = judged(case, found, folder) | oracle | {"entropy": entropy}
     return rows

@@ -2,7 +2,7 @@
 
     python benchmarks/wall_cases.py OUT.json [--wall ghost] [--device cuda:0] [--only foil plate]
 
-On one H100 all cases take five minutes. Each result is printed as it comes; a run with the same OUT
+All cases take some minutes of a GPU. Each result is printed as it comes; a run with the same OUT
 skips the results that it has. ``--tiny`` checks on a CPU that the cases run.
 
 Known answers: a spheroid without friction has no drag in steady motion, in any frame of reference,

@@ -161,12 +161,14 @@ def design_of(recordings: Sequence[Recording], joint: str) -> list[Fields]:
     Raises:
         InputError: If it is of another form.
     """
-    found = []
-    for recording in recordings:
-        top = Fields(recording.file, "", recording.metadata)
-        entries = top.tables("rivals") if "rivals" in top else []
-        found += [entry for entry in entries if entry.text("component") == joint]
-    return found
+    entries = (entry for recording in recordings for entry in _stated(recording))
+    return [entry for entry in entries if entry.text("component") == joint]
+
+
+def _stated(recording: Recording) -> list[Fields]:
+    """The entries under ``rivals`` in the JSON of a recording."""
+    top = Fields(recording.file, "", recording.metadata)
+    return top.tables("rivals") if "rivals" in top else []
 
 
 def with_open_sets(
@@ -179,18 +181,19 @@ def with_open_sets(
         path: The earlier diagnosis (diagnosis.json).
 
     Raises:
-        InputError: If the file is no diagnosis of a servo, or of a joint that was not recorded.
+        InputError: If the file is no diagnosis of a servo, or of a joint that was not recorded, or
+            what the last recording states itself is of another form.
     """
     *others, last = recordings
-    entries = []
+    entries = [entry.content for entry in _stated(last)]
     for rivals in rivals_of_file(path):
         if rivals.component not in last.joints:
             found, expected = rivals.component, f"one of {', '.join(last.joints)}"
             raise InputError(path, "rival_sets.component", found, expected)
         sets = [one.content() for one in rivals.sets]
         entries.append({"component": rivals.component, "sets": sets})
-    metadata = {**last.metadata, "rivals": [*last.metadata.get("rivals", []), *entries]}
-    return [*others, replace(last, metadata=metadata)]
+    stated = {"rivals": entries} if entries else {}
+    return [*others, replace(last, metadata={**last.metadata, **stated})]
 
 
 def rivals_of_file(path: str | os.PathLike[str]) -> tuple[JointRivals, ...]:

@@ -77,6 +77,10 @@ def test_an_ordinary_recording_is_asked_what_an_earlier_diagnosis_left_open(riva
         frozenset(one.effects) for one in rivals.sets
     ]
     assert separations("j1", design_of([second], "j1"), {}) == ()
+    file.write_text(json.dumps(content | {"rival_sets": []}))
+    assert stated_sets(with_open_sets(two(), file), "j1") == ()
+    bad = [replace(recording, metadata={"rivals": "no"}) for recording in two()]
+    message(lambda: with_open_sets(bad, file), "rivals")
     other = content | {"rival_sets": [rivals.content() | {"component": "j9"}]}
     file.write_text(json.dumps(other))
     message(lambda: with_open_sets(two(), file), "first.json: rival_sets.component: found j9")

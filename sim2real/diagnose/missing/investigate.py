@@ -294,7 +294,7 @@ def _with_links(
         for k, j in enumerate(robot):
             finding = findings[j]
             own = finding.best.evidence - finding.tried.plain.evidence
-            # IrregularTiming timing instead of the joint's own effects, or together with them.
+            # Irregular timing instead of the joint's own effects, or together with them.
             instead = plain_link.shares[k] > best_link.shares[k] + own
             link = plain_link if instead and plain_link.gain > 0 else best_link
             short = link.effect == "latency_jitter" and link.value < longest_jitter_s
