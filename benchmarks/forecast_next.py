@@ -1,6 +1,6 @@
 """What to do next: does the measurement that a forecast ranks first narrow it more than another?
 
-    python benchmarks/forecast_next.py OUT.json --realities 50 --processes 8    # half a minute each
+    python -m benchmarks.forecast_next OUT.json --realities 50 --processes 8    # half a minute each
 
 In the twin. Each reality has one effect of the body that the forecast gives a probability of one
 half, and what is known of servos, latency, densities, water and the twin's error is drawn, from

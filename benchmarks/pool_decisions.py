@@ -1,6 +1,6 @@
 """Read the thresholds and the odds that decide a diagnosis of swims off development sets.
 
-    python benchmarks/pool_decisions.py SET VERDICTS RESULTS [SET ...] [--in-water] [--go-on]
+    python -m benchmarks.pool_decisions SET VERDICTS RESULTS [SET ...] [--in-water] [--go-on]
 
 Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
 thresholds whose answers are best; prints what they are worth with whole robots left out. The others
