@@ -1,6 +1,6 @@
 """Speed of the fluid and of swimming robots on one device, beside what its memory can do.
 
-    python benchmarks/fluid_speed.py [--device cuda:0] [--tiny] [--out reports/speed.json]
+    python benchmarks/fluid_speed.py [--device cuda:0] [--wall ghost] [--tiny] [--out FILE.json]
 
 Prints million lattice updates a second (MLUPS), the share of a device-to-device copy's bandwidth,
 control steps a second of batches of swimmers, and memory for each. Writes the same as JSON.
@@ -20,6 +20,7 @@ import numpy as np
 import warp as wp
 
 from sim.fluid.fluid import Fluid, find_device
+from sim.fluid.wall import SLIP, Wall
 from sim.lattice.velocities import D2Q9, D3Q19, Lattice
 from sim.robot.swimmer import Swimmer
 from sim2real.model import JointModel, Model
@@ -38,6 +39,7 @@ ROBOT = Robot(
     tuple(Joint(f"j{k}", SERVO, (-0.8, 0.8)) for k in (1, 2, 3)),
 )
 MODEL = Model(joints={joint.name: JointModel(2.2, 0.06, 0.068, 0.002) for joint in ROBOT.joints})
+WALLS = {"default": SLIP, "ghost": Wall(slip=True, line="turbulent", ghosts=True)}
 
 
 def main() -> None:
@@ -45,10 +47,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--wall", choices=WALLS, default="default", help="of the swimmers")
     parser.add_argument("--tiny", action="store_true", help="seconds only: does it run?")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    device = find_device(options.device)
+    device, wall = find_device(options.device), WALLS[options.wall]
     rows: list[dict[str, Any]] = []
 
     def note(**row: Any) -> None:  # noqa: ANN401 - numbers and names
@@ -76,9 +79,10 @@ def main() -> None:
     for cell, boxes in batches(device.is_cuda, options.tiny):
         for storage in ("float32", "float16") if device.is_cuda else ("float32",):
             for E in boxes:
-                note(**swimming(cell, E, storage, str(device), options.threads, copy))
+                note(**swimming(cell, E, storage, str(device), options.threads, copy, wall=wall))
     if not device.is_cuda:
-        note(**swimming(0.02, 1, "float32", "cpu", options.threads, copy, dimensions=2))
+        flat = swimming(0.02, 1, "float32", "cpu", options.threads, copy, dimensions=2, wall=wall)
+        note(**flat)
     if options.out:
         options.out.write_text(json.dumps({"device": device.name, "rows": rows}, indent=1))
 
@@ -121,12 +125,19 @@ def graph_steps(fluid: Fluid) -> None:
 
 
 def swimming(
-    cell: float, E: int, storage: str, device: str, threads: int, copy: float, dimensions: int = 3
+    cell: float,
+    E: int,
+    storage: str,
+    device: str,
+    threads: int,
+    copy: float,
+    dimensions: int = 3,
+    wall: Wall = SLIP,
 ) -> dict[str, Any]:
     """Control steps a second of E robots that swim, each its own wave."""
     swimmer = Swimmer(
         ROBOT, MODEL, n_envs=E, device=device, cell_m=cell, dimensions=dimensions,
-        storage=storage, threads=threads,
+        storage=storage, threads=threads, wall=wall,
     )  # fmt: skip
     lag, amplitude = 1.2 * np.arange(3), np.array([0.3, 0.45, 0.6])
     phase = np.linspace(0, 2 * np.pi, E, endpoint=False)[:, None]

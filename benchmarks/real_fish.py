@@ -1,6 +1,6 @@
 """A real fish's tail moves a simulated fish: does it swim as fast as the real one did?
 
-    python benchmarks/real_fish.py FOLDER [--device cuda:0] [--cells 0.01 0.0067] [--out reports]
+    python benchmarks/real_fish.py FOLDER [--device cuda:0] [--cells 0.01 0.0067] [--wall ghost]
 
 FOLDER holds four clips of a tendon-driven robot fish filmed from above. Its joints are prescribed
 by the clips (three harmonics of the beat), its body is free, and it carries what its hull leaves
@@ -23,10 +23,12 @@ from typing import Any
 
 import numpy as np
 from fish_blocks import open_tail, with_blocks
+from fluid_speed import WALLS
 from scipy.optimize import brentq
 from tqdm import tqdm
 
 import sim2real as s2r
+from sim.fluid.wall import Wall
 from sim.inference.resistance import AREA, PLACE, from_figures, grid_of
 from sim.robot.shape import draught, hull_of
 from sim.robot.swimmer import CONTROL_S, Swimmer
@@ -168,7 +170,7 @@ def in_twin(
     return Swum(speed, drift, yaw)
 
 
-def in_fluid(cell_m: float, device: str) -> Swim:
+def in_fluid(cell_m: float, device: str, wall: Wall) -> Swim:
     """The clips in the fluid, in cells of this size; all at once."""
 
     def run(
@@ -180,7 +182,7 @@ def in_fluid(cell_m: float, device: str) -> Swim:
             robot,
             [Model(joints=joints, body={"effects": listed(body)}) for _, _, body in grid],
             n_envs=len(grid), cell_m=cell_m, viscosity_m2_s=VISCOSITY_M2_S, device=device,
-            threads=2, substeps=2 * int(np.ceil(0.02 * 1.6 / 0.15 / cell_m / 2)),
+            threads=2, wall=wall, substeps=2 * int(np.ceil(0.02 * 1.6 / 0.15 / cell_m / 2)),
         )  # fmt: skip
 
         def angles(t: float) -> Array:
@@ -301,6 +303,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cells", type=float, nargs="*", default=[], help="of the fluid, in m")
+    parser.add_argument("--wall", choices=WALLS, default="default", help="of the fluid")
     parser.add_argument("--out", type=Path, default=Path("reports"))
     options = parser.parse_args()
     if not (options.folder / f"{CLIPS[0]}.csv").is_file():
@@ -313,7 +316,8 @@ def main() -> None:
     runs = {run["where"]: run for run in before.get("runs", [])}
     simulators: dict[str, Swim] = {"twin": in_twin}
     for cell in options.cells:
-        simulators[f"fluid, {100 * cell:.2g} cm"] = in_fluid(cell, options.device)
+        name = f"fluid, {100 * cell:.2g} cm" + ", ghost cells" * (options.wall == "ghost")
+        simulators[name] = in_fluid(cell, options.device, WALLS[options.wall])
     for where, swim in simulators.items():
         print(where, flush=True)
         runs[where] = {"where": where} | run_of(options.folder, swim, clips)

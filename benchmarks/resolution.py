@@ -19,17 +19,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fluid_speed import MODEL, ROBOT
+from fluid_speed import MODEL, ROBOT, WALLS
 from tqdm import tqdm
 
-from sim.fluid.wall import SLIP, Wall
+from sim.fluid.wall import Wall
 from sim.robot.multibody import HELD
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.arrays import Array
 
 VISCOSITY_M2_S = 5e-5
 """The same at all sizes, so that only the cells differ."""
-WALLS = {"default": SLIP, "ghost": Wall(slip=True, line="turbulent", ghosts=True)}
 SECONDS, COUNTED = 8.0, 4.0
 HELD_S, HELD_COUNTED = 3.0, 2.0
 ADVANCE = (0.2, 0.0, 0.18)

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fluid_speed import MODEL, ROBOT
-from resolution import WALLS, WAVES
+from fluid_speed import MODEL, ROBOT, WALLS
+from resolution import WAVES
 
 from sim.cases import hard_commands as shaking
 from sim.cases import momentum, spheroid
