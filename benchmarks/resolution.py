@@ -69,6 +69,7 @@ def main() -> None:
     parser.add_argument("--cells", type=float, nargs="*", default=[0.04, 0.02])
     parser.add_argument("--waves", type=int, nargs="*", default=[0, 1, 2, 3], help="which swim")
     parser.add_argument("--wall", choices=WALLS, default="default")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of a free swim")
     parser.add_argument("--no-held", action="store_true", help="do not measure held forces")
     parser.add_argument("--out", type=Path, default=Path("reports/resolution"))
     options = parser.parse_args()
@@ -81,7 +82,9 @@ def main() -> None:
     for cell in sorted(options.cells, reverse=True):
         row = rows.setdefault(cell, {"cell_m": cell, "speed_m_s": [[None, None] for _ in WAVES]})
         start = time.perf_counter()
-        speed = swim(cell, options.device, options.waves, wall) if options.waves else []
+        speed = []
+        if options.waves:
+            speed = swim(cell, options.device, options.waves, wall, options.seconds)
         for k, found in zip(options.waves, speed, strict=True):
             row["speed_m_s"][k] = [float(x) for x in found]
         if not options.no_held:
@@ -103,7 +106,9 @@ def main() -> None:
     draw(json.loads(target.read_text()), target.with_suffix(".png"))
 
 
-def swim(cell: float, device: str, which: list[int], wall: Wall) -> Array:
+def swim(
+    cell: float, device: str, which: list[int], wall: Wall, swim_s: float = SECONDS
+) -> Array:
     """Speed of each wave, and how much its halves differ, shape (waves, 2); NaN where it broke."""
     waves = [WAVES[k] for k in which]
     swimmer = Swimmer(
@@ -111,7 +116,7 @@ def swim(cell: float, device: str, which: list[int], wall: Wall) -> Array:
         device=device, threads=2, wall=wall,
     )  # fmt: skip
     path = []
-    for k in tqdm(range(round(SECONDS / CONTROL_S)), desc=f"{cell:g} m", disable=None):
+    for k in tqdm(range(round(swim_s / CONTROL_S)), desc=f"{cell:g} m", disable=None):
         swimmer.step(np.array([wave.command(k * CONTROL_S) for wave in waves]))
         path.append(swimmer.state().pose[:, :2])
     places, stopped = np.array(path), swimmer.state().stopped
