@@ -106,9 +106,7 @@ def main() -> None:
     draw(json.loads(target.read_text()), target.with_suffix(".png"))
 
 
-def swim(
-    cell: float, device: str, which: list[int], wall: Wall, swim_s: float = SECONDS
-) -> Array:
+def swim(cell: float, device: str, which: list[int], wall: Wall, swim_s: float = SECONDS) -> Array:
     """Speed of each wave, and how much its halves differ, shape (waves, 2); NaN where it broke."""
     waves = [WAVES[k] for k in which]
     swimmer = Swimmer(
