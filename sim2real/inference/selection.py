@@ -150,6 +150,29 @@ def select(
     progress(1.0)
 
 
+def widen(
+    problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], most: int = Breadth.most
+) -> None:
+    """Try every candidate with the best set of each case, until none makes a better one.
+
+    Args:
+        problem: The problem.
+        ledgers: One per case.
+        most: Largest number of candidates in a set, without the base.
+    """
+    active = list(ledgers)
+    while active:
+        before = {ledger.case: ledger.best.members for ledger in active}
+        problem.look([(ledger, ledger.best.members) for ledger in active])
+        _refit(problem, [job for x in active for job in _enlarged(problem, x, x.best.members, None)])
+        active = [
+            ledger
+            for ledger in active
+            if ledger.best.members != before[ledger.case]
+            and len(ledger.best.members - ledger.base) < most
+        ]
+
+
 def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadth: Breadth) -> None:
     """Add to the best sets, remove one or two of their members, and replace these."""
     larger = [

@@ -96,3 +96,16 @@ def search(
         selection.select(problem, changed, exhausted=problem.exhausted)
     problem.release(ledgers)
     return ledgers, problem
+
+
+def search_again(problem: ServoSearch, ledgers: Sequence[Tried]) -> None:
+    """Try every effect with what explains each joint best; for joints where that leaves structure.
+
+    A noise model that has taken up structure hides an effect from a linear look, and what was held
+    before ``release`` fits only the set that it was fitted with.
+    """
+    some = [ledger for ledger in ledgers if not problem.exhausted(ledger)]
+    problem.singles = True
+    problem.held = {ledger.case: problem.released.get(ledger.case, frozenset()) for ledger in some}
+    selection.widen(problem, some)
+    problem.release(some)

@@ -12,7 +12,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.link_effect import IrregularTiming, LinkData, links
 from sim2real.diagnose.missing.baseline import plain_again
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group, posteriors
-from sim2real.diagnose.missing.effect_search import search
+from sim2real.diagnose.missing.effect_search import search, search_again
 from sim2real.diagnose.missing.nuisances import size_in_noise
 from sim2real.diagnose.missing.servo_search import ServoSearch
 from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
@@ -196,9 +196,12 @@ def _pass(
         stated=[joint.stated for joint in joints],
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
+    data = [joint.traces for joint in joints]
+    _, excesses = beyond_noise(batch, data, joined([ledger.best.fit for ledger in ledgers]))
+    structured = [x > DECISION.structured_excess for x in excesses]
+    search_again(problem, [ledgers[j] for j in np.flatnonzero(structured)])
     probable = posteriors(ledgers, robots, rng)
     best = [ledger.tried[p.sets[0]] for ledger, p in zip(ledgers, probable, strict=True)]
-    data = [joint.traces for joint in joints]
     without = unmodelled(batch, data, robots, joined([ledger.plain.fit for ledger in ledgers]))
     _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
     progress(1.0)

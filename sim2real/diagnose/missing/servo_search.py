@@ -92,6 +92,8 @@ class ServoSearch:
         self.batch, self.level, self.rng, self.limits = batch, level, rng, limits
         self.held: dict[int, Set] = {}
         """Effects of each case that stay as they are."""
+        self.released: dict[int, Set] = {}
+        """Those that were held before the last ``release``."""
         self.singles = True
         """Whether every effect by itself is still to be tried."""
         self.unfinished: set[int] = set()
@@ -242,13 +244,14 @@ class ServoSearch:
             if self.held.get(ledger.case)
             for h in _likely(ledger, self.limits)
         ]
-        self.held.clear()
+        self.released, self.held = self.held, {}
         jobs = [(ledger, h.members, h.fit.servos.theta[0]) for ledger, h in held]
         for (ledger, h), refitted in zip(held, self.refit(jobs), strict=True):
             more = float(refitted.fit.loglikelihood[0] - h.fit.loglikelihood[0])
             # All are as free: what freedom costs is the same for each.
             if more > 0:
                 ledger.tried[h.members] = replace(refitted, evidence=h.evidence + more)
+                self._seen.pop((ledger.case, h.members), None)
 
     def remains(self, ledger: Tried, members: Set) -> bool:
         """Whether some effect would still explain more than chance.
