@@ -43,3 +43,5 @@ bench: .venv/installed   ## speed and memory, as ratios; first how fast the mach
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[report,ros,sim,rl,render,hardware,arviz,completion,dev]'
 	touch $@
+
+include reports/Makefile

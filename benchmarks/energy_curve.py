@@ -4,8 +4,9 @@
 
 All weights and seeds learn side by side in one batch, in the twin calibrated to a shipped swim;
 then policies and controllers swim the same randomized trials of each task. ``--fidelity fluid``
-does the same in the fluid, ``--trained NAME=FOLDER ...`` tries what runs have trained already,
-``--prices 0.5 1 2`` each of those at several prices of energy, joined by a line.
+does the same in the fluid, ``--trained NAME=FOLDER ...`` tries what runs have trained already
+(without ``NAME=`` by the names of their agents), ``--prices 0.5 1 2`` each of those at several
+prices of energy, joined by a line.
 Writes ``TASK.json`` and ``curve.png``: who is left and below the others wins.
 """
 
@@ -59,7 +60,7 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", default=["turn", "pentagram"])
     parser.add_argument("--episodes", type=int, default=30)
     parser.add_argument("--gains", type=Path)
-    parser.add_argument("--trained", nargs="+", metavar="NAME=FOLDER", default=[])
+    parser.add_argument("--trained", nargs="+", metavar="[NAME=]FOLDER", default=[])
     parser.add_argument("--prices", type=float, nargs="+", help="of those trained, policy.zip each")
     parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
     options = parser.parse_args()
@@ -114,13 +115,17 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def known(trained: list[str], prices: list[float] | None) -> dict[str, str]:
-    """Policies by "NAME-K/FILE", from "NAME=FOLDER" of runs, and at each of the prices."""
+    """Policies by "NAME-K/FILE", from "NAME=FOLDER" of runs, and at each of the prices.
+
+    Those of a "FOLDER" alone are called by the folders of its agents, "ARM-SEED/FILE".
+    """
     out = {}
     for one in trained:
-        name, _, folder = one.partition("=")
+        name, _, folder = one.rpartition("=")
         for k, path in enumerate(sorted(Path(folder).rglob("policy.*"))):
+            agent = f"{name}-{k}" if name else path.parent.name
             for price in [f"@{x:g}" for x in prices or ()] or [""]:
-                out[f"{name}-{k}/{path.name}{price}"] = f"{path}{price}"
+                out[f"{agent}/{path.name}{price}"] = f"{path}{price}"
     return out
 
 

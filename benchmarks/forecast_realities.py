@@ -377,6 +377,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             jobs = [pool.submit(forecast_one, f, options.draws, options.seconds) for f in folders]
             for done in as_completed(jobs):
                 print(done.exception() or done.result(), flush=True)
+        if failed := sum(job.exception() is not None for job in jobs):
+            raise SystemExit(f"{failed} forecasts failed")
     else:
         write_json(options.out / "score.json", score(options.out))
 

@@ -6,7 +6,7 @@
 Swims of ten seconds under different commands (``twin_signals.py``); the fit does not see those held
 out. It is least squares on surge, sway and yaw rate by the library's velocity estimator, and on the
 joints' angles, which show what the water asks of the servos; each in the root mean square of its
-own swim. Writes ``reports/twin/``.
+own swim. Writes ``reports/twin/`` and the library's coefficients, ``sim/twin/fitted.json``.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from twin_signals import HELD_OUT, SIGNALS, UNSTEADY, set_points
 
 import sim2real as s2r
 from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.law import FILE
 from sim.twin.twin import Coefficients, Twin
 from sim2real.arrays import Array, Index
 from sim2real.model import JointModel, Model
+from sim2real.output import write_json
 from sim2real.velocity import body_velocity
 
 ROBOT = s2r.read_robot("datasets/pool/robot.toml")
@@ -170,8 +172,7 @@ def fit() -> None:
     }
     (OUT / "fit.json").write_text(json.dumps(result, indent=1) + "\n")
     report(result, swum, swims.truth, OUT)
-    values = ", ".join(f"{k}={v:.4g}" for k, v in vars(chosen).items())
-    print(f"FITTED = Coefficients({values})")
+    print(write_json(FILE, {name: float(f"{v:.4g}") for name, v in vars(chosen).items()}))
 
 
 if __name__ == "__main__":

@@ -271,6 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
          options.seconds)
         for n, k in enumerate(left)
     ]  # fmt: skip
+    failed = 0
     if options.processes <= 1:
         for job in jobs:
             print(make_robot(*job), flush=True)
@@ -279,8 +280,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
             futures = [pool.submit(make_robot, *job) for job in jobs]
             for done in as_completed(futures, timeout=options.seconds_left):
+                failed += done.exception() is not None
                 print(done.exception() or done.result(), flush=True)
     finish(options.out, seed)
+    if failed:
+        raise SystemExit(f"{failed} robots failed")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull, afloat, draught
 from sim2real.arrays import Array
 from sim2real.robot import Robot
+from sim2real.structured import read_json
 
 POINTS = 3
 """Points of Gaussian quadrature on a link."""
@@ -76,11 +78,9 @@ class Coefficients:
 
 FIRST = frozenset(("across", "along", "added_mass", "thrust", "linear"))
 """Coefficients of the first version of the law."""
-FITTED = Coefficients(
-    across=4.006, along=0.4228, added_mass=0.5036, thrust=1.146, linear=0.00343, slender=19.99,
-    head=1.501, axial=0.001003, wake=0.1006, wake_s=1.509, tail=0.7669, lag=0.02,
-)  # fmt: skip
-"""Fitted to the fluid in cells of 1 cm: ``reports/twin``."""
+FILE = Path(__file__).with_name("fitted.json")
+FITTED = Coefficients(**read_json(FILE))
+"""Fitted to the fluid in cells of 1 cm by ``benchmarks/twin_fit.py``: ``reports/twin``."""
 
 
 @dataclass(frozen=True)
