@@ -334,12 +334,24 @@ def summary(rows: Sequence[Row]) -> Row:
                     r[arm]["right"] for r in same
                 ),
                 "told by the oracle": len(told),
+                "reduction of entropy over the expected": _slope(some, arm),
                 **{
                     label: _mean(r[arm].get(label, np.nan) for r in some)
                     for label in ("rivals", "wrong", "entropy", "seconds")
                 },
             }
     return out
+
+
+def _slope(rows: Sequence[Row], arm: str) -> float | None:
+    """Regression through zero of the reduction of entropy on that which the design expected."""
+    given = [r for r in rows if np.isfinite(r[arm]["remaining"]) and "entropy" in r[arm]]
+    before, expected, found = (
+        np.array([r[name][key] for r in given])
+        for name, key in (("first", "entropy"), (arm, "remaining"), (arm, "entropy"))
+    )
+    size = float(np.sum((before - expected) ** 2))
+    return round(float(np.sum((before - expected) * (before - found))) / size, 3) if size else None
 
 
 def _share(values: Iterable[bool]) -> float | None:

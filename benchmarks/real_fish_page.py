@@ -224,17 +224,18 @@ def draw(found: Found, target: Path) -> None:
         middle.plot(one["measured"], one["plain"], "o", color=colour, label=where)
         middle.errorbar(
             one["measured"], one["measured"], np.array(one["one_number"]["held_out"]), fmt="none",
-            color=colour, capsize=3, label=f"{where}, one number: error held out",
+            color=colour, capsize=3,
         )  # fmt: skip
         right.plot(one["beat_hz"], one["yaw_plain"], "o-", color=colour, label=where)
         right.plot(one["beat_hz"], one["yaw_without"], "v:", color=colour)
     middle.plot([0, 0.4], [0, 0.4], color="0.7", linewidth=1, zorder=0)
+    middle.set_title("bars: errors held out, one number fitted", fontsize=9)
     left.set(xlabel="beats a second", ylabel="speed (m/s)", ylim=(0, None))
     middle.set(xlabel="measured (m/s)", ylabel="predicted (m/s)", xlim=(0, 0.4), ylim=(0, 0.4))
     right.set(xlabel="beats a second", ylabel="amplitude of the head's yaw (rad)", ylim=(0, None))
     for axes in (left, middle, right):
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(frameon=False, fontsize=7, loc="lower right" if axes is middle else "best")
     figure.savefig(target, dpi=120)
     plt.close(figure)
 

@@ -164,7 +164,10 @@ def widen(
     while active:
         before = {ledger.case: ledger.best.members for ledger in active}
         problem.look([(ledger, ledger.best.members) for ledger in active])
-        _refit(problem, [job for x in active for job in _enlarged(problem, x, x.best.members, None)])
+        _refit(
+            problem,
+            [job for x in active for job in _enlarged(problem, x, x.best.members, None)],
+        )
         active = [
             ledger
             for ledger in active

@@ -70,7 +70,7 @@ def _entropy(joint: JointForecast) -> str:
     before, after = (np.exp(x) for x in (joint.entropy, joint.remaining))
     return (
         f"{len(joint.rivals.sets)} sets of effects are open, as uncertain as {before:.1f} equally "
-        f"probable ones. After the recording at most {after:.1f} are expected to remain."
+        f"probable ones. After the recording {after:.1f} are expected to remain."
     )
 
 
