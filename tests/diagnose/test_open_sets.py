@@ -57,6 +57,15 @@ def test_some_sets_have_an_effect_that_would_have_stayed_hidden(rivals):
         assert np.linalg.eigvalsh(one.information)[0] > 0
 
 
+def test_a_best_set_without_a_probability_leaves_sets_open(explained_joint):
+    """Irregular timing may explain what the effects would; the plain servo is best then."""
+    _, (joint,) = explained_joint
+    finding = joint.finding
+    assert finding.tried.base not in finding.posterior.sets
+    rivals = rival_sets(joint.joint, replace(finding, best=finding.tried.plain))
+    assert sum(one.probability for one in rivals.sets) == pytest.approx(1.0)
+
+
 def test_they_survive_a_file_and_are_tried_again(rivals):
     content = rivals.content()
     (again,) = read_rival_sets(Fields("d.json", "", {"rival_sets": [content]}))

@@ -10,7 +10,7 @@ from simulated import INERTIA, KD, KP, LATENCY, PERIOD, column, traced
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing import servo_search as searching
 from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.effect_search import search
+from sim2real.diagnose.missing.effect_search import search, search_again
 from sim2real.diagnose.missing.screening import FITTED, candidate
 from sim2real.effects import named
 from sim2real.identification.servo_problem import joined
@@ -31,6 +31,15 @@ def test_coulomb_friction_is_found(rubbing):
     theta = best.fit.servos.theta[0]
     assert theta[column("coulomb_friction.torque_Nm")] == pytest.approx(0.05, rel=0.03)
     np.testing.assert_allclose(theta[:3], [KP, KD, LATENCY], rtol=0.02)
+
+
+def test_what_a_search_has_missed_is_found_again(rubbing):
+    tried = {m: h for m, h in rubbing.tried.tried.items() if "coulomb_friction" not in m}
+    ledger = replace(rubbing.tried, tried=tried)
+    before = ledger.best.members
+    search_again(rubbing.search, [ledger])
+    assert "coulomb_friction" in ledger.best.members - before
+    assert not rubbing.search.held
 
 
 def test_nothing_is_found_where_nothing_is_missing(nothing):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim2real.inference.selection import Breadth, Hypothesis, Ledger, select
+from sim2real.inference.selection import Breadth, Hypothesis, Ledger, select, widen
 
 NAMES = "abcdef"
 WEIGHT = {"c": 0.5}
@@ -119,3 +119,23 @@ def test_a_case_without_budget_is_searched_no_further_than_single_candidates():
     assert ledgers[0].best.members == frozenset("bde")
     assert {len(members) for members in ledgers[1].tried} == {0, 1}
     assert len(ledgers[1].tried) == 1 + len(NAMES)
+
+
+def test_a_set_whose_fit_was_poor_is_tried_again_from_a_better_place():
+    given = problem("de")
+    ledger = Ledger(0)
+    for members in ("", "d"):
+        ledger.keep(given.hypothesis(0, frozenset(members)))
+    poor = given.hypothesis(0, frozenset("de"))
+    ledger.keep(Hypothesis(poor.members, poor.fit, ledger.plain.evidence - 100.0))
+    widen(given, [ledger])
+    assert ledger.best.members == frozenset("de")
+    assert ledger.best.evidence == poor.evidence
+
+
+def test_no_set_is_widened_beyond_the_most():
+    given = problem("def")
+    ledger = Ledger(0)
+    ledger.keep(given.hypothesis(0, frozenset()))
+    widen(given, [ledger], most=2)
+    assert len(ledger.best.members) == 2

@@ -119,9 +119,9 @@ def _hidden(
     The size is one of those that the search has looked at. Its standard deviation is the size.
     """
     best = finding.best
-    share = dict(zip(finding.posterior.sets, finding.posterior.probability, strict=True))[
-        best.members
-    ]
+    posterior = dict(zip(finding.posterior.sets, finding.posterior.probability, strict=True))
+    # The best set is improbable where irregular timing explains what its effects would.
+    share = float(posterior.get(best.members, 0.0))
     known = _fitted(stated_effects(joint, finding, best), share, best, finding.tried.plain)
     seen, options = finding.search.seen(finding.tried, best.members)
     needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
