@@ -57,10 +57,10 @@ class Wall:
     Attributes:
         slip: Whether the water slips along the surface.
         ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
-            surface; else by forcing (``coupling``). Experimental: speeds of a robot converge with
-            the cells, drag and added mass of ideal fluid are right within a few percent, and
-            friction falls from 1.07 to 0.76 of its line with 4 to 16 cells of thickness. All
-            reports but ``reports/resolution`` were made without.
+            surface; else by forcing (``coupling``). Experimental: drag and added mass of ideal
+            fluid are right within a few percent, steady speeds of a robot grow slowly as the cells
+            shrink, and friction falls from 1.07 to 0.76 of its line with 4 to 16 cells of
+            thickness. ``reports/resolution`` and ``reports/real_fish.md`` show both.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
 
