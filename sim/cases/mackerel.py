@@ -139,7 +139,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     """24 cells a body length on a CPU, up to 144 on a GPU; ghost cells have a bar."""
     fine = device.startswith("cuda")
     sizes = (16,) if quick else ((48, 96, 144) if fine else (24,))
-    tried, cycles = (TRIED[1:3], 1) if quick else (TRIED, _CYCLES)
+    tried, cycles = ((0.2, 0.5), 2) if quick else (TRIED, _CYCLES)
     figures, curves = [], []
     for cells, (name, wall) in product(sizes, WALLS.items()):
         found = tow(
