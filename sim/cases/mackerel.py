@@ -31,10 +31,12 @@ _BAR = 0.28
 TRIED = (0.18, 0.22, 0.27, 0.34)
 """Strouhal numbers at which the body is towed."""
 LINKS = 16
+_ENVELOPE = (0.02, -0.08, 0.16)
+_WAVELENGTH = 0.95
 _PLACES = (0.0, 0.08, 0.2, 0.4, 0.6, 0.75, 0.86, 0.93, 1.0)
 _HALF_WIDTH = (0.02, 0.04, 0.055, 0.062, 0.05, 0.03, 0.012, 0.006, 0.004)
 _HALF_HEIGHT = (0.03, 0.06, 0.08, 0.09, 0.075, 0.045, 0.02, 0.06, 0.10)
-_WAVELENGTH = 0.95
+"""Sizes at places from nose to tail, in body lengths: a head, a peduncle and a fin."""
 _BOX = (4.0, 1.0, 0.8)
 _CYCLES, _COUNTED = 4, 2
 _STEPS = 12
@@ -43,7 +45,7 @@ _STEPS = 12
 
 def deflection(s: Array | float, t: float) -> Array:
     """Lateral displacement of the midline in body lengths at t cycles; grows over the first."""
-    size = 0.02 - 0.08 * np.asarray(s) + 0.16 * np.asarray(s) ** 2
+    size = np.polynomial.polynomial.polyval(s, _ENVELOPE)
     growth = np.sin(np.pi / 2 * min(1.0, t))
     return np.asarray(growth * size * np.sin(2 * np.pi * (s / _WAVELENGTH - t)))
 
@@ -102,14 +104,13 @@ def tow(
     middle = (size[2] - 1) / 2 + 0.1
     bodies = Bodies(fluid, body, light, Units(1.0, 1.0, 1.0, 1.0), middle=middle, wall=wall)
     steps = _STEPS * cells
-    excursion = 2 * float(0.02 - 0.08 + 0.16)
-    advance = excursion * cells / np.array(strouhal)  # cells a cycle
+    advance = 2 * sum(_ENVELOPE) * cells / np.array(strouhal)  # cells a cycle
     joints = np.concatenate([[0.0], np.cumsum(body.length)]) / cells + _HALF_WIDTH[0]
 
     def pose(t: float) -> Array:
         y = deflection(joints, t)
         slope = np.arcsin(np.clip(-np.diff(y) * cells / body.length, -1, 1))
-        ahead = np.array(0.5 * size[0] + 0.5 * cells + advance * _way(t))
+        ahead = 0.5 * (size[0] + cells) + advance * _way(t)
         q = np.zeros((E, N))
         q[:, 0], q[:, 1] = ahead, size[1] / 2 + 0.2 + cells * y[0]
         q[:, 2], q[:, 3:] = slope[0], np.diff(slope)
