@@ -7,7 +7,8 @@ the next step, and a the rest of both less all that arrives in them. So the mome
 water is conserved. The mass that all links together would bring into the water, as a mean over
 ``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains;
 what covered and uncovered cells leave over is taken from walled boxes by ``Fluid.level``.
-Friction acts on the water within a cell of the surface.
+Friction acts on the water within a cell of the surface, in proportion to the surface's area, not to
+that of the layer of cells around it; perimeters of ellipses grow as the sum of their half-axes.
 """
 
 from functools import cache
@@ -17,7 +18,7 @@ import warp as wp
 
 from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
 from sim.fluid.section import along, position_on, surface
-from sim.fluid.wall import Touch, friction
+from sim.fluid.wall import Touch, friction, outside
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, SLIP, Box, Covered, neighbour, within
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
@@ -45,16 +46,18 @@ def nearest_link(
     length: wp.array(dtype=wp.float32),
     half_width: wp.array(dtype=wp.vec3),
 ):
-    """The link nearest in plan view, and the distance from its outline."""
+    """The link nearest in plan view, distance from its outline, and share of the way along it."""
     nearest = float(1.0e9)
     link = int(0)
+    share = float(0.0)
     for k in range(length.shape[0]):
         at = position_on(x, y, pose[e, k], length[k])
         wide = along(half_width[k], at[0])
         if at[1] - wide < nearest:
             nearest = at[1] - wide
             link = k
-    return link, nearest
+            share = at[0]
+    return link, nearest, share
 
 
 @cache
@@ -87,7 +90,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             return
         X = corner[0] + column % count
         Y = corner[1] + column // count
-        link, nearest = nearest_link(float(X), float(Y), e, pose, length, half_width)
+        link, nearest, s = nearest_link(float(X), float(Y), e, pose, length, half_width)
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         for layer in range(covered.tall):
             z = covered.low + layer
@@ -113,7 +116,9 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, other)
                     elif d <= 1.0:
                         flag = flag | wp.static(BODY)
-                        covered.face[slot] = wp.vec4(o[0], o[1], o[2], 0.0)
+                        axes = along(half_width[link], s) + along(half_height[link], s)
+                        covered.face[slot] = wp.vec4(o[0], o[1], o[2], d)
+                        covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, axes / (axes + 2.0 * d))
                 flags[n] = wp.uint8(flag)
 
     @wp.func
@@ -197,7 +202,10 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                 if (flag & wp.static(BODY)) != 0:
                     u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
                     sliding = body - u - wp.dot(body - u, o) * o
-                    share = friction(wp.length(sliding), float(rough[e, link]), touch)
+                    slip = wp.length(sliding)
+                    faster = outside(slip, face[3], touch)
+                    share = friction(faster * slip, float(rough[e, link]), touch)
+                    share *= faster * covered.back[slot][3]
                     covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
                     covered.more[slot] = wp.vec3()
                     even = share * (1.0 + m[0])

@@ -38,12 +38,14 @@ class Touch:
         slip: 1 where only the velocity across the surface is set, 0 where all of it is.
         line: Number of the friction line in ``LINES``.
         reynolds: Reynolds number of one cell per step over the body's length, in water.
+        length: The body's length.
         deep, inset, thin, edge: ``DEEP``, ``INSET``, ``THIN``, ``EDGE``.
     """
 
     slip: int
     line: int
     reynolds: float
+    length: float
     deep: float
     inset: float
     thin: float
@@ -83,6 +85,7 @@ class Wall:
         touch = Touch()
         touch.slip, touch.line = int(self.slip), LINES.index(self.line)
         touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
+        touch.length = length_m / units.cell_m
         touch.deep, touch.inset, touch.thin, touch.edge = DEEP, INSET, THIN, EDGE
         return touch
 
@@ -91,6 +94,23 @@ NO_SLIP = Wall(slip=False)
 """Sets the whole velocity: for flows whose boundary layers the cells resolve."""
 SLIP = Wall(slip=True, line="turbulent")
 """For robots: the default of ``Swimmer``."""
+
+
+@wp.func
+def outside(slip: float, away: float, touch: Touch) -> float:
+    """Slip velocity outside the boundary layer over that in a cell ``away`` cells from the wall.
+
+    Friction lines are of the velocity outside. In a turbulent layer the velocity grows with the
+    distance to the power of 1/7, up to the layer's thickness; that is 0.37 L Re^(-1/5) at the end
+    of a plate of length L and 5/9 of it on average. The laminar layer is not scaled. Sources:
+    Schlichting and Gersten, Boundary-Layer Theory (Springer, 2017), chapter 18; Werner and Wengle,
+    Turbulent Shear Flows 8 (Springer, 1993) 155 (the power law as a wall model).
+    """
+    if touch.line != 2:
+        return 1.0
+    reynolds = wp.max(slip * touch.reynolds, 1.0e3)
+    layer = 0.37 * 5.0 / 9.0 * touch.length * wp.pow(reynolds, -0.2)
+    return wp.pow(wp.max(layer / wp.max(away, 0.25), 1.0), 1.0 / 7.0)
 
 
 @wp.func

@@ -37,7 +37,8 @@ class Covered:
         water: Of ghost cells, the velocity along the surface of the water outside, and the
             velocity across it that the body had before, (E side side tall,).
         beyond: Density and velocity likewise at the other side of a thin part.
-        back: Normal of that side.
+        back: Normal of that side; of cells next to a body the surface's area over that of the
+            layer of cells around it, last.
         links: Bits of the directions in which a ghost cell has water, at either side.
         damping: What the cells next to a body that ghost cells fill have more of relaxation time.
     """

@@ -134,6 +134,19 @@ def test_a_towed_spheroid_has_the_friction_of_its_line(monkeypatch):
     assert found[moved > moved[-1] / 2].mean() == pytest.approx(expected, rel=0.2)
 
 
+def test_friction_does_not_depend_on_the_cells():
+    """Spheroids 2 and 3 cells thick; it was 1.34 and 1.13 of the line without area and layer."""
+    found = []
+    for length in (12, 18):
+        rough, bare = (
+            spheroid.steady(*spheroid.drag(length, Wall(True, line, ghosts=True)))
+            for line in ("turbulent", "none")
+        )
+        found.append((rough - bare) / (spheroid.slipping() * spheroid.plate()))
+    assert found[0] == pytest.approx(found[1], rel=0.05)
+    assert found[0] == pytest.approx(0.8, abs=0.05)
+
+
 def test_hard_commands_do_not_stop_a_light_robot():
     """Half as heavy as its water; its tail moves by up to 0.4 cells in a step."""
     swimmer = Swimmer(FISH, servos(), wall=SLIPS, box_m=(0.9, 0.7, 0.3))
