@@ -18,7 +18,7 @@ import warp as wp
 
 from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
 from sim.fluid.section import along, position_on, surface
-from sim.fluid.wall import Touch, friction, outside
+from sim.fluid.wall import Touch, friction, layer_ratio
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, SLIP, Box, Covered, neighbour, within
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
@@ -203,7 +203,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                     u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
                     sliding = body - u - wp.dot(body - u, o) * o
                     slip = wp.length(sliding)
-                    faster = outside(slip, face[3], touch)
+                    faster = layer_ratio(slip, face[3], touch)
                     share = friction(faster * slip, float(rough[e, link]), touch)
                     share *= faster * covered.back[slot][3]
                     covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)

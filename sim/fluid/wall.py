@@ -60,9 +60,9 @@ class Wall:
         slip: Whether the water slips along the surface.
         ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
             surface; else by forcing (``coupling``). Experimental: drag and added mass of ideal
-            fluid are right within a few percent, steady speeds of a robot grow slowly as the cells
-            shrink, and friction falls from 1.07 to 0.76 of its line with 4 to 16 cells of
-            thickness. ``reports/resolution`` and ``reports/real_fish.md`` show both.
+            fluid are right within a few percent, friction is 0.79 to 0.83 of that of a spheroid
+            with 2 to 6 cells of thickness, and steady speeds of a robot grow slowly as the cells
+            shrink. ``reports/resolution`` and ``reports/real_fish.md`` show both.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
 
@@ -97,7 +97,7 @@ SLIP = Wall(slip=True, line="turbulent")
 
 
 @wp.func
-def outside(slip: float, away: float, touch: Touch) -> float:
+def layer_ratio(slip: float, away: float, touch: Touch) -> float:
     """Slip velocity outside the boundary layer over that in a cell ``away`` cells from the wall.
 
     Friction lines are of the velocity outside. In a turbulent layer the velocity grows with the
