@@ -60,8 +60,8 @@ class Wall:
         slip: Whether the water slips along the surface.
         ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
             surface; else by forcing (``coupling``). Experimental: drag and added mass of ideal
-            fluid are right within a few percent, friction is 0.79 to 0.83 of that of a spheroid
-            with 2 to 6 cells of thickness, and steady speeds of a robot grow slowly as the cells
+            fluid are right within a few percent, friction is 0.79 to 0.87 of that of a spheroid
+            with 2 to 8 cells of thickness, and steady speeds of a robot grow slowly as the cells
             shrink. ``reports/resolution`` and ``reports/real_fish.md`` show both.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
