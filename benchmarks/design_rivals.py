@@ -18,10 +18,11 @@ they are diagnosed once more with the same sets stated: what remains of the diff
 commands and the load alone.
 
 A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
-effects, if each has an entry of its own. What every servo of these plants has a little of
-(irregular timing, cogging, friction) counts neither for a verdict nor against it. What can be told
-is what an oracle tells from the same recordings: it knows the plant, its parameters and its noise
+effects, if each has an entry of its own. Nuisances that every servo of these plants has (irregular
+timing, cogging, friction) count neither for a verdict nor against it. What can be told is what an
+oracle tells from the same recordings: it knows the plant, its parameters and its noise
 (``datasets/foreign/knower.py``).
+
 Answers are kept, one file a bench, and a bench that has one is not made again: ``--benches 0`` only
 writes the table of those that are there.
 """

@@ -44,10 +44,9 @@ def towed(
     return spheroid.steady(*spheroid.drag(length, wall, body=body, degrees=degrees, **where))
 
 
-def friction(length: int, walls: tuple[Wall, Wall], device: str) -> Result:
-    """Friction of a towed spheroid over Hoerner's, from its drag with and without."""
-    rough, bare = (towed(length, wall, device) for wall in walls)
-    return {"over_hoerner": (rough - bare) / (spheroid.slipping() * spheroid.plate())}
+def friction(length: int, wall: Wall, device: str) -> Result:
+    """Friction of a towed spheroid over Hoerner's."""
+    return {"over_hoerner": spheroid.friction(length, wall, device=device, threads=1)}
 
 
 def frame(length: int, wall: Wall, device: str, body: float, degrees: float) -> Result:
@@ -131,7 +130,7 @@ def cases(wall: Wall, device: str, tiny: bool) -> dict[str, Callable[[], Result]
     jobs: dict[str, Callable[[], Result]] = {}
     for length in (12,) if tiny else (24, 48, 96):
         thick = f"{length / 6:g} cells thick"
-        jobs[f"friction, spheroid {thick}"] = partial(friction, length, (wall, bare), device)
+        jobs[f"friction, spheroid {thick}"] = partial(friction, length, wall, device)
         for name, body in {"towed": 1.0, "in a stream": 0.0}.items():
             for degrees in (0.0, 20.0):
                 jobs[f"spheroid {name} at {degrees:g} degrees, {thick}"] = partial(

@@ -143,9 +143,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
     tried, cycles = ((0.2, 0.5), 2) if quick else (TRIED, _CYCLES)
     figures, curves = [], []
     for cells, (name, wall) in product(sizes, WALLS.items()):
-        found = tow(
-            cells, wall, strouhal=tried, cycles=cycles, device=device, threads=threads
-        )  # fmt: skip
+        found = tow(cells, wall, strouhal=tried, cycles=cycles, device=device, threads=threads)
         label = f"{name}, {cells} cells a body length"
         bar = _BAR if wall.ghosts and not quick else None
         quantity = f"Strouhal number of zero mean force, {label}"

@@ -9,6 +9,8 @@ International Towing Tank Conference, 1957. Without friction there is no drag in
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sim.cases.case import Case, Curve, Figure
@@ -195,6 +197,18 @@ def drag(
 def steady(moved: Array, found: Array) -> float:
     """Mean over the second half of the way."""
     return float(found[moved > moved[-1] / 2].mean())
+
+
+def friction(length: int, wall: Wall, *, device: str = "cpu", threads: int = 2) -> float:
+    """Friction of a wall's line over the expected one, from the drag of tows with and without it.
+
+    ``wall`` has a friction line. Expected is ``slipping() * plate()`` on the wetted area.
+    """
+    rough, bare = (
+        steady(*drag(length, one, device=device, threads=threads))
+        for one in (wall, replace(wall, line="none"))
+    )
+    return (rough - bare) / (slipping() * plate())
 
 
 def frames(length: int, name: str, *, device: str = "cpu", threads: int = 2) -> list[Figure]:

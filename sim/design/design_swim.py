@@ -114,7 +114,7 @@ def design_swim(
             found = f"swims that exceed the {limit}, of {result.evaluated} tried"
             raise InputError(robot.path or robot.name, "limits", found, "a shorter swim")
     names = tuple(joint.joint for joint in limits.joints)
-    body = forecast(objective, result.command, achieved=1.0)  # not known for swims
+    body = forecast(objective, result.command, achieved=1.0)  # not measured for swims
     return SwimDesign(AS_IT_IS, (body,), least, moved_joints=names)
 
 

@@ -336,9 +336,9 @@ def forecast(
     Args:
         objective: The rival sets, and the context of a joint.
         command: Set-points in rad, shape (T,), or (T, J) of all joints for the body.
-        achieved: Share of the reduction of entropy that a designed recording of a servo achieves,
-            of that which holds if one of the sets is the whole truth: the regression over 65
-            development benches of ``benchmarks/design_rivals.py``.
+        achieved: Share of the computed reduction of entropy that is expected of a recording. The
+            computation assumes that one of the sets is the whole truth. By default that of servos,
+            a regression over 65 development benches of ``benchmarks/design_rivals.py``.
         drawn_pairs: Number of pairs whose differences over time are worked out.
     """
     rivals, p = objective.rivals, objective.probability

@@ -28,7 +28,5 @@ def test_forces_balance_where_the_thrust_changes_sign():
 
 
 def test_a_slower_tow_has_more_thrust():
-    found = mackerel.tow(
-        16, WALLS["ghost cells"], strouhal=(0.2, 0.5), cycles=2, threads=1
-    )  # fmt: skip
+    found = mackerel.tow(16, WALLS["ghost cells"], strouhal=(0.2, 0.5), cycles=2, threads=1)
     assert found.thrust[0] < 0 < found.thrust[1]

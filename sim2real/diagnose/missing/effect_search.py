@@ -99,10 +99,15 @@ def search(
 
 
 def search_again(problem: ServoSearch, ledgers: Sequence[Tried]) -> None:
-    """Try every effect with what explains each joint best; for joints where that leaves structure.
+    """Try every effect together with the likeliest set of each joint, until no set is likelier.
 
-    A noise model that has taken up structure hides an effect from a linear look, and what was held
-    before ``release`` fits only the set that it was fitted with.
+    For joints whose likeliest set leaves structure in the residual: a noise model that has taken up
+    structure hides an effect from the linear look that chooses what is tried, and the nuisances
+    that were held before ``release`` favour the set with which they were fitted.
+
+    Args:
+        problem: The search so far, with nothing held.
+        ledgers: What was tried on these joints.
     """
     some = [ledger for ledger in ledgers if not problem.exhausted(ledger)]
     problem.singles = True

@@ -198,8 +198,8 @@ def _pass(
     )
     data = [joint.traces for joint in joints]
     _, excesses = beyond_noise(batch, data, joined([ledger.best.fit for ledger in ledgers]))
-    structured = [x > DECISION.structured_excess for x in excesses]
-    search_again(problem, [k for k, some in zip(ledgers, structured, strict=True) if some])
+    structured = np.flatnonzero(np.array(excesses) > DECISION.structured_excess)
+    search_again(problem, [ledgers[j] for j in structured])
     probable = posteriors(ledgers, robots, rng)
     best = [ledger.tried[p.sets[0]] for ledger, p in zip(ledgers, probable, strict=True)]
     without = unmodelled(batch, data, robots, joined([ledger.plain.fit for ledger in ledgers]))
@@ -214,14 +214,14 @@ def _pass(
         ]
         if joint.step_rad is not None:
             groups.append(Group((ROUNDING,), DECISION.most_certain, 1.0))
-        plainly = without[j].excess > DECISION.structured_excess
+        plain_structured = without[j].excess > DECISION.structured_excess
         findings.append(
             Finding(
                 tried=tried,
                 search=problem,
                 posterior=probable[j],
                 best=best[j],
-                mismatch=plainly or problem.remains(tried, tried.base),
+                mismatch=plain_structured or problem.remains(tried, tried.base),
                 unexplained=excesses[j] > DECISION.structured_excess,
                 groups=tuple(groups),
                 unmodelled=without[j],
