@@ -1,13 +1,15 @@
 """A second swim that is designed, against a second swim of the usual commands.
 
-python benchmarks/design_swims.py DIR --robots 16 --processes 16 --device cuda:0 [--water]
+python benchmarks/design_swims.py DIR --draw HASHES.json          # a sealed set: seed and hashes
+python benchmarks/design_swims.py DIR --processes 32 --device cuda:0,cuda:1 [--water]
+python benchmarks/design_swims.py DIR --report REPORT.json
 
-Robots and pools are drawn as those of the sealed swims (``datasets/pool``), from development seeds.
-Each case conceals a resistance (drag, friction or added mass), alone or with another effect. Its
-first swim is diagnosed with two reference swims; then the same robot swims again by the usual
-commands, and by those of a design from the diagnosis, both as long, and each pair of swims is
-diagnosed together. With ``--water`` the fluid simulates the commands too, in cells and with
-settings of its own, and the twin predicts only differences (``sim.inference.in_water``).
+Robots, pools and what their cases conceal are drawn as for the sealed swims (``datasets/pool``),
+from a development seed or from one that ``--draw`` has drawn. The first swim of a case is diagnosed
+with two reference swims; then the same robot swims again by the usual commands, and by those of a
+design from the diagnosis, both as long, and each pair of swims is diagnosed together. With
+``--water`` the fluid simulates the commands too, in cells and with settings of its own, and the
+twin predicts only differences (``sim.inference.in_water``).
 
 What a robot's steps have written is not made again, so that a run that was stopped goes on.
 """
@@ -15,15 +17,23 @@ What a robot's steps have written is not made again, so that a run that was stop
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import multiprocessing
+import secrets
 import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
+from concurrent.futures import (
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
+from threading import Semaphore
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,17 +42,18 @@ POOL = Path(__file__).resolve().parents[1] / "datasets" / "pool"
 sys.path[:0] = [str(POOL), str(POOL.parents[1])]
 
 from camera import reported, seen  # noqa: E402
-from drawn import Case, Drawn, case_of, command_of, robot_of, start_of  # noqa: E402
-from sealed import _component  # noqa: E402
+from drawn import NOMINAL, Case, Drawn, case_of, command_of, robot_of, start_of  # noqa: E402
+from sealed import NUDGE_M, WILD_M_S  # noqa: E402
 from truth import Truth  # noqa: E402
 from world import World  # noqa: E402
 
-from benchmarks.pool_decisions import judged  # noqa: E402
+from benchmarks.design_swims_report import report  # noqa: E402
 from sim.design.design_swim import design_swim  # noqa: E402
 from sim.inference.coordinates import SwimSimulator  # noqa: E402
 from sim.inference.diagnose_swims import diagnosis_of  # noqa: E402
 from sim.inference.in_water import (  # noqa: E402
     CELL_M,
+    read_water_swims,
     robot_in_water,
     simulate_in_water,
     with_nearest_law,
@@ -50,19 +61,22 @@ from sim.inference.in_water import (  # noqa: E402
 )
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error  # noqa: E402
 from sim.inference.searched import learned, raw, searched  # noqa: E402
-from sim.inference.swim_decision import Decided, decide  # noqa: E402
+from sim.inference.swim_decision import decide  # noqa: E402
 from sim.inference.swims import Swim, swim_of  # noqa: E402
 from sim.inference.twin_search import SwimPrior  # noqa: E402
 from sim.robot.swimmer import CONTROL_S  # noqa: E402
 from sim2real.diagnose.result import Diagnosis  # noqa: E402
 from sim2real.diagnose.separation import separations  # noqa: E402
 from sim2real.model import JointModel, Model  # noqa: E402
+from sim2real.output import write_json  # noqa: E402
 from sim2real.recording import Recording, read_recording, write_recording  # noqa: E402
 from sim2real.structured import Fields  # noqa: E402
 
-RESISTANCES = ("linear_drag", "surface_friction", "form_drag", "added_mass")
+KINDS = ("double", "single", "double", "null")
+"""Kinds of a robot's cases, in turn."""
 ARMS = ("usual", "designed")
-WATERS = ("water_1.npz", "water_2.npz")
+AT_ONCE = 2
+"""Robots that one device simulates at once."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +88,6 @@ class Options:
     cases: int
     seconds: float
     cell_m: float
-    device: str
     water: bool
     water_cell_m: float
     search: dict[str, int]
@@ -91,7 +104,25 @@ class Bench:
 
     def path(self, k: int | None, name: str) -> Path:
         """File of a case, or of the robot."""
-        return self.folder / name if k is None else self.folder / f"case_{k}" / name
+        return self.folder / name if k is None else self.folder / f"case_{k:02d}" / name
+
+    def read(self, path: Path) -> Swim:
+        """A swim that was recorded."""
+        return swim_of(read_recording(path), self.drawn.robot)
+
+    def complete(self, *names: str) -> list[int]:
+        """Cases whose swims of these names were all recorded: no box was stopped."""
+        files = {k: [self.path(k, name) for name in names] for k in range(len(self.cases))}
+        return [k for k, paths in files.items() if all(path.exists() for path in paths)]
+
+
+class Planned(NamedTuple):
+    """A swim to make: its file, what is concealed, commands (T, J) and initial pose (3,)."""
+
+    path: Path
+    case: Case
+    command: np.ndarray
+    start: np.ndarray
 
 
 class Known(NamedTuple):
@@ -104,97 +135,99 @@ class Known(NamedTuple):
 
 
 def bench_of(options: Options, number: int) -> Bench:
-    """Draw a robot and its cases: the first conceals a resistance, the others one more effect."""
+    """Draw a robot and its cases."""
     rng = np.random.default_rng([options.seed, number])
     drawn = robot_of(rng, f"robot {number}")
-    cases: list[Case] = []
-    while len(cases) < options.cases:
-        kind = "double" if cases else "single"
-        name = RESISTANCES[int(rng.integers(len(RESISTANCES)))]
-        if name == "surface_friction":
-            name += f".{drawn.robot.links[-1].material}"
-        case = case_of(kind, name, rng, drawn.robot)
-        if any(effect.startswith(RESISTANCES) for effect in case.effects):
-            cases.append(case)
+    materials = {f"surface_friction.{link.material}" for link in drawn.robot.links}
+    names = [n for n in NOMINAL if not n.startswith("surface") or n in materials]
+    cases = [
+        case_of(KINDS[k % len(KINDS)], names[int(rng.integers(len(names)))], rng, drawn.robot)
+        for k in range(options.cases)
+    ]
     rows = zip(drawn.robot.joints, *(drawn.bench[n] for n in ("kp", "kd", "latency")), strict=True)
     model = Model(joints={j.name: JointModel(kp, kd, late, 0.002) for j, kp, kd, late in rows})
     return Bench(options.out / f"robot_{number:02d}", drawn, cases, model)
 
 
+def variants(case: Case) -> list[dict[str, dict[str, float]]]:
+    """What is concealed, the same without each effect, and nothing, each once."""
+    every = [case.effects]
+    every += [{n: v for n, v in case.effects.items() if n != left} for left in case.effects]
+    return every + [{}] * (len(case.effects) > 1)
+
+
 def swim(
-    options: Options,
-    bench: Bench,
-    swims: Sequence[tuple[Path, Case, np.ndarray, np.ndarray]],
-    seed: Sequence[int],
+    options: Options, bench: Bench, planned: Sequence[Planned], device: str, seed: Sequence[int]
 ) -> None:
-    """Swim commands (T, J) from poses (3,) in the robot's pool, and write what is seen of them."""
-    swims = [one for one in swims if not one[0].exists()]
-    if not swims:
-        return
+    """Swim commands in the robot's pool, and write what is seen of them.
+
+    Beside the recordings stand the same swims without noise (``.npz``), with each of ``variants``.
+    A swim of which a box was stopped is not written.
+    """
+    boxes = [(k, effects) for k, one in enumerate(planned) for effects in variants(one.case)]
+    first = [next(b for b, (of, _) in enumerate(boxes) if of == k) for k in range(len(planned))]
     rng = np.random.default_rng(seed)
-    truths = [Truth(path.stem, case.effects, **bench.drawn.servos) for path, case, *_ in swims]  # type: ignore[arg-type]
+    truths = [Truth(planned[k].path.stem, effects, **bench.drawn.servos) for k, effects in boxes]  # type: ignore[arg-type]
     world = World(
-        truths, device=options.device, cell_m=options.cell_m, rng=rng,
+        truths, device=device, cell_m=options.cell_m, rng=rng,
         robot=bench.drawn.robot, water=bench.drawn.water,
     )  # fmt: skip
-    J = len(bench.drawn.robot.joints)
-    world.reset(np.array([start for *_, start in swims]), np.zeros((len(swims), J)))
+    begin = np.array([planned[k].start for k, _ in boxes])
+    moved = np.setdiff1d(np.arange(len(boxes)), first)  # another wake: nobody can predict it
+    begin[moved, 0] += NUDGE_M
+    world.reset(begin, np.zeros((len(boxes), len(bench.drawn.robot.joints))))
+    sent = np.stack([planned[k].command for k, _ in boxes], axis=1)
     poses, joints = [], []
-    sent = np.stack([command for _, _, command, _ in swims], axis=1)
     for row in sent:
         pose, joint = world.where()
         poses.append(pose)
         joints.append(joint)
         world.step(row)
+    pose, joint = np.array(poses), np.array(joints)
+    speed = np.linalg.norm(np.diff(pose[..., :2], axis=0), axis=2) / CONTROL_S
+    stopped = world.stopped() | ~(speed.max(axis=0) < WILD_M_S)
+    pose[:, moved, 0] -= NUDGE_M
     t = CONTROL_S * np.arange(len(sent))
     names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    for e, (path, case, command, _) in enumerate(swims):
-        angles = np.array(joints)[:, e]
-        shown = seen(t, np.array(poses)[:, e], angles, case.effects, rng, case.camera)
+    for k, one in enumerate(planned):
+        mine = [b for b, (of, _) in enumerate(boxes) if of == k]
+        if stopped[mine].any():
+            continue
+        dice = [*seed, k]
+        clean = [
+            seen(t, pose[:, b], joint[:, b], boxes[b][1], np.random.default_rng(dice)) for b in mine
+        ]
+        b = mine[0]
+        noisy = np.random.default_rng(dice)
+        shown = seen(t, pose[:, b], joint[:, b], one.case.effects, noisy, one.case.camera)
         recording = Recording(
-            name=path.stem, kind="pool", joints=tuple(j.name for j in bench.drawn.robot.joints),
-            t=t, command=command, position=reported(angles, rng), medium="water",
+            name=one.path.stem, kind="pool", t=t, command=sent[:, b], medium="water",
+            joints=tuple(j.name for j in bench.drawn.robot.joints),
+            position=reported(joint[:, b], rng),
             source="Simulated, not measured: benchmarks/design_swims.py.",
             columns=dict(zip(names, shown.T, strict=True)),
         )  # fmt: skip
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_recording(recording, path)
-
-
-def read(bench: Bench, path: Path) -> Swim:
-    """A swim that was recorded."""
-    return swim_of(read_recording(path), bench.drawn.robot)
-
-
-def in_water(options: Options, bench: Bench, name: str, paths: Sequence[Path]) -> None:
-    """Let the fluid of the library swim the commands of recordings, if asked."""
-    file = bench.path(None, name)
-    if options.water and not file.exists():
-        swims = [read(bench, path) for path in paths]
-        made = simulate_in_water(
-            bench.drawn.robot, bench.model, swims,
-            cell_m=options.water_cell_m, device=options.device,
+        one.path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(
+            one.path.with_suffix(".npz"), pose=np.array(clean, np.float32), sent=sent[:, b],
+            joint=np.moveaxis(joint[:, mine], 1, 0).astype(np.float32),
         )  # fmt: skip
-        if name == "water_1.npz":
-            made = with_nearest_law(bench.drawn.robot, bench.model, made, threads=1)
-        write_water(file, made)
+        write_recording(recording, one.path)
 
 
-def diagnosed(bench: Bench, paths: Sequence[Path], known: Known) -> tuple[Decided, Diagnosis]:
-    """The diagnosis of swims together, with references."""
-    swims, robot = [read(bench, path) for path in paths], bench.drawn.robot
-    found = searched(swims, known.model, robot, known.simulate, known.prior)
-    decided = decide(raw(found, referred=True), known.law_error.decisions)
-    return decided, diagnosis_of(found, robot, known.law_error, referred=True)
+def in_water(options: Options, bench: Bench, name: str, paths: list[Path], device: str) -> None:
+    """Let the fluid of the library swim the commands of recordings, if asked."""
+    if options.water:
+        swims = [bench.read(path) for path in paths]
+        made = simulate_in_water(
+            bench.drawn.robot, bench.model, swims, cell_m=options.water_cell_m, device=device
+        )
+        write_water(bench.path(None, name), made)
 
 
-def run_robot(options: Options, number: int) -> str:
-    """All steps of one robot."""
-    began = time.perf_counter()
+def first_swims(options: Options, number: int, device: str) -> None:
+    """References, first and usual second swims of a robot."""
     bench = bench_of(options, number)
-    done = bench.path(None, "rows.json")
-    if done.exists():
-        return f"robot {number}: there"
     rng = np.random.default_rng([options.seed, number, 1])
     J = len(bench.drawn.robot.joints)
     plain = Case("null", {}, {}, True, bench.cases[0].camera)
@@ -202,47 +235,63 @@ def run_robot(options: Options, number: int) -> str:
     wanted = [(bench.path(None, f"reference_{n}.csv"), plain) for n in range(2)]
     for name in ("first", "usual"):
         wanted += [(bench.path(k, f"{name}.csv"), case) for k, case in enumerate(bench.cases)]
-    given = [
-        (path, case, command_of(rng, J, CONTROL_S, options.seconds), start_of(rng, case))
+    planned = [
+        Planned(path, case, command_of(rng, J, CONTROL_S, options.seconds), start_of(rng, case))
         for path, case in wanted
     ]
-    swim(options, bench, given, [options.seed, number, 2])
-    in_water(options, bench, "water_1.npz", [path for path, _ in wanted])
-    print(f"robot {number}: first swims, {time.perf_counter() - began:.0f} s", flush=True)
-    known = known_of(options, bench, ("water_1.npz",))
-    for k, case in enumerate(bench.cases):
-        if not bench.path(k, "first_row.json").exists():
-            first_row(options, bench, number, k, case, known)
-    print(f"robot {number}: designed, {time.perf_counter() - began:.0f} s", flush=True)
-    paths = [bench.path(k, "designed.csv") for k in range(len(bench.cases))]
-    commands = [np.load(bench.path(k, "command.npy")) for k in range(len(bench.cases))]
-    swims = zip(paths, bench.cases, commands, [np.zeros(3)] * len(paths), strict=True)
-    swim(options, bench, list(swims), [options.seed, number, 3])
-    in_water(options, bench, "water_2.npz", paths)
-    known = known_of(options, bench, WATERS, known.prior)
-    rows = [second_row(bench, k, known) for k in range(len(bench.cases))]
-    done.write_text(json.dumps(rows, indent=1) + "\n")
-    return f"robot {number}: {len(rows)} cases, {time.perf_counter() - began:.0f} s"
+    swim(options, bench, planned, device, [options.seed, number, 2])
+    paths = [path for path, _ in wanted if path.exists()]
+    in_water(options, bench, "water_1.npz", paths, device)
 
 
-def known_of(
-    options: Options, bench: Bench, files: Sequence[str], prior: SwimPrior | None = None
-) -> Known:
-    """What a diagnosis of the robot's swims starts from; the prior is learned from references."""
+def learn(options: Options, number: int) -> None:
+    """The prior that a robot's reference swims give."""
+    bench = bench_of(options, number)
+    if options.water:
+        file = bench.path(None, "water_1.npz")
+        water = read_water_swims(file)
+        write_water(file, with_nearest_law(bench.drawn.robot, bench.model, water, threads=1))
+    references = [bench.read(bench.path(None, f"reference_{n}.csv")) for n in range(2)]
+    model, simulate, law_error = start_of_diagnosis(options, bench)
+    prior = learned(references, model, bench.drawn.robot, simulate, law_error)
+    np.savez(bench.path(None, "prior.npz"), **vars(prior))
+
+
+def start_of_diagnosis(options: Options, bench: Bench) -> tuple[Model, SwimSimulator, LawError]:
+    """Model, simulator and its error."""
     law_error = read_law_error(IN_WATER if options.water else FILE)
-    waters = [bench.path(None, name) for name in files] if options.water else []
-    model, simulate = robot_in_water(bench.drawn.robot, bench.model, waters, threads=1)
-    if prior is None:
-        references = [read(bench, bench.path(None, f"reference_{n}.csv")) for n in range(2)]
-        prior = learned(references, model, bench.drawn.robot, simulate, law_error)
-    return Known(model, simulate, prior, law_error)
+    files = sorted(bench.folder.glob("water_*.npz"))
+    return *robot_in_water(bench.drawn.robot, bench.model, files, threads=1), law_error
 
 
-def first_row(
-    options: Options, bench: Bench, number: int, k: int, case: Case, known: Known
-) -> None:
+def diagnosed(
+    options: Options, bench: Bench, paths: Sequence[Path]
+) -> tuple[dict[str, Any], Diagnosis]:
+    """The diagnosis of swims together, with references, and what the report needs of it."""
+    model, simulate, law_error = start_of_diagnosis(options, bench)
+    kept = np.load(bench.path(None, "prior.npz"))
+    prior = SwimPrior(**{name: kept[name] for name in kept.files})
+    start = time.process_time()
+    found = searched([bench.read(p) for p in paths], model, bench.drawn.robot, simulate, prior)
+    tried = raw(found, referred=True)
+    decided = decide(tried, law_error.decisions)
+    diagnosis = diagnosis_of(found, bench.drawn.robot, law_error, referred=True)
+    sets = sorted(
+        ([[list(name) for name in sorted(s)], x] for s, x in decided.sets.items()),
+        key=lambda one: -one[1],
+    )
+    return {
+        "verdict": diagnosis.verdict,
+        "named": [{"group": one.group, "probability": one.probability} for one in decided.named],
+        "sets": sets[:12], "raw": tried, "cpu_s": time.process_time() - start,
+    }, diagnosis  # fmt: skip
+
+
+def first_row(options: Options, number: int, k: int) -> None:
     """Diagnose the first swim of a case, design the second, and keep both."""
-    decided, first = diagnosed(bench, [bench.path(k, "first.csv")], known)
+    bench = bench_of(options, number)
+    case = bench.cases[k]
+    row, first = diagnosed(options, bench, [bench.path(k, "first.csv")])
     assert first.swim_rivals is not None
     start = time.process_time()
     design = design_swim(
@@ -251,97 +300,100 @@ def first_row(
     )  # fmt: skip
     (body,) = design.joints
     np.save(bench.path(k, "command.npy"), body.command)
-    row = {
+    content = {
         "case": f"{number}.{k}", "kind": case.kind, "effects": case.effects,
-        "strength": case.strength, "first": outcome(decided, first), "stated": body.content(),
+        "strength": case.strength, "first": row, "stated": body.content(),
         "design_cpu_s": time.process_time() - start,
     }  # fmt: skip
-    bench.path(k, "first_row.json").write_text(json.dumps(row) + "\n")
+    bench.path(k, "first_row.json").write_text(json.dumps(content) + "\n")
 
 
-def second_row(bench: Bench, k: int, known: Known) -> dict[str, Any]:
-    """Diagnose both swims of a case, with each second swim."""
-    row: dict[str, Any] = json.loads(bench.path(k, "first_row.json").read_text())
-    for arm in ARMS:
-        file = bench.path(k, f"{arm}_row.json")
-        if not file.exists():
-            paths = [bench.path(k, "first.csv"), bench.path(k, f"{arm}.csv")]
-            decided, both = diagnosed(bench, paths, known)
-            assert both.swim_rivals is not None
-            found = {frozenset(one.effects): one.probability for one in both.swim_rivals.sets}
-            told = separations("body", [Fields("design", "", row["stated"])], found)
-            kept = outcome(decided, both) | {"told": [vars(one) for one in told]}
-            file.write_text(json.dumps(kept) + "\n")
-        row[arm] = json.loads(file.read_text())
-    return row
-
-
-def outcome(decided: Decided, diagnosis: Diagnosis) -> dict[str, Any]:
-    """What a diagnosis says of a case."""
-    p = np.array(list(decided.sets.values()))
-    return {
-        "verdict": diagnosis.verdict,
-        "named": [{"group": one.group, "probability": one.probability} for one in decided.named],
-        "sets": sorted(
-            ([[list(name) for name in sorted(s)], x] for s, x in decided.sets.items()),
-            key=lambda one: -one[1],
-        )[:12],
-        "entropy_nats": float(-np.sum(p * np.log(np.maximum(p, 1e-300)))),
-    }
-
-
-def report(out: Path) -> None:
-    """Print what each second swim has told."""
-    files = sorted(out.glob("robot_*/rows.json"))
-    rows = [row for path in files for row in json.loads(path.read_text())]
-    if not rows:
-        return
-    cpu_s = np.mean([row["design_cpu_s"] for row in rows])
-    before, after = (
-        np.mean([row["stated"][f"entropy_{when}_nats"] for row in rows])
-        for when in ("before", "after")
-    )
-    print(f"{len(rows)} cases; a design takes {cpu_s:.0f} s of a core, and expects entropies over")
-    print(f"the open sets of {before:.2f} nats before and at most {after:.2f} after the swim")
-    for arm in ("first", *ARMS):
-        cases, truths = [], []
-        for row in rows:
-            hidden = sorted(
-                [effect.partition(".")[0], _component(effect)] for effect in row["effects"]
-            )
-            effects = [{"effect": effect, "component": of} for effect, of in hidden]
-            truth = {"kind": row["kind"], "oracle": {"llr_total": np.inf}, "effects": effects}
-            named = [SimpleNamespace(**one) for one in row[arm]["named"]]
-            said: Any = SimpleNamespace(verdict=row[arm]["verdict"], named=named)
-            cases.append((truth, said))
-            truths.append(sum(p for names, p in row[arm]["sets"] if names == hidden))
-        found = judged(cases)
-        print(
-            f"{arm:9s} entropy {np.mean([row[arm]['entropy_nats'] for row in rows]):.2f} nats, "
-            f"probability of the true set {np.mean(truths):.2f}, "
-            f"right group first {found['group_first']:.2f}, both of two {found['both']:.2f}, "
-            f"wrong names at 0.9 {found['wrong']:.3f}"
+def designed_swims(options: Options, number: int, device: str) -> None:
+    """Swim the designed commands of a robot's cases."""
+    bench = bench_of(options, number)
+    planned = [
+        Planned(
+            bench.path(k, "designed.csv"), bench.cases[k],
+            np.load(bench.path(k, "command.npy")), np.zeros(3),
         )
-    for low, high in ((0.5, 0.7), (0.7, 0.9), (0.9, 1.001)):
-        for arm in ARMS:
-            right = [
-                set(told["favoured"]) == set(row["effects"])
-                for row in rows
-                for told in row[arm]["told"]
-                if set(row["effects"]) in (set(told["first"]), set(told["second"]))
-                and low <= told["expected"] < high
-            ]
-            if right:
-                share = f"the true set favoured in {np.mean(right):.2f} of {len(right)}"
-                print(f"{arm:9s} pairs with it that are expected with {low:g} to {high:g}: {share}")
+        for k in bench.complete("first_row.json")
+    ]  # fmt: skip
+    swim(options, bench, planned, device, [options.seed, number, 3])
+    paths = [bench.path(k, "designed.csv") for k in bench.complete("designed.csv")]
+    in_water(options, bench, "water_2.npz", paths, device)
+
+
+def second_row(options: Options, number: int, k: int, arm: str) -> None:
+    """Diagnose both swims of a case, with the second swim of an arm."""
+    bench = bench_of(options, number)
+    paths = [bench.path(k, "first.csv"), bench.path(k, f"{arm}.csv")]
+    row, both = diagnosed(options, bench, paths)
+    assert both.swim_rivals is not None
+    found = {frozenset(one.effects): one.probability for one in both.swim_rivals.sets}
+    stated = json.loads(bench.path(k, "first_row.json").read_text())["stated"]
+    told = separations("body", [Fields("design", "", stated)], found)
+    row["told"] = [vars(one) for one in told]
+    bench.path(k, f"{arm}_row.json").write_text(json.dumps(row) + "\n")
+
+
+def run_robot(
+    options: Options, number: int, device: str, jobs: Executor, on_devices: Executor,
+    free: Semaphore,
+) -> str:  # fmt: skip
+    """All steps of one robot, each in processes of ``jobs`` or, in the fluid, ``on_devices``."""
+    began = time.perf_counter()
+    bench = bench_of(options, number)
+
+    def missing(k: int | None, name: str) -> bool:
+        return not bench.path(k, name).exists()
+
+    def on_device(step: Callable[..., None], done: str) -> None:
+        if missing(None, done):
+            with free:
+                on_devices.submit(step, options, number, device).result()
+            bench.path(None, done).touch()
+        print(f"robot {number}: {done}, {time.perf_counter() - began:.0f} s", flush=True)
+
+    on_device(first_swims, "swum_1")
+    if missing(None, "prior.npz"):
+        jobs.submit(learn, options, number).result()
+    cases = bench.complete("first.csv", "usual.csv")
+    todo = [k for k in cases if missing(k, "first_row.json")]
+    wait([jobs.submit(first_row, options, number, k) for k in todo])
+    on_device(designed_swims, "swum_2")
+    cases = [k for k in cases if not missing(k, "designed.csv")]
+    pairs = [(k, arm) for k in cases for arm in ARMS if missing(k, f"{arm}_row.json")]
+    wait([jobs.submit(second_row, options, number, *pair) for pair in pairs])
+    return f"robot {number}: {len(cases)} cases, {time.perf_counter() - began:.0f} s"
+
+
+def wait(futures: Sequence[Future[None]]) -> None:
+    """Wait for jobs; what failed is printed, and left out."""
+    for future in as_completed(futures):
+        if future.exception():
+            print(repr(future.exception()), flush=True)
+
+
+def draw(options: Options, robots: int, hashes: Path) -> None:
+    """Keep a seed and what it conceals; write their hashes, and those of the code, to publish."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    benches = [bench_of(options, number) for number in range(robots)]
+    answers = [
+        [{"kind": case.kind, "effects": case.effects} for case in bench.cases] for bench in benches
+    ]
+    sealed = json.dumps({"seed": options.seed, "robots": answers}, indent=1) + "\n"
+    (options.out / "answers.json").write_text(sealed)
+    code = sorted([*POOL.glob("*.py"), *Path(__file__).parent.glob("design_swims*.py")])
+    hashed = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in code}
+    write_json(hashes, {"answers.json": hashlib.sha256(sealed.encode()).hexdigest()} | hashed)
 
 
 def main() -> None:
-    """Swim, diagnose, design, swim, diagnose; print a table."""
+    """Swim, diagnose, design, swim, diagnose; or draw a set, or report it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--robots", type=int, default=16)
-    parser.add_argument("--cases", type=int, default=2, help="of a robot")
+    parser.add_argument("--robots", type=int, default=8)
+    parser.add_argument("--cases", type=int, default=16, help="of a robot")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device", default="cpu", help="one or several, with commas between")
     parser.add_argument("--seconds", type=float, default=20.0, help="of a swim")
@@ -349,27 +401,40 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=40_003)
     parser.add_argument("--water", action="store_true")
     parser.add_argument("--water-cell-m", type=float, default=CELL_M)
-    parser.add_argument("--drawn", type=int, default=96)
-    parser.add_argument("--rounds", type=int, default=4)
-    options = parser.parse_args()
-    devices = options.device.split(",")
-    search = {"drawn": options.drawn, "rounds": options.rounds}
+    parser.add_argument("--drawn", type=int, default=96, help="random swims of a design")
+    parser.add_argument("--rounds", type=int, default=4, help="of variations of the best")
+    parser.add_argument("--draw", type=Path, metavar="HASHES", help="a sealed set, and stop")
+    parser.add_argument("--report", type=Path, metavar="JSON", help="of what is there, and stop")
+    given = parser.parse_args()
+    kept = given.out / "answers.json"
+    seed = json.loads(kept.read_text())["seed"] if kept.exists() else given.seed
+    options = Options(
+        given.out, secrets.randbits(63) if given.draw else seed, given.cases, given.seconds,
+        given.cell_m, given.water, given.water_cell_m,
+        {"drawn": given.drawn, "rounds": given.rounds},
+    )  # fmt: skip
+    if given.draw:
+        draw(options, given.robots, given.draw)
+        return
+    if given.report:
+        report([bench_of(options, number) for number in range(given.robots)], given.report)
+        return
+    devices = given.device.split(",")
+    free = [Semaphore(AT_ONCE) for _ in devices]
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.processes, mp_context=spawn) as pool:
-        jobs = [
-            pool.submit(
-                run_robot,
-                Options(
-                    options.out, options.seed, options.cases, options.seconds, options.cell_m,
-                    devices[n % len(devices)], options.water, options.water_cell_m, search,
-                ),
-                n,
+    with (
+        ProcessPoolExecutor(given.processes, mp_context=spawn) as jobs,
+        ProcessPoolExecutor(AT_ONCE * len(devices), mp_context=spawn) as on_devices,
+        ThreadPoolExecutor(given.robots) as robots,
+    ):
+        running = []
+        for n in range(given.robots):
+            k = n % len(devices)
+            running.append(
+                robots.submit(run_robot, options, n, devices[k], jobs, on_devices, free[k])
             )
-            for n in range(options.robots)
-        ]  # fmt: skip
-        for job in as_completed(jobs):
-            print(job.exception() or job.result(), flush=True)
-    report(options.out)
+        for robot in as_completed(running):
+            print(repr(robot.exception() or robot.result()), flush=True)
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
     stated: list[tuple[float, bool]] = []
     for truth, said in cases:
         hidden = _hidden(truth)
-        right = [_right(one.group, hidden) for one in said.named]
+        right = [matches(one.group, hidden) for one in said.named]
         stated += [
             (one.probability, ok)
             for one, ok in zip(said.named, right, strict=True)
@@ -94,7 +94,7 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
             counts["group_first"].append(float(bool(right) and right[0]))
             counts["further"].append(len(said.named[0].group) - 1.0 if said.named else 0.0)
         if truth["kind"] == "double" and seen:
-            met = sum(any(_right(one.group, [h]) for one in likely) for h in hidden)
+            met = sum(any(matches(one.group, [h]) for one in likely) for h in hidden)
             counts["both"].append(float(met == 2 and len(likely) == 2))
     out = {name: float(np.mean(v)) if v else 0.0 for name, v in counts.items()}
     p, ok = np.array([x for x, _ in stated]), np.array([float(y) for _, y in stated])
@@ -111,7 +111,8 @@ def _hidden(truth: dict[str, Any]) -> list[tuple[str, str]]:
     return [] if outside else [(e["effect"], e["component"]) for e in truth["effects"]]
 
 
-def _right(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
+def matches(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
+    """Whether a group of effects has one of those concealed; alone, of the right component."""
     alone = len({name for name, _ in group}) == 1
     return any(
         (name == effect and (not alone or of == where))
@@ -287,7 +288,7 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     out |= weights("anything", [terms for _, terms in clear], [there for there, _ in clear])
     said = [(truth, decide(found, out)) for truth, found in cases]
     names = [(truth, one) for truth, each in said for one in each.named]
-    right = [_right(one.group, _hidden(truth)) for truth, one in names]
+    right = [matches(one.group, _hidden(truth)) for truth, one in names]
     return out | weights("name", [one.features.terms() for _, one in names], right)
 
 

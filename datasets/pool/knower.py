@@ -8,6 +8,7 @@ within the bench's error would imitate: those directions are the library's twin'
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,7 +36,7 @@ LASTS = (12.0, 20.0)
 
 def known_to(
     t: Array, pose: Array, joint: Array, plain: Array, plain_joint: Array, sent: Array,
-    case: Case, drawn: Drawn, model: Model,
+    case: Case, drawn: Drawn, model: Model, unknown: Sequence[Array] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Log-likelihood ratio, and how far what is concealed moves each signal.
 
@@ -49,6 +50,7 @@ def known_to(
         case: What is concealed.
         drawn: The robot.
         model: What a bench gives.
+        unknown: Changes of all signals, each (T, 3 + J), whose sizes are not known either.
     """
     shown, without = body_velocity(t, pose), body_velocity(t, plain)
     rng = np.random.default_rng(0)
@@ -62,7 +64,7 @@ def known_to(
     sd = np.concatenate([sd, np.full(joint.shape[1], held)])
     change = np.concatenate([shown - without, joint - plain_joint], axis=1)
     white = (change / sd).ravel()
-    nuisance = _nuisance(drawn, model, sent, plain[0], t) / sd
+    nuisance = np.array([*_nuisance(drawn, model, sent, plain[0], t), *unknown]) / sd
     basis = nuisance.reshape(len(nuisance), -1)
     inner = np.eye(len(basis)) + basis @ basis.T
     seen = basis @ white

@@ -137,7 +137,7 @@ def make_robot(
         answers.append({
             "case": name, "robot": label, "kind": case.kind,
             "effects": [
-                {"effect": n.partition(".")[0], "component": _component(n),
+                {"effect": n.partition(".")[0], "component": component(n),
                  "parameters": p, "strength": case.strength.get(n)}
                 for n, p in case.effects.items()
             ],
@@ -163,7 +163,8 @@ def make_robot(
     return f"{label}: {len(swims)} boxes, {lost.sum()} stopped, {time.perf_counter() - start:.0f} s"
 
 
-def _component(name: str) -> str:
+def component(name: str) -> str:
+    """Component of an effect by its identifier: a material, the camera or the body."""
     effect, _, material = name.partition(".")
     if material:
         return material
