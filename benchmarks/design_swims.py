@@ -3,6 +3,7 @@
 python benchmarks/design_swims.py DIR --draw HASHES.json          # a sealed set: seed and hashes
 python benchmarks/design_swims.py DIR --processes 32 --device cuda:0,cuda:1 [--water]
 python benchmarks/design_swims.py DIR --report REPORT.json
+python benchmarks/design_swims.py DIR --decisions [--water]       # development seeds only
 
 Robots, pools and what their cases conceal are drawn as for the sealed swims (``datasets/pool``),
 from a development seed or from one that ``--draw`` has drawn. The first swim of a case is diagnosed
@@ -47,7 +48,8 @@ from sealed import NUDGE_M, WILD_M_S  # noqa: E402
 from truth import Truth  # noqa: E402
 from world import World  # noqa: E402
 
-from benchmarks.design_swims_report import report  # noqa: E402
+from benchmarks.design_swims_report import decision_cases, report  # noqa: E402
+from benchmarks.pool_decisions import choose  # noqa: E402
 from sim.design.design_swim import design_swim  # noqa: E402
 from sim.inference.coordinates import SwimSimulator  # noqa: E402
 from sim.inference.diagnose_swims import diagnosis_of  # noqa: E402
@@ -405,6 +407,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=4, help="of variations of the best")
     parser.add_argument("--draw", type=Path, metavar="HASHES", help="a sealed set, and stop")
     parser.add_argument("--report", type=Path, metavar="JSON", help="of what is there, and stop")
+    parser.add_argument("--decisions", action="store_true", help="fit odds to it, and stop")
     given = parser.parse_args()
     kept = given.out / "answers.json"
     seed = json.loads(kept.read_text())["seed"] if kept.exists() else given.seed
@@ -416,8 +419,13 @@ def main() -> None:
     if given.draw:
         draw(options, given.robots, given.draw)
         return
+    benches = [bench_of(options, number) for number in range(given.robots)]
     if given.report:
-        report([bench_of(options, number) for number in range(given.robots)], given.report)
+        report(benches, given.report)
+    if given.decisions:
+        target = IN_WATER if given.water else FILE
+        choose(decision_cases(benches), target, given.processes, go_on=True)
+    if given.report or given.decisions:
         return
     devices = given.device.split(",")
     free = [Semaphore(AT_ONCE) for _ in devices]

@@ -13,7 +13,7 @@ from sealed import component
 from sealed_grade import DETECTABLE, LIKELY, SURE, servo_grader
 from tqdm import tqdm
 
-from benchmarks.pool_decisions import matches
+from benchmarks.pool_decisions import Cases, matches
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.output import write_json
@@ -68,10 +68,22 @@ def rows_of(benches: Sequence[Bench]) -> list[Row]:
         for arm in ("usual", "designed"):
             row[arm] = json.loads(bench.path(k, f"{arm}_row.json").read_text())
         row["evidence"] = {name: evidence(bench, k, name) for name in SWIMS}
-        for arm in SWIMS:
-            row[arm].pop("raw")
         rows.append(row)
     return rows
+
+
+def decision_cases(benches: Sequence[Bench]) -> Cases:
+    """Answers and searches of all diagnoses, of one swim and of two, for ``pool_decisions``."""
+    cases = []
+    for row in rows_of(benches):
+        for arm in SWIMS:
+            truth = {
+                "robot": row["case"].partition(".")[0], "kind": row["kind"], "foretold": None,
+                "effects": [{"effect": name, "component": of} for name, of in hidden(row)],
+                "oracle": {"llr_total": float(np.max(shown_by(row, arm), initial=0.0))},
+            }  # fmt: skip
+            cases.append((truth, row[arm]["raw"] | {"referred": True}))
+    return cases
 
 
 def hidden(row: Row) -> list[tuple[str, str]]:
@@ -187,6 +199,9 @@ def report(benches: Sequence[Bench], out: Path) -> None:
     rows, shown = rows_of(benches), servo_grader().shown
     arms = {arm: measures(rows, arm) for arm in SWIMS}
     designs = expected(rows)
+    for arm in SWIMS:
+        for row in rows:
+            del row[arm]["raw"]
     content = {"cases": len(rows), "arms": arms, "designs": designs, "rows": rows}
     write_json(out, content)
     print(f"{len(rows)} cases")

@@ -156,16 +156,8 @@ def usually(cases: Cases) -> Numbers:
     }
 
 
-def choose(
-    sets: Sequence[Path],
-    verdicts: Sequence[Path],
-    graded: Sequence[Path],
-    target: Path,
-    at_once: int = _AT_ONCE,
-    *,
-    go_on: bool = False,
-) -> None:
-    """Numbers whose answers to the development sets are best; ``go_on``: from those there."""
+def read_cases(sets: Sequence[Path], verdicts: Sequence[Path], graded: Sequence[Path]) -> Cases:
+    """Answers and searches of the cases of sets."""
     cases = []
     for challenge, place, results in zip(sets, verdicts, graded, strict=True):
         rows = json.loads(results.read_text())["cases"] if results.exists() else []
@@ -177,6 +169,22 @@ def choose(
                 truth["foretold"] = foretold.get(one["case"])
                 found = json.loads(path.read_text()) | {"referred": one["references"]}
                 cases.append((truth, found))
+    return cases
+
+
+def choose(
+    cases: Cases, target: Path, at_once: int = _AT_ONCE, *, go_on: bool = False,
+    relative: float | None = None,
+) -> None:  # fmt: skip
+    """Write the numbers whose answers to development cases are best; print what they are worth.
+
+    Args:
+        cases: Answers and searches.
+        target: The file whose ``decisions`` are replaced.
+        at_once: Number of processes.
+        go_on: Whether to start from the numbers that are there, and change only the curves.
+        relative: The new relative error of estimates, see ``spread_of``; None to keep it.
+    """
     content = json.loads(target.read_text())
     content["decisions"] = named_decisions(content["decisions"])
     robots = sorted({truth["robot"] for truth, _ in cases})
@@ -192,8 +200,8 @@ def choose(
         if t["robot"] == out
     ]
     print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
-    if not go_on:
-        best["relative"] = spread_of(sets, verdicts, content["decisions"]["relative"])
+    if relative is not None:
+        best["relative"] = relative
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
     earlier = f", after {content['decided']}" if go_on else ""
     content["decided"] = f"{len(cases)} cases of {len(robots)} robots{earlier}"
@@ -270,7 +278,8 @@ def tuned(cases: Cases, begun: Numbers, *, go_on: bool = False) -> Numbers:
 def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numbers:
     """Weights of the logistic curves: of something that the catalogue lacks, anything, and names.
 
-    What nobody could see is no example of anything that is there. ``about``: earlier weights.
+    What nobody could see is no example of anything that is there. ``about``: earlier weights; those
+    of the first two curves stay where no case has something outside the catalogue.
     """
     weights = partial(_weights, about=about)
     scale = numbers["evidence_scale"]
@@ -279,13 +288,16 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     out = numbers | flat
     said = [(truth, decide(found, out)) for truth, found in cases]
     outside = [truth["kind"] == "outside" for truth, _ in said]
-    out |= weights("unlisted", [one.features.terms(scale) for _, one in said], outside)
-    clear = [
-        (truth["kind"] != "null", one.features.terms(scale))
-        for truth, one in said
-        if truth["kind"] == "null" or truth["oracle"]["llr_total"] >= DETECTABLE
-    ]
-    out |= weights("anything", [terms for _, terms in clear], [there for there, _ in clear])
+    if about and not any(outside):
+        out |= {k: v for k, v in about.items() if not k.startswith("name: ")}
+    else:
+        out |= weights("unlisted", [one.features.terms(scale) for _, one in said], outside)
+        clear = [
+            (truth["kind"] != "null", one.features.terms(scale))
+            for truth, one in said
+            if truth["kind"] == "null" or truth["oracle"]["llr_total"] >= DETECTABLE
+        ]
+        out |= weights("anything", [terms for _, terms in clear], [there for there, _ in clear])
     said = [(truth, decide(found, out)) for truth, found in cases]
     names = [(truth, one) for truth, each in said for one in each.named]
     right = [matches(one.group, _hidden(truth)) for truth, one in names]
@@ -314,7 +326,12 @@ def main() -> None:
     options = parser.parse_args()
     sets, verdicts, graded = (options.sets[k::3] for k in range(3))
     target = IN_WATER if options.in_water else FILE
-    choose(sets, verdicts, graded, target, options.processes, go_on=options.go_on)
+    relative = None
+    if not options.go_on:
+        known = named_decisions(json.loads(target.read_text())["decisions"])["relative"]
+        relative = spread_of(sets, verdicts, known)
+    cases = read_cases(sets, verdicts, graded)
+    choose(cases, target, options.processes, go_on=options.go_on, relative=relative)
 
 
 if __name__ == "__main__":

@@ -218,7 +218,7 @@ def decide(raw: Mapping[str, Any], numbers: Mapping[str, float]) -> Decided:
     }
     named = []
     for name, gain in gains.items():
-        group = _group(name, best, evidence, numbers)
+        group = _group(name, best, evidence, gain, numbers)
         if flagged and len(best) == 1:
             group = _widened(group, keys, probabilities, numbers)
         without = best - {name}
@@ -328,9 +328,17 @@ def _predicting(
 
 
 def _group(
-    name: Name, members: Names, evidence: Mapping[Names, float], numbers: Mapping[str, float]
+    name: Name,
+    members: Names,
+    evidence: Mapping[Names, float],
+    gain: float,
+    numbers: Mapping[str, float],
 ) -> tuple[Name, ...]:
-    """The effect, and those that have nearly its evidence in its place."""
+    """The effect, and those that have nearly its evidence in its place.
+
+    The force of an effect on the water is predicted with an error in proportion to it, so that a
+    share of the evidence that it adds says nothing about its kind.
+    """
     rest = members - {name}
     close = []
     for other in {n for s in evidence for n in s} - members:
@@ -338,7 +346,7 @@ def _group(
         if replaced in evidence:
             limit = numbers["alike"]
             if name[0] in WATER_FORCES or other[0] in WATER_FORCES:
-                limit = numbers["alike_imitated"]
+                limit = max(numbers["alike_imitated"], numbers["alike_share"] * gain)
             behind = evidence[members] - evidence[replaced]
             if behind < limit:
                 close.append((behind, other))
