@@ -62,7 +62,8 @@ class Wall:
             surface; else by forcing (``coupling``). Experimental: drag and added mass of ideal
             fluid are right within a few percent, friction is 0.79 to 0.87 of that of a spheroid
             with 2 to 8 cells of thickness, and steady speeds of a robot are 10 to 21 % too low in
-            cells of 2 cm and within 7 % in cells of 1 cm. ``reports/resolution`` and ``reports/real_fish.md`` show both.
+            cells of 2 cm and within 7 % in cells of 1 cm. ``reports/resolution`` and
+            ``reports/real_fish.md`` show both.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
 

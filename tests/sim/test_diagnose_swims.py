@@ -265,6 +265,16 @@ def test_what_is_nearly_certain_need_not_change_the_speed():
     assert not decide(raw(*sets, held=worse), loose).offered
 
 
+def test_a_share_of_the_evidence_of_a_force_does_not_tell_its_kind():
+    """In water a force that gains 400 joins the group of one that gains 430, but not one of 300."""
+    drag, friction = ("linear_drag", "body"), ("surface_friction", "rubber")
+    other, camera = ("form_drag", "body"), ("camera_scale", "camera")
+    sets = [[], 0.0], [[drag], 430.0], [[friction], 400.0], [[other], 300.0], [[camera], 420.0]
+    for error, group in ((IN_WATER, {drag, friction, camera}), (LAW_ERROR, {drag})):
+        (said,) = decide(raw(*sets), error.decisions).named
+        assert set(said.group) == group
+
+
 def test_what_drags_can_imitate_is_a_group():
     sets = [((), 0.0), ((DRAG,), 120.0), ((ROUGH,), 119.9), ((SKIN,), 1.0)]
     said = decide(raw(*sets), LAW_ERROR.decisions)
