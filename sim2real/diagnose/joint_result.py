@@ -10,6 +10,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.exchangeable import distinctness, exchangeable_ends, partner
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.torque_speed_line import with_stated_line
@@ -17,7 +18,7 @@ from sim2real.effects import CATALOGUE, named
 from sim2real.effects.effect import is_limit
 from sim2real.effects.servo.backlash import NEGLIGIBLE_NM
 from sim2real.identification.held_out import Unseen
-from sim2real.identification.servo_problem import Hypothesis, Set
+from sim2real.identification.servo_problem import Hypothesis, Set, Tried
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
@@ -143,7 +144,8 @@ class JointFindings:
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.
 
-        A law is wrong by a share of its own effect, which no recording tells (``law_error``).
+        A law is wrong by a share of its own effect, which no recording tells (``law_error``). The
+        intervals of effects that may be exchanged (``exchangeable``) contain the values of both.
         """
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
@@ -161,8 +163,15 @@ class JointFindings:
             mean = float(servos.theta[0, column])
             law = 0.0 if name.endswith("phase_rad") else law_error(self.enriched, effect) * mean
             sd = float(np.hypot(np.sqrt(variance[k]) * servos.unit[0, k], law))
-            low = max(mean - Z90 * sd, float(servos.low[0, k]))
-            high = min(mean + Z90 * sd, float(servos.high[0, k]))
+            low, high = mean - Z90 * sd, mean + Z90 * sd
+            other = partner(self.enriched.members, effect)
+            if other is not None:
+                value = float(servos.theta[0, COLUMNS.index(f"{other}.{name}")])
+                distinct = distinctness(self.finding.tried, self.enriched, effect, other)
+                low, high = exchangeable_ends(mean, value, distinct)
+                low, high = low - Z90 * law, high + Z90 * law
+                sd = max(high - mean, mean - low) / Z90
+            low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
             estimates[name] = Estimate(mean, sd, min(low, mean), max(high, mean))
         return estimates
 
@@ -184,12 +193,16 @@ def law_error(servo: Hypothesis, effect: str) -> float:
     return DECISION.law_error
 
 
-def includes_zero(servo: Hypothesis, effect: str) -> bool:
+def includes_zero(tried: Tried, servo: Hypothesis, effect: str) -> bool:
     """Whether the 90 % interval of an effect's size includes 0, where the effect is absent.
 
     The size is the effect's first parameter, or the larger one of two that ascend. Limits are
-    absent where they are large, and never of size 0.
+    absent where they are large, and never of size 0. Of effects that may be exchanged the
+    likelihood ratio decides (``exchangeable.distinctness``).
     """
+    other = partner(servo.members, effect)
+    if other is not None:
+        return distinctness(tried, servo, effect, other) <= Z90
     known = named(effect)
     name = known.ascending[1] if known.ascending else known.parameters[0].name
     size = next(p for p in known.parameters if p.name == name)

@@ -84,7 +84,7 @@ class Effect:
         component: The component that it belongs to.
         memory: Number of memory cells that it needs.
         order: Effects at one site act in ascending order, those of equal order by name.
-        family: Effects of one family describe the same mechanism: a joint has at most one of them.
+        family: Effects of one family describe the same mechanism (see ``excludes``).
         also: Further terms of the effect, each with its site.
         steady: Whether its term at the sensor has no state and is evaluated at samples only.
         fitted: Whether its parameters can be fitted; not if it is random for each set-point, or
@@ -117,6 +117,18 @@ class Effect:
     load: Literal["", "gravity_Nm", "inertia_kgm2"] = ""
     ascending: tuple[()] | tuple[str, str] = ()
     mimics: tuple[str, ...] = ()
+
+    def excludes(self, other: Effect) -> bool:
+        """Whether a joint has at most one of the two.
+
+        Effects of one family exclude each other at one site and on the shaft (load and friction):
+        Coulomb friction is a special case of every other dry friction, and two dry frictions of one
+        contact together imitate a third one. Before and behind the servo, two effects of one family
+        are distinct.
+        """
+        shaft = ("load", "friction")
+        near = self.site == other.site or (self.site in shaft and other.site in shaft)
+        return self.name == other.name or bool(self.family) and self.family == other.family and near
 
     def statement(self, values: Mapping[str, float], *, per_inertia: bool = False) -> str:
         """The finding as a clause.

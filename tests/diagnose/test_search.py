@@ -51,10 +51,10 @@ def test_nothing_remains_once_the_effect_is_there(rubbing):
 
 
 @pytest.mark.parametrize("case", ["nothing", "rubbing", "filtered"])
-def test_no_set_has_two_effects_of_one_family(case, request):
+def test_no_set_has_two_effects_that_exclude_each_other(case, request):
     for effects in request.getfixturevalue(case).tried.tried:
-        families = [named(name).family for name in effects if named(name).family]
-        assert len(set(families)) == len(families)
+        pairs = itertools.combinations(map(named, effects), 2)
+        assert not any(one.excludes(other) for one, other in pairs)
         assert len(effects) <= Breadth().most
 
 

@@ -1,6 +1,7 @@
 """The catalogue: every effect is well formed, absent at 0, and does what its equation says."""
 
 import inspect
+import itertools
 import os
 import shutil
 import subprocess
@@ -103,6 +104,25 @@ def test_one_mechanism_is_one_family():
     assert {"coulomb_friction", "stribeck_friction"} <= families["dry friction"]
     assert {"command_filter", "sensor_filter"} <= families["filter"]
     assert all(len(names) > 1 for family, names in families.items() if family)
+
+
+def test_an_effect_excludes_itself_and_its_family_on_the_shaft():
+    coulomb, stribeck, asymmetric, presliding, before, behind = (
+        named(name)
+        for name in (
+            "coulomb_friction",
+            "stribeck_friction",
+            "asymmetric_friction",
+            "presliding_friction",
+            "command_filter",
+            "sensor_filter",
+        )
+    )
+    assert all(effect.excludes(effect) for effect in CATALOGUE)
+    for one, other in itertools.combinations((coulomb, stribeck, asymmetric, presliding), 2):
+        assert one.excludes(other) and other.excludes(one)
+    assert not before.excludes(behind) and not behind.excludes(before)
+    assert not coulomb.excludes(before)
 
 
 @each()

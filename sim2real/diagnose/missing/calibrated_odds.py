@@ -187,7 +187,8 @@ def judged(
     groups = [
         replace(g, probability=stated(ODDS["effect"].probability(of_name)))
         for g, of_name in features.groups
-        if not named(g.members[0]).never_named and not includes_zero(finding.best, g.members[0])
+        if not named(g.members[0]).never_named
+        and not includes_zero(finding.tried, finding.best, g.members[0])
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None:

@@ -8,8 +8,10 @@ import numpy as np
 
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.nuisances import first_look, with_nuisances, with_rivals
-from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
+from sim2real.diagnose.missing.screening import FITTED
+from sim2real.diagnose.missing.servo_search import Job, ServoSearch, ledgers_of
 from sim2real.diagnose.rival_sets import StatedSet
+from sim2real.effects import named
 from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
 from sim2real.inference import selection
 from sim2real.progress import Progress
@@ -77,6 +79,10 @@ def search(
     rebased = problem.rebased(ledgers)
     if rebased:
         selection.select(problem, rebased, selection.Breadth(most=1))
+    missing = [x for x in ledgers if x.best.members != x.base and not problem.exhausted(x)]
+    jobs = _pairs_of_families(problem, missing)
+    for (ledger, _, _), hypothesis in zip(jobs, problem.refit(jobs), strict=True):
+        ledger.keep(hypothesis)
     problem.singles = False
     selection.select(
         problem,
@@ -114,3 +120,41 @@ def search_again(problem: ServoSearch, ledgers: Sequence[Tried]) -> None:
     problem.held = {ledger.case: problem.released.get(ledger.case, frozenset()) for ledger in some}
     selection.widen(problem, some)
     problem.release(some)
+
+
+def _pairs_of_families(
+    problem: ServoSearch, ledgers: Sequence[Tried], *, share: float = 0.5
+) -> list[Job]:
+    """Pairs of effects of one family, each started from the fit of its likelier member alone.
+
+    Either member alone takes up much of the other, so that an effect of another family may be
+    likelier than each, and the pair would not be reached from the likeliest single effects.
+
+    Args:
+        problem: The search.
+        ledgers: What was tried: every effect by itself.
+        share: Evidence over the plain servo's that the member alone must have, relative to that of
+            the likeliest effect.
+    """
+    alone: list[tuple[Tried, str, Set]] = []
+    for ledger in ledgers:
+        least = ledger.plain.evidence + share * (ledger.best.evidence - ledger.plain.evidence)
+        families: dict[str, Set] = {}
+        for hypothesis in sorted(ledger.tried.values(), key=lambda h: h.evidence):
+            added = hypothesis.members - ledger.base
+            if len(added) == 1 and hypothesis.evidence > least and _has_partner(*added):
+                families[named(*added).family] = hypothesis.members
+        alone += [(ledger, family, members) for family, members in families.items()]
+    problem.look([(ledger, members) for ledger, _, members in alone])
+    return [
+        (ledger, members | {name}, start)
+        for ledger, family, members in alone
+        for name, start in problem.additions(ledger, members, len(FITTED))
+        if named(name).family == family
+    ]
+
+
+def _has_partner(effect: str) -> bool:
+    """Whether another effect of the family of this one can be present with it."""
+    one = named(effect)
+    return any(one.family == e.family != "" and not one.excludes(e) for e in FITTED)

@@ -74,12 +74,12 @@ def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) 
 def candidates(
     effects: Sequence[str] | frozenset[str], kp: float, inertia: float
 ) -> list[Candidate]:
-    """Every effect that may join these, none of the family of one of them."""
-    families = {named(name).family for name in effects} - {""}
+    """Every effect that may join these, none that ``excludes`` one of them."""
+    present = [named(name) for name in effects]
     return [
         candidate(effect, kp, inertia)
         for effect in FITTED
-        if effect.name not in effects and effect.family not in families
+        if not any(effect.excludes(other) for other in present)
     ]
 
 

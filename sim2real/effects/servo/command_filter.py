@@ -3,7 +3,8 @@
 ``tau y' + y = u``, exact over a sub-step.
 
 Residual: a smooth onset of motion. Confused with: latency, which absorbs most of it, and a sensor
-filter, which has the same effect on a single sensor.
+filter, which has the same effect on a single sensor. Both together are told from one, but on a
+servo without friction or limits not which has which time constant.
 """
 
 import warp as wp

@@ -3,7 +3,7 @@
 ``tau y' + y = q``, exact over a sub-step.
 
 Residual: a phase lag that grows with frequency as an arctangent. Confused with: latency and a
-command filter; only a second sensor distinguishes them.
+command filter; only a second sensor distinguishes them. Both filters together are told from one.
 """
 
 import warp as wp
