@@ -91,6 +91,12 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         X = corner[0] + column % count
         Y = corner[1] + column // count
         link, nearest, s = nearest_link(float(X), float(Y), e, pose, length, half_width)
+        rest = wp.vec2()
+        for k in range(length.shape[0]):
+            if k < link:
+                rest[0] += length[k]
+            if k > link:
+                rest[1] += length[k]
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         for layer in range(covered.tall):
             z = covered.low + layer
@@ -107,6 +113,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         length[link],
                         half_width[link],
                         half_height[link],
+                        rest,
                     )
                     slot = (e * count * count + column) * covered.tall + layer
                     covered.share[slot] = float(link)

@@ -157,12 +157,14 @@ def surface(
     length: float,
     width: wp.vec3,
     height: wp.vec3,
+    rest: wp.vec2,
 ):
     """Signed distance from a link's surface, its normal, and depth of the other side if thin.
 
-    Sections are ellipses. Parts thinner than ``SHEET`` are a sheet with the normals of its two
-    sides, without a round edge, which the water leaves along the sides; it ends where the link
-    ends. Its upper and lower edges lie between two layers of cells: each column is rounded up or
+    ``rest`` is the length of the chain in front of and behind the link. Sections are ellipses.
+    Parts thinner than ``SHEET`` are a sheet with the normals of its two sides, without a round
+    edge, which the water leaves along the sides; it ends where the chain ends, and is closed at the
+    joints. Its upper and lower edges lie between two layers of cells: each column is rounded up or
     down by ``dither``, so that the mean height does not depend on the position on the grid. Where
     its thickness is the least that is closed, its sides are parallel. The depth is 0 where the link
     is thick.
@@ -201,8 +203,8 @@ def surface(
     if blunt < 1.0:
         half = wp.max(thick, sealed(n))
         d = off - half
-        over_edge = wp.max(wp.abs(z) - h + dither(x, y), wp.max(back - length, -back) - w)
-        beyond = over_edge + wp.static(EDGE)
+        over_end = wp.max(back - length - rest[1], -back - rest[0]) - w
+        beyond = wp.max(wp.abs(z) - h + dither(x, y), over_end) + wp.static(EDGE)
         if beyond > 0.0:
             d = wp.max(d, beyond)
         other = off + half

@@ -120,6 +120,24 @@ def test_a_sheet_is_as_high_at_any_height_on_the_grid():
     assert np.ptp(counts) < 0.05 * np.mean(counts)
 
 
+@pytest.mark.parametrize("heading", [0.0, 0.4])
+def test_the_joints_of_a_straight_thin_chain_are_closed(heading):
+    """A chain of links thinner than a cell covers the cells of one link as long as they are."""
+    marks = []
+    for links in (1, 5):
+        fluid = Fluid(D2Q9, (48, 32), viscosity=1e-3)
+        half_width = np.full((links, 3), 0.1)
+        hull = Hull(np.full(links, 30.0 / links), half_width, np.full_like(half_width, 1e6))
+        light = Masses(np.ones(links), np.ones(links), np.zeros(links))
+        bodies = Bodies(fluid, hull, light, LATTICE, wall=SLIPS)
+        bodies.place(np.array([[38.3, 21.2, heading] + [0.0] * (links - 1)]))
+        bodies.prescribe(np.zeros(links + 2))
+        bodies.step(HELD)
+        marks.append((fluid.flags.numpy() & GHOST) != 0)
+    assert marks[0].sum() > 25
+    assert np.array_equal(*marks)
+
+
 def test_ghost_cells_need_slip():
     with pytest.raises(InputError, match="slip=True"):
         Wall(slip=False, ghosts=True)
