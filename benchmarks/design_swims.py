@@ -421,7 +421,7 @@ def main() -> None:
         return
     benches = [bench_of(options, number) for number in range(given.robots)]
     if given.report:
-        report(benches, given.report)
+        report(benches, given.report, options.seed)
     if given.decisions:
         target = IN_WATER if given.water else FILE
         choose(decision_cases(benches), target, given.processes, go_on=True)

@@ -194,15 +194,17 @@ def expected(rows: Sequence[Row]) -> Row:
     return out | {"core seconds of a design": grader.quantile(seconds, 0.5)}
 
 
-def report(benches: Sequence[Bench], out: Path) -> None:
+def report(benches: Sequence[Bench], out: Path, seed: int) -> None:
     """Write the measures of all arms, and every case; print the measures."""
     rows, shown = rows_of(benches), servo_grader().shown
     arms = {arm: measures(rows, arm) for arm in SWIMS}
     designs = expected(rows)
-    for arm in SWIMS:
-        for row in rows:
-            del row[arm]["raw"]
-    content = {"cases": len(rows), "arms": arms, "designs": designs, "rows": rows}
+    kept = [
+        {name: row[name] for name in ("case", "kind", "effects", "strength", "evidence")}
+        | {arm: {"verdict": row[arm]["verdict"], "named": row[arm]["named"]} for arm in SWIMS}
+        for row in rows
+    ]
+    content = {"seed": seed, "cases": len(rows), "arms": arms, "designs": designs, "rows": kept}
     write_json(out, content)
     print(f"{len(rows)} cases")
     for name in arms["first"]:
