@@ -39,7 +39,7 @@ _PIVOT = 0.25
 """Of the chord, from the nose."""
 
 
-def garrick(k: float) -> tuple[float, float]:
+def garrick(k: float, pitch_rad: float = PITCH_RAD) -> tuple[float, float]:
     """Coefficients of thrust and power of a foil that pitches about a quarter of its chord.
 
     By Garrick's theory, with lift L and moment M by Theodorsen's function C(k), NACA Report 496
@@ -51,7 +51,7 @@ def garrick(k: float) -> tuple[float, float]:
     a = 2 * _PIVOT - 1
     first, zeroth = hankel2(1, k), hankel2(0, k)
     theodorsen = first / (first + 1j * zeroth)
-    alpha = PITCH_RAD
+    alpha = pitch_rad
     rate = 1j * k * alpha
     growth = 1j * k * rate
     Q = alpha + (0.5 - a) * rate
@@ -84,6 +84,7 @@ def coefficients(
     wall: Wall,
     *,
     k: float = 0.0,
+    pitch_rad: float = PITCH_RAD,
     lengths: float = 6.0,
     device: str = "cpu",
     threads: int = 2,
@@ -95,6 +96,7 @@ def coefficients(
         thickness: Over the chord.
         wall: The wall model.
         k: Reduced frequency of the pitching about a quarter of the chord; at rest if 0.
+        pitch_rad: Its amplitude.
         lengths: Chords that it is towed, whole periods; the second half is evaluated.
         device: Device of the fluid.
         threads: CPU threads of the fluid.
@@ -112,7 +114,7 @@ def coefficients(
         period = 2 * np.pi / omega
         steps = round(max(2, round(steps / period)) * period)
         counted = steps - round(max(1, steps // 2 // round(period)) * period)
-    at = path(steps, chord, omega, cells, nose / units.cell_m)
+    at = path(steps, chord, omega, cells, nose / units.cell_m, pitch_rad)
     at *= [units.cell_m, units.cell_m, 1.0]
     start, rates, found = np.zeros((1, 2 + links)), np.zeros(2 + links), np.zeros((steps, 2))
     start[0, :3] = at[0]
@@ -132,13 +134,15 @@ def coefficients(
     return float(drag), float(power - drag)
 
 
-def path(steps: int, chord: int, omega: float, cells: tuple[int, int], nose: float) -> Array:
+def path(
+    steps: int, chord: int, omega: float, cells: tuple[int, int], nose: float, pitch_rad: float
+) -> Array:
     """Front end of the axis in cells, and heading, before each step and at the end: (steps + 1, 3).
 
     The speed grows over 0.3 chords, pitching over 0.5; ``nose`` is the nose's radius in cells.
     """
     t = np.arange(steps + 1)
-    angle = PITCH_RAD * np.sin(omega * t) * np.minimum(1.0, t / (0.5 * chord / _SPEED))
+    angle = pitch_rad * np.sin(omega * t) * np.minimum(1.0, t / (0.5 * chord / _SPEED))
     moved = np.cumsum(_SPEED * np.minimum(1.0, (t[1:] - 0.5) / (0.3 * chord / _SPEED)))
     pivot = cells[0] - 1.3 * chord + np.append(0.0, moved)
     ahead = _PIVOT * chord - nose

@@ -30,9 +30,12 @@ def test_a_section_is_as_thick_as_its_digits_say():
 def test_a_pitching_foil_has_thrust_and_takes_power():
     where = {"lengths": 1.0, "threads": 1}
     rest, _ = foil.coefficients(12, 0.12, WALLS["ghost cells"], **where)
-    drag, power = foil.coefficients(12, 0.12, WALLS["ghost cells"], k=3.0, **where)
-    thrust, needed = foil.garrick(3.0)
+    drag, _ = foil.coefficients(12, 0.12, WALLS["ghost cells"], k=3.0, **where)
+    thrust, _ = foil.garrick(3.0)
     assert 0.4 * thrust < rest - drag < 1.2 * thrust
+    small = {"k": 3.0, "pitch_rad": 0.04}  # the power of larger amplitudes is not linear theory's
+    _, power = foil.coefficients(12, 0.12, WALLS["ghost cells"], **small, **where)
+    _, needed = foil.garrick(small["k"], small["pitch_rad"])
     assert power == pytest.approx(needed, rel=0.3)
 
 
