@@ -32,7 +32,6 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     as_completed,
 )
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Semaphore
 from typing import Any, NamedTuple
@@ -43,11 +42,12 @@ POOL = Path(__file__).resolve().parents[1] / "datasets" / "pool"
 sys.path[:0] = [str(POOL), str(POOL.parents[1])]
 
 from camera import reported, seen  # noqa: E402
-from drawn import NOMINAL, Case, Drawn, case_of, command_of, robot_of, start_of  # noqa: E402
+from drawn import Case, command_of, start_of  # noqa: E402
 from sealed import NUDGE_M, WILD_M_S  # noqa: E402
 from truth import Truth  # noqa: E402
 from world import World  # noqa: E402
 
+from benchmarks.design_swims_cases import Bench, Options, bench_of  # noqa: E402
 from benchmarks.design_swims_report import decision_cases, report  # noqa: E402
 from benchmarks.pool_decisions import choose  # noqa: E402
 from sim.design.design_swim import design_swim  # noqa: E402
@@ -64,58 +64,18 @@ from sim.inference.in_water import (  # noqa: E402
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error  # noqa: E402
 from sim.inference.searched import learned, raw, searched  # noqa: E402
 from sim.inference.swim_decision import decide  # noqa: E402
-from sim.inference.swims import Swim, swim_of  # noqa: E402
 from sim.inference.twin_search import SwimPrior  # noqa: E402
 from sim.robot.swimmer import CONTROL_S  # noqa: E402
 from sim2real.diagnose.result import Diagnosis  # noqa: E402
 from sim2real.diagnose.separation import separations  # noqa: E402
-from sim2real.model import JointModel, Model  # noqa: E402
+from sim2real.model import Model  # noqa: E402
 from sim2real.output import write_json  # noqa: E402
-from sim2real.recording import Recording, read_recording, write_recording  # noqa: E402
+from sim2real.recording import Recording, write_recording  # noqa: E402
 from sim2real.structured import Fields  # noqa: E402
 
-KINDS = ("double", "single", "double", "null")
-"""Kinds of a robot's cases, in turn."""
 ARMS = ("usual", "designed")
 AT_ONCE = 2
 """Robots that one device simulates at once."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What all robots share."""
-
-    out: Path
-    seed: int
-    cases: int
-    seconds: float
-    cell_m: float
-    water: bool
-    water_cell_m: float
-    search: dict[str, int]
-
-
-@dataclass(frozen=True)
-class Bench:
-    """One robot, with what is concealed in its cases."""
-
-    folder: Path
-    drawn: Drawn
-    cases: list[Case]
-    model: Model
-
-    def path(self, k: int | None, name: str) -> Path:
-        """File of a case, or of the robot."""
-        return self.folder / name if k is None else self.folder / f"case_{k:02d}" / name
-
-    def read(self, path: Path) -> Swim:
-        """A swim that was recorded."""
-        return swim_of(read_recording(path), self.drawn.robot)
-
-    def complete(self, *names: str) -> list[int]:
-        """Cases whose swims of these names were all recorded: no box was stopped."""
-        files = {k: [self.path(k, name) for name in names] for k in range(len(self.cases))}
-        return [k for k, paths in files.items() if all(path.exists() for path in paths)]
 
 
 class Planned(NamedTuple):
@@ -134,21 +94,6 @@ class Known(NamedTuple):
     simulate: SwimSimulator
     prior: SwimPrior
     law_error: LawError
-
-
-def bench_of(options: Options, number: int) -> Bench:
-    """Draw a robot and its cases."""
-    rng = np.random.default_rng([options.seed, number])
-    drawn = robot_of(rng, f"robot {number}")
-    materials = {f"surface_friction.{link.material}" for link in drawn.robot.links}
-    names = [n for n in NOMINAL if not n.startswith("surface") or n in materials]
-    cases = [
-        case_of(KINDS[k % len(KINDS)], names[int(rng.integers(len(names)))], rng, drawn.robot)
-        for k in range(options.cases)
-    ]
-    rows = zip(drawn.robot.joints, *(drawn.bench[n] for n in ("kp", "kd", "latency")), strict=True)
-    model = Model(joints={j.name: JointModel(kp, kd, late, 0.002) for j, kp, kd, late in rows})
-    return Bench(options.out / f"robot_{number:02d}", drawn, cases, model)
 
 
 def variants(case: Case) -> list[dict[str, dict[str, float]]]:

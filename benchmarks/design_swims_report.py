@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from knower import known_to
@@ -13,14 +13,12 @@ from sealed import component
 from sealed_grade import DETECTABLE, LIKELY, SURE, servo_grader
 from tqdm import tqdm
 
+from benchmarks.design_swims_cases import Bench
 from benchmarks.pool_decisions import Cases, matches
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.output import write_json
 from sim2real.velocity import body_velocity
-
-if TYPE_CHECKING:
-    from benchmarks.design_swims import Bench
 
 Row = dict[str, Any]
 
