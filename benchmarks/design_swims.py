@@ -43,7 +43,7 @@ sys.path[:0] = [str(POOL), str(POOL.parents[1])]
 
 from camera import reported, seen  # noqa: E402
 from drawn import Case, command_of, start_of  # noqa: E402
-from sealed import NUDGE_M, WILD_M_S  # noqa: E402
+from sealed import NUDGE_M  # noqa: E402
 from truth import Truth  # noqa: E402
 from world import World  # noqa: E402
 
@@ -87,15 +87,6 @@ class Planned(NamedTuple):
     start: np.ndarray
 
 
-class Known(NamedTuple):
-    """What a diagnosis of a robot's swims starts from."""
-
-    model: Model
-    simulate: SwimSimulator
-    prior: SwimPrior
-    law_error: LawError
-
-
 def variants(case: Case) -> list[dict[str, dict[str, float]]]:
     """What is concealed, the same without each effect, and nothing, each once."""
     every = [case.effects]
@@ -122,17 +113,8 @@ def swim(
     begin = np.array([planned[k].start for k, _ in boxes])
     moved = np.setdiff1d(np.arange(len(boxes)), first)  # another wake: nobody can predict it
     begin[moved, 0] += NUDGE_M
-    world.reset(begin, np.zeros((len(boxes), len(bench.drawn.robot.joints))))
     sent = np.stack([planned[k].command for k, _ in boxes], axis=1)
-    poses, joints = [], []
-    for row in sent:
-        pose, joint = world.where()
-        poses.append(pose)
-        joints.append(joint)
-        world.step(row)
-    pose, joint = np.array(poses), np.array(joints)
-    speed = np.linalg.norm(np.diff(pose[..., :2], axis=0), axis=2) / CONTROL_S
-    stopped = world.stopped() | ~(speed.max(axis=0) < WILD_M_S)
+    pose, joint, stopped = world.swim(begin, sent)
     pose[:, moved, 0] -= NUDGE_M
     t = CONTROL_S * np.arange(len(sent))
     names = ("body.x_m", "body.y_m", "body.yaw_rad")
@@ -163,7 +145,7 @@ def swim(
 
 
 def in_water(options: Options, bench: Bench, name: str, paths: list[Path], device: str) -> None:
-    """Let the fluid of the library swim the commands of recordings, if asked."""
+    """Simulate the commands of recordings in the fluid of the library, with ``--water``."""
     if options.water:
         swims = [bench.read(path) for path in paths]
         made = simulate_in_water(
@@ -205,7 +187,7 @@ def learn(options: Options, number: int) -> None:
 
 
 def start_of_diagnosis(options: Options, bench: Bench) -> tuple[Model, SwimSimulator, LawError]:
-    """Model, simulator and its error."""
+    """The model, the simulator and its error, from which a robot's diagnoses start."""
     law_error = read_law_error(IN_WATER if options.water else FILE)
     files = sorted(bench.folder.glob("water_*.npz"))
     return *robot_in_water(bench.drawn.robot, bench.model, files, threads=1), law_error
@@ -322,7 +304,7 @@ def wait(futures: Sequence[Future[None]]) -> None:
 
 
 def draw(options: Options, robots: int, hashes: Path) -> None:
-    """Keep a seed and what it conceals; write their hashes, and those of the code, to publish."""
+    """Write the seed and the answers of a sealed set, and the hashes of both and of the code."""
     options.out.mkdir(parents=True, exist_ok=True)
     benches = [bench_of(options, number) for number in range(robots)]
     answers = [

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from drawn import NOMINAL, Case, Drawn, case_of, robot_of
 
-POOL = Path(__file__).resolve().parents[1] / "datasets" / "pool"
-sys.path[:0] = [str(POOL), str(POOL.parents[1])]
-
-from drawn import NOMINAL, Case, Drawn, case_of, robot_of  # noqa: E402
-
-from sim.inference.swims import Swim, swim_of  # noqa: E402
-from sim2real.model import JointModel, Model  # noqa: E402
-from sim2real.recording import read_recording  # noqa: E402
+from sim.inference.swims import Swim, swim_of
+from sim2real.model import Model
+from sim2real.recording import read_recording
 
 KINDS = ("double", "single", "double", "null")
 """Kinds of a robot's cases, in turn."""
@@ -53,7 +48,7 @@ class Bench:
         return swim_of(read_recording(path), self.drawn.robot)
 
     def complete(self, *names: str) -> list[int]:
-        """Cases whose swims of these names were all recorded: no box was stopped."""
+        """Cases of which all files of these names exist; a stopped swim has none."""
         files = {k: [self.path(k, name) for name in names] for k in range(len(self.cases))}
         return [k for k, paths in files.items() if all(path.exists() for path in paths)]
 
@@ -68,6 +63,4 @@ def bench_of(options: Options, number: int) -> Bench:
         case_of(KINDS[k % len(KINDS)], names[int(rng.integers(len(names)))], rng, drawn.robot)
         for k in range(options.cases)
     ]
-    rows = zip(drawn.robot.joints, *(drawn.bench[n] for n in ("kp", "kd", "latency")), strict=True)
-    model = Model(joints={j.name: JointModel(kp, kd, late, 0.002) for j, kp, kd, late in rows})
-    return Bench(options.out / f"robot_{number:02d}", drawn, cases, model)
+    return Bench(options.out / f"robot_{number:02d}", drawn, cases, drawn.model())

@@ -1,4 +1,4 @@
-"""What second swims have told: measures of each arm of ``design_swims.py``, and its cases."""
+"""Accuracy of diagnoses of second swims: measures of each arm of ``design_swims.py``, and cases."""
 
 from __future__ import annotations
 
@@ -101,18 +101,14 @@ def separable(row: Row, arm: str) -> bool:
 
 def names(row: Row, arm: str) -> list[Row]:
     """What a diagnosis names, with whether it is right, see ``pool_decisions.matches``."""
-    return [
-        {**one, "right": matches([tuple(entry) for entry in one["group"]], hidden(row))}
-        for one in row[arm]["named"]
-    ]
+    return [{**one, "right": matches(one["group"], hidden(row))} for one in row[arm]["named"]]
 
 
 def both(row: Row, arm: str) -> bool:
     """Whether two names are likely, each effect in one of them."""
     likely = [one for one in names(row, arm) if one["probability"] >= LIKELY]
     return len(likely) == 2 and all(
-        any(matches([tuple(entry) for entry in one["group"]], [effect]) for one in likely)
-        for effect in hidden(row)
+        any(matches(one["group"], [effect]) for one in likely) for effect in hidden(row)
     )
 
 
@@ -121,7 +117,7 @@ def told_apart(row: Row, arm: str) -> bool:
     likely = [one["group"] for one in names(row, arm) if one["probability"] >= LIKELY]
     return all(
         any(
-            matches([tuple(entry) for entry in group], [(name, of)])
+            matches(group, [(name, of)])
             and {RESISTANCES.get(other, RESISTANCES[name]) for other, _ in group}
             == {RESISTANCES[name]}
             for group in likely
@@ -170,7 +166,7 @@ def measures(rows: Sequence[Row], arm: str) -> Row:
 
 
 def expected(rows: Sequence[Row]) -> Row:
-    """What designs expected to tell, and what the designed swims have told."""
+    """Expected and achieved separation of sets of effects by designed swims."""
     grader = servo_grader()
     out: Row = {
         f"entropy {when} the swim, nats": grader.plain(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from world import Water
 
 from sim.robot.shape import hull_of
+from sim2real.model import JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
 
 Array = NDArray[np.float64]
@@ -40,6 +41,16 @@ class Drawn:
     water: Water
     servos: dict[str, tuple[float, ...]]
     bench: dict[str, tuple[float, ...]]
+
+    def model(self) -> Model:
+        """The servos as a bench gives them."""
+        gains = zip(*(self.bench[name] for name in ("kp", "kd", "latency")), strict=True)
+        return Model(
+            joints={
+                joint.name: JointModel(*of_joint, 0.002)
+                for joint, of_joint in zip(self.robot.joints, gains, strict=True)
+            }
+        )
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from truth import Truth
 from world import World
 
 from sim.robot.swimmer import CONTROL_S
-from sim2real.model import JointModel, Model, read_model, write_model
+from sim2real.model import read_model, write_model
 from sim2real.recording import Recording, write_recording
 
 Array = NDArray[np.float64]
@@ -40,8 +40,6 @@ COUNTS = {"null": 34, "single": 56, "double": 24, "outside": 24}
 ROBOTS = 8
 REFERENCES = 2
 SOURCE = "Simulated, not measured: datasets/pool/sealed.py. MIT licence."
-WILD_M_S = 1.2
-"""Speed from which a box counts as stopped: a robot that shook itself to pieces."""
 NUDGE_M = 1e-3
 """How far another box begins, so that its wake is another: what nobody can foretell."""
 
@@ -84,16 +82,7 @@ def make_robot(
     world = World(
         truths, device=device, cell_m=cell_m, rng=rng, robot=drawn.robot, water=drawn.water
     )
-    world.reset(begin, np.zeros((len(swims), J)))
-    pose, joint = [], []
-    for row in sent:
-        at, angle = world.where()
-        pose.append(at)
-        joint.append(angle)
-        world.step(row)
-    poses, joints = np.array(pose), np.array(joint)
-    way = np.linalg.norm(np.diff(poses[..., :2], axis=0), axis=2) / CONTROL_S
-    lost = world.stopped() | ~(way.max(axis=0, initial=0.0) < WILD_M_S)
+    poses, joints, lost = world.swim(begin, sent)
     poses[:, plain, 0] -= NUDGE_M
     t = CONTROL_S * np.arange(len(sent))
     label = f"robot_{k + 1:02d}"
@@ -101,8 +90,7 @@ def make_robot(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.toml").write_text(robot_toml(drawn))
     joint_names = [one.name for one in drawn.robot.joints]
-    bench = zip(joint_names, *(drawn.bench[n] for n in ("kp", "kd", "latency")), strict=True)
-    model = Model(joints={n: JointModel(kp, kd, late, 0.002) for n, kp, kd, late in bench})
+    model = drawn.model()
     write_model(model, folder / "model.json")
     answers = []
     shown: list[Array] = []

@@ -38,6 +38,8 @@ SMAGORINSKY, MAGIC = 0.14, 1e-2
 LINE = "laminar"
 """Of friction: Blasius's; the library's robots have the turbulent one."""
 DEPTH_M = 0.4
+WILD_M_S = 1.2
+"""Speed from which a box counts as stopped: a robot that shook itself to pieces."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +178,29 @@ class World:
             self._drift += self.h * self._flow(t + sub * self.h)
         self.swimmer._sponge()
         self._periods += 1
+
+    def swim(self, begin: Array, sent: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Swim commands from rest.
+
+        Args:
+            begin: Initial poses, shape (E, 3).
+            sent: Set-points in rad of T control periods, shape (T, E, J).
+
+        Returns:
+            Poses (T, E, 3) and joint angles (T, E, J) as ``where`` gives them before each period,
+            and the boxes that stopped, shape (E,).
+        """
+        self.reset(begin, np.zeros(sent.shape[1:]))
+        poses, joints = [], []
+        for row in sent:
+            pose, joint = self.where()
+            poses.append(pose)
+            joints.append(joint)
+            self.step(row)
+        track = np.array(poses)
+        speed = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2) / CONTROL_S
+        stopped = self.stopped() | ~(speed.max(axis=0, initial=0.0) < WILD_M_S)
+        return track, np.array(joints), stopped
 
     def _forces(self, t: float) -> Array:
         """Generalised forces on x, y, heading and joints of each robot, shape (E, 3 + J)."""

@@ -4,7 +4,8 @@ A swim consists of parts: travelling waves of random frequency, amplitude, phase
 gaits of a fish: Videler, Fish Swimming, Chapman and Hall, 1993) and square waves. Their ranges are
 those of the swims on which the error of the twin was measured (``law_error``): outside of them,
 with beats above 1.5 Hz, joints that move independently or long glides, residuals were 1.5 times as
-large, and designed swims named effects less often than usual ones (``reports/design/swims.md``).
+large, and both of two effects were found less often after designed swims than after usual ones
+(``reports/design/swims.md``). The search that varies these commands may leave the ranges.
 """
 
 from __future__ import annotations

@@ -336,8 +336,8 @@ def _group(
 ) -> tuple[Name, ...]:
     """The effect, and those that have nearly its evidence in its place.
 
-    The force of an effect on the water is predicted with an error in proportion to it, so that a
-    share of the evidence that it adds says nothing about its kind.
+    The force of an effect on the water is predicted with an error in proportion to it, so that
+    differences of less than a share of the evidence that it adds do not identify the effect.
     """
     rest = members - {name}
     close = []

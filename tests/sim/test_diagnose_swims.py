@@ -267,10 +267,9 @@ def test_what_is_nearly_certain_need_not_change_the_speed():
 
 def test_a_share_of_the_evidence_of_a_force_does_not_tell_its_kind():
     """In water a force that gains 400 joins the group of one that gains 430, but not one of 300."""
-    drag, friction = ("linear_drag", "body"), ("surface_friction", "rubber")
-    other, camera = ("form_drag", "body"), ("camera_scale", "camera")
-    sets = [[], 0.0], [[drag], 430.0], [[friction], 400.0], [[other], 300.0], [[camera], 420.0]
-    for error, group in ((IN_WATER, {drag, friction, camera}), (LAW_ERROR, {drag})):
+    friction, camera = ("surface_friction", "rubber"), ("camera_scale", "camera")
+    sets = [[], 0.0], [[DRAG], 430.0], [[friction], 400.0], [[ROUGH], 300.0], [[camera], 420.0]
+    for error, group in ((IN_WATER, {DRAG, friction, camera}), (LAW_ERROR, {DRAG})):
         (said,) = decide(raw(*sets), error.decisions).named
         assert set(said.group) == group
 
