@@ -1,7 +1,7 @@
 """A second swim that is designed, against a second swim of the usual commands.
 
 python benchmarks/design_swims.py DIR --draw HASHES.json          # a sealed set: seed and hashes
-python benchmarks/design_swims.py DIR --processes 32 --device cuda:0,cuda:1 [--water]
+python benchmarks/design_swims.py DIR --processes 32 --device cuda:0,cuda:1 [--water [--again]]
 python benchmarks/design_swims.py DIR --report REPORT.json
 python benchmarks/design_swims.py DIR --decisions [--water]       # development seeds only
 
@@ -10,7 +10,9 @@ from a development seed or from one that ``--draw`` has drawn. The first swim of
 with two reference swims; then the same robot swims again by the usual commands, and by those of a
 design from the diagnosis, both as long, and each pair of swims is diagnosed together. With
 ``--water`` the fluid simulates the commands too, in cells and with settings of its own, and the
-twin predicts only differences (``sim.inference.in_water``).
+twin predicts only differences (``sim.inference.in_water``); with ``--again`` it simulates them once
+more with the effects that were found, and they are diagnosed again, as by ``sim2real diagnose`` on
+a GPU.
 
 What a robot's steps have written is not made again, so that a run that was stopped goes on.
 """
@@ -34,7 +36,7 @@ from concurrent.futures import (
 )
 from pathlib import Path
 from threading import Semaphore
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,30 +50,27 @@ from truth import Truth  # noqa: E402
 from world import World  # noqa: E402
 
 from benchmarks.design_swims_cases import Bench, Options, bench_of  # noqa: E402
+from benchmarks.design_swims_diagnoses import (  # noqa: E402
+    WATERS,
+    first_row,
+    learn,
+    second_row,
+    swims_of,
+)
 from benchmarks.design_swims_report import decision_cases, report  # noqa: E402
 from benchmarks.pool_decisions import choose  # noqa: E402
-from sim.design.design_swim import design_swim  # noqa: E402
-from sim.inference.coordinates import SwimSimulator  # noqa: E402
-from sim.inference.diagnose_swims import diagnosis_of  # noqa: E402
 from sim.inference.in_water import (  # noqa: E402
     CELL_M,
     read_water_swims,
-    robot_in_water,
+    simulate_again,
     simulate_in_water,
-    with_nearest_law,
     write_water,
 )
-from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error  # noqa: E402
-from sim.inference.searched import learned, raw, searched  # noqa: E402
-from sim.inference.swim_decision import decide  # noqa: E402
-from sim.inference.twin_search import SwimPrior  # noqa: E402
+from sim.inference.law_error import FILE, IN_WATER  # noqa: E402
 from sim.robot.swimmer import CONTROL_S  # noqa: E402
-from sim2real.diagnose.result import Diagnosis  # noqa: E402
-from sim2real.diagnose.separation import separations  # noqa: E402
-from sim2real.model import Model  # noqa: E402
+from sim2real.model import read_model  # noqa: E402
 from sim2real.output import write_json  # noqa: E402
 from sim2real.recording import Recording, write_recording  # noqa: E402
-from sim2real.structured import Fields  # noqa: E402
 
 ARMS = ("usual", "designed")
 AT_ONCE = 2
@@ -173,70 +172,6 @@ def first_swims(options: Options, number: int, device: str) -> None:
     in_water(options, bench, "water_1.npz", paths, device)
 
 
-def learn(options: Options, number: int) -> None:
-    """The prior that a robot's reference swims give."""
-    bench = bench_of(options, number)
-    if options.water:
-        file = bench.path(None, "water_1.npz")
-        water = read_water_swims(file)
-        write_water(file, with_nearest_law(bench.drawn.robot, bench.model, water, threads=1))
-    references = [bench.read(bench.path(None, f"reference_{n}.csv")) for n in range(2)]
-    model, simulate, law_error = start_of_diagnosis(options, bench)
-    prior = learned(references, model, bench.drawn.robot, simulate, law_error)
-    np.savez(bench.path(None, "prior.npz"), **vars(prior))
-
-
-def start_of_diagnosis(options: Options, bench: Bench) -> tuple[Model, SwimSimulator, LawError]:
-    """The model, the simulator and its error, from which a robot's diagnoses start."""
-    law_error = read_law_error(IN_WATER if options.water else FILE)
-    files = sorted(bench.folder.glob("water_*.npz"))
-    return *robot_in_water(bench.drawn.robot, bench.model, files, threads=1), law_error
-
-
-def diagnosed(
-    options: Options, bench: Bench, paths: Sequence[Path]
-) -> tuple[dict[str, Any], Diagnosis]:
-    """The diagnosis of swims together, with references, and what the report needs of it."""
-    model, simulate, law_error = start_of_diagnosis(options, bench)
-    kept = np.load(bench.path(None, "prior.npz"))
-    prior = SwimPrior(**{name: kept[name] for name in kept.files})
-    start = time.process_time()
-    found = searched([bench.read(p) for p in paths], model, bench.drawn.robot, simulate, prior)
-    tried = raw(found, referred=True)
-    decided = decide(tried, law_error.decisions)
-    diagnosis = diagnosis_of(found, bench.drawn.robot, law_error, referred=True)
-    sets = sorted(
-        ([[list(name) for name in sorted(s)], x] for s, x in decided.sets.items()),
-        key=lambda one: -one[1],
-    )
-    return {
-        "verdict": diagnosis.verdict,
-        "named": [{"group": one.group, "probability": one.probability} for one in decided.named],
-        "sets": sets[:12], "raw": tried, "cpu_s": time.process_time() - start,
-    }, diagnosis  # fmt: skip
-
-
-def first_row(options: Options, number: int, k: int) -> None:
-    """Diagnose the first swim of a case, design the second, and keep both."""
-    bench = bench_of(options, number)
-    case = bench.cases[k]
-    row, first = diagnosed(options, bench, [bench.path(k, "first.csv")])
-    assert first.swim_rivals is not None
-    start = time.process_time()
-    design = design_swim(
-        first.swim_rivals, first.model, bench.drawn.robot,
-        seconds=options.seconds, again=True, seed=number, threads=1, **options.search,
-    )  # fmt: skip
-    (body,) = design.joints
-    np.save(bench.path(k, "command.npy"), body.command)
-    content = {
-        "case": f"{number}.{k}", "kind": case.kind, "effects": case.effects,
-        "strength": case.strength, "first": row, "stated": body.content(),
-        "design_cpu_s": time.process_time() - start,
-    }  # fmt: skip
-    bench.path(k, "first_row.json").write_text(json.dumps(content) + "\n")
-
-
 def designed_swims(options: Options, number: int, device: str) -> None:
     """Swim the designed commands of a robot's cases."""
     bench = bench_of(options, number)
@@ -252,17 +187,20 @@ def designed_swims(options: Options, number: int, device: str) -> None:
     in_water(options, bench, "water_2.npz", paths, device)
 
 
-def second_row(options: Options, number: int, k: int, arm: str) -> None:
-    """Diagnose both swims of a case, with the second swim of an arm."""
+def simulate_found(options: Options, number: int, device: str, arm: str) -> None:
+    """Simulate the swims of an arm in the fluid, with the effects that were found in each case."""
     bench = bench_of(options, number)
-    paths = [bench.path(k, "first.csv"), bench.path(k, f"{arm}.csv")]
-    row, both = diagnosed(options, bench, paths)
-    assert both.swim_rivals is not None
-    found = {frozenset(one.effects): one.probability for one in both.swim_rivals.sets}
-    stated = json.loads(bench.path(k, "first_row.json").read_text())["stated"]
-    told = separations("body", [Fields("design", "", stated)], found)
-    row["told"] = [vars(one) for one in told]
-    bench.path(k, f"{arm}_row.json").write_text(json.dumps(row) + "\n")
+    models, swims = [], []
+    for k in bench.complete(f"{arm}_found.json"):
+        for path in swims_of(bench, k, arm):
+            models.append(read_model(bench.path(k, f"{arm}_found.json")))
+            swims.append(bench.read(path))
+    if swims:
+        water = read_water_swims(*sorted(bench.folder.glob(WATERS)))
+        again = simulate_again(
+            bench.drawn.robot, models, swims, water, cell_m=options.water_cell_m, device=device
+        )
+        write_water(bench.path(None, f"again_{arm}.npz"), again)
 
 
 def run_robot(
@@ -276,23 +214,28 @@ def run_robot(
     def missing(k: int | None, name: str) -> bool:
         return not bench.path(k, name).exists()
 
-    def on_device(step: Callable[..., None], done: str) -> None:
+    def on_device(step: Callable[..., None], done: str, *more: str) -> None:
         if missing(None, done):
             with free:
-                on_devices.submit(step, options, number, device).result()
+                on_devices.submit(step, options, number, device, *more).result()
             bench.path(None, done).touch()
         print(f"robot {number}: {done}, {time.perf_counter() - began:.0f} s", flush=True)
+
+    def diagnose(row: Callable[..., None], pairs: Sequence[tuple[int, str]]) -> None:
+        for repeated in (False, True)[: 1 + options.again]:
+            for arm in sorted({arm for _, arm in pairs}) if repeated else ():
+                on_device(simulate_found, f"again_{arm}", arm)
+            todo = [pair for pair in pairs if missing(pair[0], f"{pair[1]}_row.json")]
+            wait([jobs.submit(row, options, number, *pair) for pair in todo])
 
     on_device(first_swims, "swum_1")
     if missing(None, "prior.npz"):
         jobs.submit(learn, options, number).result()
     cases = bench.complete("first.csv", "usual.csv")
-    todo = [k for k in cases if missing(k, "first_row.json")]
-    wait([jobs.submit(first_row, options, number, k) for k in todo])
+    diagnose(first_row, [(k, "first") for k in cases])
     on_device(designed_swims, "swum_2")
     cases = [k for k in cases if not missing(k, "designed.csv")]
-    pairs = [(k, arm) for k in cases for arm in ARMS if missing(k, f"{arm}_row.json")]
-    wait([jobs.submit(second_row, options, number, *pair) for pair in pairs])
+    diagnose(second_row, [(k, arm) for k in cases for arm in ARMS])
     return f"robot {number}: {len(cases)} cases, {time.perf_counter() - began:.0f} s"
 
 
@@ -330,6 +273,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=40_003)
     parser.add_argument("--water", action="store_true")
     parser.add_argument("--water-cell-m", type=float, default=CELL_M)
+    parser.add_argument("--again", action="store_true", help="with the effects that were found")
     parser.add_argument("--drawn", type=int, default=96, help="random swims of a design")
     parser.add_argument("--rounds", type=int, default=4, help="of variations of the best")
     parser.add_argument("--draw", type=Path, metavar="HASHES", help="a sealed set, and stop")
@@ -340,7 +284,7 @@ def main() -> None:
     seed = json.loads(kept.read_text())["seed"] if kept.exists() else given.seed
     options = Options(
         given.out, secrets.randbits(63) if given.draw else seed, given.cases, given.seconds,
-        given.cell_m, given.water, given.water_cell_m,
+        given.cell_m, given.water, given.water_cell_m, given.again,
         {"drawn": given.drawn, "rounds": given.rounds},
     )  # fmt: skip
     if given.draw:

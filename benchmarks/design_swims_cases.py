@@ -27,6 +27,7 @@ class Options:
     cell_m: float
     water: bool
     water_cell_m: float
+    again: bool
     search: dict[str, int]
 
 

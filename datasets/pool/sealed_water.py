@@ -44,10 +44,8 @@ def again(options: argparse.Namespace, folder: Path, robot: Robot) -> None:
             swims.append(swim_of(read_recording(path), robot))
     if not swims or out.exists():
         return
-    water = read_water_swims(options.water / out.name)
-    if options.heldout:
-        held_out = read_water_swims(options.heldout / out.name)
-        water = replace(water, steps={**water.steps, **held_out.steps})
+    folders = [options.water, *([options.heldout] if options.heldout else [])]
+    water = read_water_swims(*(place / out.name for place in folders))
     made = simulate_again(robot, models, swims, water, cell_m=options.cell_m, device=options.device)
     write_water(out, made)
     print(f"{folder.name}: {len(swims)} again, {time.perf_counter() - start:.0f} s", flush=True)

@@ -280,9 +280,7 @@ def robot_in_water(
     """
     if not files:
         return model, by_followed_twin(robot, **options)
-    parts = [read_water_swims(path) for path in files]
-    steps = {swim: simulated for part in parts for swim, simulated in part.steps.items()}
-    water = replace(parts[0], steps=steps)
+    water = read_water_swims(*files)
     model = water.of(model)
     return model, by_twin_in_water(robot, model, water, **options)
 
@@ -300,12 +298,18 @@ def write_water(path: Path, water: InWater) -> None:
     np.savez_compressed(path, **arrays)
 
 
-def read_water_swims(path: Path) -> InWater:
-    """Read a file by ``write_water``.
+def read_water_swims(*paths: Path) -> InWater:
+    """Read files by ``write_water``: all their simulations, with the law of the first.
 
     Raises:
-        InputError: If the file has another content.
+        InputError: If a file has another content.
     """
+    parts = [_read_water(path) for path in paths]
+    return replace(parts[0], steps={k: v for part in parts for k, v in part.steps.items()})
+
+
+def _read_water(path: Path) -> InWater:
+    """Read one file."""
     try:
         content = np.load(path)
         names = tuple(content["names"].tolist())
