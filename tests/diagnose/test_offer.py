@@ -26,38 +26,38 @@ def finding(*sets: frozenset[str], **changes: float) -> Any:
 
 
 def unseen(**rmse: float) -> dict[frozenset[str], Unseen]:
-    known = {"base": BASE, "small": SMALL, "both": BOTH}
-    return {known[k]: Unseen((np.full(4, x),), np.zeros((1, 1))) for k, x in rmse.items()}
+    sets = {"base": BASE, "small": SMALL, "both": BOTH}
+    return {sets[k]: Unseen((np.full(4, x),), np.zeros((1, 1))) for k, x in rmse.items()}
 
 
 NEGLIGIBLE = 0.5 * DECISION.negligible
 
 
 def test_negligible_effects_are_what_is_taken_off() -> None:
-    one = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
-    assert simpler(one, one.tried.tried[BOTH], {}) == SMALL
-    one = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=2 * DECISION.negligible)
-    assert simpler(one, one.tried.tried[BOTH], {}) == BOTH
-    one = finding(SMALL, BOTH, coulomb_friction=NEGLIGIBLE, deadband=NEGLIGIBLE)
-    assert simpler(one, one.tried.tried[BOTH], {}) == BASE
+    result = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
+    assert simpler(result, result.tried.tried[BOTH], {}) == SMALL
+    result = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=2 * DECISION.negligible)
+    assert simpler(result, result.tried.tried[BOTH], {}) == BOTH
+    result = finding(SMALL, BOTH, coulomb_friction=NEGLIGIBLE, deadband=NEGLIGIBLE)
+    assert simpler(result, result.tried.tried[BOTH], {}) == BASE
 
 
 def test_a_set_that_was_not_tried_is_not_offered() -> None:
-    one = finding(BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
-    assert simpler(one, one.tried.tried[BOTH], {}) == BOTH
+    result = finding(BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
+    assert simpler(result, result.tried.tried[BOTH], {}) == BOTH
 
 
 @pytest.mark.parametrize(
-    ("more", "kept"), [(1.0, SMALL), (0.995, SMALL), (1.2, SMALL), (0.97, BOTH)]
+    ("more", "expected"), [(1.0, SMALL), (0.995, SMALL), (1.2, SMALL), (0.97, BOTH)]
 )
-def test_it_stays_where_it_lowers_the_held_out_error(more: float, kept: frozenset[str]) -> None:
-    one = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
-    known = unseen(small=1.0, both=more)
-    assert offer(one, one.tried.tried[BOTH], SMALL, known).members == kept
+def test_it_stays_where_it_lowers_the_held_out_error(more: float, expected: frozenset[str]) -> None:
+    result = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
+    held_out = unseen(small=1.0, both=more)
+    assert offer(result, result.tried.tried[BOTH], SMALL, held_out).members == expected
 
 
 def test_nothing_is_taken_off_where_nothing_is_held_out() -> None:
-    one = finding(SMALL, BOTH, coulomb_friction=np.inf, deadband=np.inf)
-    rich = one.tried.tried[BOTH]
-    assert simpler(one, rich, {}) == BOTH
-    assert offer(one, rich, SMALL, {}) is rich
+    result = finding(SMALL, BOTH, coulomb_friction=np.inf, deadband=np.inf)
+    rich = result.tried.tried[BOTH]
+    assert simpler(result, rich, {}) == BOTH
+    assert offer(result, rich, SMALL, {}) is rich

@@ -14,27 +14,27 @@ def drawn(searched, **more):
 
 @pytest.mark.parametrize("case", ["nothing", "rubbing", "filtered"])
 def test_probabilities_add_up_to_one(case, request):
-    found = drawn(request.getfixturevalue(case))
-    assert found.probability.sum() == pytest.approx(1.0)
-    assert found.first.sum() == pytest.approx(1.0)
-    assert (np.diff(found.probability) <= 0).all(), "likeliest first"
-    assert (found.probability >= 0).all()
+    result = drawn(request.getfixturevalue(case))
+    assert result.probability.sum() == pytest.approx(1.0)
+    assert result.first.sum() == pytest.approx(1.0)
+    assert (np.diff(result.probability) <= 0).all(), "likeliest first"
+    assert (result.probability >= 0).all()
 
 
 def test_the_effect_that_is_there_is_probable(rubbing):
-    found = drawn(rubbing)
-    assert found.inclusion("coulomb_friction") > 0.9
-    (group,) = found.groups(frozenset())
+    result = drawn(rubbing)
+    assert result.inclusion("coulomb_friction") > 0.9
+    (group,) = result.groups(frozenset())
     assert group.members[0] == "coulomb_friction"
     assert group.probability > 0.9
     assert group.stability > 0.9
 
 
 def test_nothing_is_probable_where_nothing_is_missing(nothing):
-    found = drawn(nothing)
-    assert found.sets[0] == frozenset()
-    assert found.groups(frozenset()) == ()
-    assert found.probability[0] > 0.7
+    result = drawn(nothing)
+    assert result.sets[0] == frozenset()
+    assert result.groups(frozenset()) == ()
+    assert result.probability[0] > 0.7
 
 
 def test_two_filters_stand_in_one_group(filtered):
@@ -52,33 +52,33 @@ def test_what_else_is_known_moves_the_odds(filtered):
 
 
 def test_same_seed_same_probabilities(rubbing):
-    one, two = drawn(rubbing), drawn(rubbing)
-    assert one.sets == two.sets
-    np.testing.assert_array_equal(one.probability, two.probability)
+    first, second = drawn(rubbing), drawn(rubbing)
+    assert first.sets == second.sets
+    np.testing.assert_array_equal(first.probability, second.probability)
 
 
 def test_inclusion_counts_each_set_once():
-    found = EffectPosterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.zeros(4))
-    assert found.inclusion("x") == pytest.approx(0.7)
-    assert found.inclusion("a") == pytest.approx(0.6)
-    assert found.inclusion("a", "b") == pytest.approx(0.9)
-    assert found.inclusion("y") == 0.0
+    result = EffectPosterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.zeros(4))
+    assert result.inclusion("x") == pytest.approx(0.7)
+    assert result.inclusion("a") == pytest.approx(0.6)
+    assert result.inclusion("a", "b") == pytest.approx(0.9)
+    assert result.inclusion("y") == 0.0
 
 
 def test_groups_are_swaps_of_one_member():
-    found = EffectPosterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.array([0.5, 0.3, 0.1, 0.1]))
-    first, second = found.groups(frozenset())
+    result = EffectPosterior(SETS, np.array([0.4, 0.3, 0.2, 0.1]), np.array([0.5, 0.3, 0.1, 0.1]))
+    first, second = result.groups(frozenset())
     assert (first.members, first.probability) == (("x",), pytest.approx(0.7))
     assert (second.members, second.probability) == (("a", "b"), pytest.approx(0.9))
     assert second.stability == pytest.approx(0.9)
 
 
 def test_an_unlikely_rival_is_no_member():
-    found = EffectPosterior(SETS, np.array([0.79, 0.01, 0.15, 0.05]), np.zeros(4))
-    assert all("b" not in group.members for group in found.groups(frozenset()))
+    result = EffectPosterior(SETS, np.array([0.79, 0.01, 0.15, 0.05]), np.zeros(4))
+    assert all("b" not in group.members for group in result.groups(frozenset()))
 
 
 def test_what_a_given_model_has_is_not_named():
-    found = EffectPosterior(SETS[:2], np.array([0.6, 0.4]), np.zeros(2))
-    (group,) = found.groups(frozenset({"x"}))
+    result = EffectPosterior(SETS[:2], np.array([0.6, 0.4]), np.zeros(2))
+    (group,) = result.groups(frozenset({"x"}))
     assert group.members == ("a", "b")

@@ -30,47 +30,47 @@ def test_the_threshold_keeps_its_level_on_white_noise(level):
 
 
 def test_a_threshold_for_fewer_alarms_is_higher():
-    seen = of_noise(np.random.default_rng(0))
+    result = of_noise(np.random.default_rng(0))
     levels = (0.3, 0.1, 0.01, 0.001)
-    bars = [seen.threshold(level, np.random.default_rng(1)) for level in levels]
+    bars = [result.threshold(level, np.random.default_rng(1)) for level in levels]
     assert (np.diff(bars) > 0).all()
 
 
 def test_gain_counts_positive_scores_only():
-    seen = of_noise(np.random.default_rng(0))
-    assert (seen.gain[seen.score <= 0] == 0).all()
-    some = seen.score > 0
-    np.testing.assert_allclose(seen.gain[some], 0.5 * seen.score[some] ** 2, rtol=1e-4)
+    result = of_noise(np.random.default_rng(0))
+    assert (result.gain[result.score <= 0] == 0).all()
+    positive = result.score > 0
+    np.testing.assert_allclose(result.gain[positive], 0.5 * result.score[positive] ** 2, rtol=1e-4)
 
 
 def test_starts_of_some_candidates():
-    seen = of_noise(np.random.default_rng(0))
+    result = of_noise(np.random.default_rng(0))
     wanted = np.arange(STARTS) % 3 == 0
-    some = seen.of(wanted)
-    np.testing.assert_array_equal(some.candidate, np.flatnonzero(wanted))
-    np.testing.assert_array_equal(some.score, seen.score[wanted])
-    assert some.blocks.shape == (BLOCK_COUNT, wanted.sum())
+    subset = result.of(wanted)
+    np.testing.assert_array_equal(subset.candidate, np.flatnonzero(wanted))
+    np.testing.assert_array_equal(subset.score, result.score[wanted])
+    assert subset.blocks.shape == (BLOCK_COUNT, wanted.sum())
 
 
-def best(seen, given):
-    return given[seen.candidate[seen.gain.argmax()]].effect
+def best(result, candidates):
+    return candidates[result.candidate[result.gain.argmax()]].effect
 
 
 def test_the_effect_that_is_there_stands_out(rubbing):
-    seen, given = rubbing.seen
-    assert best(seen, given).family == "dry friction"
-    assert seen.gain.max() > seen.threshold(0.01, np.random.default_rng(0))
+    result, candidates = rubbing.seen
+    assert best(result, candidates).family == "dry friction"
+    assert result.gain.max() > result.threshold(0.01, np.random.default_rng(0))
 
 
 def test_nothing_stands_out_where_nothing_is_missing(nothing):
-    seen = nothing.seen[0]
-    assert seen.gain.max() < seen.threshold(0.01, np.random.default_rng(0))
+    result = nothing.seen[0]
+    assert result.gain.max() < result.threshold(0.01, np.random.default_rng(0))
 
 
 def test_blocks_add_up_to_the_score(rubbing):
-    seen = rubbing.seen[0]
-    assert seen.blocks.shape[0] == 2 * BLOCKS
-    np.testing.assert_allclose(seen.blocks.sum(axis=0), seen.score)
+    result = rubbing.seen[0]
+    assert result.blocks.shape[0] == 2 * BLOCKS
+    np.testing.assert_allclose(result.blocks.sum(axis=0), result.score)
 
 
 def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():
@@ -86,9 +86,9 @@ def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():
 
 
 def test_every_start_of_every_candidate_is_looked_at(nothing):
-    given = [candidate(effect, 2.2, 0.002) for effect in FITTED]
-    (seen,) = screen(nothing.batch, nothing.plain, [given])
-    assert seen.score.size == sum(len(c.starts) for c in given)
-    counts = np.bincount(seen.candidate, minlength=len(given))
-    np.testing.assert_array_equal(counts, [len(c.starts) for c in given])
-    assert (seen.visible >= 0).all()
+    candidates = [candidate(effect, 2.2, 0.002) for effect in FITTED]
+    (result,) = screen(nothing.batch, nothing.plain, [candidates])
+    assert result.score.size == sum(len(c.starts) for c in candidates)
+    counts = np.bincount(result.candidate, minlength=len(candidates))
+    np.testing.assert_array_equal(counts, [len(c.starts) for c in candidates])
+    assert (result.visible >= 0).all()

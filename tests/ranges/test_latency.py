@@ -27,31 +27,31 @@ def recordings():
 
 def test_each_recording_has_its_own(recordings):
     """Set-points logged one sample (20 ms) early make the latency so much longer."""
-    found = latencies(recordings, MODEL)
+    estimate = latencies(recordings, MODEL)
     expected = simulated.LATENCY + simulated.PERIOD * np.array([0, 1, 2, 0, 1, 2])
-    assert found.episodes == [f"r{k}" for k in range(6)] and not found.windows
-    np.testing.assert_allclose(found.seconds, expected, atol=1e-3)
-    assert (np.abs(found.seconds - expected) < 4 * found.sd + 1e-4).all()
+    assert estimate.episodes == [f"r{k}" for k in range(6)] and not estimate.windows
+    np.testing.assert_allclose(estimate.seconds, expected, atol=1e-3)
+    assert (np.abs(estimate.seconds - expected) < 4 * estimate.sd + 1e-4).all()
 
 
 def test_few_recordings_are_cut_into_windows():
-    found = latencies([simulated.recording(0, seconds=18.0)], MODEL)
-    assert found.windows and len(found.episodes) == 3
-    np.testing.assert_allclose(found.seconds, simulated.LATENCY, atol=1e-3)
+    estimate = latencies([simulated.recording(0, seconds=18.0)], MODEL)
+    assert estimate.windows and len(estimate.episodes) == 3
+    np.testing.assert_allclose(estimate.seconds, simulated.LATENCY, atol=1e-3)
 
 
 def test_a_load_that_is_not_stated_is_no_hindrance(recordings):
     swimming = [replace(r, kind="pool", loads={}) for r in recordings]
-    found = latencies(swimming, MODEL)
-    np.testing.assert_allclose(found.seconds, latencies(recordings, MODEL).seconds, atol=1e-4)
+    estimate = latencies(swimming, MODEL)
+    np.testing.assert_allclose(estimate.seconds, latencies(recordings, MODEL).seconds, atol=1e-4)
 
 
 def test_what_the_model_knows_is_not_taken_for_latency():
     gap = {"backlash": {"gap_rad": 0.02}}
-    given = [simulated.recording(k, f"r{k}", seconds=6.0, **gap) for k in range(5)]
+    recordings = [simulated.recording(k, f"r{k}", seconds=6.0, **gap) for k in range(5)]
     effect = FittedEffect("backlash", gap["backlash"])
-    found = latencies(given, Model({"j1": replace(JOINT, effects=(effect,))}))
-    np.testing.assert_allclose(found.seconds, simulated.LATENCY, atol=2e-4)
+    estimate = latencies(recordings, Model({"j1": replace(JOINT, effects=(effect,))}))
+    np.testing.assert_allclose(estimate.seconds, simulated.LATENCY, atol=2e-4)
 
 
 def test_joints_differ():
@@ -64,10 +64,10 @@ def test_joints_differ():
         position=np.hstack([a.position, b.position]),
         loads={"j1": Load(simulated.INERTIA), "j2": Load(simulated.INERTIA)},
     )
-    found = latencies([both], Model({"j1": JOINT, "j2": JOINT}))
-    np.testing.assert_allclose(found.seconds, simulated.LATENCY + 0.01, atol=1e-3)
-    assert found.offset["j1"][0] == pytest.approx(-0.01, abs=1e-3)
-    assert found.offset["j2"][0] == pytest.approx(0.01, abs=1e-3)
+    estimate = latencies([both], Model({"j1": JOINT, "j2": JOINT}))
+    np.testing.assert_allclose(estimate.seconds, simulated.LATENCY + 0.01, atol=1e-3)
+    assert estimate.offset["j1"][0] == pytest.approx(-0.01, abs=1e-3)
+    assert estimate.offset["j2"][0] == pytest.approx(0.01, abs=1e-3)
 
 
 def test_nothing_moves():
