@@ -36,22 +36,19 @@ from sim2real.output import write_json
 Result = dict[str, Any]
 
 
-def towed(
-    length: int, wall: Wall, device: str, *, body: float = 1.0, degrees: float = 0.0
-) -> float:
-    """Drag coefficient of a spheroid on its wetted area: 0 in ideal fluid, in any frame."""
-    where = {"device": device, "threads": 1}
-    return spheroid.steady(*spheroid.drag(length, wall, body=body, degrees=degrees, **where))
-
-
 def friction(length: int, wall: Wall, device: str) -> Result:
     """Friction of a towed spheroid over Hoerner's."""
     return {"over_hoerner": spheroid.friction(length, wall, device=device, threads=1)}
 
 
-def frame(length: int, wall: Wall, device: str, body: float, degrees: float) -> Result:
-    """Drag coefficient in a frame of reference, see ``spheroid.drag``."""
-    return {"drag_coefficient": towed(length, wall, device, body=body, degrees=degrees)}
+def frame(
+    length: int, wall: Wall, device: str, body: float, degrees: float = 0.0, speed: float = 0.05
+) -> Result:
+    """Drag coefficient of a spheroid on its wetted area: 0 in ideal fluid, in any frame."""
+    found = spheroid.drag(
+        length, wall, body=body, degrees=degrees, speed=speed, device=device, threads=1
+    )
+    return {"drag_coefficient": spheroid.steady(*found)}
 
 
 def carried(length: int, wall: Wall, device: str) -> Result:
@@ -140,6 +137,10 @@ def cases(wall: Wall, device: str, tiny: bool) -> dict[str, Callable[[], Result]
                 jobs[f"spheroid {name} at {degrees:g} degrees, {thick}"] = partial(
                     frame, length, bare, device, body, degrees
                 )  # fmt: skip
+            for share in () if tiny else (2, 4):
+                jobs[f"spheroid {name}, steps 1/{share} as long, {thick}"] = partial(
+                    frame, length, bare, device, body, speed=0.05 / share
+                )
         if length > 24:
             jobs[f"carried mass, spheroid {thick}"] = partial(carried, length, bare, device)
     cell_m = 0.04 if tiny else 0.02

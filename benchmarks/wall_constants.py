@@ -1,23 +1,26 @@
 """Where a wall along which the water slips acts, against potential flow, for its three lengths.
 
     python benchmarks/wall_constants.py [--inset 0 0.2 0.4] [--edge 0.6 0.8 1.0] [--thin 0.3 0.7]
+        [--ghost-edge 0.5 1.1]
 
-A disc and a plate, nowhere special on the grid, are set in motion across their axis; the water that
-goes along tells how large they seem. Printed: by how many cells a disc's radius and a plate's half
+A disc and a plate, nowhere special on the grid, are set in motion across their axis; their added
+mass shows how large they seem. Printed: by how many cells a disc's radius and a plate's half
 width seem too large, for each value that ``sim.fluid.wall`` could have, and with ghost cells for
-each half-thickness of the plate. The ghost cells' ``sim.fluid.section.EDGE`` is fixed when Warp
-compiles; a plate whose half width seems too large by x needs an ``EDGE`` that is larger by x.
+each half-thickness of the plate: one whose half width seems too large by x needs a ``GHOST_EDGE``
+that is larger by x.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 import sim.fluid.wall
 from sim.fluid.fluid import Fluid
-from sim.fluid.wall import Wall
+from sim.fluid.wall import GHOST_EDGE, Wall
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9
 from sim.robot.bodies import HELD, Bodies, Masses
@@ -34,6 +37,7 @@ def main() -> None:
     parser.add_argument("--inset", type=float, nargs="*", default=[0.0, 0.2, 0.4])
     parser.add_argument("--edge", type=float, nargs="*", default=[0.6, 0.8, 1.0])
     parser.add_argument("--thin", type=float, nargs="*", default=[0.3, 0.7, 1.2])
+    parser.add_argument("--ghost-edge", type=float, nargs="*", default=[GHOST_EDGE])
     options = parser.parse_args()
     rng = np.random.default_rng(1)
     for inset in options.inset:
@@ -42,9 +46,10 @@ def main() -> None:
     for edge in options.edge:
         sim.fluid.wall.EDGE = edge
         print(f"edge {edge:g}: plate", *(f"{h:g} cells {plate(h, rng):+.2f}," for h in HALVES))
-    for thin in options.thin:
-        found = (f"{h:g} cells {plate(h, rng, thin, GHOSTS):+.2f}," for h in HALVES)
-        print(f"ghost cells, half-thickness {thin:g}: plate", *found)
+    for edge, thin in product(options.ghost_edge, options.thin):
+        wall = replace(GHOSTS, edge=edge)
+        found = (f"{h:g} cells {plate(h, rng, thin, wall):+.2f}," for h in HALVES)
+        print(f"ghost cells, edge {edge:g}, half-thickness {thin:g}: plate", *found)
 
 
 def disc(radius: float, rng: np.random.Generator) -> float:

@@ -146,6 +146,7 @@ def drag(
     *,
     body: float = 1.0,
     degrees: float = 0.0,
+    speed: float = _SPEED,
     device: str = "cpu",
     threads: int = 2,
 ) -> tuple[Array, Array]:
@@ -157,20 +158,23 @@ def drag(
         body: Frame of reference: the body moves at this share of the speed through the water, the
             water far away at this share less 1. It is towed at 1, and in a stream at rest at 0.
         degrees: Angle of the body and its motion to the cells.
+        speed: Speed through the water in cells per step; a lower one is a shorter time step at the
+            same Reynolds number.
         device: Device of the fluid.
         threads: CPU threads of the fluid.
     """
     sides = _TOWED if degrees == 0 else _TOWED_ASKEW
     cells = tuple(round(side * length) for side in sides)
     fluid = Fluid(
-        D3Q19, cells, viscosity=_VISCOSITY, smagorinsky=_SMAGORINSKY, device=device, threads=threads
-    )
+        D3Q19, cells, viscosity=_VISCOSITY * speed / _SPEED, smagorinsky=_SMAGORINSKY,
+        device=device, threads=threads,
+    )  # fmt: skip
     angle = np.deg2rad(degrees)
     ahead = np.array([np.cos(angle), np.sin(angle)])
     if body != 1.0:
-        fluid.set(velocity=np.array([*((body - 1.0) * _SPEED * ahead), 0.0]))
+        fluid.set(velocity=np.array([*((body - 1.0) * speed * ahead), 0.0]))
     hull, cell = prolate(LENGTH_M), LENGTH_M / length
-    units = Units(cell, _SPEED * cell / SPEED_M_S, cell)
+    units = Units(cell, speed * cell / SPEED_M_S, cell)
     links = hull.length.size
     light = Masses(np.ones(links), np.ones(links), np.zeros(links))
     bodies = Bodies(fluid, hull, light, units, middle=(cells[2] - 1) / 2 + 0.1, wall=wall)
@@ -180,7 +184,7 @@ def drag(
     start = np.zeros((1, 2 + links))
     start[0, :3] = *(cell * place), angle
     bodies.place(start)
-    steps, ramp = round(_LENGTHS * length / _SPEED), 0.1 * length / _SPEED
+    steps, ramp = round(_LENGTHS * length / speed), 0.1 * length / speed
     share = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, (np.arange(steps) + 1) / ramp))
     rates, force = np.zeros(2 + links), np.zeros(steps)
     for n in range(steps):
@@ -191,7 +195,7 @@ def drag(
     if fluid.stopped.numpy()[0] >= 0:  # the flow broke down
         force[:] = np.nan
     unit = 0.5 * WATER_KG_M3 * SPEED_M_S**2 * wetted(LENGTH_M)
-    return np.cumsum(share) * _SPEED / length, force / unit
+    return np.cumsum(share) * speed / length, force / unit
 
 
 def steady(moved: Array, found: Array) -> float:

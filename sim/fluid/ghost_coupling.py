@@ -80,6 +80,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         length: wp.array(dtype=wp.float32),
         half_width: wp.array(dtype=wp.vec3),
         half_height: wp.array(dtype=wp.vec3),
+        touch: Touch,
         stopped: wp.array(dtype=wp.int32),
     ):
         """One column of cells: those inside a body, their depth and normal; those next to it."""
@@ -114,6 +115,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         half_width[link],
                         half_height[link],
                         rest,
+                        touch.edge,
                     )
                     slot = (e * count * count + column) * covered.tall + layer
                     covered.share[slot] = float(link)

@@ -6,10 +6,8 @@ from sim.fluid.wall import Touch
 
 RAMP = 1.0
 """Width in cells over which a cell's solid share falls from 1 to 0."""
-SHEET, EDGE = 1.5, 0.5
-"""For ghost cells, in cells: half-thickness below which a tall part is a sheet, and distance by
-which the edges of a sheet are moved inwards. By its added mass a plate with this ``EDGE`` acts 0.6
-to 1 cells too large at each edge (``benchmarks/wall_constants.py``)."""
+SHEET = 1.5
+"""For ghost cells, in cells: half-thickness below which a tall part is a sheet."""
 TIP = 1.0
 """For ghost cells, in cells: at a round end, sections with a smaller radius that are nearer to the
 end than this are not covered. Whether they contain the centre of a cell depends on the position on
@@ -163,10 +161,12 @@ def surface(
     width: wp.vec3,
     height: wp.vec3,
     rest: wp.vec2,
+    edge: float,
 ):
     """Signed distance from a link's surface, its normal, and depth of the other side if thin.
 
-    ``rest`` is the length of the chain in front of and behind the link. Sections are ellipses.
+    ``rest`` is the length of the chain in front of and behind the link, ``edge`` the distance by
+    which the edges of a sheet are moved inwards. Sections are ellipses.
     Parts thinner than ``SHEET`` are a sheet with the normals of its two sides, without a round
     edge, which the water leaves along the sides; it ends where the chain ends, and is closed at the
     joints. Its upper and lower edges lie between two layers of cells: each column is rounded up or
@@ -213,7 +213,7 @@ def surface(
         half = wp.max(thick, sealed(n))
         d = off - half
         over_end = wp.max(back - length - rest[1], -back - rest[0]) - w
-        beyond = wp.max(wp.abs(z) - h + dither(x, y), over_end) + wp.static(EDGE)
+        beyond = wp.max(wp.abs(z) - h + dither(x, y), over_end) + edge
         if beyond > 0.0:
             d = wp.max(d, beyond)
         other = off + half

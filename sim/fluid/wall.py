@@ -26,6 +26,13 @@ DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
 which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
 moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
 disc acts 0.1 cells too large, a plate 0.1 to 0.3 (``benchmarks/wall_constants.py``)."""
+GHOST_EDGE = 0.5
+"""For ghost cells, in cells: distance by which the edges of a sheet are moved inwards. By its added
+mass a plate with this edge acts 0.6 to 1 cells too large at each edge
+(``benchmarks/wall_constants.py``)."""
+DAMPING = 0.015
+"""Increase of the relaxation time of the cells at ghost cells: without it the water at a tail at
+rest rings, with more of it a spheroid has drag in ideal fluid."""
 MEMORY = 40.0
 """Steps over which the momentum that the inner water takes from the outer is averaged."""
 
@@ -39,7 +46,8 @@ class Touch:
         line: Number of the friction line in ``LINES``.
         reynolds: Reynolds number of one cell per step over the body's length, in water.
         length: The body's length.
-        deep, inset, thin, edge: ``DEEP``, ``INSET``, ``THIN``, ``EDGE``.
+        deep, inset, thin: ``DEEP``, ``INSET``, ``THIN``.
+        edge: ``EDGE``, or that of the ghost cells.
     """
 
     slip: int
@@ -59,13 +67,13 @@ class Wall:
     Attributes:
         slip: Whether the water slips along the surface.
         ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
-            surface; else by forcing (``coupling``). Experimental: drag and added mass of ideal
-            fluid are right within a few percent, friction is 0.79 to 0.87 of that of a spheroid
-            with 2 to 8 cells of thickness, and steady speeds of a robot are 10 to 21 % too low in
-            cells of 2 cm and within 7 % in cells of 1 cm. ``reports/resolution`` and
-            ``reports/real_fish.md`` show both.
+            surface; else by forcing (``coupling``). With ghost cells the drag and the added mass
+            of ideal fluid are right within a few percent, friction is 0.79 to 0.87 of that of a
+            spheroid with 2 to 8 cells of thickness, and steady speeds of a robot are 10 to 21 % too
+            low in cells of 2 cm and within 7 % in cells of 1 cm (``reports/resolution``).
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
+        edge: Of ghost cells: distance in cells by which the edges of a sheet are moved inwards.
 
     Raises:
         InputError: If there is no such line, or ghost cells are asked for without slip.
@@ -74,6 +82,7 @@ class Wall:
     slip: bool
     line: str = "none"
     ghosts: bool = False
+    edge: float = GHOST_EDGE
 
     def __post_init__(self) -> None:
         if self.line not in LINES:
@@ -87,7 +96,8 @@ class Wall:
         touch.slip, touch.line = int(self.slip), LINES.index(self.line)
         touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
         touch.length = length_m / units.cell_m
-        touch.deep, touch.inset, touch.thin, touch.edge = DEEP, INSET, THIN, EDGE
+        touch.deep, touch.inset, touch.thin = DEEP, INSET, THIN
+        touch.edge = self.edge if self.ghosts else EDGE
         return touch
 
 

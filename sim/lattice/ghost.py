@@ -3,10 +3,10 @@
 A cell whose centre lies inside a body sends out, towards each neighbour in the water, populations
 at equilibrium. Across the surface their velocity is the body's; along it, that with which the links
 of the cell exchange no momentum along the surface, or, where the links do not determine it, that of
-the water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
-passes but what the moving surface displaces; what ghost cells send to each other has the density
-of the water outside, as cells that the body uncovers hold it. Uniform flow along a plane of any
-direction is an exact solution.
+the water ``REACH`` cells outside. Their density is such that through the links of the
+cell no mass passes but what the moving surface displaces; what ghost cells send to each other has
+the density of the water outside, as cells that the body uncovers hold it. Uniform flow along a
+plane of any direction is an exact solution.
 Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
 lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that displace what the surface
 displaces).
@@ -23,6 +23,10 @@ from sim.lattice.velocities import Lattice
 
 REACH = 0.5
 """Least distance in cells from the surface of the water that ghost cells continue."""
+WEAK = 0.14
+"""Variance of the velocities of a cell's links, in a direction along the surface, below which they
+do not determine the water's velocity in it; on a plane it is 1/3. Less makes the flow unstable,
+with more a sliding body exchanges momentum with the water in every time step."""
 
 
 class Ghosts(NamedTuple):
@@ -46,13 +50,8 @@ class Ghosts(NamedTuple):
 
 
 @cache
-def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) -> Ghosts:
-    """The functions for a lattice.
-
-    ``stiffness`` is the weight of the velocity outside relative to the spread of a cell's links, in
-    the velocity along the surface. Less makes the flow unstable, more gives thrust: the drag of a
-    spheroid 4 cells thick is 0.0078, 0.0047 and 0.0033 of its wetted area at 0.05, 0.1 and 0.15.
-    """
+def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
+    """The functions for a lattice."""
     c, w, Q = lattice.velocities, lattice.weights, lattice.Q
     pop = populations(lattice, storage, wide)
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
@@ -143,8 +142,9 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
     def slipping(p: Vector, links: int, face: wp.vec4, water: wp.vec4) -> wp.vec4:
         """``water`` with the velocity along the surface that exchanges no momentum along it.
 
-        The least-squares fit of an equilibrium to the populations that arrive through the links;
-        ``stiffness`` keeps the velocity of ``water`` in directions that few links determine.
+        The least-squares fit of an equilibrium to the populations that arrive through the links. In
+        a direction in which their velocities have the variance v, the share v^2 / (v^2 + WEAK^2) of
+        its difference from ``water`` counts (Tikhonov's regularisation).
         """
         n = wp.vec3(face[0], face[1], face[2])
         rho = face[3]
@@ -174,8 +174,9 @@ def ghosts(lattice: Lattice, storage: str, wide: bool, stiffness: float = 0.15) 
         square = square / weight - wp.outer(mean, mean)
         moment = moment / weight - (excess / weight) * mean
         flat = wp.identity(n=3, dtype=wp.float32) - wp.outer(n, n)
-        whole = flat * square * flat + wp.outer(n, n) + wp.static(stiffness) * flat
-        change = (wp.inverse(whole) * (flat * moment)) / (3.0 * rho)
+        spread = flat * square * flat + wp.outer(n, n)
+        whole = spread * spread + wp.static(WEAK * WEAK) * flat
+        change = (wp.inverse(whole) * (spread * (flat * moment))) / (3.0 * rho)
         return water - wp.vec4(change[0], change[1], change[2], 0.0)
 
     @wp.func

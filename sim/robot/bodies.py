@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.fluid.coupling import SUMS, cover_kernel
 from sim.fluid.fluid import Fluid
 from sim.fluid.ghost_coupling import ghost_kernels
-from sim.fluid.wall import MEMORY, NO_SLIP, Wall
+from sim.fluid.wall import DAMPING, MEMORY, NO_SLIP, Wall
 from sim.lattice.cell import Covered
 from sim.lattice.populations import FIXED_POINT
 from sim.lattice.units import Units
@@ -177,7 +177,7 @@ class Bodies:
         ghosts = cells if wall.ghosts else 1
         covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
         covered.links = room((ghosts,), wp.vec2i)
-        covered.damping = 0.03 if wall.ghosts else 0.0  # else the water at a tail at rest rings
+        covered.damping = DAMPING if wall.ghosts else 0.0
         self._touch = wall.touch(hull.body_length, units)
         made = ghost_kernels if wall.ghosts else cover_kernel
         self._cover = made(fluid.lattice, fluid.storage, fluid.wide)
@@ -232,7 +232,7 @@ class Bodies:
         touch, rough = self._touch, self.chain.rough
         if self.wall.ghosts:
             marked = [fluid.flags, fluid.box, fluid.covered, self.middle, grid.pose]
-            self._launch(self._cover.mark, columns, [*marked, *shape, fluid.stopped])
+            self._launch(self._cover.mark, columns, [*marked, *shape, touch, fluid.stopped])
             inputs = [*water, touch, rough, *place, grid.kept, grid.sums, fluid.stopped]
             self._launch(self._cover.cover, columns, inputs)
         else:

@@ -160,6 +160,13 @@ def test_friction_does_not_depend_on_the_cells():
     assert found[0] == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.parametrize("body", [1.0, 0.0], ids=["towed", "in a stream"])
+def test_drag_does_not_depend_on_the_time_step(body):
+    """Two cells thick, steps a quarter as long; with exchange along the wall by 0.009."""
+    found = [spheroid.drag(12, SLIPS, body=body, speed=speed) for speed in (0.05, 0.0125)]
+    assert spheroid.steady(*found[0]) == pytest.approx(spheroid.steady(*found[1]), abs=0.005)
+
+
 def test_hard_commands_do_not_stop_a_light_robot():
     """Half as heavy as its water; its tail moves by up to 0.4 cells in a step."""
     swimmer = Swimmer(FISH, servos(), wall=SLIPS, box_m=(0.9, 0.7, 0.3))
