@@ -87,7 +87,7 @@ def samples(rows: Sequence[Row], negligible: float) -> dict[str, list[Sample]]:
 def _quiet(there: Curve, given: Sequence[Sample], rows: Sequence[Row]) -> tuple[float, int, str]:
     """The probability below which most robots that miss nothing are, by curves of other plants."""
     largest = {row["case"]: 0.0 for row in rows if row["kind"] in ("null", "trap")}
-    for p, one in zip(there.foretold, given, strict=True):
+    for p, one in zip(there.predicted, given, strict=True):
         if one.case in largest:
             largest[one.case] = max(largest[one.case], p)
     why = f"{100 * QUIET:g} % of robots that miss nothing, on plants left out, are below"
@@ -97,7 +97,7 @@ def _quiet(there: Curve, given: Sequence[Sample], rows: Sequence[Row]) -> tuple[
 def _stated(fitted: Curve | None, given: Sequence[Sample], weights: Row) -> tuple[Array, Array]:
     """Probabilities of findings, and whether they were right, by a fitted or a kept curve, (N,)."""
     if fitted is not None:
-        return fitted.foretold, fitted.right
+        return fitted.predicted, fitted.right
     kept = [Odds(weights).probability(one.features) for one in given]
     return np.array(kept), np.array([one.right for one in given], dtype=float)
 

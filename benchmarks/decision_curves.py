@@ -44,19 +44,19 @@ class Curve:
 
     Attributes:
         weights: By feature.
-        foretold: Probability of each sample by the curve of the other plants, shape (N,).
+        predicted: Probability of each sample by the curve of the other plants, shape (N,).
         right: Whether it was so, shape (N,).
         spread: Of the prior.
     """
 
     weights: dict[str, float]
-    foretold: Array
+    predicted: Array
     right: Array
     spread: float
 
     def report(self) -> dict[str, Any]:
         """How it does on plants left out."""
-        p, y = self.foretold, self.right
+        p, y = self.predicted, self.right
         place = np.minimum((p * 10).astype(int), 9)
         bins = [
             {"stated": float(p[place == k].mean()), "true": float(y[place == k].mean()),
@@ -91,11 +91,11 @@ def curve(samples: Sequence[Sample]) -> Curve | None:
         for out in folds:
             odds[out] = x[out] @ logistic(x[~out], y[~out], spread)
         tried.append((spread, *_straightened(odds, y)))
-    spread, line, foretold = min(tried, key=lambda one: loss(one[2], y))
+    spread, line, predicted = min(tried, key=lambda one: loss(one[2], y))
     w = logistic(x, y, spread) * line[1]
     w[0] += line[0]
     weights = {n: float(f"{value:.4g}") for n, value in zip(names, w, strict=True)}
-    return Curve(weights, foretold, y, spread)
+    return Curve(weights, predicted, y, spread)
 
 
 def _folds(samples: Sequence[Sample]) -> list[Mask]:
@@ -110,7 +110,7 @@ def _folds(samples: Sequence[Sample]) -> list[Mask]:
 
 
 def _straightened(odds: Array, y: Array) -> tuple[Array, Array]:
-    """Offset and slope with which odds foretell best, shape (2,), and what is then foretold.
+    """Offset and slope of the log odds that predict best, shape (2,), and their predictions.
 
     Source: Platt, Probabilistic outputs for support vector machines, Advances in Large Margin
     Classifiers (MIT Press, 1999).

@@ -19,8 +19,8 @@ commands and the load alone.
 
 A verdict is right if the first effect is the hidden one, alone or at the head of its group; of two
 effects, if each has an entry of its own. Nuisances that every servo of these plants has (irregular
-timing, cogging, friction) count neither for a verdict nor against it. What can be told is what an
-oracle tells from the same recordings: it knows the plant, its parameters and its noise
+timing, cogging, friction) count neither for a verdict nor against it. Effects are detectable if an
+oracle that knows the plant, its parameters and its noise detects them in the same recordings
 (``datasets/foreign/knower.py``).
 
 Answers are kept, one file a bench, and a bench that has one is not made again: ``--benches 0`` only
@@ -135,22 +135,22 @@ def diagnosed(
     return found, joint
 
 
-def judged(case: ForeignCase, found: Diagnosis, folder: Path) -> Row:
-    """What a verdict says beside what is true."""
+def graded(case: ForeignCase, found: Diagnosis, folder: Path) -> Row:
+    """Compare a diagnosis with the concealed effects."""
     write_diagnosis(found, folder / "diagnosis.json", "enriched.json")
-    said = json.loads((folder / "diagnosis.json").read_text())
+    verdict = json.loads((folder / "diagnosis.json").read_text())
     hidden = answer(case, "bench")["effects"]
     there = [*hidden, *nuisances(case)]
-    entries = [_entry(given, there) for given in _named(said)]
+    entries = [_entry(given, there) for given in _named(verdict)]
     likely = [entry for entry in entries if entry["probability"] >= LIKELY]
     both = _both(hidden, likely)
-    of_hidden = [_entry(given, hidden)["right"] for given in _named(said)]
+    of_hidden = [_entry(given, hidden)["right"] for given in _named(verdict)]
     counted = (
         hit for hit, entry in zip(of_hidden, entries, strict=True) if hit or not entry["right"]
     )
     right = next(counted, False)
     rivals = {e for entry in likely for e in entry["group"][1:]}
-    rivals |= {r["effect"] for r in said["rivals"] if r["probability"] >= LEFT}
+    rivals |= {r["effect"] for r in verdict["rivals"] if r["probability"] >= LEFT}
     return {
         "verdict": found.verdict,
         "right": right if len(hidden) == 1 else both["both"],
@@ -185,7 +185,7 @@ def looked_at(seed: list[int], folder: Path) -> Bench | str:
     (folder / "robot.toml").write_text(robot_toml(case))
     robot = read_robot(folder / "robot.toml")
     found, joint = diagnosed([path], robot)
-    state = state_of(case, found, judged(case, found, folder))
+    state = state_of(case, found, graded(case, found, folder))
     return Bench(case, robot, folder, found, joint, state, seed) if state else found.verdict
 
 
@@ -270,9 +270,9 @@ def recorded_again(
     case.takes["b"].measured = recorded(
         case.takes["b"], reading, servo, acting_on(case.hidden, 0), rng
     )[:, None]
-    told = knower.consult(case)
-    least = min(told["llr_of_each"].values()) if "llr_of_each" in told else told["llr_total"]
-    practical = told.get("practical_of_each") or {"it": told["practical"]}
+    known = knower.consult(case)
+    least = min(known["llr_of_each"].values()) if "llr_of_each" in known else known["llr_total"]
+    practical = known.get("practical_of_each") or {"it": known["practical"]}
     oracle = {"llr": float(least), "practical": all(practical.values())}
     folder = bench.folder / arm
     folder.mkdir()
@@ -285,12 +285,12 @@ def recorded_again(
     for label, earlier in open_sets.items():
         found, _ = diagnosed([bench.folder / "a.csv", path], bench.robot, earlier)
         entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
-        rows[label] = judged(case, found, folder) | oracle | {"entropy": entropy}
+        rows[label] = graded(case, found, folder) | oracle | {"entropy": entropy}
     return rows
 
 
 def answered(seed: list[int], *, stated: bool = False) -> Row:
-    """All that is to be said of one bench; ``stated`` as the option."""
+    """Results of one bench; ``stated`` as the option."""
     start = time.process_time()
     with tempfile.TemporaryDirectory() as name:
         bench = looked_at(seed, Path(name))
@@ -303,7 +303,7 @@ def answered(seed: list[int], *, stated: bool = False) -> Row:
             "state": bench.state,
             "plant": case.plant,
             "hidden": [(h.effect, h.strength) for h in case.hidden],
-            "first": judged(case, first, bench.folder) | {"entropy": first.rival_sets[0].entropy},
+            "first": graded(case, first, bench.folder) | {"entropy": first.rival_sets[0].entropy},
             "sets": [(s.effects, s.probability) for s in first.rival_sets[0].sets],
         }
         for arm in ARMS:
@@ -314,7 +314,7 @@ def answered(seed: list[int], *, stated: bool = False) -> Row:
 
 
 def summary(rows: Sequence[Row]) -> Row:
-    """Shares of benches by arm, of what the oracle can tell from the designed recordings."""
+    """Shares of benches by arm, and of those with effects that the oracle detects."""
     out: Row = {}
     groups = {"all": rows}
     groups |= {f"{n} hidden": [r for r in rows if len(r["hidden"]) == n] for n in (1, 2)}
@@ -325,16 +325,14 @@ def summary(rows: Sequence[Row]) -> Row:
         for arm in (*ARMS, *(arm + STATED for arm in ARMS[1:])):
             if any(arm not in r for r in some):
                 continue
-            told = [r for r in some if r[arm].get("llr", 0) >= DETECTABLE]
-            matter = [r for r in told if r[arm]["practical"]]
+            detectable = [r for r in some if r[arm].get("llr", 0) >= DETECTABLE]
+            matter = [r for r in detectable if r[arm]["practical"]]
             out[name][arm] = {
                 "right": _share(r[arm]["right"] for r in some),
-                "right of what the oracle tells": _share(r[arm]["right"] for r in told),
+                "right of detectable": _share(r[arm]["right"] for r in detectable),
                 "right of that, of practical size": _share(r[arm]["right"] for r in matter),
-                "right of what the oracle tells of the designed": _share(
-                    r[arm]["right"] for r in same
-                ),
-                "told by the oracle": len(told),
+                "right of detectable in the designed": _share(r[arm]["right"] for r in same),
+                "detectable": len(detectable),
                 "reduction of entropy over the expected": _slope(some, arm),
                 **{
                     label: _mean(r[arm].get(label, np.nan) for r in some)

@@ -76,7 +76,7 @@ def decision_cases(benches: Sequence[Bench]) -> Cases:
     for row in rows_of(benches):
         for arm in SWIMS:
             truth = {
-                "robot": row["case"].partition(".")[0], "kind": row["kind"], "foretold": None,
+                "robot": row["case"].partition(".")[0], "kind": row["kind"], "held_out": None,
                 "effects": [{"effect": name, "component": of} for name, of in hidden(row)],
                 "oracle": {"llr_total": float(np.max(shown_by(row, arm), initial=0.0))},
             }  # fmt: skip

@@ -1,14 +1,14 @@
-"""Read the thresholds and the odds that decide a diagnosis of swims off development sets.
+"""Fit the thresholds and the odds of a diagnosis of swims to development sets.
 
     python -m benchmarks.pool_decisions SET VERDICTS RESULTS [SET ...] [--in-water] [--go-on]
 
-Takes the searches of ``datasets/pool/sealed_solve.py``, fits the curves of odds, and looks for the
-thresholds whose answers are best; prints what they are worth with whole robots left out. The others
-stay as they are. What a model has to bring on the end of its swim to be offered is
-read off the other swims of the cases, as ``sealed_grade.py`` says what each set foretells of them,
-where RESULTS are there. ``--go-on``: what is there is from other cases; the curves become those of
-both, thresholds stay. Writes ``decisions`` of ``sim/inference/law_error.json``, or of
-``law_error_in_water.json``. What is chosen keeps its value and its reason.
+Fits the logistic curves to searches of ``datasets/pool/sealed_solve.py`` and looks for the
+thresholds with the best answers; prints the measures with whole robots left out. The improvement on
+the end of its swim from which a model is offered is fitted to the held-out swims of the cases, if
+RESULTS of ``sealed_grade.py`` exist. ``--go-on``: the present weights are from other cases; the
+curves are fitted to both, and thresholds keep their values. Writes ``decisions`` of
+``sim/inference/law_error.json``, or of ``law_error_in_water.json``. Thresholds that were chosen
+keep their values and reasons.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ LEVELS = {
     "alike": (1.0, 2.5, 4.0, 6.0), "alike_imitated": (2.5, 5.0, 8.0, 12.0, 20.0),
     "flagged from": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
 }  # fmt: skip
-"""Where thresholds are looked for: evidence within which others do as well, and the probability
-that anything is there from which a swim counts as flagged."""
+"""Values of the thresholds that are tried: evidence within which other effects do as well, and the
+probability of any effect from which a swim is flagged."""
 _WIDE = 0.1
-"""What each further name in the first group of a single effect costs."""
+"""Cost of each further name in the first group of a single effect."""
 DETECTABLE = 10.0
-"""Log-likelihood ratio of one who knows the water from which something can be seen."""
+"""Log-likelihood ratio of the oracle from which an effect is detectable."""
 _AT_ONCE = 3
 _SPREADS, _COVERED = np.arange(0.0, 0.41, 0.01), 0.88
 _GAINS, _BETTER, _SURE = (-4.0, -2.0, 0.0, 2.0), np.arange(0.0, 0.21, 0.03), (0.8, 0.9, 0.95, 1.0)
 _WORSE, _RARELY = 0.01, 0.02
-"""Share by which an error may grow, and share of cases in which it may grow by more."""
+"""Share by which a held-out error may grow, and share of cases in which it may grow by more."""
 _PRIOR, _GOES_ON = 1.0, 0.5
-"""Spread of the weights over the size of what they weigh: about 0, and about earlier ones."""
+"""Prior standard deviation of the weights of normalised terms: about 0, and about earlier ones."""
 _USUAL = 0.85
-"""Of cases of the catalogue, that leave no more than what counts as usual."""
+"""Share of the cases of the catalogue with a residual that counts as usual."""
 Cases = list[tuple[dict[str, Any], dict[str, Any]]]
 
 
-def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
+def measures(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
     """The grader's measures of (answer, decision) pairs."""
     counts: dict[str, list[float]] = {
         k: []
@@ -69,31 +69,31 @@ def judged(cases: list[tuple[dict[str, Any], Decided]]) -> dict[str, float]:
         )
     }
     stated: list[tuple[float, bool]] = []
-    for truth, said in cases:
+    for truth, decision in cases:
         hidden = _hidden(truth)
-        right = [matches(one.group, hidden) for one in said.named]
+        right = [matches(one.group, hidden) for one in decision.named]
         stated += [
             (one.probability, ok)
-            for one, ok in zip(said.named, right, strict=True)
+            for one, ok in zip(decision.named, right, strict=True)
             if one.probability >= 0.05
         ]
-        sure = [ok for one, ok in zip(said.named, right, strict=True) if one.probability >= 0.9]
+        sure = [ok for one, ok in zip(decision.named, right, strict=True) if one.probability >= 0.9]
         counts["wrong"] += [float(not ok) for ok in sure]
-        likely = [one for one in said.named if one.probability >= 0.5]
-        flagged = said.verdict != "consistent"
-        seen = truth["oracle"]["llr_total"] >= DETECTABLE
+        likely = [one for one in decision.named if one.probability >= 0.5]
+        flagged = decision.verdict != "consistent"
+        detectable = truth["oracle"]["llr_total"] >= DETECTABLE
         if truth["kind"] == "null":
             counts["false_alarm"].append(float(bool(sure)))
             counts["flagged_null"].append(float(flagged))
         if truth["kind"] == "outside":
-            good = said.verdict in ("unexplained", "partly_explained") and not likely
+            good = decision.verdict in ("unexplained", "partly_explained") and not likely
             counts["abstains"].append(float(good))
-        if truth["kind"] in ("single", "double") and seen:
+        if truth["kind"] in ("single", "double") and detectable:
             counts["detection"].append(float(flagged))
-        if truth["kind"] == "single" and seen:
+        if truth["kind"] == "single" and detectable:
             counts["group_first"].append(float(bool(right) and right[0]))
-            counts["further"].append(len(said.named[0].group) - 1.0 if said.named else 0.0)
-        if truth["kind"] == "double" and seen:
+            counts["further"].append(len(decision.named[0].group) - 1.0 if decision.named else 0.0)
+        if truth["kind"] == "double" and detectable:
             met = sum(any(matches(one.group, [h]) for one in likely) for h in hidden)
             counts["both"].append(float(met == 2 and len(likely) == 2))
     out = {name: float(np.mean(v)) if v else 0.0 for name, v in counts.items()}
@@ -112,7 +112,7 @@ def _hidden(truth: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def matches(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
-    """Whether a group of effects has one of those concealed; alone, of the right component."""
+    """Whether a group contains a concealed effect; a group of one name needs its component too."""
     alone = len({name for name, _ in group}) == 1
     return any(
         (name == effect and (not alone or of == where))
@@ -122,9 +122,9 @@ def matches(group: Any, hidden: list[tuple[str, str]]) -> bool:  # noqa: ANN401
 
 
 def worth(found: dict[str, float]) -> float:
-    """What measures are worth: those of the issue, false names dearest.
+    """Value of the measures, with the largest cost for false names.
 
-    Up to 15 % of nulls may be flagged at no cost: a flag is no name.
+    Up to 15 % of nulls may be flagged at no cost: a flag names no effect.
     """
     over = lambda name, bar: max(0.0, found[name] - bar)  # noqa: E731
     return (
@@ -135,7 +135,7 @@ def worth(found: dict[str, float]) -> float:
 
 
 def usually(cases: Cases) -> Numbers:
-    """What is left, and shapes without a name bring, where the catalogue has all there is."""
+    """Usual residuals, and gains by unnamed shapes, of cases whose effects the catalogue has."""
     inside = [found for truth, found in cases if truth["kind"] != "outside"]
     shapes: dict[str, list[float]] = {}
     for found in inside:
@@ -161,12 +161,12 @@ def read_cases(sets: Sequence[Path], verdicts: Sequence[Path], graded: Sequence[
     cases = []
     for challenge, place, results in zip(sets, verdicts, graded, strict=True):
         rows = json.loads(results.read_text())["cases"] if results.exists() else []
-        foretold = {row["case"]: row["heldout"] for row in rows}
+        held_out = {row["case"]: row["heldout"] for row in rows}
         for one in json.loads((challenge / "answers.json").read_text())["cases"]:
             path = place / one["case"] / "raw.json"
             if path.exists():
                 truth = one | {"robot": f"{challenge.name} {one['robot']}"}
-                truth["foretold"] = foretold.get(one["case"])
+                truth["held_out"] = held_out.get(one["case"])
                 found = json.loads(path.read_text()) | {"referred": one["references"]}
                 cases.append((truth, found))
     return cases
@@ -176,13 +176,13 @@ def choose(
     cases: Cases, target: Path, at_once: int = _AT_ONCE, *, go_on: bool = False,
     relative: float | None = None,
 ) -> None:  # fmt: skip
-    """Write the numbers whose answers to development cases are best; print what they are worth.
+    """Write the numbers with the best answers to development cases; print their measures.
 
     Args:
         cases: Answers and searches.
         target: The file whose ``decisions`` are replaced.
         at_once: Number of processes.
-        go_on: Whether to start from the numbers that are there, and change only the curves.
+        go_on: Whether to start from the present numbers and change only the curves.
         relative: The new relative error of estimates, see ``spread_of``; None to keep it.
     """
     content = json.loads(target.read_text())
@@ -192,27 +192,27 @@ def choose(
     tune = partial(tuned, begun=content["decisions"], go_on=go_on)
     with ProcessPoolExecutor(at_once) as pool:
         *found, best = pool.map(tune, [*parts, cases])
-    best |= offering([c for c in cases if c[0]["foretold"]], best, go_on=go_on)
+    best |= offering([c for c in cases if c[0]["held_out"]], best, go_on=go_on)
     apart = [
         (t, decide(f, numbers))
         for numbers, out in zip(found, robots, strict=True)
         for t, f in cases
         if t["robot"] == out
     ]
-    print(len(cases), "cases of", len(robots), "robots; robots left out:", judged(apart))
+    print(len(cases), "cases of", len(robots), "robots; robots left out:", measures(apart))
     if relative is not None:
         best["relative"] = relative
     content["decisions"] = {k: float(f"{v:.4g}") for k, v in best.items()}
     earlier = f", after {content['decided']}" if go_on else ""
     content["decided"] = f"{len(cases)} cases of {len(robots)} robots{earlier}"
     write_json(target, content)
-    print("all:", judged([(t, decide(f, best)) for t, f in cases]))
+    print("all:", measures([(t, decide(f, best)) for t, f in cases]))
 
 
 def offering(cases: Cases, numbers: Numbers, *, go_on: bool = False) -> Numbers:
-    """What a set has to bring on the end of a swim, so that hardly one foretells another worse.
+    """Improvement on the end of a swim with which models hardly ever increase held-out errors.
 
-    ``go_on``: only how certain an effect must be that need not better the speed is looked for.
+    ``go_on``: fits only the probability from which an effect need not improve the speed.
     """
     kept = (numbers["held_gain"],), (numbers["held_better"],)
     gains, better = kept if go_on else (_GAINS, _BETTER)
@@ -222,36 +222,36 @@ def offering(cases: Cases, numbers: Numbers, *, go_on: bool = False) -> Numbers:
         given = dict(
             zip(("held_gain", "held_better", "held_sure"), map(float, levels), strict=True)
         )
-        said = [(truth, decide(found, numbers | given)) for truth, found in cases]
-        lower = np.array([_lower(truth, one) for truth, one in said])
+        decisions = [(truth, decide(found, numbers | given)) for truth, found in cases]
+        lower = np.array([_lower(truth, one) for truth, one in decisions])
         if np.mean(lower < -_WORSE) <= _RARELY and lower.mean() > top:
             top, best = lower.mean(), given
     return best
 
 
-def _lower(truth: dict[str, Any], said: Decided) -> float:
-    """Logarithm of the other swim's error without a model over that with it."""
-    for one in truth["foretold"]["tried"]:
-        if frozenset((str(a), str(b)) for a, b in one["names"]) == said.offered:
-            return float(np.log(truth["foretold"]["base"] / one["error"]))
+def _lower(truth: dict[str, Any], decision: Decided) -> float:
+    """Logarithm of the held-out error without a model over that with it."""
+    for one in truth["held_out"]["tried"]:
+        if frozenset((str(a), str(b)) for a, b in one["names"]) == decision.offered:
+            return float(np.log(truth["held_out"]["base"] / one["error"]))
     return 0.0
 
 
 def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> float:
-    """What estimates are off by beyond their own sd, of their size: then 90 % hold the truth.
+    """Relative standard deviation that 90 % intervals of the estimates need in addition.
 
-    Of effects that were named exactly; ``known``: the spread that the verdicts' intervals have.
+    Of effects that were named exactly; ``known`` is the one that the verdicts' intervals include.
     """
     rows = []
     for challenge, place in zip(sets, verdicts, strict=True):
         for one in json.loads((challenge / "answers.json").read_text())["cases"]:
             path = place / one["case"] / "diagnosis.json"
             hidden = {(e["effect"], e["component"]): e["parameters"] for e in one["effects"]}
-            for said in json.loads(path.read_text())["effects"] if path.exists() else ():
-                for name, true in hidden.get((said["effect"], said["component"]), {}).items():
-                    told = said["parameters"].get(name)
-                    if told:
-                        rows.append((true - told["mean"], told["sd"], told["mean"]))
+            for effect in json.loads(path.read_text())["effects"] if path.exists() else ():
+                for name, true in hidden.get((effect["effect"], effect["component"]), {}).items():
+                    estimate = effect["parameters"].get(name)
+                    if estimate:
+                        rows.append((true - estimate["mean"], estimate["sd"], estimate["mean"]))
     off, sd, size = np.array(rows).T
     sd = np.sqrt(np.maximum(sd**2 - (known * size) ** 2, 0.0))
     for relative in _SPREADS:
@@ -261,45 +261,45 @@ def spread_of(sets: Sequence[Path], verdicts: Sequence[Path], known: float) -> f
 
 
 def tuned(cases: Cases, begun: Numbers, *, go_on: bool = False) -> Numbers:
-    """Numbers that decide best: curves of odds, what is alike, and from where a swim is flagged.
+    """Numbers with the best answers: curves, evidence of alike effects, threshold of a flag.
 
-    The others stay as they begin: searched at random, they answered robots left out worse.
-    ``go_on``: only the curves are new, not far from what they begin with.
+    The others keep their values: a random search of them was worse on robots left out. ``go_on``:
+    only the curves are fitted, with a prior about their present weights.
     """
     if go_on:
         return curves(cases, begun, begun)
     best = curves(cases, begun | usually(cases))
     for name, levels in LEVELS.items():
         trials = [curves(cases, best | {name: level}) for level in levels]
-        best = max(trials, key=lambda one: worth(judged([(t, decide(f, one)) for t, f in cases])))
+        best = max(trials, key=lambda one: worth(measures([(t, decide(f, one)) for t, f in cases])))
     return best
 
 
 def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numbers:
-    """Weights of the logistic curves: of something that the catalogue lacks, anything, and names.
+    """Weights of the logistic curves: of an unlisted effect, of any effect, and of names.
 
-    What nobody could see is no example of anything that is there. ``about``: earlier weights; those
-    of the first two curves stay where no case has something outside the catalogue.
+    Undetectable effects are no examples of the curve of any effect. ``about``: earlier weights;
+    those of the first two curves are kept if no case has an effect outside the catalogue.
     """
     weights = partial(_weights, about=about)
     scale = numbers["evidence_scale"]
     curve_names = ("name: ", "unlisted: ", "anything: ")
     flat = {name: 0.0 for name in numbers if name.startswith(curve_names)}
     out = numbers | flat
-    said = [(truth, decide(found, out)) for truth, found in cases]
-    outside = [truth["kind"] == "outside" for truth, _ in said]
+    decisions = [(truth, decide(found, out)) for truth, found in cases]
+    outside = [truth["kind"] == "outside" for truth, _ in decisions]
     if about and not any(outside):
         out |= {k: v for k, v in about.items() if not k.startswith("name: ")}
     else:
-        out |= weights("unlisted", [one.features.terms(scale) for _, one in said], outside)
+        out |= weights("unlisted", [one.features.terms(scale) for _, one in decisions], outside)
         clear = [
             (truth["kind"] != "null", one.features.terms(scale))
-            for truth, one in said
+            for truth, one in decisions
             if truth["kind"] == "null" or truth["oracle"]["llr_total"] >= DETECTABLE
         ]
         out |= weights("anything", [terms for _, terms in clear], [there for there, _ in clear])
-    said = [(truth, decide(found, out)) for truth, found in cases]
-    names = [(truth, one) for truth, each in said for one in each.named]
+    decisions = [(truth, decide(found, out)) for truth, found in cases]
+    names = [(truth, one) for truth, each in decisions for one in each.named]
     right = [matches(one.group, _hidden(truth)) for truth, one in names]
     return out | weights("name", [one.features.terms() for _, one in names], right)
 
@@ -307,7 +307,7 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
 def _weights(
     curve: str, terms: Sequence[Terms], right: Sequence[bool], about: Numbers | None
 ) -> Numbers:
-    """Of a curve, as decisions hold them."""
+    """Weights of a curve by their names in ``decisions``."""
     names = list(terms[0])
     x = np.array([[one[name] for name in names] for one in terms])
     y = np.array(right, dtype=np.float64)
@@ -317,7 +317,7 @@ def _weights(
 
 
 def main() -> None:
-    """Choose."""
+    """Fit and write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
     parser.add_argument("--in-water", action="store_true")

@@ -1,12 +1,12 @@
-"""How wrong the twin is, from swims in which nothing is missing (of a sealed set nobody may look).
+"""Estimate the error of the twin from swims of development sets in which nothing is missing.
 
     python benchmarks/pool_law_error.py SET [SET ...] [--water INPUTS HELD_OUT ...]
 
-What a calibrated twin still gets wrong of them, by signal and band, and what effects it imitates,
-by expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
-(1977) 1). A fit bends to what is thought to be the error, so fitting and learning take turns.
-What passes for an effect has two sizes: how far robots differ, which references tell, and how far
-one robot's swims do (a linear mixed model; Laird and Ware, Biometrics 38 (1982) 963).
+The residual of a calibrated twin by signal and band, and the effects that it imitates, by
+expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
+(1977) 1). A fit depends on the assumed error, so fits and estimates alternate (``--turns``). The
+apparent effects have two standard deviations: between robots, which reference swims determine, and
+between the swims of one robot (a linear mixed model; Laird and Ware, Biometrics 38 (1982) 963).
 Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
 ``datasets/pool/sealed_water.py`` for each set, ``law_error_in_water.json``.
 """
@@ -49,12 +49,12 @@ from sim2real.robot import Robot, read_robot
 Files = tuple[Path, ...]
 _STEPS = 30
 _BEGUN = 0.5
-"""Where what was never measured begins, in steps."""
+"""Initial standard deviation of columns without an earlier one, in steps."""
 _WORTH = 10.0
-"""Robots that what was known of their spread counts for: of columns that all but cancel, a sum and
-not each is seen."""
+"""Number of robots that an earlier standard deviation counts for: of nearly collinear columns only
+a sum is identifiable."""
 _OWN = ("error.surge_1", "error.surge_2", "error.surge_3", "error.yaw_off_1")
-"""Columns that only a swim has: they change along it."""
+"""Columns without a part common to a robot: they change along a swim."""
 
 
 def placed(folder: Path, files: Files) -> tuple[Robot, Model, SwimSimulator]:
@@ -65,12 +65,12 @@ def placed(folder: Path, files: Files) -> tuple[Robot, Model, SwimSimulator]:
 
 @dataclass(frozen=True)
 class Near:
-    """A robot's swims in which nothing is missing, all near one point.
+    """Linearised swims of a robot in which nothing is missing, about one point.
 
     Attributes:
-        swims: Unweighted errors, slopes, noise, power and band of each.
+        swims: Unweighted residuals, derivatives, noise, power and band of each.
         kinds, nominal, steps: Of the columns, F of them.
-        point: From nominal values, but for the law's own where no water puts it right, (F,).
+        point: Difference from the nominal values (of the law without water: the values), (F,).
     """
 
     swims: list[dict[str, Array]]
@@ -81,7 +81,7 @@ class Near:
 
 
 def near(problem: TwinSwims, x: Array) -> dict[str, Array]:
-    """A swim's errors and slopes at a point (F,), as they are without weights."""
+    """Unweighted residuals and derivatives of a swim at a point (F,)."""
     fit, weight, blocks = problem.at(x), problem.weights[0].ravel(), problem.blocks[0]
     return {
         "rows": (fit.rows / weight).astype(np.float32),
@@ -133,11 +133,11 @@ def swims_near(
 Numbers = dict[str, float]
 Levels = tuple[Array, Numbers, Numbers, Numbers]
 """Shares (4, 3); by kind of column, standard deviations of swims about their robot and of robots
-about what is usual, and that."""
+about their mean, and that mean."""
 
 
 def _about(squares: Array, before: float | None) -> float:
-    """Root mean square, with what was known before."""
+    """Root mean square, with an earlier one as a prior."""
     worth = _WORTH if before else 0.0
     return float(np.sqrt((squares.sum() + worth * (before or 0.0) ** 2) / (squares.size + worth)))
 
@@ -151,8 +151,8 @@ def _weighted(swim: dict[str, Array], shares: Array) -> tuple[Array, Array]:
     return slope.T @ slope, slope.T @ (swim["rows"] * weight.ravel())
 
 
-def _left(swim: dict[str, Array], step: Array, spread: Array) -> list[tuple[int, int, float]]:
-    """Signal, band and share (squared) of what is left of a swim beside its noise."""
+def _residuals(swim: dict[str, Array], step: Array, spread: Array) -> list[tuple[int, int, float]]:
+    """Signal, band and squared share of the residual of a swim beyond its noise."""
     rest = (swim["rows"] + swim["slope"] @ step) ** 2
     rest = rest + np.einsum("nf,nf->n", swim["slope"] @ spread, swim["slope"])
     rest = rest.reshape(swim["noise"].shape) - swim["noise"]
@@ -166,24 +166,24 @@ def _left(swim: dict[str, Array], step: Array, spread: Array) -> list[tuple[int,
 
 
 @dataclass(frozen=True)
-class Told:
-    """What is expected of one robot: squares of deviations are over a gain's own size.
+class Expected:
+    """Conditional expectations for one robot; deviations of gains are relative.
 
     Attributes:
-        place: Of its columns, shape (F,).
-        common: Squares of how far it is from what is usual, shape (F,).
-        own: Squares of how far each of its swims is from it, shape (swims, F).
-        left: As ``_left`` has it.
+        place: Values of its columns, shape (F,).
+        common: Squared deviations of the robot from the mean of robots, shape (F,).
+        own: Squared deviations of its swims from the robot, shape (swims, F).
+        residuals: Output of ``_residuals`` for all swims.
     """
 
     place: Array
     common: Array
     own: Array
-    left: list[tuple[int, int, float]]
+    residuals: list[tuple[int, int, float]]
 
 
-def expected(one: Near, levels: Levels) -> Told:
-    """A robot's columns, its swims' about them, and what both leave; near a point all is normal."""
+def expected(one: Near, levels: Levels) -> Expected:
+    """Conditional expectations of a robot in the linearised normal model."""
     shares, swim_sd, robot_sd, usual = levels
     kinds, least = one.kinds, NEVER * one.steps
     relative = np.array([
@@ -198,35 +198,35 @@ def expected(one: Near, levels: Levels) -> Told:
     whole, pull, inners = together(parts, each)
     spread = np.linalg.inv(whole + np.diag(1 / wide))
     at = spread @ (mean / wide - pull)
-    own, left = [], []
+    own, residuals = [], []
     for swim, (normal, gradient), inner in zip(one.swims, parts, inners, strict=True):
         step = -inner @ (gradient + normal @ at)
         sure = inner + inner @ normal @ spread @ normal @ inner
         own.append((step**2 + np.diag(sure)) / relative**2)
         kept = np.eye(len(at)) - inner @ normal
-        left += _left(swim, at + step, inner + kept @ spread @ kept.T)
+        residuals += _residuals(swim, at + step, inner + kept @ spread @ kept.T)
     common = ((at - mean) ** 2 + np.diag(spread)) / relative**2
-    return Told(at + one.point, common, np.array(own), left)
+    return Expected(at + one.point, common, np.array(own), residuals)
 
 
 def sizes(robots: Sequence[Near], levels: Levels, before: Numbers) -> Levels:
-    """One round of EM: shares, and both deviations, from what is left of all swims.
+    """One iteration of EM: shares and both standard deviations.
 
-    How far robots were known to differ ``before`` counts for ``_WORTH`` of them.
+    Earlier standard deviations of robots, ``before``, count for ``_WORTH`` robots.
     """
-    told = [expected(one, levels) for one in robots]
-    pairs = list(zip(robots, told, strict=True))
+    expectations = [expected(one, levels) for one in robots]
+    pairs = list(zip(robots, expectations, strict=True))
 
     def by_kind(kind: str, name: str) -> Array:
         found = [getattr(t, name)[..., [k == kind for k in one.kinds]] for one, t in pairs]
         return np.concatenate([f.ravel() for f in found])
 
     _, swim_sd, robot_sd, usual = levels
-    left: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
-    for one in told:
-        for row, band, share in one.left:
-            left[row][band].append(share)
-    shares = np.array([[np.mean(cell) for cell in row] for row in left])
+    found: list[list[list[float]]] = [[[] for _ in BANDS] for _ in ROWS]
+    for one in expectations:
+        for row, band, share in one.residuals:
+            found[row][band].append(share)
+    shares = np.array([[np.mean(cell) for cell in row] for row in found])
     return (
         np.sqrt(np.maximum(shares, 1e-6)),
         {kind: float(np.sqrt(np.mean(by_kind(kind, "own")))) for kind in swim_sd},
@@ -236,12 +236,12 @@ def sizes(robots: Sequence[Near], levels: Levels, before: Numbers) -> Levels:
 
 
 def learned_from(robots: Sequence[Near], before: LawError, *, in_water: bool) -> dict[str, Any]:
-    """What is kept of the twin's error, from swims near a point of each robot.
+    """The estimated error of the twin, as the file holds it.
 
     Args:
-        robots: Their swims in which nothing is missing.
-        before: Where the rounds begin.
-        in_water: Whether the fluid puts the twin right.
+        robots: Linearised swims in which nothing is missing.
+        before: Initial values of the iterations.
+        in_water: Whether the fluid corrects the twin.
     """
     kinds = dict(zip(robots[0].kinds, robots[0].steps, strict=True))
     begun = {k: _BEGUN * step for k, step in kinds.items() if k.startswith(ERROR)}
@@ -267,7 +267,7 @@ def learned_from(robots: Sequence[Near], before: LawError, *, in_water: bool) ->
 
 
 def main() -> None:
-    """Learn, in turns with fits that know what was learned."""
+    """Estimate and write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("sets", type=Path, nargs="+")
     parser.add_argument("--water", type=Path, nargs="*", default=[], help="two folders a set")

@@ -1,13 +1,12 @@
-"""How often the demo's ablation tells the truth: many of them at once, in one batch of agents.
+"""How often the demo's ablation finds the servo: many ablations in one batch of agents.
 
     python benchmarks/quick_ablation.py --out FOLDER [--device cuda:0] [--runs 5]
 
-Trains the demo's arms for as many seeds as its ablation has, times ``--runs``, with the demo's own
-plan and from the agents that it goes on from, swims the same turns in the twin with reality's
-numbers, and compares run by run: which arm loses most, whether its interval leaves out zero,
-whether another arm's does; and how often runs of other numbers of seeds would, drawn from all.
-Options change the plan, to see what a change would buy. ``--told FILE ...`` counts anew what
-earlier calls have swum.
+Trains the demo's arms for as many seeds as its ablation has, times ``--runs``, with the demo's plan
+and initial agents, simulates the same turns in the twin with the parameters of the reality, and
+compares run by run: which arm loses most, whether its interval excludes zero, whether that of
+another arm does; the same for other numbers of seeds, drawn from all. Options change the plan.
+``--from FILE ...`` evaluates the agents of earlier calls again.
 """
 
 from __future__ import annotations
@@ -52,26 +51,26 @@ def main() -> None:
     parser.add_argument("--average", type=float, default=QUICK.settings.average)
     parser.add_argument("--energy-weight", type=float, default=QUICK.task.energy)
     parser.add_argument("--arms", nargs="+", choices=PAPER, default=PAPER)
-    parser.add_argument("--told", type=Path, nargs="+", default=[], metavar="FILE")
+    parser.add_argument("--from", dest="earlier", type=Path, nargs="+", default=[], metavar="FILE")
     options = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.perf_counter()
-    if options.told:
-        parts = [json.loads(path.read_text())["agents"] for path in options.told]
-        told: dict[str, Any] = {"agents": [agent for part in parts for agent in part]}
+    if options.earlier:
+        parts = [json.loads(path.read_text())["agents"] for path in options.earlier]
+        results: dict[str, Any] = {"agents": [agent for part in parts for agent in part]}
     else:
-        told = swum(options)
-    content = {"options": {k: str(v) for k, v in vars(options).items()}, **counted(told)}
+        results = ablated(options)
+    content = {"options": {k: str(v) for k, v in vars(options).items()}, **counted(results)}
     content["seconds"] = round(time.perf_counter() - begun, 1)
     for name, value in content.items():
         print(name, value)
-    for agent in told["agents"]:
+    for agent in results["agents"]:
         agent["reality"].pop("path", None)
-    write_json(options.out / "runs.json", {**content, "agents": told["agents"]})
+    write_json(options.out / "runs.json", {**content, "agents": results["agents"]})
 
 
-def swum(options: argparse.Namespace) -> dict[str, Any]:
-    """What an ablation of all the runs' seeds tells."""
+def ablated(options: argparse.Namespace) -> dict[str, Any]:
+    """Results of one ablation with the seeds of all runs."""
     robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
     ranges, reality = read_ranges(POOL / "ranges.json"), s2r.read_model(POOL / "reality.json")
     arms = [arm_of(name, model, robot, ranges) for name in options.arms]
@@ -91,30 +90,30 @@ def swum(options: argparse.Namespace) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def counted(told: dict[str, Any]) -> dict[str, Any]:
-    """The whole's differences, each run's, and how often they say what the whole says."""
-    seeds = sorted({agent["seed"] for agent in told["agents"]})
+def counted(results: dict[str, Any]) -> dict[str, Any]:
+    """Differences of all seeds, of each run, and rates of runs with the same findings."""
+    seeds = sorted({agent["seed"] for agent in results["agents"]})
     groups = [seeds[first : first + SEEDS] for first in range(0, len(seeds), SEEDS)]
-    runs = [among(told, own) for own in groups]
+    runs = [among(results, own) for own in groups]
     rng = np.random.default_rng(0)
     drawn = {
-        S: rates([among(told, rng.choice(seeds, S, replace=False)) for _ in range(DRAWS)])
+        S: rates([among(results, rng.choice(seeds, S, replace=False)) for _ in range(DRAWS)])
         for S in (6, SEEDS, 10, 12, 16)
         if len(seeds) >= 2 * S
     }
     return {
-        "whole": {arm: said(one) for arm, one in differences(told).items()},
-        "runs": [{arm: said(one) for arm, one in run.items()} for run in runs],
+        "whole": {arm: text_of(one) for arm, one in differences(results).items()},
+        "runs": [{arm: text_of(one) for arm, one in run.items()} for run in runs],
         "of the runs": rates(runs),
         "of as many seeds, drawn": drawn,
         "of": len(runs),
     }
 
 
-def among(told: dict[str, Any], seeds: Sequence[int]) -> dict[str, Difference]:
+def among(results: dict[str, Any], seeds: Sequence[int]) -> dict[str, Difference]:
     """The differences of some of the seeds."""
     own = {int(seed) for seed in seeds}
-    return differences({"agents": [agent for agent in told["agents"] if agent["seed"] in own]})
+    return differences({"agents": [agent for agent in results["agents"] if agent["seed"] in own]})
 
 
 def rates(runs: Sequence[Mapping[str, Difference]]) -> dict[str, float]:
@@ -127,7 +126,7 @@ def rates(runs: Sequence[Mapping[str, Difference]]) -> dict[str, float]:
     return {name: round(float(one.mean()), 3) for name, one in shares.items()}
 
 
-def said(one: Difference) -> str:
+def text_of(one: Difference) -> str:
     """A difference in a few words."""
     return f"{one.mean:+.2f} ({one.low:+.2f} to {one.high:+.2f}), sd {one.sd:.2f}"
 

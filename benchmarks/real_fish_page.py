@@ -53,8 +53,8 @@ _REST = """
 
 - **The bars.** {bars}
 - **The slope.** Measured speed grows by a factor of {grows:.1f} from the slowest clip to the
-  fastest, predicted speed ({where}) by {said:.1f}: the tail beats three times as fast. A factor on
-  the drag areas hardly changes that.
+  fastest, predicted speed ({where}) by {predicted:.1f}: the tail beats three times as fast. A
+  factor on the drag areas hardly changes that.
 - **The head's yaw** is {yaw} the measured one ({where}; {yaw_without} without the appendages).
 - **The tail is no surface.** Its five plates stand apart, 15 mm each every 30 mm, and the hull has
   them as one. With a tail no higher than their share (a bound, as water passes between them) the
@@ -117,10 +117,10 @@ def part(found: Found, twin: Found) -> str:
     lines += lacking(found["runs"])
     finest = found["runs"][-1]
     one, ajar = finest["at_60"], finest["open_tail"]
-    grows, said = (one[name][-1] / one[name][0] for name in ("measured", "plain"))
+    grows, predicted = (one[name][-1] / one[name][0] for name in ("measured", "plain"))
     lines.append(
         _REST.format(
-            where=finest["where"], grows=grows, said=said, bars=bars(finest),
+            where=finest["where"], grows=grows, predicted=predicted, bars=bars(finest),
             yaw=_ratios(one["yaw_plain"], one["yaw_measured"]),
             yaw_without=_ratios(one["yaw_without"], one["yaw_measured"]),
             ajar=", ".join(f"{v:.3f}" for v in ajar["speed"]),
@@ -146,8 +146,8 @@ def bars(run: Found) -> str:
         ("its factor from 0.7 to 1.4", spread, 0.7 <= min(factors) <= max(factors) <= 1.4),
         ("an area for what is missing, clips left out 40 % better", fell, after <= 0.6 * before),
     )
-    said = (f"{bar}: {value}, {'met' if met else '**missed**'}" for bar, value, met in checks)
-    return f"In the {run['where']}: {'; '.join(said)}."
+    lines = (f"{bar}: {value}, {'met' if met else '**missed**'}" for bar, value, met in checks)
+    return f"In the {run['where']}: {'; '.join(lines)}."
 
 
 def _ratios(values: Any, measured: Any) -> str:  # noqa: ANN401

@@ -54,7 +54,7 @@ _LIMITS = """
   ({law}) were not tried either.
 - At 80 frames a second, as the motor's label would have it, speeds are a third larger. Calibrated,
   left out: surge {s80:.3f} m/s, sway {w80:.3f} m/s, yaw rate {y80:.3f} rad/s, mean speed
-  {m80:.3f} m/s (by the beat {b80:.3f}). The fits cannot tell the two time bases apart.
+  {m80:.3f} m/s (by the beat {b80:.3f}). The fits do not distinguish the two time bases.
 - From two clips instead of three, all six ways: {s2:.3f}, {w2:.3f}, {y2:.3f}, {m2:.3f} (by the beat
   {b2:.3f}; the regression's sway {r2:.3f} and yaw rate {q2:.3f}: it needs the third clip, the twin
   does not).
@@ -67,7 +67,7 @@ def section(found: Found, fluid: Found | None) -> str:
     """The second part of the report."""
     lines = [_HEAD.format(minutes=found["seconds"] / 60) + "\n".join(_rows(found, fluid))]
     lines.append(_FIGURE.format(clip=found["film"]["name"]))
-    lines += [f"- {said}" for said in (*_said(found), *_fluid_said(fluid))]
+    lines += [f"- {finding}" for finding in (*_findings(found), *_fluid_findings(fluid))]
     lines += ["\n### Sway at the beat\n", _beat_table(found, fluid)]
     lines += ["\n### Each effect of the catalogue, fitted with the law\n", _effects(found)]
     lines.append(_limits(found))
@@ -78,7 +78,7 @@ def _rows(found: Found, fluid: Found | None) -> list[str]:
     rms = np.mean([one["rms"] for one in found["measured"]], axis=0)
     rows = ["| the film itself | " + " | ".join(f"{v:.3f}" for v in rms) + " | |"]
     scores = found["one_left_out"]
-    rows += [_row(said, scores[name]) for name, said in ROWS.items()]
+    rows += [_row(label, scores[name]) for name, label in ROWS.items()]
     for one in fluid["cells"] if fluid else ():
         shown = " | ".join(f"{v:.3f}" for v in one["mean"])
         rows.append(f"| fluid in cells of {100 * one['cell_m']:g} cm, nothing fitted | {shown} |")
@@ -89,13 +89,13 @@ def _rows(found: Found, fluid: Found | None) -> list[str]:
     return rows
 
 
-def _row(said: str, one: Mapping[str, Any], shown: int = 4) -> str:
+def _row(label: str, one: Mapping[str, Any], shown: int = 4) -> str:
     low, high = one["interval"]
     cells = [f"{m:.3f} [{a:.3f}, {b:.3f}]" for m, a, b in zip(one["mean"], low, high, strict=True)]
-    return f"| {said} | " + " | ".join(cells[:shown] + [""] * (4 - shown)) + " |"
+    return f"| {label} | " + " | ".join(cells[:shown] + [""] * (4 - shown)) + " |"
 
 
-def _said(found: Found) -> list[str]:
+def _findings(found: Found) -> list[str]:
     """Findings, with their figures."""
     scores, pairs = found["one_left_out"], found["against"]
     now, before, beat = (scores[k]["mean"] for k in ("calibrated", "uncalibrated", "by the beat"))
@@ -147,7 +147,7 @@ def _named(found: Found) -> list[str]:
     now = found["one_left_out"]["calibrated"]["mean"]
     tool = found["tool"]
     likely = {k: p for k, p in tool["named"].items() if p >= 0.5}
-    said = ", ".join(f"{k} ({100 * p:.0f} %)" for k, p in likely.items()) or "nothing named"
+    named = ", ".join(f"{k} ({100 * p:.0f} %)" for k, p in likely.items()) or "nothing named"
     out = [
         f"**An effect is named in {hits} of 4 fits.** Of {len(names)} tried,"
         f" {most.replace('_', ' ')} comes first in {times} of 4 ({ends}), with a gain of"
@@ -160,7 +160,7 @@ def _named(found: Found) -> list[str]:
         f"**The rule is blunt here.** Two seconds count as one sample, {blocks:.1f} in three clips:"
         f" one parameter must cut the error of one signal by {100 * (1 - np.exp(-need)):.0f} %, or"
         f" of all three by {100 * (1 - np.exp(-need / 3)):.0f} %, to be named.",
-        f"**What `sim2real diagnose` says** of all four clips at once: {said}; verdict"
+        f"**What `sim2real diagnose` says** of all four clips at once: {named}; verdict"
         f' "{tool["verdict"].replace("_", " ")}".',
     ]
     if tool["verdict"] == "unexplained":
@@ -176,7 +176,7 @@ def _named(found: Found) -> list[str]:
     return out
 
 
-def _fluid_said(fluid: Found | None) -> list[str]:
+def _fluid_findings(fluid: Found | None) -> list[str]:
     if fluid is None:
         return []
     one = fluid["cells"][-1]
@@ -194,9 +194,9 @@ def _beat_table(found: Found, fluid: Found | None) -> str:
         " calibrated |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    for clip, said in found["at_the_beat"].items():
+    for clip, waves in found["at_the_beat"].items():
         cells = [
-            f"{said[name]['amplitude'][k]:.3f}, {said[name]['phase_deg'][k]:.0f}°"
+            f"{waves[name]['amplitude'][k]:.3f}, {waves[name]['phase_deg'][k]:.0f}°"
             for k in (0, 1)
             for name in ("filmed", "uncalibrated", "calibrated")
         ]

@@ -13,7 +13,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -145,7 +148,10 @@ def fit() -> None:
     swims = Swims(OUT / "fluid.npz")
     held = np.array([name in HELD_OUT for name in swims.names])
     seen = np.flatnonzero(~held)
-    found = [fitted(swims, seen, start) for start in tqdm(STARTS, desc="starts", disable=None)]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(len(STARTS), mp_context=spawn) as pool:
+        jobs = pool.map(partial(fitted, swims, seen), STARTS)
+        found = list(tqdm(jobs, desc="starts", total=len(STARTS), disable=None))
     best = min(found, key=lambda one: one.cost)
     chosen = law_of(best.x)
     deviation, condition = uncertainty(best, seen.size)

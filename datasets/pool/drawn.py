@@ -1,4 +1,4 @@
-"""What the sealed swims draw: robots, servos, waters, cameras, commands, and what is concealed."""
+"""Random robots, servos, waters, cameras, commands and concealed effects of the sealed swims."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Drawn:
 
     Attributes:
         robot: Links and joints.
-        water: What the pool is filled with.
+        water: Parameters of the water.
         servos: True kp, kd, latency, each (J,).
-        bench: What a bench gives for them.
+        bench: Those that a bench identifies.
     """
 
     robot: Robot
@@ -43,7 +43,7 @@ class Drawn:
     bench: dict[str, tuple[float, ...]]
 
     def model(self) -> Model:
-        """The servos as a bench gives them."""
+        """The servos as a bench identifies them."""
         gains = zip(*(self.bench[name] for name in ("kp", "kd", "latency")), strict=True)
         return Model(
             joints={
@@ -55,7 +55,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Case:
-    """What is concealed in one swim.
+    """Concealed effects of one swim.
 
     Attributes:
         kind: ``null``, ``single``, ``double`` or ``outside``.

@@ -1,9 +1,9 @@
-"""What one who knows the plant, its numbers and its noise can tell from a swim.
+"""An oracle that knows the plant, its parameters and its noise.
 
-The water of another box, in which nothing is concealed, is swum beside each case: the difference of
-their signals is what is concealed, and what turbulence nobody can foretell. Its log-likelihood
-ratio counts the camera's and the joints' noise, a share of turbulence, and what gains and latencies
-within the bench's error would imitate: those directions are the library's twin's.
+Each case is simulated once more in another box, without concealed effects: the difference of the
+signals is due to them and to unpredictable turbulence. The log-likelihood ratio includes the noise
+of camera and joints, an allowance for turbulence, and what errors of gains and latencies within the
+accuracy of the bench imitate, by the derivatives of the library's twin.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from sim2real.velocity import body_velocity
 Array = NDArray[np.float64]
 
 GAIN, LATE_S = 0.03, 0.0025
-"""What a bench is off by: of kp and kd, and in seconds (one sd)."""
+"""Standard deviations of the bench's kp and kd (relative) and latency."""
 TURBULENT = (0.008, 0.004, 0.04)
-"""What another wake changes of surge, sway (m/s) and yaw rate (rad/s), for some 0.4 s. With these,
-two boxes in which nothing is concealed seldom differ by more than what counts as detectable."""
+"""Standard deviations of surge, sway (m/s) and yaw rate (rad/s) by another wake, correlated for
+about 0.4 s. With these, two boxes without concealed effects seldom differ detectably."""
 TURBULENT_RAD = 0.004
 """The same of a joint's angle."""
 LASTS = (12.0, 20.0)
-"""Samples that the camera's noise lasts in speeds of a window, and turbulence."""
+"""Correlation lengths, in samples, of the camera's noise in windowed speeds and of turbulence."""
 
 
 def known_to(
     t: Array, pose: Array, joint: Array, plain: Array, plain_joint: Array, sent: Array,
     case: Case, drawn: Drawn, model: Model, unknown: Sequence[Array] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """Log-likelihood ratio, and how far what is concealed moves each signal.
+    """Log-likelihood ratio of the concealed effects, and their size in each signal.
 
     Args:
         t: Times in s, shape (T,).
-        pose: As the camera shows it but for noise, shape (T, 3).
+        pose: Poses of the camera without noise, shape (T, 3).
         joint: Joint angles, shape (T, J).
-        plain: Poses of a swim in which nothing is concealed.
+        plain: Poses of the swim without concealed effects.
         plain_joint: Its joint angles.
         sent: Set-points, shape (T, J).
-        case: What is concealed.
+        case: The case.
         drawn: The robot.
-        model: What a bench gives.
-        unknown: Changes of all signals, each (T, 3 + J), whose sizes are not known either.
+        model: Identified on a bench.
+        unknown: Changes of all signals, each (T, 3 + J), with unknown sizes.
     """
     shown, without = body_velocity(t, pose), body_velocity(t, plain)
     rng = np.random.default_rng(0)
@@ -77,7 +77,7 @@ def known_to(
 
 
 def _nuisance(drawn: Drawn, model: Model, sent: Array, start: Array, t: Array) -> Array:
-    """What one sd of each gain and latency moves, by the twin, shape (3 J, T, 3 + J)."""
+    """Changes by one standard deviation of each gain and latency in the twin, (3 J, T, 3 + J)."""
     steps = {}
     for name, servo in model.joints.items():
         steps[f"{name}.kp_Nm_per_rad"] = GAIN * servo.kp_Nm_per_rad

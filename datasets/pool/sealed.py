@@ -41,7 +41,7 @@ ROBOTS = 8
 REFERENCES = 2
 SOURCE = "Simulated, not measured: datasets/pool/sealed.py. MIT licence."
 NUDGE_M = 1e-3
-"""How far another box begins, so that its wake is another: what nobody can foretell."""
+"""Distance by which another box begins elsewhere, for another, unpredictable wake."""
 
 
 def made(
@@ -184,7 +184,7 @@ def robot_toml(drawn: Drawn) -> str:
 
 
 def consulted(out: Path, seed: int, robots: int, counts: dict[str, int]) -> None:
-    """Work out anew what one who knows can tell, from the swims that were kept without noise."""
+    """Compute the oracles anew from the swims that were kept without noise."""
     for path in sorted((out / "private").glob("robot_*.json")):
         about, kept = json.loads(path.read_text()), np.load(path.with_suffix(".npz"))
         drawn, cases, _, _ = made(seed, robots, int(path.stem[-2:]) - 1, counts)
@@ -252,13 +252,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         finish(options.out, seed)
         return
     devices = options.device.split(",")
-    left = [
+    missing = [
         k for k in range(options.robots) if not (kept.parent / f"robot_{k + 1:02d}.json").exists()
     ]
     jobs = [
         (options.out, seed, options.robots, k, counts, devices[n % len(devices)], options.cell_m,
          options.seconds)
-        for n, k in enumerate(left)
+        for n, k in enumerate(missing)
     ]  # fmt: skip
     failed = 0
     if options.processes <= 1:

@@ -1,10 +1,10 @@
-"""Answer a sealed set of swims with all that a machine has, from the water to the last case.
+"""Answer a sealed set of swims with all devices and cores, from the fluid to the last case.
 
     python datasets/pool/sealed_answer.py SET OUT [--devices cuda:0,cuda:1] [--processes N]
 
-What the README of this folder lists, in its order: robots on every device at once, held-out swims
-in the water while cases are answered. Fills ``OUT`` with ``water``, ``heldout``, ``verdicts`` and
-``again``; grade with ``sealed_grade.py``. Goes on where it was stopped.
+The steps that the README of this folder lists, in its order: robots on every device at once,
+held-out swims in the fluid while cases are answered. Fills ``OUT`` with ``water``, ``heldout``,
+``verdicts`` and ``again``; grade with ``sealed_grade.py``. A stopped run is continued.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def main() -> None:
         print(f"{what}: {time.perf_counter() - start:.0f} s since the start", flush=True)
 
     everywhere(devices, robots, options.set, water, *cells)
-    done("what was sent, in the water")
-    beside = ThreadPoolExecutor(1)
-    kept = beside.submit(
+    done("commands simulated in the fluid")
+    background = ThreadPoolExecutor(1)
+    kept = background.submit(
         everywhere, devices, robots, options.set, water, "--heldout", heldout, *cells
     )
     with ThreadPoolExecutor(options.processes) as pool:
@@ -80,11 +80,11 @@ def main() -> None:
     run("sealed_solve.py", *solve, check=False)  # a case that fails stays unanswered
     done("answered")
     kept.result()
-    done("held-out swims, in the water")
+    done("held-out swims simulated in the fluid")
     found = ("--again", verdicts, again, "--heldout", heldout)
     everywhere(devices, robots, options.set, water, *found, *cells)
     run("sealed_solve.py", *solve, "--again", again, check=False)
-    done("answered again beside what was found")
+    done("answered again with the effects that were found")
 
 
 if __name__ == "__main__":

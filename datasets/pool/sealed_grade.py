@@ -4,8 +4,9 @@
 
 The measures are those of the servos' grader (``datasets/concealed/grade.py``), by its own functions
 where they are of shares and of calibration. The other swim of each case, which no tool was given,
-judges the models: in the twin, on the speed over ground; ``--water``: put right by what the fluid
-swam of its commands (``sealed_water.py --heldout``), with ``--again`` also with what was found.
+is used to score the models: in the twin, on the speed over ground; with ``--water`` corrected by
+simulations of its commands in the fluid (``sealed_water.py --heldout``), with ``--again`` also by
+those with the effects that were found.
 """
 
 from __future__ import annotations
@@ -73,10 +74,10 @@ def judge(
     *,
     predict: bool = True,
 ) -> Row:
-    """What was said of one case beside what is true of it; ``predict``: and of its other swim."""
-    said = json.loads((folder / "diagnosis.json").read_text())
+    """Scores of one case; ``predict``: also of its held-out swim."""
+    answer = json.loads((folder / "diagnosis.json").read_text())
     hidden, kind = truth["effects"], truth["kind"]
-    entries = [_entry(one, [] if kind == "outside" else hidden) for one in said["effects"]]
+    entries = [_entry(one, [] if kind == "outside" else hidden) for one in answer["effects"]]
     first = entries[0] if entries else None
     likely = [one for one in entries if one["probability"] >= LIKELY]
     row: Row = {
@@ -85,8 +86,8 @@ def judge(
         "truth": [f"{one['effect']}@{one['component']}" for one in hidden],
         "parameters_true": [one["parameters"] for one in hidden],
         "strength": [one["strength"] for one in hidden],
-        "llr": truth["oracle"]["llr_total"], "verdict": said["verdict"],
-        "unlisted": said["unknown"].get("body"), "flagged": said["verdict"] != "consistent",
+        "llr": truth["oracle"]["llr_total"], "verdict": answer["verdict"],
+        "unlisted": answer["unknown"].get("body"), "flagged": answer["verdict"] != "consistent",
         "entries": entries, "cost": json.loads((folder / "cost.json").read_text()),
         "heldout": _held_out(truth, folder, challenge, waters, again) if predict else None,
     }  # fmt: skip
@@ -104,11 +105,11 @@ def judge(
         )
         row["both"] = row["found"] == 2
     row["intervals"] = [
-        one for given, entry in zip(said["effects"], entries, strict=True)
+        one for given, entry in zip(answer["effects"], entries, strict=True)
         if entry["probability"] >= LIKELY for one in _intervals(given, hidden)
     ]  # fmt: skip
     if kind == "outside":
-        row["abstains"] = said["verdict"] in ("unexplained", "partly_explained") and not likely
+        row["abstains"] = answer["verdict"] in ("unexplained", "partly_explained") and not likely
     return row | {"failures": _failures(row)}
 
 
@@ -122,7 +123,7 @@ def _entry(given: Row, hidden: list[Row]) -> Row:
 
 
 def _same(entry: Row, true: Row) -> bool:
-    """The effect is in the group; of its component where it stands alone, but for two materials."""
+    """Whether the effect is in the group; a group of one effect needs the component, too."""
     names = [name for name, _ in entry["named"]]
     if true["effect"] not in names:
         return False
@@ -147,31 +148,35 @@ def _intervals(given: Row, hidden: list[Row]) -> list[Row]:
 def _held_out(
     truth: Row, folder: Path, challenge: Path, waters: Sequence[Path], again: Path | None
 ) -> Row:
-    """Errors of surge and sway together on the swim that was kept, m/s, and the camera's noise.
+    """Errors of surge and sway together on the held-out swim, m/s, and the camera's noise.
 
-    Those of every set of effects whose fit was tried on the end of the other swim as well.
+    Also those of every set of effects with a fit that was tried on the end of the other swim.
     """
     place = challenge / "inputs" / truth["robot"]
     robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
     files = [water / f"{truth['robot']}.npz" for water in waters]
     _, simulate = robot_in_water(robot, model, files, threads=1)
     swim = swim_of(read_recording(challenge / "heldout" / truth["case"] / "b.csv"), robot)
-    beside_it = simulate
+    best = simulate
     if again and "again" in json.loads((folder / "cost.json").read_text()):
         water = read_water_swims(again / f"{truth['robot']}.npz")
-        beside_it = by_twin_in_water(robot, read_model(folder / "beside.json"), water, threads=1)
+        simulated_model = read_model(folder / "resimulated.json")
+        best = by_twin_in_water(robot, simulated_model, water, threads=1)
 
     def error(file: str, simulator: SwimSimulator) -> Array:
-        said = signals_of([read_model(folder / file)], swim, simulator)[0]
-        return np.asarray(np.sqrt(np.mean((said - swim.signals) ** 2, axis=0)))
+        predicted = signals_of([read_model(folder / file)], swim, simulator)[0]
+        return np.asarray(np.sqrt(np.mean((predicted - swim.signals) ** 2, axis=0)))
 
     base = error("baseline.json", simulate)
     same = (folder / "enriched.json").read_bytes() == (folder / "baseline.json").read_bytes()
-    rich = base if same else error("enriched.json", beside_it)
+    rich = base if same else error("enriched.json", best)
     noise = float(np.hypot(*np.broadcast_to(swim.noise, base.shape)[:2]))
     kept = folder / "raw.json"
     tried = [
-        {"names": one["names"], "error": float(np.hypot(*error(f"tried_{k}.json", beside_it)[:2]))}
+        {
+            "names": one["names"],
+            "error": float(np.hypot(*error(f"tried_{k}.json", best)[:2])),
+        }
         for k, one in enumerate(json.loads(kept.read_text())["held"] if kept.exists() else ())
         if one["names"]
     ]
@@ -211,8 +216,8 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
     calibrated, bins = grader.calibration([e for r in rows for e in r["entries"]])
     intervals = [one for r in rows for one in r["intervals"]]
     held = lambda r: r["heldout"]  # noqa: E731
-    told = {kind: [r for r in each if held(r)] for kind, each in of.items()}
-    listed = told["single"] + told["double"]
+    scored = {kind: [r for r in each if held(r)] for kind, each in of.items()}
+    listed = scored["single"] + scored["double"]
     metrics = {
         "false_alarm": share(
             any(e["probability"] >= SURE for e in r["entries"]) for r in of["null"]
@@ -238,7 +243,7 @@ def summarize(rows: list[Row], grader: ModuleType) -> Row:
             held(r)["enriched"] <= (1 + WORSE) * held(r)["base"] for r in rows if held(r)
         ),
         "within_noise": share(held(r)["enriched"] <= NOISES * held(r)["noise"] for r in listed),
-        "harm": share(held(r)["enriched"] > (1 + WORSE) * held(r)["base"] for r in told["null"]),
+        "harm": share(held(r)["enriched"] > (1 + WORSE) * held(r)["base"] for r in scored["null"]),
         "enriched_over_noise": grader.quantile(
             [held(r)["enriched"] / held(r)["noise"] for r in listed], 0.5
         ),
@@ -285,7 +290,7 @@ def main() -> None:
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--water", type=Path, nargs=2, default=(), metavar=("INPUTS", "HELD_OUT"))
-    parser.add_argument("--again", type=Path, help="what it swam with what was found")
+    parser.add_argument("--again", type=Path, help="simulations with the effects that were found")
     options = parser.parse_args()
     results = grade(options.set, options.verdicts, options.water, options.again)
     write_json(options.out, results)

@@ -118,18 +118,22 @@ def _write(
     plain: Model, cost: dict[str, float],
 ) -> None:  # fmt: skip
     target.mkdir(parents=True, exist_ok=True)
-    told = c.parameters(x)
+    fitted = c.parameters(x)
     effects: list[dict[str, Any]] = []
     for (name, of), p in zip(names, sure, strict=True):
-        values = {k: v for k, v in told.items() if k.split(".")[0] == name}
+        values = {k: v for k, v in fitted.items() if k.split(".")[0] == name}
         parameters = {
             k.rpartition(".")[2]: {"mean": v, "sd": 0.0, "q05": v, "q95": v}
             for k, v in values.items()
         }
         effects.append({"effect": name, "component": of, "probability": p, "group": [name],
                         "parameters": parameters})  # fmt: skip
-    said = {"verdict": "explained" if effects else "consistent", "effects": effects, "unknown": {}}
-    (target / "diagnosis.json").write_text(json.dumps(said) + "\n")
+    diagnosis = {
+        "verdict": "explained" if effects else "consistent",
+        "effects": effects,
+        "unknown": {},
+    }
+    (target / "diagnosis.json").write_text(json.dumps(diagnosis) + "\n")
     write_model(plain, target / "baseline.json")
     write_model(c.model_at(x), target / "enriched.json")
     (target / "cost.json").write_text(json.dumps(cost) + "\n")

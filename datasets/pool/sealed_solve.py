@@ -4,10 +4,10 @@
     python datasets/pool/sealed_solve.py SET VERDICTS --executor ray [--address HOST:PORT]
     python datasets/pool/sealed_solve.py SET VERDICTS --water WATER --again AGAIN
 
-What a robot's swims in which nothing is missing say of its law is worked out once and kept. Each
-case's time stands in ``cost.json``; one that has been answered is not answered again, but with
-``--again`` where the fluid has swum with what was found (``sealed_water.py --again``). What a lost
-process or node was at is done by another.
+The prior from a robot's reference swims is computed once and kept, the time of each case is in
+``cost.json``. Cases with answers are skipped; ``--again`` repeats those that the fluid has
+simulated with the effects that were found (``sealed_water.py --again``). Jobs of a lost process or
+node are run by another.
 """
 
 from __future__ import annotations
@@ -42,31 +42,31 @@ from sim2real.model import read_model, write_model
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
-BESIDE = "beside.json"
-"""With what was found, the fluid swims again."""
+RESIMULATED = "resimulated.json"
+"""Model with the effects that the fluid simulates again."""
 
 
 def learn_law(run: Path, *, robot_folder: str, water_folder: str | None) -> None:
-    """Job: what the swims of a robot in which nothing is missing say, kept beside the verdicts."""
+    """Job: compute and keep the prior from a robot's reference swims."""
     folder, water = Path(robot_folder), None if water_folder is None else Path(water_folder)
     start = time.perf_counter()
     robot, model = read_robot(folder / "robot.toml"), read_model(folder / "model.json")
     files = [water / f"{folder.name}.npz"] if water else []
     model, simulate = robot_in_water(robot, model, files, threads=1)
     references = [swim_of(read_recording(p), robot) for p in sorted(folder.glob("ref_*.csv"))]
-    belief = learned(references, model, robot, simulate, known_of(water))
-    np.savez(run / "part.npz", **vars(belief))
+    prior = learned(references, model, robot, simulate, known_of(water))
+    np.savez(run / "part.npz", **vars(prior))
     os.replace(run / "part.npz", run.parent / f"{folder.name}.npz")
     print(f"{folder.name} learned, {time.perf_counter() - start:.0f} s")
 
 
 def known_of(water: Path | None) -> LawError:
-    """The error of the twin, alone or put right by the fluid."""
+    """The error of the twin, alone or corrected by the fluid."""
     return read_law_error(IN_WATER if water else FILE)
 
 
 def answer(target: Path, *, case: str, water_folder: str | None, again_folder: str | None) -> None:
-    """Job: diagnose one case, or again beside what the fluid swam with what was found."""
+    """Job: diagnose one case, or again with simulations of the effects that were found."""
     start, before = time.perf_counter(), time.process_time()
     folder, place, verdicts = Path(case), Path(case).parent, target.parent
     water, again = (None if x is None else Path(x) for x in (water_folder, again_folder))
@@ -75,26 +75,26 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
     model, simulate = robot_in_water(robot, model, files, threads=1)
     known = known_of(water)
     referred = json.loads((folder / "case.json").read_text())["references"]
-    belief = learned([], model, robot, simulate, known)
+    prior = learned([], model, robot, simulate, known)
     if referred:
         kept = np.load(verdicts / f"{place.name}.npz")
-        belief = SwimPrior(**{name: kept[name] for name in kept.files})
-    begun = None
+        prior = SwimPrior(**{name: kept[name] for name in kept.files})
+    simulated_model = None
     if again:
-        begun = read_model(target / BESIDE)
+        simulated_model = read_model(target / RESIMULATED)
         other = read_water_swims(again / f"{place.name}.npz")
-        simulate = by_twin_in_water(robot, begun, other, threads=1)
+        simulate = by_twin_in_water(robot, simulated_model, other, threads=1)
     swims = [swim_of(read_recording(path), robot) for path in sorted(folder.glob("*.csv"))]
-    found = searched(swims, model, robot, simulate, belief, simulated=begun)
-    said = diagnosis_of(found, robot, known, referred=referred)
-    write_diagnosis(said, target / "diagnosis.json", "enriched.json")
-    assert said.baseline is not None
+    found = searched(swims, model, robot, simulate, prior, simulated=simulated_model)
+    diagnosis = diagnosis_of(found, robot, known, referred=referred)
+    write_diagnosis(diagnosis, target / "diagnosis.json", "enriched.json")
+    assert diagnosis.baseline is not None
     if not again:
-        write_model(said.baseline, target / "baseline.json")
+        write_model(diagnosis.baseline, target / "baseline.json")
         there = with_fluid_effects(model, likely_model(found, known, referred=referred))
         if values(there):
-            write_model(there, target / BESIDE)
-    offered = said.model if values(said.model) else read_model(target / "baseline.json")
+            write_model(there, target / RESIMULATED)
+    offered = diagnosis.model if values(diagnosis.model) else read_model(target / "baseline.json")
     write_model(offered, target / "enriched.json")
     for k, members in enumerate(found.held):
         fit = next(one.fit for one in found.found if one.members == members)
@@ -105,32 +105,32 @@ def answer(target: Path, *, case: str, water_folder: str | None, again_folder: s
         first = json.loads((target / "cost.json").read_text())
         cost = {name: value + first[name] for name, value in cost.items()} | {"again": True}
     (target / "cost.json").write_text(json.dumps(cost) + "\n")
-    print(f"{folder.name} {said.verdict}, {cost['wall_s']:.0f} s")
+    print(f"{folder.name} {diagnosis.verdict}, {cost['wall_s']:.0f} s")
 
 
-def left(folder: Path, verdicts: Path, again: Path | None) -> bool:
-    """Whether a case is still to be answered."""
+def unanswered(folder: Path, verdicts: Path, again: Path | None) -> bool:
+    """Whether a case has no answer yet."""
     cost = verdicts / folder.name / "cost.json"
     if not again:
         return not cost.exists()
-    return (cost.parent / BESIDE).exists() and "again" not in json.loads(cost.read_text())
+    return (cost.parent / RESIMULATED).exists() and "again" not in json.loads(cost.read_text())
 
 
 def mixed(path: Path) -> int:
-    """An order in which robots take turns: what is stopped has seen a part of each."""
+    """Key of an order in which robots alternate, so that a stopped run has cases of all robots."""
     return (37 * int(path.parent.name.removeprefix("case_"))) % 1009
 
 
 def main() -> int:
-    """Learn the laws, answer the cases."""
+    """Compute the priors, answer the cases."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("set", type=Path)
     parser.add_argument("verdicts", type=Path)
     parser.add_argument("--processes", type=int, default=2, help="--executor local --jobs N")
     add_executor(parser, default="local")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="then stop starting")
-    parser.add_argument("--water", type=Path, help="what the fluid swam: sealed_water.py")
-    parser.add_argument("--again", type=Path, help="what it swam with what was found")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no more")
+    parser.add_argument("--water", type=Path, help="simulations in the fluid: sealed_water.py")
+    parser.add_argument("--again", type=Path, help="those with the effects that were found")
     parser.add_argument("--share", default="0/1", metavar="K/N", help="every Nth case from the Kth")
     options = parser.parse_args()
     deadline = time.monotonic() + options.seconds
@@ -139,7 +139,7 @@ def main() -> int:
     robots = sorted((options.set / "inputs").glob("robot_*"))
     cases = sorted((options.set / "inputs").glob("robot_*/case_*/case.json"), key=mixed)
     cases = cases[first::step]
-    todo = [p.parent for p in cases if left(p.parent, options.verdicts, options.again)]
+    todo = [p.parent for p in cases if unanswered(p.parent, options.verdicts, options.again)]
     water, again = (
         None if x is None else str(x.absolute()) for x in (options.water, options.again)
     )
@@ -154,7 +154,7 @@ def main() -> int:
         if not (options.verdicts / f"{folder.name}.npz").exists()
     ]
     call = {"water_folder": water, "again_folder": again}
-    cases_left = [
+    answers = [
         Job(
             case.name,
             "sealed_solve:answer",
@@ -165,7 +165,7 @@ def main() -> int:
     ]
     failed = ended_badly(run_jobs(laws, **where))
     seconds = deadline - time.monotonic()
-    return 1 if ended_badly(run_jobs(cases_left, seconds=seconds, **where)) or failed else 0
+    return 1 if ended_badly(run_jobs(answers, seconds=seconds, **where)) or failed else 0
 
 
 def ended_badly(outcomes: Sequence[JobOutcome]) -> int:

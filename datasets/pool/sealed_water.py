@@ -1,12 +1,12 @@
-"""Let the fluid swim what was sent to the robots of a sealed set: ``sim.inference.in_water``.
+"""Simulate the commands of a sealed set in the library's fluid: ``sim.inference.in_water``.
 
     python datasets/pool/sealed_water.py SET WATER [--device cuda:0] [--heldout HELD_OUT]
     python datasets/pool/sealed_water.py SET WATER --law
     python datasets/pool/sealed_water.py SET WATER --again VERDICTS AGAIN [--heldout HELD_OUT]
 
-Looks at robots, bench models and commands alone, not at what was recorded. What is there already is
-not swum again. ``--heldout``: of the swims that the grader keeps too, in a folder of their own, for
-the grader. ``--again``: with what was found in each case, where the fluid can.
+Uses robots, bench models and commands, no measurements. Existing files are kept. ``--heldout``:
+also the held-out swims, in a folder of their own, for the grader. ``--again``: with the effects
+that were found in each case, of those that the fluid can simulate.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from sim2real.robot import Robot, read_robot
 
 
 def again(options: argparse.Namespace, folder: Path, robot: Robot) -> None:
-    """The swims of a robot's cases once more, with what was found in each."""
+    """Simulate the swims of a robot's cases with the effects that were found in each."""
     verdicts, target = options.again
     out = target / f"{folder.name}.npz"
     start, models, swims = time.perf_counter(), [], []
     for case in sorted(path.parent for path in folder.glob("case_*/case.json")):
-        there = verdicts / case.name / "beside.json"
+        there = verdicts / case.name / "resimulated.json"
         held = [options.set / "heldout" / case.name / "b.csv"] if options.heldout else []
         for path in [case / "a.csv", *held] if there.exists() else []:
             models.append(read_model(there))
@@ -52,16 +52,14 @@ def again(options: argparse.Namespace, folder: Path, robot: Robot) -> None:
 
 
 def main() -> None:
-    """Swim."""
+    """Simulate and write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("set", type=Path)
     parser.add_argument("water", type=Path)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cell-m", type=float, default=CELL_M)
     parser.add_argument("--heldout", type=Path)
-    parser.add_argument(
-        "--law", action="store_true", help="the twin's law nearest to what is there"
-    )
+    parser.add_argument("--law", action="store_true", help="fit the twin's law to existing files")
     parser.add_argument("--most", type=int, help="swims of a robot and part, for a trial")
     parser.add_argument(
         "--share", default="0/1", metavar="K/N", help="every Nth robot from the Kth"

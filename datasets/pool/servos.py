@@ -138,8 +138,8 @@ class LooseFin:
         if not self._loose.any():
             return torque
         off = self._loose & (t >= self._from)
-        kp, kd, wish = servo
-        push = kp * (wish - self._horn) - kd * self._rate
+        kp, kd, target = servo
+        push = kp * (target - self._horn) - kd * self._rate
         self._rate = np.where(off, self._rate + self._h / HORN_KGM2 * push, rate)
         self._horn = np.where(off, self._horn + self._h * self._rate, turn)
         held = self._hold * (self._horn - turn) - 0.05 * self._hold * rate

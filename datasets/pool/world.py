@@ -1,10 +1,9 @@
-"""Robots in a pool that the library does not know: one box of water each, all boxes at once.
+"""Robots in a simulated pool that is independent of the library: one box of water for each.
 
 The water is the lattice-Boltzmann fluid of ``sim`` in cells of its own size, with another
 viscosity, another sub-grid constant, another friction line and other relaxation times than what is
-calibrated and trained in. The joints that it is given are slack: what moves them, and all else that
-acts on a robot, is written in this folder in NumPy, for all robots at once, and shares no code with
-the library's laws.
+calibrated and trained in. Its joints are slack: servos and all other forces are computed by this
+folder in NumPy, for all robots at once, and share no code with the library's laws.
 """
 
 from __future__ import annotations
@@ -39,12 +38,12 @@ LINE = "laminar"
 """Of friction: Blasius's; the library's robots have the turbulent one."""
 DEPTH_M = 0.4
 WILD_M_S = 1.2
-"""Speed from which a box counts as stopped: a robot that shook itself to pieces."""
+"""Speed from which a box counts as stopped, as unstable."""
 
 
 @dataclass(frozen=True)
 class Water:
-    """What a pool is filled with; the defaults are those of the recordings that ship.
+    """Parameters of the water; the defaults are those of the recordings that ship.
 
     Attributes:
         viscosity_m2_s: Away from the wall.
@@ -62,11 +61,11 @@ class Water:
 
 
 class World:
-    """Robots of one file, each with what is concealed of it.
+    """Robots of one file, each with its concealed parameters.
 
     Attributes:
         robot: Links and joints.
-        truths: What is concealed of each of the E robots.
+        truths: Concealed parameters of each of the E robots.
         swimmer: The water and the bodies in it.
     """
 
@@ -86,9 +85,9 @@ class World:
             truths: One for each box.
             device: ``cpu`` or ``cuda:0``.
             cell_m: Side of a cell.
-            rng: Of what drifts at random.
+            rng: Of random drifts.
             robot: Links and joints; those of ``robot.toml`` where None.
-            water: What the boxes are filled with.
+            water: Parameters of the water.
         """
         self.robot, self.truths = robot or read_robot(ROBOT), list(truths)
         water = water or Water()
@@ -169,7 +168,7 @@ class World:
         return np.asarray(self.swimmer.fluid.stopped.numpy() >= 0)
 
     def step(self, sent: Array) -> None:
-        """Send set-points in rad, shape (E, J), and go on by one control period."""
+        """Send set-points in rad, shape (E, J), and advance by one control period."""
         t, bodies = self.t, self.swimmer.bodies
         self.servos.send(t, sent)
         for sub in range(self.swimmer.substeps):
@@ -227,14 +226,14 @@ class World:
         return out
 
     def _drive(self, t: float, turn: Array, rate: Array) -> Array:
-        """Gains and wish of the last servos: shape (3, E)."""
-        wish = self.servos.wanted(t)[:, -1] + self._trim[:, 0]
-        return np.stack([self.servos.gains[0][:, -1], self.servos.gains[1][:, -1], wish])
+        """Gains and target angles of the last servos: shape (3, E)."""
+        target = self.servos.wanted(t)[:, -1] + self._trim[:, 0]
+        return np.stack([self.servos.gains[0][:, -1], self.servos.gains[1][:, -1], target])
 
     def _flow(self, t: float) -> Array:
         """Velocity of the pool's water where the robots are, shape (E, 2).
 
-        A body as heavy as the water that it displaces goes along with it. A seiche of mode n has
+        A neutrally buoyant body moves with it. A seiche of mode n has
         the frequency of long waves in a pool of this length and depth, omega^2 = g k tanh(k h).
         """
         flow = self._current.copy()
@@ -248,14 +247,14 @@ class World:
 
 
 def _weighed(truth: Truth) -> dict[str, Any]:
-    """Where the masses are, which the rigid chain is told."""
+    """Positions of the masses, for the rigid chain."""
     off = truth.effects.get("com_offset")
     return {"effects": [{"effect": "com_offset", "parameters": off}] if off else []}
 
 
 @contextmanager
 def _other_collision(magic: float) -> Iterator[None]:
-    """Within this block a fluid relaxes otherwise; ``Swimmer`` has no option for it."""
+    """Within this block fluids have other relaxation times; ``Swimmer`` has no option for them."""
     defaults = Fluid.__init__.__kwdefaults__ or {}
     known = defaults["magic"]
     defaults["magic"] = magic
