@@ -138,19 +138,19 @@ def diagnosed(
 def graded(case: ForeignCase, found: Diagnosis, folder: Path) -> Row:
     """Compare a diagnosis with the concealed effects."""
     write_diagnosis(found, folder / "diagnosis.json", "enriched.json")
-    verdict = json.loads((folder / "diagnosis.json").read_text())
+    content = json.loads((folder / "diagnosis.json").read_text())
     hidden = answer(case, "bench")["effects"]
     there = [*hidden, *nuisances(case)]
-    entries = [_entry(given, there) for given in _named(verdict)]
+    entries = [_entry(given, there) for given in _named(content)]
     likely = [entry for entry in entries if entry["probability"] >= LIKELY]
     both = _both(hidden, likely)
-    of_hidden = [_entry(given, hidden)["right"] for given in _named(verdict)]
+    of_hidden = [_entry(given, hidden)["right"] for given in _named(content)]
     counted = (
         hit for hit, entry in zip(of_hidden, entries, strict=True) if hit or not entry["right"]
     )
     right = next(counted, False)
     rivals = {e for entry in likely for e in entry["group"][1:]}
-    rivals |= {r["effect"] for r in verdict["rivals"] if r["probability"] >= LEFT}
+    rivals |= {r["effect"] for r in content["rivals"] if r["probability"] >= LEFT}
     return {
         "verdict": found.verdict,
         "right": right if len(hidden) == 1 else both["both"],

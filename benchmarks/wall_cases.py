@@ -42,9 +42,13 @@ def friction(length: int, wall: Wall, device: str) -> Result:
 
 
 def frame(
-    length: int, wall: Wall, device: str, body: float, degrees: float = 0.0, speed: float = 0.05
+    length: int, wall: Wall, device: str, body: float, degrees: float = 0.0, steps: int = 1
 ) -> Result:
-    """Drag coefficient of a spheroid on its wetted area: 0 in ideal fluid, in any frame."""
+    """Drag coefficient of a spheroid on its wetted area: 0 in ideal fluid, in any frame.
+
+    ``steps`` is the number of time steps in place of one.
+    """
+    speed = spheroid.SPEED / steps
     found = spheroid.drag(
         length, wall, body=body, degrees=degrees, speed=speed, device=device, threads=1
     )
@@ -137,9 +141,9 @@ def cases(wall: Wall, device: str, tiny: bool) -> dict[str, Callable[[], Result]
                 jobs[f"spheroid {name} at {degrees:g} degrees, {thick}"] = partial(
                     frame, length, bare, device, body, degrees
                 )  # fmt: skip
-            for share in () if tiny else (2, 4):
-                jobs[f"spheroid {name}, steps 1/{share} as long, {thick}"] = partial(
-                    frame, length, bare, device, body, speed=0.05 / share
+            for steps in () if tiny else (2, 4):
+                jobs[f"spheroid {name}, steps 1/{steps} as long, {thick}"] = partial(
+                    frame, length, bare, device, body, steps=steps
                 )
         if length > 24:
             jobs[f"carried mass, spheroid {thick}"] = partial(carried, length, bare, device)

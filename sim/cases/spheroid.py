@@ -36,7 +36,7 @@ _SWAY = 0.2
 """Amplitude of the oscillation in cells."""
 _SHAKEN, _TOWED, _TOWED_ASKEW = (2.0, 1.25, 1.25), (2.5, 1.25, 1.25), (2.5, 1.75, 1.25)
 """Periodic boxes in lengths."""
-_SPEED = 0.05
+SPEED = 0.05
 """Towing speed in cells per step."""
 _LENGTHS = 1.0
 """Towed lengths, before it meets its wake in the periodic box; the second half is evaluated."""
@@ -146,7 +146,7 @@ def drag(
     *,
     body: float = 1.0,
     degrees: float = 0.0,
-    speed: float = _SPEED,
+    speed: float = SPEED,
     device: str = "cpu",
     threads: int = 2,
 ) -> tuple[Array, Array]:
@@ -166,7 +166,7 @@ def drag(
     sides = _TOWED if degrees == 0 else _TOWED_ASKEW
     cells = tuple(round(side * length) for side in sides)
     fluid = Fluid(
-        D3Q19, cells, viscosity=_VISCOSITY * speed / _SPEED, smagorinsky=_SMAGORINSKY,
+        D3Q19, cells, viscosity=_VISCOSITY * speed / SPEED, smagorinsky=_SMAGORINSKY,
         device=device, threads=threads,
     )  # fmt: skip
     angle = np.deg2rad(degrees)
@@ -267,7 +267,7 @@ def run(*, device: str = "cpu", threads: int = 2, quick: bool = False) -> Case:
         source="Lamb, ARC R&M 623 (1918), Hydrodynamics (1932), art. 105, 114; ITTC 1957",
         setup=f"D3Q19, {length} cells long, {length / FINENESS:.0f} thick, periodic; shaken by "
         f"{_SWAY:g} cells, {_PERIOD} steps a period; towed {_LENGTHS:g} length at Re "
-        f"{REYNOLDS:g}, {_SPEED:g} cells a step",
+        f"{REYNOLDS:g}, {SPEED:g} cells a step",
         figures=(
             Figure("mass end-on over the displaced water's", float(along), 1 + k1, 0.1),
             Figure("mass broadside over the displaced water's", float(across), 1 + k2),

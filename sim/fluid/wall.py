@@ -31,8 +31,8 @@ GHOST_EDGE = 0.5
 mass a plate with this edge acts 0.6 to 1 cells too large at each edge
 (``benchmarks/wall_constants.py``)."""
 DAMPING = 0.015
-"""Increase of the relaxation time of the cells at ghost cells: without it the water at a tail at
-rest rings, with more of it a spheroid has drag in ideal fluid."""
+"""Increase of the relaxation time of the cells next to ghost cells. With less a spheroid at rest in
+a stream has thrust and the flow can break down, with more it has drag in ideal fluid."""
 MEMORY = 40.0
 """Steps over which the momentum that the inner water takes from the outer is averaged."""
 
@@ -47,7 +47,7 @@ class Touch:
         reynolds: Reynolds number of one cell per step over the body's length, in water.
         length: The body's length.
         deep, inset, thin: ``DEEP``, ``INSET``, ``THIN``.
-        edge: ``EDGE``, or that of the ghost cells.
+        edge: ``EDGE``; with ghost cells ``Wall.edge``.
     """
 
     slip: int
@@ -67,10 +67,10 @@ class Wall:
     Attributes:
         slip: Whether the water slips along the surface.
         ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
-            surface; else by forcing (``coupling``). With ghost cells the drag and the added mass
-            of ideal fluid are right within a few percent, friction is 0.79 to 0.87 of that of a
-            spheroid with 2 to 8 cells of thickness, and steady speeds of a robot are 10 to 21 % too
-            low in cells of 2 cm and within 7 % in cells of 1 cm (``reports/resolution``).
+            surface; else by forcing (``coupling``). Experimental: added mass is right within 2 %
+            for a spheroid of 8 cells of thickness, friction is 0.84 to 0.95 of that of its line
+            with 2 to 8 cells, but both drag and friction still fall with the length of the time
+            step. ``reports/resolution`` and ``reports/real_fish.md`` show both walls.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
         edge: Of ghost cells: distance in cells by which the edges of a sheet are moved inwards.

@@ -3,10 +3,10 @@
 A cell whose centre lies inside a body sends out, towards each neighbour in the water, populations
 at equilibrium. Across the surface their velocity is the body's; along it, that with which the links
 of the cell exchange no momentum along the surface, or, where the links do not determine it, that of
-the water ``REACH`` cells outside. Their density is such that through the links of the
-cell no mass passes but what the moving surface displaces; what ghost cells send to each other has
-the density of the water outside, as cells that the body uncovers hold it. Uniform flow along a
-plane of any direction is an exact solution.
+the water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
+passes but what the moving surface displaces; what ghost cells send to each other has the density
+of the water outside, as cells that the body uncovers hold it. Uniform flow along a plane of any
+direction is an exact solution.
 Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
 lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that displace what the surface
 displaces).
@@ -25,8 +25,8 @@ REACH = 0.5
 """Least distance in cells from the surface of the water that ghost cells continue."""
 WEAK = 0.14
 """Variance of the velocities of a cell's links, in a direction along the surface, below which they
-do not determine the water's velocity in it; on a plane it is 1/3. Less makes the flow unstable,
-with more a sliding body exchanges momentum with the water in every time step."""
+do not determine the water's velocity in it; on a plane it is 1/3. With less a spheroid has drag in
+ideal fluid; with more it exchanges momentum with the water along its surface in every time step."""
 
 
 class Ghosts(NamedTuple):
