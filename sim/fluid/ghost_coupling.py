@@ -31,10 +31,12 @@ class GhostKernels(NamedTuple):
     Attributes:
         mark: Marks the cells inside a body and those next to it, with their distance and normal.
         cover: Sums over them.
+        emit: Populations of the cells inside a body, in place of a collision.
     """
 
     mark: Any
     cover: Any
+    emit: Any
 
 
 @wp.func
@@ -65,7 +67,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     """The kernels for a lattice."""
     pop, ghost = populations(lattice, storage, wide), ghosts(lattice, storage, wide)
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
-    neighbours, moments = pop.neighbours, pop.moments
+    neighbours, moments, store = pop.neighbours, pop.moments, pop.store
     water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
     slipping, passing, positive = ghost.slipping, ghost.passing, ghost.positive
     c, Q = lattice.velocities, lattice.Q
@@ -83,8 +85,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         touch: Touch,
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells: those inside a body, their depth and normal; those next to it."""
-        e, column = wp.tid()
+        """Some layers of a column: depth and normal of cells inside a body and next to it."""
+        e, part, column = wp.tid()
         count = covered.side
         corner = covered.corner[e]
         if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
@@ -99,7 +101,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             if k > link:
                 rest[1] += length[k]
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
-        for layer in range(covered.tall):
+        first = part * covered.layers
+        for layer in range(first, wp.min(first + covered.layers, covered.tall)):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z
             flag = int(flags[n])
@@ -169,8 +172,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells, which ``mark`` has marked."""
-        e, column = wp.tid()
+        """Some layers of a column, which ``mark`` has marked."""
+        e, part, column = wp.tid()
         count = covered.side
         corner = covered.corner[e]
         if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
@@ -189,7 +192,8 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         passed = wp.vec2()
         leak = float(0.0)
         floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
-        for layer in range(covered.tall):
+        first = part * covered.layers
+        for layer in range(first, wp.min(first + covered.layers, covered.tall)):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z
             flag = int(flags[n])
@@ -284,4 +288,50 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             add(sums, e, link, 24, wp.float64(passed[0]))
             add(sums, e, link, 25, wp.float64(passed[1]))
 
-    return GhostKernels(mark, cover)
+    @wp.kernel(enable_backward=False, module="unique")
+    def emit(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        covered: Covered,
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        """Some layers of a column of cells, for which ``cover`` has found what to send out."""
+        e, part, column = wp.tid()
+        count = covered.side
+        corner = covered.corner[e]
+        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+            return
+        X = corner[0] + column % count
+        Y = corner[1] + column // count
+        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
+        first = part * covered.layers
+        for layer in range(first, wp.min(first + covered.layers, covered.tall)):
+            n = floor + box.nx * box.ny * (covered.low + layer)
+            flag = int(flags[n])
+            if (flag & wp.static(GHOST)) != 0:
+                slot = (e * count * count + column) * covered.tall + layer
+                link = int(covered.share[slot])
+                r = wp.vec2(float(X), float(Y)) - centre[e, link]
+                v = twist[e, link]
+                body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+                j = neighbours(n, flag, box)
+                p = load(f, n, j, t, box.total)
+                links = covered.links[slot]
+                face = covered.face[slot]
+                across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
+                leak = covered.more[slot][0]
+                out = emitted(p, links[0], face, covered.water[slot], across, leak)
+                if links[1] != 0:
+                    face = covered.back[slot]
+                    across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
+                    beyond = emitted(p, links[1], face, covered.beyond[slot], across, leak)
+                    for k in range(wp.static(Q)):
+                        if (links[1] & wp.static(1 << k)) != 0:
+                            out[k] = beyond[k]
+                store(f, n, j, t, box.total, out)
+
+    return GhostKernels(mark, cover, emit)

@@ -27,6 +27,7 @@ class Covered:
     Attributes:
         side: Cells along a side of the squares.
         low, tall: Lowest layer, and number of layers.
+        layers: Layers of a column that one thread takes, where threads share columns.
         corner: First cell of each body's square in the plane, and its extent, (E,).
         share: Number of the link of a cell plus the cell's solid share, (E side side tall,).
         face: Normal of the surface there, and the share of the velocity along it that the body
@@ -46,6 +47,7 @@ class Covered:
     side: int
     low: int
     tall: int
+    layers: int
     corner: wp.array(dtype=wp.vec4i)
     share: wp.array(dtype=wp.float32)
     face: wp.array(dtype=wp.vec4)

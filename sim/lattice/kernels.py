@@ -8,7 +8,6 @@ import warp as wp
 
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, within
 from sim.lattice.collision import collision
-from sim.lattice.ghost import ghosts
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
@@ -46,7 +45,6 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     pop, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
     neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
-    emitted = ghosts(lattice, storage, wide).emitted
     subgrid_tau, relaxed, pushed = collide.subgrid_tau, collide.relaxed, collide.pushed
 
     @wp.func
@@ -83,23 +81,6 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         across = held - wp.floor(held) - face[3]
         return face[3] * lack + across * wp.dot(o, lack) * o + covered.more[slot]
 
-    @wp.func
-    def ghost_out(slot: int, p: Vector, body: wp.vec3, covered: Covered) -> Vector:
-        """Populations that a ghost cell sends out."""
-        links = covered.links[slot]
-        face = covered.face[slot]
-        across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-        leak = covered.more[slot][0]
-        out = emitted(p, links[0], face, covered.water[slot], across, leak)
-        if links[1] != 0:
-            face = covered.back[slot]
-            across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-            beyond = emitted(p, links[1], face, covered.beyond[slot], across, leak)
-            for k in range(wp.static(lattice.Q)):
-                if (links[1] & wp.static(1 << k)) != 0:
-                    out[k] = beyond[k]
-        return out
-
     @wp.kernel(
         enable_backward=False,
         module="unique",
@@ -123,10 +104,13 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         centre: wp.array2d(dtype=wp.vec2),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant."""
+        """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant.
+
+        Not ghost cells: in a kernel of their own they leave this one its registers.
+        """
         n = first + wp.tid()
         flag = int(flags[n])
-        if (flag & wp.static(KIND)) != wp.static(FLUID):
+        if (flag & wp.static(KIND | GHOST)) != wp.static(FLUID):
             return
         e = int(0)
         if box.cells < box.total:
@@ -156,12 +140,9 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
                 lack = body_velocity(at, e, covered, twist, centre) - inv * m
                 push += body_push(at[0], lack, covered)
             out = pushed(out, 1.0 + rest, inv * m, push)
-        if (flag & wp.static(GHOST)) != 0:
-            at = slot_of(n, e, box, covered)
-            out = ghost_out(at[0], p, body_velocity(at, e, covered, twist, centre), covered)
-        elif halted < 0 and not (speed2 < wp.static(SUPERSONIC)):
-            stopped[e] = n - e * box.cells
         if halted < 0:
+            if not (speed2 < wp.static(SUPERSONIC)):
+                stopped[e] = n - e * box.cells
             store(f, n, j, t, box.total, out)
 
     @wp.kernel(enable_backward=False, module="unique")

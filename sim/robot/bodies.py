@@ -170,6 +170,7 @@ class Bodies:
         high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
         covered = fluid.covered = Covered()
         covered.side, covered.low, covered.tall = self._side, low, high - low
+        covered.layers = 1 if fluid.device.is_cuda else covered.tall
         cells = E * self._side**2 * covered.tall
         covered.corner = grid.corner = room((E,), wp.vec4i)
         covered.share = room((cells,), wp.float32)
@@ -230,11 +231,12 @@ class Bodies:
         water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
         place, shape = [grid.pose, grid.twist, grid.centre], self._shape
         touch, rough = self._touch, self.chain.rough
+        shared = (fluid.boxes, -(-fluid.covered.tall // fluid.covered.layers), self._side**2)
         if self.wall.ghosts:
             marked = [fluid.flags, fluid.box, fluid.covered, self.middle, grid.pose]
-            self._launch(self._cover.mark, columns, [*marked, *shape, touch, fluid.stopped])
+            self._launch(self._cover.mark, shared, [*marked, *shape, touch, fluid.stopped])
             inputs = [*water, touch, rough, *place, grid.kept, grid.sums, fluid.stopped]
-            self._launch(self._cover.cover, columns, inputs)
+            self._launch(self._cover.cover, shared, inputs)
         else:
             inputs = [*water, self.middle, touch, rough, grid.kept, *place, *shape]
             self._launch(self._cover, columns, [*inputs, grid.sums, fluid.stopped])
@@ -245,6 +247,9 @@ class Bodies:
                 self.chain, self.motion, self.grid, mode, self.target, self.friction, fluid.stopped,
             ],
         )  # fmt: skip
+        if self.wall.ghosts:
+            sent = [*water, grid.twist, grid.centre, fluid.stopped]
+            self._launch(self._cover.emit, shared, sent)
         fluid.collide_and_stream()
         self._launch(move, fluid.boxes, [self.chain, self.motion, self.grid, mode, fluid.stopped])
 
