@@ -36,7 +36,7 @@ from concurrent.futures import (
 )
 from pathlib import Path
 from threading import Semaphore
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -104,7 +104,8 @@ def swim(
     boxes = [(k, effects) for k, one in enumerate(planned) for effects in variants(one.case)]
     first = [next(b for b, (of, _) in enumerate(boxes) if of == k) for k in range(len(planned))]
     rng = np.random.default_rng(seed)
-    truths = [Truth(planned[k].path.stem, effects, **bench.drawn.servos) for k, effects in boxes]  # type: ignore[arg-type]
+    true: dict[str, Any] = {"areas": bench.drawn.areas, **bench.drawn.servos}
+    truths = [Truth(planned[k].path.stem, effects, **true) for k, effects in boxes]
     world = World(
         truths, device=device, cell_m=options.cell_m, rng=rng,
         robot=bench.drawn.robot, water=bench.drawn.water,

@@ -1,6 +1,6 @@
 """Speed of the fluid and of swimming robots on one device, beside what its memory can do.
 
-    python benchmarks/fluid_speed.py [--device cuda:0] [--wall ghost] [--tiny] [--out FILE.json]
+    python benchmarks/fluid_speed.py [--device cuda:0] [--wall forcing] [--tiny] [--out FILE.json]
 
 Prints million lattice updates a second (MLUPS), the share of a device-to-device copy's bandwidth,
 control steps a second of batches of swimmers, and memory for each. Writes the same as JSON.
@@ -12,6 +12,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ ROBOT = Robot(
     tuple(Joint(f"j{k}", SERVO, (-0.8, 0.8)) for k in (1, 2, 3)),
 )
 MODEL = Model(joints={joint.name: JointModel(2.2, 0.06, 0.068, 0.002) for joint in ROBOT.joints})
-WALLS = {"default": SLIP, "ghost": Wall(slip=True, line="turbulent", ghosts=True)}
+WALLS = {"ghost": SLIP, "forcing": replace(SLIP, ghosts=False)}
 
 
 def main() -> None:
@@ -47,7 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--wall", choices=WALLS, default="default", help="of the swimmers")
+    parser.add_argument("--wall", choices=WALLS, default="ghost", help="of the swimmers")
     parser.add_argument("--tiny", action="store_true", help="seconds only: does it run?")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()

@@ -121,7 +121,8 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
     water = PoolWater(
         viscosity_m2_s=float(np.exp(rng.uniform(np.log(2e-5), np.log(8e-5)))),
         smagorinsky=float(rng.uniform(0.12, 0.16)), magic=float(rng.choice([1e-2, 5e-2])),
-        line=str(rng.choice(["laminar", "turbulent"])), box_m=(1.15, 0.8, 0.36),
+        line=str(rng.choice(["laminar", "turbulent"])), edge=float(rng.uniform(0.35, 0.65)),
+        box_m=(1.15, 0.8, 0.36),
     )  # fmt: skip
     cells = {"device": options.device, "cell_m": options.cell_m * rng.uniform(0.9, 1.1)}
     known = World(truths, rng=rng, robot=robot, water=water, **cells)

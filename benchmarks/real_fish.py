@@ -1,6 +1,6 @@
 """A real fish's tail moves a simulated fish: does it swim as fast as the real one did?
 
-    python benchmarks/real_fish.py FOLDER [--device cuda:0] [--cells 0.01 0.0067] [--wall ghost]
+    python benchmarks/real_fish.py FOLDER [--device cuda:0] [--cells 0.01 0.0067] [--wall forcing]
 
 FOLDER holds four clips of a tendon-driven robot fish filmed from above. Its joints are prescribed
 by the clips (three harmonics of the beat), its body is free, and it carries what its hull leaves
@@ -303,7 +303,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cells", type=float, nargs="*", default=[], help="of the fluid, in m")
-    parser.add_argument("--wall", choices=WALLS, default="default", help="of the fluid")
+    parser.add_argument("--wall", choices=WALLS, default="ghost", help="of the fluid")
     parser.add_argument("--out", type=Path, default=Path("reports"))
     options = parser.parse_args()
     if not (options.folder / f"{CLIPS[0]}.csv").is_file():
@@ -316,7 +316,7 @@ def main() -> None:
     runs = {run["where"]: run for run in before.get("runs", [])}
     simulators: dict[str, Swim] = {"twin": in_twin}
     for cell in options.cells:
-        name = f"fluid, {100 * cell:.2g} cm" + ", ghost cells" * (options.wall == "ghost")
+        name = f"fluid, {100 * cell:.2g} cm" + ", forcing" * (options.wall == "forcing")
         simulators[name] = in_fluid(cell, options.device, WALLS[options.wall])
     for where, swim in simulators.items():
         print(where, flush=True)

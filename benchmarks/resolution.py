@@ -1,12 +1,12 @@
 """How swimming speed and forces depend on the size of the cells, in three dimensions.
 
-    python benchmarks/resolution.py [--device cuda:0] [--cells 0.02 0.01 0.005] [--wall ghost]
+    python benchmarks/resolution.py [--device cuda:0] [--cells 0.02 0.01 0.005] [--wall forcing]
 
 The three-joint robot swims with its servos under four travelling waves; its speed is that of the
 last seconds. Then its body is held: towed straight, beating without advance, beating while towed.
 What other runs have found for other cells or waves stays in ``resolution.json``, so that cells can
-be simulated on several machines; ``resolution.png`` shows all. With ``--wall ghost`` the files are
-``ghost.json`` and ``ghost.png``.
+be simulated on several machines; ``resolution.png`` shows all. ``--wall forcing`` writes
+``forcing.json`` and ``forcing.png``.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--cells", type=float, nargs="*", default=[0.04, 0.02])
     parser.add_argument("--waves", type=int, nargs="*", default=[0, 1, 2, 3], help="which swim")
-    parser.add_argument("--wall", choices=WALLS, default="default")
+    parser.add_argument("--wall", choices=WALLS, default="ghost")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of a free swim")
     parser.add_argument("--no-held", action="store_true", help="do not measure held forces")
     parser.add_argument("--out", type=Path, default=Path("reports/resolution"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     wall = WALLS[options.wall]
-    target = options.out / ("ghost.json" if wall.ghosts else "resolution.json")
+    target = options.out / ("resolution.json" if wall.ghosts else "forcing.json")
     rows: dict[float, dict[str, Any]] = {}
     if target.exists():
         rows = {row["cell_m"]: row for row in json.loads(target.read_text())["rows"]}

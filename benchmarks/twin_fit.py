@@ -15,7 +15,7 @@ import argparse
 import json
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -34,7 +34,9 @@ from sim2real.model import JointModel, Model
 from sim2real.output import write_json
 from sim2real.velocity import body_velocity
 
-ROBOT = s2r.read_robot("datasets/pool/robot.toml")
+_FILE = s2r.read_robot("datasets/pool/robot.toml")
+ROBOT = replace(_FILE, links=tuple(replace(link, appendages=()) for link in _FILE.links))
+"""The hull alone: fluid and twin take the forces on appendages from the same figures."""
 MODEL = Model(joints={j.name: JointModel(2.0, 0.07, 0.066, 0.002) for j in ROBOT.joints})
 OUT = Path("reports/twin")
 NAMES = tuple(field.name for field in fields(Coefficients))

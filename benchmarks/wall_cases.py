@@ -1,6 +1,6 @@
 """Cases with known answers for wall models of bodies: spheroids, foils, plates, tanks.
 
-    python benchmarks/wall_cases.py OUT.json [--wall ghost] [--device cuda:0] [--only foil plate]
+    python benchmarks/wall_cases.py OUT.json [--wall forcing] [--device cuda:0] [--only foil plate]
 
 All cases take some minutes of a GPU. Each result is printed as it comes; a run with the same OUT
 skips the results that it has. ``--tiny`` checks on a CPU that the cases run.
@@ -175,7 +175,7 @@ def main() -> None:
     """Run the cases that OUT lacks, print and write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--wall", choices=WALLS, default="default")
+    parser.add_argument("--wall", choices=WALLS, default="ghost")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--only", nargs="*", help="first words of the cases to run")
     parser.add_argument("--tiny", action="store_true", help="seconds on a CPU: do the cases run?")

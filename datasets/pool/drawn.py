@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from world import Water
 
 from sim.robot.shape import hull_of
+from sim2real.appendages import Appendage
 from sim2real.model import JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
 
@@ -24,6 +25,8 @@ LEAST_M = 0.014
 WEAKEST, STRONGEST = 0.2, 3.0
 """Strengths of single effects, log-uniform between; of two, from ``WEAKEST_OF_TWO``."""
 WEAKEST_OF_TWO = 0.6
+AREA_SD = 0.1
+"""Relative standard deviation of an appendage's drag area, as its file states."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,14 @@ class Drawn:
         water: Parameters of the water.
         servos: True kp, kd, latency, each (J,).
         bench: Those that a bench identifies.
+        areas: True drag areas of its appendages, relative to those that its file states.
     """
 
     robot: Robot
     water: Water
     servos: dict[str, tuple[float, ...]]
     bench: dict[str, tuple[float, ...]]
+    areas: float = 1.0
 
     def model(self) -> Model:
         """The servos as a bench identifies them."""
@@ -111,7 +116,8 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
         replace(link, mass_kg=float(np.round(1000 * v, 3)))
         for link, v in zip(links, volume, strict=True)
     )
-    robot = Robot(name, weighed, joints)
+    head = replace(weighed[0], appendages=(bar(rng, weighed[0].length_m),))
+    robot = Robot(name, (head, *weighed[1:]), joints)
     kp = rng.uniform(1.6, 2.6) * rng.uniform(0.9, 1.1, J)
     kd = rng.uniform(0.03, 0.037) * kp
     latency = rng.uniform(0.045, 0.08) + rng.uniform(-0.006, 0.006, J)
@@ -126,12 +132,25 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
         smagorinsky=float(rng.uniform(0.12, 0.16)),
         magic=float(rng.choice([1e-2, 5e-2])),
         line=str(rng.choice(["laminar", "turbulent"])),
+        edge=float(rng.uniform(0.35, 0.65)),
         box_m=BOX_M,
     )
     plain, bench = (
         {name: tuple(float(x) for x in row) for name, row in one.items()} for one in (true, off)
     )
-    return Drawn(robot, water, plain, bench)
+    return Drawn(robot, water, plain, bench, areas=float(1 + AREA_SD * rng.standard_normal()))
+
+
+def bar(rng: np.random.Generator, length_m: float) -> Appendage:
+    """A bar across the middle of the head, with a drag area of 20 to 60 cm2."""
+    thick, coefficient = rng.uniform(0.015, 0.025), 0.9
+    wide = rng.uniform(20e-4, 60e-4) / (coefficient * thick)
+    size = (float(np.round(x, 3)) for x in (thick, wide, thick))
+    return Appendage(
+        name="bar", shape="cylinder", axis="across", size_m=tuple(size),  # type: ignore[arg-type]
+        at_m=(float(np.round(length_m / 2, 3)), 0.0, 0.0), submerged=1.0,
+        drag=(coefficient, coefficient * AREA_SD),
+    )  # fmt: skip
 
 
 def command_of(rng: np.random.Generator, J: int, period_s: float, seconds: float) -> Array:

@@ -1,6 +1,6 @@
 """Swims that ship: thirty seconds each of a robot in a pool of its own, something concealed.
 
-    python datasets/pool/make.py OUT [--device cuda:0] [--cell-m 0.005] [--seconds 30]
+    python datasets/pool/make.py OUT [--device cuda:0] [--cell-m 0.005] [--processes 2]
 
 A surrogate of reality, and simulated, not measured: see ``world``. Truth goes into ``truth.json``,
 which no fit may read.
@@ -10,22 +10,26 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from camera import NOISE, reported, seen
+from drawn import BOX_M
 from numpy.typing import NDArray
 from tqdm import tqdm
-from truth import Truth
-from world import VISCOSITY_M2_S, World
+from truth import AREAS, Truth
+from world import VISCOSITY_M2_S, Water, World
 
 from sim.robot.swimmer import CONTROL_S
 from sim2real.recording import Recording, write_recording
 
 Array = NDArray[np.float64]
 
-WORLDS = (
+_EFFECTS = (
     Truth("clean", kp=(2.3, 1.85, 2.05), kd=(0.068, 0.077, 0.06), latency=(0.066, 0.062, 0.074)),
     Truth("p1", {"skin_viscoelasticity": {"stiffness_Nm_per_rad": 0.9, "relaxation_s": 0.4}}),
     Truth("p2", {"surface_friction.rubber": {"coefficient": 0.06}}),
@@ -46,6 +50,7 @@ WORLDS = (
         },
     ),
 )
+WORLDS = tuple(replace(one, areas=AREAS) for one in _EFFECTS)
 
 
 def command(t: float, joints: int, phase: float) -> Array:
@@ -63,19 +68,15 @@ def command(t: float, joints: int, phase: float) -> Array:
     return np.asarray(np.clip(wave + bias, -0.78, 0.78))
 
 
-def main() -> None:
-    """Swim, film, write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cell-m", type=float, default=0.005)
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--seed", type=int, default=20261121)
-    options = parser.parse_args()
-    rng = np.random.default_rng(options.seed)
-    world = World(WORLDS, device=options.device, cell_m=options.cell_m, rng=rng)
+def swim(numbers: list[int], options: argparse.Namespace) -> None:
+    """Swim, film and write some of the worlds, each with its own random numbers."""
+    worlds = [WORLDS[k] for k in numbers]
+    rngs = [np.random.default_rng([options.seed, k]) for k in numbers]
+    world = World(
+        worlds, device=options.device, cell_m=options.cell_m, rng=rngs[0], water=Water(box_m=BOX_M)
+    )
     names = tuple(joint.name for joint in world.robot.joints)
-    phases = rng.uniform(-0.5, 0.5, len(WORLDS))
+    phases = [rng.uniform(-0.5, 0.5) for rng in rngs]
     times = CONTROL_S * np.arange(round(options.seconds / CONTROL_S))
     sent, pose, joint = [], [], []
     for t in tqdm(times, desc="pool", disable=None):
@@ -86,7 +87,7 @@ def main() -> None:
         world.step(sent[-1])
     if world.stopped().any():
         raise SystemExit(f"boxes stopped: {np.flatnonzero(world.stopped()).tolist()}")
-    for e, one in enumerate(WORLDS):
+    for e, (one, rng) in enumerate(zip(worlds, rngs, strict=True)):
         angles = np.array(joint)[:, e]
         shown = seen(times, np.array(pose)[:, e], angles, one.effects, rng, NOISE)
         recording = Recording(
@@ -97,6 +98,21 @@ def main() -> None:
             columns={f"body.{n}": shown[:, i] for i, n in enumerate(("x_m", "y_m", "yaw_rad"))},
         )  # fmt: skip
         write_recording(recording, options.out / f"{one.name}.csv")
+
+
+def main() -> None:
+    """Swim, film, write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--cell-m", type=float, default=0.005)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--seed", type=int, default=20261121)
+    parser.add_argument("--processes", type=int, default=1, help="share the swims, on a CPU")
+    options = parser.parse_args()
+    parts = [list(range(len(WORLDS)))[k :: options.processes] for k in range(options.processes)]
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        list(pool.map(swim, parts, repeat(options)))
     truth = {
         "seed": options.seed, "cell_m": options.cell_m, "viscosity_m2_s": VISCOSITY_M2_S,
         "noise": NOISE, "worlds": [asdict(one) for one in WORLDS],

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from camera import filmed, reported
 from numpy.typing import NDArray
-from truth import Truth
+from truth import AREAS, Truth
 from world import World
 
 from sim2real.robot import Robot
@@ -30,6 +30,7 @@ CONCEALED = Truth(
     },
     kp=(2.3, 1.85, 2.05),
     kd=(0.07, 0.076, 0.061),
+    areas=AREAS,
 )
 
 

@@ -31,6 +31,7 @@ from truth import Truth
 from world import World
 
 from sim.robot.swimmer import CONTROL_S
+from sim2real.appendages import Appendage
 from sim2real.model import read_model, write_model
 from sim2real.recording import Recording, write_recording
 
@@ -75,10 +76,8 @@ def make_robot(
     begin = np.array([starts[id(c)][w] for (c, _), w in zip(swims, which, strict=True)])
     plain = np.array([part == "plain" for _, part in swims])
     begin[plain, 0] += NUDGE_M
-    truths = [
-        Truth(part, {} if part == "plain" else case.effects, **drawn.servos)  # type: ignore[arg-type]
-        for case, part in swims
-    ]
+    true: dict[str, Any] = {"areas": drawn.areas, **drawn.servos}
+    truths = [Truth(part, {} if part == "plain" else case.effects, **true) for case, part in swims]
     world = World(
         truths, device=device, cell_m=cell_m, rng=rng, robot=drawn.robot, water=drawn.water
     )
@@ -142,8 +141,8 @@ def make_robot(
         sent=sent.astype(np.float32), shown=np.array(shown, np.float32), lost=lost,
     )  # fmt: skip
     about = {
-        "robot": label, "servos": drawn.servos, "bench": drawn.bench, "water": vars(drawn.water),
-        "cell_m": cell_m, "cases": answers,
+        "robot": label, "servos": drawn.servos, "bench": drawn.bench, "areas": drawn.areas,
+        "water": vars(drawn.water), "cell_m": cell_m, "cases": answers,
     }  # fmt: skip
     part = private / f"{label}.part"
     part.write_text(json.dumps(about, indent=1) + "\n")
@@ -169,6 +168,7 @@ def robot_toml(drawn: Drawn) -> str:
                 "height_m": link.height_m}  # fmt: skip
         numbers = "".join(f"{k} = {v:g}\n" for k, v in rows.items())
         parts.append(f'[[links]]\nname = "{link.name}"\n{numbers}material = "{link.material}"\n')
+        parts += [appendage_toml(one) for one in link.appendages]
     for joint in drawn.robot.joints:
         low, high = joint.limits_rad
         parts.append(
@@ -181,6 +181,19 @@ def robot_toml(drawn: Drawn) -> str:
         f"position_step_rad = {sheet.position_step_rad}\n"
     )
     return "\n".join(parts)
+
+
+def appendage_toml(bar: Appendage) -> str:
+    """A cylinder across its link, as a table of the robot's file."""
+    if bar.drag is None:
+        raise ValueError(f"no drag coefficient of {bar.name}")
+    rows = {
+        "name": f'"{bar.name}"', "shape": f'"{bar.shape}"', "axis": f'"{bar.axis}"',
+        "size_m": [bar.size_m[1], bar.size_m[0]], "at_m": list(bar.at_m),
+        "submerged": bar.submerged, "drag_coefficient": [round(x, 6) for x in bar.drag],
+    }  # fmt: skip
+    table = "".join(f"{name} = {value}\n" for name, value in rows.items())
+    return f"[[links.appendages]]\n{table}"
 
 
 def consulted(out: Path, seed: int, robots: int, counts: dict[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""Where a robot's links are and how fast, and the friction of the water along rough materials."""
+"""Where a robot's links are and how fast; friction along rough materials, drag of appendages."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from sim2real.robot import Robot
 Array = NDArray[np.float64]
 
 WATER_KG_M3 = 1000.0
+STRIPS = 8
 
 
 @dataclass(frozen=True)
@@ -92,14 +93,18 @@ class Links:
 
 
 class Surfaces:
-    """Drag along the middle of each link, - c / 2 density area u |u|, c by material."""
+    """Drag along the links, - c / 2 density area u |u|: of materials and of bars across the link.
+
+    The friction of a material acts on the middle of each link; the drag of an appendage on
+    ``STRIPS`` parts of its width, each with its own velocity along the link.
+    """
 
     def __init__(self, truths: Sequence[Truth], robot: Robot, hull: Hull, links: Links) -> None:
         """Take what is true of the materials.
 
         Args:
             truths: One for each of E robots; ``surface_friction.MATERIAL`` has a ``coefficient``.
-            robot: Its L links say their material.
+            robot: Its L links say their material and appendages, which state a drag coefficient.
             hull: Their shape.
             links: Where they are.
         """
@@ -109,10 +114,26 @@ class Surfaces:
         ]
         self._drag = -0.5 * WATER_KG_M3 * around * hull.length * np.stack(rough, axis=1)
         self._links = links
+        areas = np.array([truth.areas for truth in truths])
+        self._bars = []
+        for k, link in enumerate(robot.links):
+            for bar in link.appendages:
+                if bar.drag is None:
+                    raise ValueError(f"no drag coefficient of {bar.name}")
+                area = bar.drag[0] * bar.size_m[1] * bar.size_m[2]
+                left = bar.at_m[1] + bar.size_m[1] * ((np.arange(STRIPS) + 0.5) / STRIPS - 0.5)
+                self._bars.append((k, -0.5 * WATER_KG_M3 * area / STRIPS * areas, left))
 
     def add(self, out: Array, q: Array, v: Array) -> None:
         """Add it to generalised forces at coordinates q and rates v, all of shape (E, 2 + L)."""
-        if self._drag.any():
-            at = self._links.at(q, v)
-            along = at.along
-            at.push(out, (self._drag * along * np.abs(along))[..., None] * at.axis)
+        if not self._drag.any() and not self._bars:
+            return
+        at = self._links.at(q, v)
+        along = at.along
+        force, couple = self._drag * along * np.abs(along), np.zeros(along.shape)
+        for k, drag, left in self._bars:
+            speed = along[:, k, None] - at.rate[:, k, None] * left
+            strip = drag[:, None] * speed * np.abs(speed)
+            force[:, k] += strip.sum(axis=1)
+            couple[:, k] -= strip @ left
+        at.push(out, force[..., None] * at.axis, couple)

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+AREAS = 1.08
+"""True drag area of the bar on the robot that ships, relative to that of its file."""
+
 
 @dataclass(frozen=True)
 class Truth:
@@ -19,6 +22,7 @@ class Truth:
         name: Of the recording.
         effects: What is concealed: identifier and parameters.
         kp, kd, latency: Of the servos.
+        areas: Drag areas of the appendages, relative to those that the robot file states.
     """
 
     name: str
@@ -26,6 +30,7 @@ class Truth:
     kp: tuple[float, ...] = (2.1, 2.0, 1.9)
     kd: tuple[float, ...] = (0.075, 0.07, 0.066)
     latency: tuple[float, ...] = (0.062, 0.066, 0.071)
+    areas: float = 1.0
 
 
 def values(truths: Sequence[Truth], effect: str, name: str) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +36,9 @@ SMAGORINSKY, MAGIC = 0.14, 1e-2
 """Of the sub-grid viscosity, and of the two relaxation times; the library has 0.17 and 3/16."""
 LINE = "laminar"
 """Of friction: Blasius's; the library's robots have the turbulent one."""
+EDGE = 0.65
 DEPTH_M = 0.4
-WILD_M_S = 1.2
+WILD_M_S = 2.0
 """Speed from which a box counts as stopped, as unstable."""
 
 
@@ -50,6 +51,7 @@ class Water:
         smagorinsky: Of the sub-grid viscosity.
         magic: Of the two relaxation times.
         line: Friction line of a smooth surface.
+        edge: Distance in cells by which the edges of fins are moved inwards; the library has 0.5.
         box_m: Length, width and depth of a robot's box.
     """
 
@@ -57,6 +59,7 @@ class Water:
     smagorinsky: float = SMAGORINSKY
     magic: float = MAGIC
     line: str = LINE
+    edge: float = EDGE
     box_m: tuple[float, float, float] = WINDOW_M
 
 
@@ -96,9 +99,9 @@ class World:
         models = [Model(joints=joints, body=_weighed(truth)) for truth in self.truths]
         with _other_collision(water.magic):
             self.swimmer = Swimmer(
-                self.robot, models, n_envs=len(self.truths), cell_m=cell_m, device=device,
+                without_drag(self.robot), models, n_envs=len(truths), cell_m=cell_m, device=device,
                 viscosity_m2_s=water.viscosity_m2_s, smagorinsky=water.smagorinsky,
-                wall=Wall(slip=True, line=water.line), box_m=water.box_m,
+                wall=Wall(True, water.line, ghosts=True, edge=water.edge), box_m=water.box_m,
                 substeps=max(32, 2 * int(np.ceil(CONTROL_S * 1.4 / 0.15 / cell_m / 2))), threads=2,
             )  # fmt: skip
         self.h = CONTROL_S / self.swimmer.substeps
@@ -127,7 +130,7 @@ class World:
         return values(self.truths, effect, name)[:, None]
 
     def reset(self, pose: Array | None = None, joint: Array | None = None) -> None:
-        """Put all robots at rest in still water.
+        """Put all robots at rest in water at rest; with a current, both move with it.
 
         Args:
             pose: x, y of the head's centre of mass and heading, shape (E, 3); at the origin where
@@ -136,10 +139,9 @@ class World:
         """
         self.swimmer.reset(pose=pose, joint=joint)
         motion = self.swimmer.bodies.motion
-        q, v = (x.numpy().copy() for x in (motion.q, motion.v))
+        q = motion.q.numpy().copy()
         q[:, 3:] += self._trim
-        v[:, :2] = -self._current
-        self.swimmer.bodies.place(q, v)
+        self.swimmer.bodies.place(q)
         self._strain = np.zeros((len(self.truths), len(self.robot.joints)))
         self._drift = np.zeros((len(self.truths), 2))
         self.servos.reset(q[:, 3:])
@@ -244,6 +246,16 @@ class World:
             size = speed * np.sin(omega * t)
             flow += size[:, None] * np.stack([np.cos(self._tilt), np.sin(self._tilt)], axis=1)
         return flow
+
+
+def without_drag(robot: Robot) -> Robot:
+    """The robot with appendages without drag, which ``surfaces`` adds; their water stays."""
+    none = {"drag": (0.0, 0.0), "lateral_drag": (0.0, 0.0)}
+    links = tuple(
+        replace(link, appendages=tuple(replace(one, **none) for one in link.appendages))
+        for link in robot.links
+    )
+    return replace(robot, links=links)
 
 
 def _weighed(truth: Truth) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import Pretrained, drift, read_pretrained
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
-from sim.calibration.swim_parameters import law_parameters, servo_parameters
+from sim.calibration.swim_parameters import twin_parameters
 from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.swims import by_twin, swim_of
 from sim2real.errors import InputError
@@ -61,7 +61,7 @@ class Pool:
 
     def calibrated(self) -> Calibrated:
         """The body in the twin, fitted to the first swim."""
-        free = [*law_parameters(), *servo_parameters(self.model, self.robot)]
+        free = twin_parameters(self.model, self.robot)
         swim = swim_of(self.recordings[0], self.robot)
         return calibrate([swim], self.model, free, by_twin(self.robot))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim.calibration.fluid_calibration import InFluid, calibrate_in_fluid
-from sim.calibration.swim_parameters import appendage_parameters, law_parameters, servo_parameters
+from sim.calibration.swim_parameters import twin_parameters
 from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, by_fluid, by_twin, with_values
 from sim2real.display import NotebookDisplay
@@ -110,8 +110,7 @@ def calibrate_body(
     Raises:
         InputError: If the fluid stops most of a batch, or the calibrated robot.
     """
-    servos = servo_parameters(model, robot, gains=fit_gains)
-    free = [*law_parameters(), *appendage_parameters(robot), *servos]
+    free = twin_parameters(model, robot, gains=fit_gains)
     with progress_bar("calibrate, twin") as progress:
         twin = calibrate(swims, model, free, by_twin(robot), held_out=held_out, progress=progress)
     result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), twin)

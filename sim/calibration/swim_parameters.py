@@ -76,6 +76,12 @@ def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list
     return out
 
 
+def twin_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
+    """Parameters of a calibration in the twin: its law, the appendages' areas, the servos."""
+    servos = servo_parameters(model, robot, gains=gains)
+    return [*law_parameters(), *appendage_parameters(robot), *servos]
+
+
 def body_parameters(robot: Robot) -> list[Parameter]:
     """Parameters of the body for a calibration: drag, friction, added mass and centre of mass."""
     out = effect_parameters("form_drag") + effect_parameters("linear_drag")

@@ -5,4 +5,4 @@ from __future__ import annotations
 from sim.fluid.wall import Wall
 
 WALLS = {"forcing": Wall(slip=True), "ghost cells": Wall(slip=True, ghosts=True)}
-"""Only the second is judged: the cases that use this show what forcing, the default, lacks."""
+"""Only the second, the default, is judged: the cases that use this show what forcing lacks."""

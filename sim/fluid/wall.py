@@ -3,8 +3,9 @@
 At the Reynolds numbers of swimming robots, 1e4 to 1e6, the boundary layer is millimetres thick,
 thinner than any affordable cell. A wall that sets the whole velocity (``NO_SLIP``) smears the layer
 over a cell: drag is then several times too large. ``SLIP`` sets only the velocity across the
-surface and adds the layer's friction as a stress along it, by a plate's friction line: a wall model
-in the sense of Malaspinas and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is
+surface, by ghost cells inside the body, and adds the layer's friction as a stress along it, by a
+plate's friction line: a wall model in the sense of Malaspinas and Sagaut, J. Comput. Phys. 275
+(2014) 25. Where the layer is
 thicker than the cells, in creeping flow and the published cases at low Reynolds numbers, the water
 does not slip.
 """
@@ -67,10 +68,11 @@ class Wall:
     Attributes:
         slip: Whether the water slips along the surface.
         ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
-            surface; else by forcing (``coupling``). Experimental: added mass is right within 2 %
+            surface; else by forcing (``coupling``). With ghost cells added mass is right within 2 %
             for a spheroid of 8 cells of thickness, friction is 0.84 to 0.95 of that of its line
-            with 2 to 8 cells, but both drag and friction still fall with the length of the time
-            step. ``reports/resolution`` and ``reports/real_fish.md`` show both walls.
+            with 2 to 8 cells, and both drag and friction fall with the length of the time step.
+            With forcing a slender body has thrust and too much added mass. ``reports/resolution``
+            and ``reports/real_fish.md`` show both walls.
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
         edge: Of ghost cells: distance in cells by which the edges of a sheet are moved inwards.
@@ -103,7 +105,7 @@ class Wall:
 
 NO_SLIP = Wall(slip=False)
 """Sets the whole velocity: for flows whose boundary layers the cells resolve."""
-SLIP = Wall(slip=True, line="turbulent")
+SLIP = Wall(slip=True, line="turbulent", ghosts=True)
 """For robots: the default of ``Swimmer``."""
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from sim.calibration.emulator import path_of, steps_of
-from sim.fluid.wall import SLIP, Wall
+from sim.fluid.wall import SLIP
 from sim.inference.coordinates import WATER, Coordinates, SwimSimulator
 from sim.inference.followed import by_followed_twin
 from sim.inference.searched import learned
@@ -124,7 +124,7 @@ def simulate_in_water(
             box_m=tuple(settings.get("box", 1.0) * side_m for side_m in box_m),
             viscosity_m2_s=VISCOSITY_M2_S * settings.get("viscosity", 1.0),
             smagorinsky=SMAGORINSKY * settings.get("smagorinsky", 1.0), threads=threads,
-            substeps=SUBSTEPS, wall=Wall(slip=True, line=settings.get("line", SLIP.line)),
+            substeps=SUBSTEPS, wall=replace(SLIP, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
         swimmer.reset(pose=np.array([swim.start for swim in swims]))
         track = []

@@ -203,7 +203,7 @@ class Swimmer:
         pose: Array | None = None,
         joint: Array | None = None,
     ) -> None:
-        """Put robots at rest in water at rest.
+        """Put robots at rest in water at rest; with a current, both move with it.
 
         Args:
             mask: Boxes to reset, shape (E,); all where None.
@@ -227,9 +227,7 @@ class Swimmer:
             (E, fluid.cells),
             [on_device, fluid.f, fluid.flags, fluid.box, fluid.stopped],
         )
-        v = np.zeros_like(q)
-        v[:, :2] = -self.outside.current  # at rest in the pool, whose water moves
-        self.bodies.place(q, v, mask=chosen)
+        self.bodies.place(q, mask=chosen)
         self._launch(remember, E, [on_device, self.bodies.chain, motion])
 
     def adopt(self, which: Index, models: Sequence[Model]) -> None:

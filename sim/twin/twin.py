@@ -175,7 +175,6 @@ class Twin:
         else:
             q[:, :3] = pose
         q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
-        v[:, :2] = -self.outside.current
         at_rest = np.zeros((E, J + 1, POINTS))
         for array, values in (
             (self.motion.q, q),

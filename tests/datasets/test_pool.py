@@ -74,7 +74,7 @@ def test_friction_takes_off_what_it_says(servos, code):
 
 def test_rough_surfaces_take_the_power_that_their_links_lose(code):
     """Force times velocity, summed over coordinates, is that summed over links."""
-    robot = read_robot(POOL / "robot.toml")
+    robot = code["world"].without_drag(read_robot(POOL / "robot.toml"))
     truth = code["truth"].Truth
     rubber, both = ("surface_friction.rubber",), ("surface_friction.rubber", "surface_friction.abs")
     truths = [truth("x", {n: {"coefficient": 0.05} for n in names}) for names in ((), rubber, both)]

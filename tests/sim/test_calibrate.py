@@ -81,11 +81,11 @@ def test_the_shipped_swims_are_calibrated_by_the_command(tmp_path, capsys):
     assert main(["calibrate", *given, "--out", str(out)]) == 0
     written = json.loads(out.read_text())
     fit = written["fit"]
-    for signal, most in (("surge", 0.85), ("sway", 1.0), ("yaw_rate", 1.05)):
+    for signal, most in (("surge", 1.0), ("sway", 0.7), ("yaw_rate", 1.5)):
         figures = fit[f"body.{signal}"]
         assert figures["heldout"] < most * figures["heldout_before"]
     low, high = written["body"]["interval"]["j1.latency_s"]
-    assert low - 0.001 < 0.066 < high + 0.001  # what truth.json says, and the twin's own error
+    assert low - 0.003 < 0.066 < high + 0.003  # what truth.json says, and the twin's own error
     assert "held-out error" in capsys.readouterr().out
 
 

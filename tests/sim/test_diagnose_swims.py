@@ -268,7 +268,7 @@ def test_what_is_nearly_certain_need_not_change_the_speed():
 def test_a_share_of_the_evidence_of_a_force_does_not_tell_its_kind():
     """In water a force that gains 400 joins the group of one that gains 430, but not one of 300."""
     friction, camera = ("surface_friction", "rubber"), ("camera_scale", "camera")
-    sets = [[], 0.0], [[DRAG], 430.0], [[friction], 400.0], [[ROUGH], 300.0], [[camera], 420.0]
+    sets = [[], 0.0], [[DRAG], 430.0], [[friction], 400.0], [[ROUGH], 300.0], [[camera], 395.0]
     for error, group in ((IN_WATER, {DRAG, friction, camera}), (LAW_ERROR, {DRAG})):
         (said,) = decide(raw(*sets), error.decisions).named
         assert set(said.group) == group
@@ -372,7 +372,7 @@ def test_swims_that_agree_tell_a_robot_that_is_steady():
         known = learned(swims, servos(), FISH, simulate, usual)
         return known.imitation[speed] / usual.imitation(c)[speed]
 
-    assert scale(0.0) < 0.9 < 1.1 < scale(0.06)
+    assert scale(0.0) < 0.9 < 1.1 < scale(0.1)
 
 
 def test_a_shape_without_a_name_makes_it_abstain():

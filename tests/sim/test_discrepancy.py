@@ -59,7 +59,7 @@ def test_what_all_swims_of_a_robot_are_wrong_by_is_foretold(tmp_path):
     problem = TwinSwims(Coordinates.of(FISH, servos()), [fresh], simulate, prior)
     x = problem.centre(frozenset())
     (said,) = signals_at(problem.coordinates, fresh, x[None], simulate)
-    assert said[:, 0].mean() == pytest.approx(fresh.signals[:, 0].mean(), rel=0.008)
+    assert said[:, 0].mean() == pytest.approx(fresh.signals[:, 0].mean(), rel=0.015)
     assert problem.coordinates.seems[problem.coordinates.place["error.surge_0"]] < -0.015
     model = problem.coordinates.model_at(x)
     write_model(model, tmp_path / "model.json")

@@ -155,7 +155,7 @@ def test_what_is_wrong_of_a_change_all_along_is_no_evidence(water):
     c = Coordinates.of(FISH, model)
     swim = swum({})
     x = c.nominal
-    x[c.place["skin_elasticity.stiffness_Nm_per_rad"]] = 0.3
+    x[c.place["skin_elasticity.stiffness_Nm_per_rad"]] = 1.2
     plain = TwinSwims(c, [swim], simulate, before)
     change = changed(plain, x)
     doubting = TwinSwims(c, [swim], simulate, before, doubted=change)

@@ -119,7 +119,7 @@ def test_the_film_of_a_real_fish(benchmark, realdata):
     assert one.speeds[:, 0].mean() == pytest.approx(0.160, rel=0.03)
     assert one.angle == pytest.approx(one.swim.signals[:, 3:], abs=0.25)
     said = left_out.by_model(left_out.pool(robot), left_out.pool(robot).model, one)
-    assert np.corrcoef(said[:, 2], one.speeds[:, 2])[0, 1] > 0.8
+    assert np.corrcoef(said[:, 2], one.speeds[:, 2])[0, 1] > 0.75
     noise = filmed.jitter(folder, "f1_75", robot, 60.0)
     assert np.all(noise[:3] < 0.2 * np.sqrt(np.mean(one.speeds**2, axis=0)))
     assert np.all(filmed.irregular(one)[:3] > 0)

@@ -49,7 +49,7 @@ def test_a_current_carries_the_outline_along():
     current = {"effect": "pool_current", "parameters": {"u_m_s": 0.2, "v_m_s": -0.1}}
     model = replace(servos(), body={"effects": [current]})
     swimmer = Swimmer(FISH, model, dimensions=2, cell_m=0.04, box_m=BOX)
-    for _ in range(100):  # water that slips drags slowly
+    for _ in range(50):
         swimmer.step(np.zeros(3))
     seen, (x, y, _) = plane_of(swimmer), swimmer.state().pose[0]
     assert depth(swimmer.hull, seen.links, np.array([x]), np.array([y]))[0] < -0.03
