@@ -71,10 +71,10 @@ def test_the_user_stops_it(tmp_path, capsys, number):
 
 
 def test_a_servo_gets_hot(tmp_path, capsys):
-    with served(1, temperature_C=50, heating_C_per_s=8) as bench:
+    with served(1, temperature_C=50, heating_C_per_s=4) as bench:
         status = record(tmp_path, bench.port, "--max-temperature", "57")
-        recording = stopped(tmp_path, capsys, status, "58 C, above 57 C", "torque off")
-        assert np.nanmax(recording.columns["j1.temperature_C"]) == 58
+        recording = stopped(tmp_path, capsys, status, "above 57 C", "torque off")
+        assert 57 < np.nanmax(recording.columns["j1.temperature_C"]) < 60
         assert not bench.servos[0].powered
 
 
