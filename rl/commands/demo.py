@@ -185,10 +185,10 @@ def _ablation(results: dict[str, Any], agents: Pretrained | None, drift: float) 
         f"for {steps} steps in the simulator of their arm: pairs differ only by their arms. A "
         "difference whose interval excludes zero is significant. The reality is here the twin with "
         "other parameters, friction, play and a skin, as a surrogate with its own fluid is too "
-        "slow for two cores. Of a hundred such ablations 97 or more find the servo calibration "
-        "significant, twenty find another technique significant by chance. Trained from scratch "
-        "and evaluated in the fluid, the servo calibration has by far the largest effect "
-        "(reports/ablation)."
+        "slow for two cores. Of a hundred such ablations in an earlier version of the twin 97 or "
+        "more found the servo calibration significant, twenty another technique by chance. "
+        "Trained from scratch and evaluated in the fluid (an earlier version, too), the servo "
+        "calibration had by far the largest effect (reports/ablation)."
     )
     effects_of_arms = differences(results)
     blocks: list[Block] = [Note("info", note)]
