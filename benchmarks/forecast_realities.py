@@ -110,20 +110,14 @@ def concealed(rng: np.random.Generator) -> tuple[Any, dict[str, list[float]]]:
 def swim_group(options: argparse.Namespace, g: int) -> None:
     """The known swims and the trials of one group of realities, which share their water."""
     from camera import filmed, reported  # type: ignore[import-not-found]
-    from drawn import command_of
+    from drawn import command_of, water_of
     from reality import Pool  # type: ignore[import-not-found]
-    from world import Water as PoolWater  # type: ignore[import-not-found]
-    from world import World
+    from world import World  # type: ignore[import-not-found]
 
     rng, robot = np.random.default_rng([options.seed, g]), read_robot(POOL / "robot.toml")
     R, J, P = options.in_group, len(robot.joints), len(POLICIES)
     truths, benches = zip(*(concealed(rng) for _ in range(R)), strict=True)
-    water = PoolWater(
-        viscosity_m2_s=float(np.exp(rng.uniform(np.log(2e-5), np.log(8e-5)))),
-        smagorinsky=float(rng.uniform(0.12, 0.16)), magic=float(rng.choice([1e-2, 5e-2])),
-        line=str(rng.choice(["laminar", "turbulent"])), edge=float(rng.uniform(0.35, 0.65)),
-        box_m=(1.15, 0.8, 0.36),
-    )  # fmt: skip
+    water = water_of(rng)
     cells = {"device": options.device, "cell_m": options.cell_m * rng.uniform(0.9, 1.1)}
     known = World(truths, rng=rng, robot=robot, water=water, **cells)
     command = np.stack([command_of(rng, J, CONTROL_S, options.known_s) for _ in range(R)], axis=1)

@@ -127,7 +127,16 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
         "kd": kd * (1 + rng.uniform(-0.05, 0.05, J)),
         "latency": latency + rng.uniform(-0.004, 0.004, J),
     }
-    water = Water(
+    water = water_of(rng)
+    plain, bench = (
+        {name: tuple(float(x) for x in row) for name, row in one.items()} for one in (true, off)
+    )
+    return Drawn(robot, water, plain, bench, areas=float(1 + AREA_SD * rng.standard_normal()))
+
+
+def water_of(rng: np.random.Generator) -> Water:
+    """Water of a pool, the friction line of its walls and the edges of fins in it."""
+    return Water(
         viscosity_m2_s=float(np.exp(rng.uniform(np.log(2e-5), np.log(8e-5)))),
         smagorinsky=float(rng.uniform(0.12, 0.16)),
         magic=float(rng.choice([1e-2, 5e-2])),
@@ -135,10 +144,6 @@ def robot_of(rng: np.random.Generator, name: str) -> Drawn:
         edge=float(rng.uniform(0.35, 0.65)),
         box_m=BOX_M,
     )
-    plain, bench = (
-        {name: tuple(float(x) for x in row) for name, row in one.items()} for one in (true, off)
-    )
-    return Drawn(robot, water, plain, bench, areas=float(1 + AREA_SD * rng.standard_normal()))
 
 
 def bar(rng: np.random.Generator, length_m: float) -> Appendage:

@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=20261121)
     parser.add_argument("--processes", type=int, default=1, help="share the swims, on a CPU")
     options = parser.parse_args()
-    parts = [list(range(len(WORLDS)))[k :: options.processes] for k in range(options.processes)]
+    parts = [list(range(k, len(WORLDS), options.processes)) for k in range(options.processes)]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         list(pool.map(swim, parts, repeat(options)))
     truth = {

@@ -249,7 +249,7 @@ class World:
 
 
 def without_drag(robot: Robot) -> Robot:
-    """The robot with appendages without drag, which ``surfaces`` adds; their water stays."""
+    """The robot with appendages without drag: ``surfaces`` has the drag, the fluid the rest."""
     none = {"drag": (0.0, 0.0), "lateral_drag": (0.0, 0.0)}
     links = tuple(
         replace(link, appendages=tuple(replace(one, **none) for one in link.appendages))

@@ -23,7 +23,7 @@ import warp as wp
 
 from sim.fluid.section import along, distance, position_on, side, solid_share
 from sim.fluid.wall import Touch, friction
-from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, within
+from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, column_at, rigid_velocity
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
@@ -114,11 +114,12 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
         """One column of cells; ``kept`` is the velocity that the cells at each surface get back."""
         e, column = wp.tid()
         count = covered.side
-        corner = covered.corner[e]
-        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+        base = column_at(e, column, covered, box)
+        if base[2] < 0 or stopped[e] >= 0:
             return
-        X = corner[0] + column % count
-        Y = corner[1] + column // count
+        X = base[0]
+        Y = base[1]
+        floor = base[2]
         nearest = float(1.0e9)
         link = int(0)
         off_axis = float(0.0)
@@ -134,8 +135,7 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
                 width = wide
                 height = along(half_height[k], at[0])
         r = wp.vec2(float(X), float(Y)) - centre[e, link]
-        v = twist[e, link]
-        body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+        body = rigid_velocity(twist[e, link], r)
         axis = wp.vec3(pose[e, link][2], pose[e, link][3], 0.0)
         touched = bool(False)
         outer = wp.mat22()
@@ -144,7 +144,6 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
         held_in = wp.vec2()
         taken = float(0.0)
         surface_mass = float(0.0)
-        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         for layer in range(covered.tall):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z

@@ -19,7 +19,18 @@ import warp as wp
 from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
 from sim.fluid.section import along, position_on, surface
 from sim.fluid.wall import Touch, friction, layer_ratio
-from sim.lattice.cell import BODY, FLUID, GHOST, KIND, SLIP, Box, Covered, neighbour, within
+from sim.lattice.cell import (
+    BODY,
+    FLUID,
+    GHOST,
+    KIND,
+    SLIP,
+    Box,
+    Covered,
+    column_at,
+    neighbour,
+    rigid_velocity,
+)
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
@@ -88,11 +99,12 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         """Some layers of a column: depth and normal of cells inside a body and next to it."""
         e, part, column = wp.tid()
         count = covered.side
-        corner = covered.corner[e]
-        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+        base = column_at(e, column, covered, box)
+        if base[2] < 0 or stopped[e] >= 0:
             return
-        X = corner[0] + column % count
-        Y = corner[1] + column // count
+        X = base[0]
+        Y = base[1]
+        floor = base[2]
         link, nearest, s = nearest_link(float(X), float(Y), e, pose, length, half_width)
         rest = wp.vec2()
         for k in range(length.shape[0]):
@@ -100,7 +112,6 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                 rest[0] += length[k]
             if k > link:
                 rest[1] += length[k]
-        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         first = part * covered.layers
         for layer in range(first, wp.min(first + covered.layers, covered.tall)):
             z = covered.low + layer
@@ -175,11 +186,12 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         """Some layers of a column, which ``mark`` has marked."""
         e, part, column = wp.tid()
         count = covered.side
-        corner = covered.corner[e]
-        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+        base = column_at(e, column, covered, box)
+        if base[2] < 0 or stopped[e] >= 0:
             return
-        X = corner[0] + column % count
-        Y = corner[1] + column // count
+        X = base[0]
+        Y = base[1]
+        floor = base[2]
         link = int(-1)
         r = wp.vec2()
         body = wp.vec3()
@@ -191,7 +203,6 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         held = wp.vec2()
         passed = wp.vec2()
         leak = float(0.0)
-        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
         first = part * covered.layers
         for layer in range(first, wp.min(first + covered.layers, covered.tall)):
             z = covered.low + layer
@@ -203,8 +214,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                     link = int(covered.share[slot])
                     leak = kept[e, link]
                     r = wp.vec2(float(X), float(Y)) - centre[e, link]
-                    v = twist[e, link]
-                    body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+                    body = rigid_velocity(twist[e, link], r)
                     pose_ = pose[e, link]
                     lateral = wp.vec3(-pose_[3], pose_[2], 0.0)
                     off = wp.dot(wp.vec3(float(X) - pose_[0], float(Y) - pose_[1], 0.0), lateral)
@@ -299,15 +309,15 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         centre: wp.array2d(dtype=wp.vec2),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """Some layers of a column of cells, for which ``cover`` has found what to send out."""
+        """Store what the ghost cells in some layers of a column send out, as ``cover`` set it."""
         e, part, column = wp.tid()
         count = covered.side
-        corner = covered.corner[e]
-        if column % count >= corner[2] or column // count >= corner[3] or stopped[e] >= 0:
+        base = column_at(e, column, covered, box)
+        if base[2] < 0 or stopped[e] >= 0:
             return
-        X = corner[0] + column % count
-        Y = corner[1] + column // count
-        floor = e * box.cells + within(X, box.nx) + box.nx * within(Y, box.ny)
+        X = base[0]
+        Y = base[1]
+        floor = base[2]
         first = part * covered.layers
         for layer in range(first, wp.min(first + covered.layers, covered.tall)):
             n = floor + box.nx * box.ny * (covered.low + layer)
@@ -316,8 +326,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                 slot = (e * count * count + column) * covered.tall + layer
                 link = int(covered.share[slot])
                 r = wp.vec2(float(X), float(Y)) - centre[e, link]
-                v = twist[e, link]
-                body = wp.vec3(v[0] - v[2] * r[1], v[1] + v[2] * r[0], 0.0)
+                body = rigid_velocity(twist[e, link], r)
                 j = neighbours(n, flag, box)
                 p = load(f, n, j, t, box.total)
                 links = covered.links[slot]

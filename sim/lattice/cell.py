@@ -78,6 +78,28 @@ def within(x: int, size: int) -> int:
 
 
 @wp.func
+def column_at(e: int, column: int, covered: Covered, box: Box) -> wp.vec3i:
+    """Coordinates in the plane of a column of a body's square, and its lowest cell.
+
+    That is -1 outside the square's extent.
+    """
+    corner = covered.corner[e]
+    dx = column % covered.side
+    dy = column // covered.side
+    if dx >= corner[2] or dy >= corner[3]:
+        return wp.vec3i(0, 0, -1)
+    x = corner[0] + dx
+    y = corner[1] + dy
+    return wp.vec3i(x, y, e * box.cells + within(x, box.nx) + box.nx * within(y, box.ny))
+
+
+@wp.func
+def rigid_velocity(twist: wp.vec4, r: wp.vec2) -> wp.vec3:
+    """Velocity of a rigid body's point at ``r`` from the centre whose velocity ``twist`` has."""
+    return wp.vec3(twist[0] - twist[2] * r[1], twist[1] + twist[2] * r[0], 0.0)
+
+
+@wp.func
 def wrapped(x: int, size: int) -> int:
     """A coordinate at most one step outside, wrapped into a periodic box."""
     if x < 0:

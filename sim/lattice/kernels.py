@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, within
+from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, rigid_velocity, within
 from sim.lattice.collision import collision
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
@@ -67,10 +67,8 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     ) -> wp.vec3:
         """Velocity of the body in a cell that it covers."""
         link = int(covered.share[at[0]])
-        x = float(at[1]) - centre[e, link][0]
-        y = float(at[2]) - centre[e, link][1]
-        v = twist[e, link]
-        return wp.vec3(v[0] - v[2] * y, v[1] + v[2] * x, 0.0)
+        r = wp.vec2(float(at[1]), float(at[2])) - centre[e, link]
+        return rigid_velocity(twist[e, link], r)
 
     @wp.func
     def body_push(slot: int, lack: wp.vec3, covered: Covered) -> wp.vec3:
@@ -106,7 +104,8 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     ):
         """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant.
 
-        Not ghost cells: in a kernel of their own they leave this one its registers.
+        Ghost cells have a kernel of their own (``ghost_coupling``): here they would cost a third
+        more registers in every cell.
         """
         n = first + wp.tid()
         flag = int(flags[n])
