@@ -115,6 +115,8 @@ class Fluid:
         for name in ("back", "water", "beyond"):
             setattr(self.covered, name, wp.zeros(1, dtype=wp.vec4, device=self.device))
         self.covered.links = wp.zeros(1, dtype=wp.vec2i, device=self.device)
+        self.covered.count = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self.covered.listed = wp.zeros((1, 1), dtype=wp.int32, device=self.device)
         self.twist: Any = wp.zeros((1, 1), dtype=wp.vec4, device=self.device)
         self.centre: Any = wp.zeros((1, 1), dtype=wp.vec2, device=self.device)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None

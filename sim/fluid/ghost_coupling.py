@@ -28,6 +28,7 @@ from sim.lattice.cell import (
     Box,
     Covered,
     column_at,
+    listed_at,
     neighbour,
     rigid_velocity,
 )
@@ -40,12 +41,14 @@ class GhostKernels(NamedTuple):
     """Kernels for one lattice.
 
     Attributes:
-        mark: Marks the cells inside a body and those next to it, with their distance and normal.
-        cover: Sums over them.
-        emit: Populations of the cells inside a body, in place of a collision.
+        mark: Lists the cells inside a body and those next to it, with their distance and normal.
+        rub: Sums over the cells next to a body: friction.
+        cover: Sums over the cells inside.
+        emit: Populations of these, in place of a collision.
     """
 
     mark: Any
+    rub: Any
     cover: Any
     emit: Any
 
@@ -77,9 +80,9 @@ def nearest_link(
 def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     """The kernels for a lattice."""
     pop, ghost = populations(lattice, storage, wide), ghosts(lattice, storage, wide)
-    Stored, Vector, load = pop.Stored, pop.Vector, pop.load
+    Stored, load = pop.Stored, pop.load
     neighbours, moments, store = pop.neighbours, pop.moments, pop.store
-    water_at, emitted, momentum = ghost.water_at, ghost.emitted, ghost.momentum
+    water_at, emitted, sent = ghost.water_at, ghost.emitted, ghost.sent
     slipping, passing, positive = ghost.slipping, ghost.passing, ghost.positive
     c, Q = lattice.velocities, lattice.Q
 
@@ -131,17 +134,21 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         rest,
                         touch.edge,
                     )
-                    slot = (e * count * count + column) * covered.tall + layer
+                    cell = column * covered.tall + layer
+                    slot = e * count * count * covered.tall + cell
                     covered.share[slot] = float(link)
                     if d <= 0.0:
                         flag = flag | wp.static(GHOST)
                         covered.face[slot] = wp.vec4(o[0], o[1], o[2], -d)
                         covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, other)
+                        covered.listed[2 * e, wp.atomic_add(covered.count, 2 * e, 1)] = cell
                     elif d <= 1.0:
                         flag = flag | wp.static(BODY)
                         axes = along(half_width[link], s) + along(half_height[link], s)
                         covered.face[slot] = wp.vec4(o[0], o[1], o[2], d)
                         covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, axes / (axes + 2.0 * d))
+                        i = wp.atomic_add(covered.count, 2 * e + 1, 1)
+                        covered.listed[2 * e + 1, i] = cell
                 flags[n] = wp.uint8(flag)
 
     @wp.func
@@ -168,7 +175,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         return wp.vec4(n[0], n[1], n[2], 1.0 + found[0]), wp.vec4(u[0], u[1], u[2], wp.dot(body, n))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def cover(
+    def rub(
         f: Stored,
         flags: wp.array(dtype=wp.uint8),
         box: Box,
@@ -176,6 +183,71 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         covered: Covered,
         touch: Touch,
         rough: wp.array2d(dtype=wp.float64),
+        twist: wp.array2d(dtype=wp.vec4),
+        centre: wp.array2d(dtype=wp.vec2),
+        sums: wp.array3d(dtype=wp.int64),
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        """Friction in some of the cells next to a body, which ``mark`` has listed."""
+        e, lane = wp.tid()
+        if stopped[e] >= 0:
+            return
+        square = covered.side * covered.side * covered.tall
+        for i in range(lane, covered.count[2 * e + 1], covered.lanes):
+            cell = covered.listed[2 * e + 1, i]
+            at = listed_at(e, cell, covered, box)
+            n = at[3]
+            slot = e * square + cell
+            link = int(covered.share[slot])
+            r = wp.vec2(float(at[0]), float(at[1])) - centre[e, link]
+            body = rigid_velocity(twist[e, link], r)
+            m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
+            face = covered.face[slot]
+            o = wp.vec3(face[0], face[1], face[2])
+            u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
+            sliding = body - u - wp.dot(body - u, o) * o
+            slip = wp.length(sliding)
+            faster = layer_ratio(slip, face[3], touch)
+            share = friction(faster * slip, float(rough[e, link]), touch)
+            share *= faster * covered.back[slot][3]
+            covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
+            covered.more[slot] = wp.vec3()
+            even = share * (1.0 + m[0])
+            u -= wp.dot(u, o) * o
+            add_matrix(
+                sums, e, link, 0, r,
+                even * wp.mat22(1.0 - o[0] * o[0], -o[0] * o[1], -o[0] * o[1], 1.0 - o[1] * o[1]),
+            )  # fmt: skip
+            add_vector(sums, e, link, 18, r, -even * wp.vec2(u[0], u[1]))
+
+    @wp.func
+    def water_links(
+        n: int, flags: wp.array(dtype=wp.uint8), box: Box, thin: bool, off: float, lateral: wp.vec3
+    ) -> wp.vec2i:
+        """Bits of the directions in which a ghost cell has water, at its side and the other."""
+        near = int(0)
+        far = int(0)
+        for k in range(1, wp.static(Q)):
+            x = wp.static(c[k][0])
+            y = wp.static(c[k][1])
+            beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
+            if (beside & wp.static(KIND)) == wp.static(SLIP):  # the surface reflects
+                beside = int(flags[neighbour(n, x, y, 0, box)])
+            if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
+                across = off + float(x) * lateral[0] + float(y) * lateral[1]
+                if thin and across * off < 0.0:
+                    far = far | wp.static(1 << k)
+                else:
+                    near = near | wp.static(1 << k)
+        return wp.vec2i(near, far)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def cover(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        covered: Covered,
         pose: wp.array2d(dtype=wp.vec4),
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
@@ -183,114 +255,65 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """Some layers of a column, which ``mark`` has marked."""
-        e, part, column = wp.tid()
-        count = covered.side
-        base = column_at(e, column, covered, box)
-        if base[2] < 0 or stopped[e] >= 0:
+        """What some of the ghost cells of a body, which ``mark`` has listed, exchange."""
+        e, lane = wp.tid()
+        if stopped[e] >= 0:
             return
-        X = base[0]
-        Y = base[1]
-        floor = base[2]
-        link = int(-1)
-        r = wp.vec2()
-        body = wp.vec3()
-        lateral = wp.vec3()
-        off = float(0.0)
-        sends = wp.mat22()
-        keeps = wp.mat22()
-        given = wp.vec2()
-        held = wp.vec2()
-        passed = wp.vec2()
-        leak = float(0.0)
-        first = part * covered.layers
-        for layer in range(first, wp.min(first + covered.layers, covered.tall)):
-            z = covered.low + layer
-            n = floor + box.nx * box.ny * z
+        square = covered.side * covered.side * covered.tall
+        for i in range(lane, covered.count[2 * e], covered.lanes):
+            cell = covered.listed[2 * e, i]
+            place = listed_at(e, cell, covered, box)
+            at = wp.vec3(float(place[0]), float(place[1]), float(place[2]))
+            n = place[3]
+            slot = e * square + cell
+            link = int(covered.share[slot])
+            leak = kept[e, link]
+            r = wp.vec2(at[0], at[1]) - centre[e, link]
+            body = rigid_velocity(twist[e, link], r)
+            head = pose[e, link]
+            lateral = wp.vec3(-head[3], head[2], 0.0)
+            off = wp.dot(wp.vec3(at[0] - head[0], at[1] - head[1], 0.0), lateral)
             flag = int(flags[n])
-            slot = (e * count * count + column) * covered.tall + layer
-            if (flag & wp.static(BODY | GHOST)) != 0:
-                if link < 0:  # the same in all cells of a column
-                    link = int(covered.share[slot])
-                    leak = kept[e, link]
-                    r = wp.vec2(float(X), float(Y)) - centre[e, link]
-                    body = rigid_velocity(twist[e, link], r)
-                    pose_ = pose[e, link]
-                    lateral = wp.vec3(-pose_[3], pose_[2], 0.0)
-                    off = wp.dot(wp.vec3(float(X) - pose_[0], float(Y) - pose_[1], 0.0), lateral)
+            other = covered.back[slot][3]
+            links = water_links(n, flags, box, other > 0.0, off, lateral)
+            covered.links[slot] = links
+            covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
+            face = covered.face[slot]
+            o = wp.vec3(face[0], face[1], face[2])
+            depth = face[3]
+            sends = wp.mat22()
+            keeps = wp.mat22()
+            given = wp.vec2()
+            held = wp.vec2()
+            passed = wp.vec2()
+            sides = int(1)
+            if links[1] != 0:
+                sides = 2
+            for side in range(sides):
+                if side == 1:
+                    o -= 2.0 * wp.dot(o, lateral) * lateral
+                    depth = other
+                facing, water = continued(f, flags, box, t, e, at, o, depth, body)
                 p = load(f, n, neighbours(n, flag, box), t, box.total)
-                m = moments(p)
-                face = covered.face[slot]
-                o = wp.vec3(face[0], face[1], face[2])
-                if (flag & wp.static(BODY)) != 0:
-                    u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
-                    sliding = body - u - wp.dot(body - u, o) * o
-                    slip = wp.length(sliding)
-                    faster = layer_ratio(slip, face[3], touch)
-                    share = friction(faster * slip, float(rough[e, link]), touch)
-                    share *= faster * covered.back[slot][3]
-                    covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
-                    covered.more[slot] = wp.vec3()
-                    even = share * (1.0 + m[0])
-                    sends += even * wp.mat22(
-                        1.0 - o[0] * o[0], -o[0] * o[1], -o[0] * o[1], 1.0 - o[1] * o[1]
-                    )
-                    u -= wp.dot(u, o) * o
-                    given -= even * wp.vec2(u[0], u[1])
-                else:
-                    near = int(0)
-                    far = int(0)
-                    for k in range(1, wp.static(Q)):
-                        x = wp.static(c[k][0])
-                        y = wp.static(c[k][1])
-                        beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
-                        if (beside & wp.static(KIND)) == wp.static(SLIP):  # the surface reflects
-                            beside = int(flags[neighbour(n, x, y, 0, box)])
-                        if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
-                            across = off + float(x) * lateral[0] + float(y) * lateral[1]
-                            if covered.back[slot][3] > 0.0 and across * off < 0.0:
-                                far = far | wp.static(1 << k)
-                            else:
-                                near = near | wp.static(1 << k)
-                    covered.links[slot] = wp.vec2i(near, far)
-                    given -= wp.vec2(m[1], m[2])
-                    at = wp.vec3(float(X), float(Y), float(z))
-                    facing, water = continued(f, flags, box, t, e, at, o, face[3], body)
-                    water = slipping(p, near, facing, water)
-                    facing = positive(p, near, facing, water)
-                    passed += passing(near, facing, water)
+                water = slipping(p, links[side], facing, water)
+                facing = positive(p, links[side], facing, water)
+                passed += passing(links[side], facing, water)
+                through, among = sent(p, links[side], links[1 - side], facing, water, leak)
+                across = wp.vec2(o[0], o[1])
+                slope = wp.vec2(through[2], through[3])
+                sends += wp.outer(slope, across)
+                given += wp.vec2(through[0], through[1]) - water[3] * slope
+                if side == 0:
                     covered.face[slot] = facing
                     covered.water[slot] = water
-                    covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
-                    still = Vector()
-                    out = emitted(p, near, facing, water, water[3], leak)
-                    unit = wp.vec4(o[0], o[1], o[2], 1.0)
-                    rate = emitted(still, near, unit, wp.vec4(), 1.0, 0.0)
-                    s = momentum(out, near)
-                    ds = facing[3] * momentum(rate, near)
-                    among = wp.static(2**lattice.Q - 1) - near - far
-                    k0 = momentum(out, among)
-                    dk = facing[3] * momentum(rate, among)
-                    n2 = wp.vec2(o[0], o[1])
-                    sends += wp.outer(ds, n2)
-                    keeps += wp.outer(dk, n2)
-                    given += s - water[3] * ds
-                    held += k0 - water[3] * dk
-                    if far != 0:
-                        o -= 2.0 * wp.dot(o, lateral) * lateral
-                        facing, water = continued(
-                            f, flags, box, t, e, at, o, covered.back[slot][3], body
-                        )
-                        water = slipping(p, far, facing, water)
-                        facing = positive(p, far, facing, water)
-                        passed += passing(far, facing, water)
-                        covered.back[slot] = facing
-                        covered.beyond[slot] = water
-                        s = momentum(emitted(p, far, facing, water, water[3], leak), far)
-                        ds = momentum(emitted(still, far, facing, wp.vec4(), 1.0, 0.0), far)
-                        sends += wp.outer(ds, wp.vec2(o[0], o[1]))
-                        given += s - water[3] * ds
-        if link >= 0:
+                    slope = wp.vec2(among[2], among[3])
+                    keeps = wp.outer(slope, across)
+                    held = wp.vec2(among[0], among[1]) - water[3] * slope
+                    m = moments(p)
+                    given -= wp.vec2(m[1], m[2])
+                else:
+                    covered.back[slot] = facing
+                    covered.beyond[slot] = water
             add_matrix(sums, e, link, 0, r, sends)
             add_vector(sums, e, link, 18, r, given + held)
             add_matrix(sums, e, link, 9, r, keeps)
@@ -309,38 +332,33 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         centre: wp.array2d(dtype=wp.vec2),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """Store what the ghost cells in some layers of a column send out, as ``cover`` set it."""
-        e, part, column = wp.tid()
-        count = covered.side
-        base = column_at(e, column, covered, box)
-        if base[2] < 0 or stopped[e] >= 0:
+        """Store what some of the ghost cells of a body send out, as ``cover`` set it."""
+        e, lane = wp.tid()
+        if stopped[e] >= 0:
             return
-        X = base[0]
-        Y = base[1]
-        floor = base[2]
-        first = part * covered.layers
-        for layer in range(first, wp.min(first + covered.layers, covered.tall)):
-            n = floor + box.nx * box.ny * (covered.low + layer)
-            flag = int(flags[n])
-            if (flag & wp.static(GHOST)) != 0:
-                slot = (e * count * count + column) * covered.tall + layer
-                link = int(covered.share[slot])
-                r = wp.vec2(float(X), float(Y)) - centre[e, link]
-                body = rigid_velocity(twist[e, link], r)
-                j = neighbours(n, flag, box)
-                p = load(f, n, j, t, box.total)
-                links = covered.links[slot]
-                face = covered.face[slot]
+        square = covered.side * covered.side * covered.tall
+        for i in range(lane, covered.count[2 * e], covered.lanes):
+            cell = covered.listed[2 * e, i]
+            at = listed_at(e, cell, covered, box)
+            n = at[3]
+            slot = e * square + cell
+            link = int(covered.share[slot])
+            r = wp.vec2(float(at[0]), float(at[1])) - centre[e, link]
+            body = rigid_velocity(twist[e, link], r)
+            j = neighbours(n, int(flags[n]), box)
+            p = load(f, n, j, t, box.total)
+            links = covered.links[slot]
+            face = covered.face[slot]
+            across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
+            leak = covered.more[slot][0]
+            out = emitted(p, links[0], face, covered.water[slot], across, leak)
+            if links[1] != 0:
+                face = covered.back[slot]
                 across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-                leak = covered.more[slot][0]
-                out = emitted(p, links[0], face, covered.water[slot], across, leak)
-                if links[1] != 0:
-                    face = covered.back[slot]
-                    across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-                    beyond = emitted(p, links[1], face, covered.beyond[slot], across, leak)
-                    for k in range(wp.static(Q)):
-                        if (links[1] & wp.static(1 << k)) != 0:
-                            out[k] = beyond[k]
-                store(f, n, j, t, box.total, out)
+                beyond = emitted(p, links[1], face, covered.beyond[slot], across, leak)
+                for k in range(wp.static(Q)):
+                    if (links[1] & wp.static(1 << k)) != 0:
+                        out[k] = beyond[k]
+            store(f, n, j, t, box.total, out)
 
-    return GhostKernels(mark, cover, emit)
+    return GhostKernels(mark, rub, cover, emit)

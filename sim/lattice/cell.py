@@ -28,6 +28,7 @@ class Covered:
         side: Cells along a side of the squares.
         low, tall: Lowest layer, and number of layers.
         layers: Layers of a column that one thread takes, where threads share columns.
+        lanes: Threads that share the listed cells of a body.
         corner: First cell of each body's square in the plane, and its extent, (E,).
         share: Number of the link of a cell plus the cell's solid share, (E side side tall,).
         face: Normal of the surface there, and the share of the velocity along it that the body
@@ -41,6 +42,8 @@ class Covered:
         back: Normal of that side; of cells next to a body the surface's area over that of the
             layer of cells around it, last.
         links: Bits of the directions in which a ghost cell has water, at either side.
+        count: Number of each body's ghost cells, and of the cells next to it, (2 E,).
+        listed: These cells, counted in the body's square, (2 E, side side tall).
         damping: What the cells next to a body that ghost cells fill have more of relaxation time.
     """
 
@@ -48,6 +51,7 @@ class Covered:
     low: int
     tall: int
     layers: int
+    lanes: int
     corner: wp.array(dtype=wp.vec4i)
     share: wp.array(dtype=wp.float32)
     face: wp.array(dtype=wp.vec4)
@@ -56,6 +60,8 @@ class Covered:
     back: wp.array(dtype=wp.vec4)
     beyond: wp.array(dtype=wp.vec4)
     links: wp.array(dtype=wp.vec2i)
+    count: wp.array(dtype=wp.int32)
+    listed: wp.array2d(dtype=wp.int32)
     damping: float
 
 
@@ -91,6 +97,14 @@ def column_at(e: int, column: int, covered: Covered, box: Box) -> wp.vec3i:
     x = corner[0] + dx
     y = corner[1] + dy
     return wp.vec3i(x, y, e * box.cells + within(x, box.nx) + box.nx * within(y, box.ny))
+
+
+@wp.func
+def listed_at(e: int, cell: int, covered: Covered, box: Box) -> wp.vec4i:
+    """Coordinates of a listed cell, and its number."""
+    base = column_at(e, cell // covered.tall, covered, box)
+    z = covered.low + cell % covered.tall
+    return wp.vec4i(base[0], base[1], z, base[2] + box.nx * box.ny * z)
 
 
 @wp.func

@@ -35,7 +35,7 @@ class Ghosts(NamedTuple):
     Attributes:
         water_at: Density minus 1 and velocity of the water at a point.
         emitted: Populations that a ghost cell sends out.
-        momentum: Momentum in the plane of the populations in some directions.
+        sent: Momentum of these populations, and its derivative by the velocity across.
         slipping: Velocity along the surface with which nothing is exchanged along it.
         passing: Mass that a cell's links bring into the water.
         positive: Density for which no population that a cell sends to the water is negative.
@@ -43,7 +43,7 @@ class Ghosts(NamedTuple):
 
     water_at: Any
     emitted: Any
-    momentum: Any
+    sent: Any
     slipping: Any
     passing: Any
     positive: Any
@@ -74,8 +74,9 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         y0 = int(wp.floor(y))
         z0 = int(wp.floor(z))
         total = wp.vec4()
-        weight = 0.0
-        for corner in range(wp.static(2**lattice.dimensions)):
+        weight = float(0.0)
+        corners = wp.where(box.nz > 1, 8, 4)  # a number that keeps compilers from unrolling
+        for corner in range(corners):
             i = corner % 2
             k = (corner // 2) % 2
             m = corner // 4
@@ -227,11 +228,44 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         return wp.vec4(face[0], face[1], face[2], rho)
 
     @wp.func
-    def momentum(p: Vector, links: int) -> wp.vec2:
-        m = wp.vec2()
-        for k in range(wp.static(Q)):
-            if (links & wp.static(1 << k)) != 0:
-                m += p[k] * wp.vec2(wp.static(float(c[k][0])), wp.static(float(c[k][1])))
-        return m
+    def sent(p: Vector, links: int, others: int, face: wp.vec4, water: wp.vec4, leak: float):
+        """Momentum in the plane of what ``emitted`` returns for the velocity across in ``water``.
 
-    return Ghosts(water_at, emitted, momentum, slipping, passing, positive)
+        Of the populations along ``links``, and of those along neither ``links`` nor ``others``:
+        each the momentum (x, y) and its derivative by the velocity across (x, y).
+        """
+        rho = face[3]
+        n = wp.vec3(face[0], face[1], face[2])
+        u = wp.vec3(water[0], water[1], water[2]) + water[3] * n
+        still = 1.5 * wp.dot(u, u)
+        through = wp.vec4()
+        among = wp.vec4()
+        mean = wp.vec2()
+        weight = float(0.0)
+        passed = float(0.0)
+        rate = float(0.0)
+        for k in range(wp.static(Q)):
+            q = wp.vec3(
+                wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
+            )
+            cu = wp.dot(q, u)
+            odd = wp.static(3.0 * w[k]) * rho * cu
+            even = wp.static(w[k]) * rho * (4.5 * cu * cu - still)
+            slope = wp.static(3.0 * w[k]) * rho * wp.dot(q, n)
+            if (links & wp.static(1 << k)) != 0:
+                passed += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)] + odd - even
+                rate += slope
+                weight += wp.static(w[k])
+                mean += wp.static(w[k]) * wp.vec2(q[0], q[1])
+                out = odd + even
+                through += wp.vec4(out * q[0], out * q[1], slope * q[0], slope * q[1])
+            elif (others & wp.static(1 << k)) == 0:
+                out = odd + even + wp.static(w[k]) * (rho - 1.0)
+                among += wp.vec4(out * q[0], out * q[1], slope * q[0], slope * q[1])
+        if weight > 0.0:
+            rest = passed / weight - leak
+            rate /= weight
+            through += wp.vec4(rest * mean[0], rest * mean[1], rate * mean[0], rate * mean[1])
+        return through, among
+
+    return Ghosts(water_at, emitted, sent, slipping, passing, positive)

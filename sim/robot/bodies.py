@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim.fluid.coupling import SUMS, cover_kernel
-from sim.fluid.fluid import Fluid
+from sim.fluid.fluid import BLOCK, Fluid
 from sim.fluid.ghost_coupling import ghost_kernels
 from sim.fluid.wall import DAMPING, MEMORY, NO_SLIP, Wall
 from sim.lattice.cell import Covered
@@ -32,6 +32,9 @@ THINNEST = INSET + 0.15
 """Smallest half-width and half-height in cells: a thinner fin would lie between the cells."""
 _MARGIN = 3
 _NO_LIMIT, _FINE = 1e6, 60
+_LISTED, _BLOCK = 32, 32
+"""Cells of a body's square for each thread that shares its listed cells, about as many as there are
+of these; CUDA threads of a block where there are few: large blocks leave processors idle."""
 
 
 def inset_at(viscosity: float) -> float:
@@ -132,7 +135,7 @@ class Bodies:
         s = self.motion = Motion()
         s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force, s.inner = (room((E, L), wp.vec3d) for _ in range(5))
-        s.held = room((E, L), wp.vec3d)
+        s.held, s.joint = room((E, L), wp.vec3d), room((E, J), wp.vec2d)
         s.fresh = room((E,), wp.int32)
         s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
         s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
@@ -171,13 +174,17 @@ class Bodies:
         covered = fluid.covered = Covered()
         covered.side, covered.low, covered.tall = self._side, low, high - low
         covered.layers = 1 if fluid.device.is_cuda else covered.tall
-        cells = E * self._side**2 * covered.tall
+        square = self._side**2 * covered.tall
+        covered.lanes = max(1, square // _LISTED) if fluid.device.is_cuda else 1
+        cells = E * square
         covered.corner = grid.corner = room((E,), wp.vec4i)
         covered.share = room((cells,), wp.float32)
         covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
         ghosts = cells if wall.ghosts else 1
         covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
         covered.links = room((ghosts,), wp.vec2i)
+        covered.count = room((2 * E,), wp.int32)
+        covered.listed = room((2 * E, ghosts // E), wp.int32)
         covered.damping = DAMPING if wall.ghosts else 0.0
         self._touch = wall.touch(hull.body_length, units)
         made = ghost_kernels if wall.ghosts else cover_kernel
@@ -227,34 +234,38 @@ class Bodies:
 
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
-        fluid, grid, columns = self.fluid, self.grid, (self.fluid.boxes, self._side**2)
-        water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
-        place, shape = [grid.pose, grid.twist, grid.centre], self._shape
-        touch, rough = self._touch, self.chain.rough
-        shared = (fluid.boxes, -(-fluid.covered.tall // fluid.covered.layers), self._side**2)
+        fluid, robots = self.fluid, [self.chain, self.motion, self.grid, mode]
+        self._sum_over_covered()
+        moved = [*robots, self.target, self.friction, fluid.stopped]
+        self._launch(advance, fluid.boxes, moved)
         if self.wall.ghosts:
-            marked = [fluid.flags, fluid.box, fluid.covered, self.middle, grid.pose]
-            self._launch(self._cover.mark, shared, [*marked, *shape, touch, fluid.stopped])
-            inputs = [*water, touch, rough, *place, grid.kept, grid.sums, fluid.stopped]
-            self._launch(self._cover.cover, shared, inputs)
-        else:
-            inputs = [*water, self.middle, touch, rough, grid.kept, *place, *shape]
-            self._launch(self._cover, columns, [*inputs, grid.sums, fluid.stopped])
-        self._launch(
-            advance,
-            fluid.boxes,
-            [
-                self.chain, self.motion, self.grid, mode, self.target, self.friction, fluid.stopped,
-            ],
-        )  # fmt: skip
-        if self.wall.ghosts:
-            sent = [*water, grid.twist, grid.centre, fluid.stopped]
-            self._launch(self._cover.emit, shared, sent)
+            water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
+            sent = [*water, self.grid.twist, self.grid.centre, fluid.stopped]
+            self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), sent)
         fluid.collide_and_stream()
-        self._launch(move, fluid.boxes, [self.chain, self.motion, self.grid, mode, fluid.stopped])
+        self._launch(move, fluid.boxes, [*robots, fluid.stopped])
 
-    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device)
+    def _sum_over_covered(self) -> None:
+        """The fluid's sums over each link (``coupling.SUMS``)."""
+        fluid, grid, covered = self.fluid, self.grid, self.fluid.covered
+        water = [fluid.f, fluid.flags, fluid.box, fluid.t, covered]
+        place, sums = [grid.pose, grid.twist, grid.centre], [grid.sums, fluid.stopped]
+        surface = [self._touch, self.chain.rough]
+        columns = self._side**2
+        if not self.wall.ghosts:
+            inputs = [*water, self.middle, *surface, grid.kept, *place, *self._shape, *sums]
+            self._launch(self._cover, (fluid.boxes, columns), inputs, BLOCK)
+            return
+        covered.count.zero_()
+        inputs = [fluid.flags, fluid.box, covered, self.middle, grid.pose, *self._shape]
+        parts = (fluid.boxes, -(-covered.tall // covered.layers), columns)
+        self._launch(self._cover.mark, parts, [*inputs, self._touch, fluid.stopped], BLOCK)
+        listed = (fluid.boxes, covered.lanes)
+        self._launch(self._cover.rub, listed, [*water, *surface, *place[1:], *sums])
+        self._launch(self._cover.cover, listed, [*water, *place, grid.kept, *sums])
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device, block_dim=block)
 
     def prescribe(self, velocities: Array) -> None:
         """Velocities that ``KINEMATIC`` and ``HELD`` steps prescribe, shape (E, N) or (N,)."""

@@ -69,7 +69,8 @@ class Motion:
         q: Coordinates, (E, N).
         v: Their velocities, (E, N).
         link: Pose of each link's centre of mass: x, y, heading, (E, L).
-        twist: Its velocity, (E, L).
+        joint: Position of each joint, the front end of the link behind it, (E, J).
+        twist: Velocity of each link's centre of mass, (E, L).
         before: Its velocity a step earlier, (E, L).
         force: Force and torque of the fluid on each link in the last step, (E, L).
         inner: Momentum of the water inside it, with the moment about the origin, (E, L).
@@ -88,6 +89,7 @@ class Motion:
     q: wp.array2d(dtype=wp.float64)
     v: wp.array2d(dtype=wp.float64)
     link: wp.array2d(dtype=wp.vec3d)
+    joint: wp.array2d(dtype=wp.vec2d)
     twist: wp.array2d(dtype=wp.vec3d)
     before: wp.array2d(dtype=wp.vec3d)
     force: wp.array2d(dtype=wp.vec3d)

@@ -34,18 +34,7 @@ FREE, KINEMATIC, HELD = range(3)
 
 
 @wp.func
-def joint_place(e: int, k: int, chain: Chain, s: Motion) -> wp.vec2d:
-    """Position of joint k, the front end of link k + 1."""
-    pose = s.link[e, k + 1]
-    com = chain.com[e, k + 1]
-    side = chain.side[e, k + 1]
-    c = wp.cos(pose[2])
-    d = wp.sin(pose[2])
-    return wp.vec2d(pose[0] + com * c + side * d, pose[1] + com * d - side * c)
-
-
-@wp.func
-def column(e: int, link: int, i: int, chain: Chain, s: Motion) -> wp.vec3d:
+def column(e: int, link: int, i: int, s: Motion) -> wp.vec3d:
     """Velocity of a link's centre of mass for unit velocity of coordinate i."""
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -59,13 +48,13 @@ def column(e: int, link: int, i: int, chain: Chain, s: Motion) -> wp.vec3d:
         return wp.vec3d(head[1] - at[1], at[0] - head[0], one)
     if i - 3 >= link:
         return wp.vec3d(zero, zero, zero)
-    pivot = joint_place(e, i - 3, chain, s)
+    pivot = s.joint[e, i - 3]
     return wp.vec3d(pivot[1] - at[1], at[0] - pivot[0], one)
 
 
 @wp.func
 def pose_links(e: int, chain: Chain, s: Motion) -> int:
-    """Poses of the links from the coordinates."""
+    """Poses of the links and positions of the joints from the coordinates."""
     heading = s.q[e, 2]
     com = chain.com[e, 0]
     side = chain.side[e, 0]
@@ -74,6 +63,7 @@ def pose_links(e: int, chain: Chain, s: Motion) -> int:
     for k in range(chain.length.shape[0]):
         if k > 0:
             heading += s.q[e, 2 + k]
+            s.joint[e, k - 1] = wp.vec2d(x, y)
         c = wp.cos(heading)
         d = wp.sin(heading)
         com = chain.com[e, k]
@@ -85,12 +75,12 @@ def pose_links(e: int, chain: Chain, s: Motion) -> int:
 
 
 @wp.func
-def move_links(e: int, chain: Chain, s: Motion) -> int:
+def move_links(e: int, s: Motion) -> int:
     """Velocities of the links from those of the coordinates."""
-    for k in range(chain.length.shape[0]):
+    for k in range(s.link.shape[1]):
         v = wp.vec3d()
         for i in range(3 + k):
-            v += column(e, k, i, chain, s) * s.v[e, i]
+            v += column(e, k, i, s) * s.v[e, i]
         s.twist[e, k] = v
     return 0
 
@@ -170,7 +160,7 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     if mask[e] == 0:
         return
     pose_links(e, chain, s)
-    move_links(e, chain, s)
+    move_links(e, s)
     s.fresh[e] = 1
     for k in range(chain.length.shape[0]):
         grid.kept[e, k] = 0.0
@@ -220,7 +210,7 @@ def advance(
             p -= vector(e, k, 21, unit, grid)
         p += (K - full) * V
         s.force[e, k] = p
-        K += appendages(e, k, h, chain, s)
+        K += appendages(e, k, h, chain, s) + resist(e, k, h, chain, s)
         dV = V - s.before[e, k]
         M = m[0] + w[0]
         inertia = m[1] + w[1]
@@ -233,12 +223,11 @@ def advance(
             tether = h * h * chain.tether[e][0]
         r += carried(e, k, chain, s) + held(e, k, h, s)
         for i in range(3 + k):
-            a = column(e, k, i, chain, s)
+            a = column(e, k, i, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, r)
             Ka = K * a + wp.vec3d((M + tether) * a[0], (M + tether) * a[1], inertia * a[2])
-            Ka += resist(e, k, h, a, chain, s)
             for j in range(i + 1):
-                s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
+                s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, s))
     if mode == wp.static(FREE):
         for k in range(J):
             push = drive(e, k, h, chain, s)
@@ -269,7 +258,7 @@ def advance(
         return
     for k in range(L):
         s.before[e, k] = s.twist[e, k]
-    move_links(e, chain, s)
+    move_links(e, s)
     passed = wp.float64(0.0)
     weight = wp.float64(1.0)
     for k in range(L):

@@ -12,23 +12,26 @@ from sim.robot.chain import Chain, Motion
 
 
 @wp.func
-def resist(e: int, k: int, h: wp.float64, a: wp.vec3d, chain: Chain, s: Motion) -> wp.vec3d:
-    """Implicit impulse of drag and added mass for velocity a of link k: kg m/s and kg m2/s.
+def resist(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.mat33d:
+    """Implicit impulse of drag and added mass by the velocity of link k.
 
     Drag along the link's axis is linear plus quadratic in the speed, across it linear. The added
     mass acts across the axis, the added inertia on rotation.
     """
     p = chain.resist[e, k]
-    at = s.link[e, k]
-    heading = at[2]
+    heading = s.link[e, k][2]
     c = wp.cos(heading)
     d = wp.sin(heading)
     zero = wp.float64(0.0)
-    axis = wp.vec3d(c, d, zero)
-    normal = wp.vec3d(-d, c, zero)
-    along = h * (p[0] + p[1] * wp.abs(wp.dot(s.twist[e, k], axis))) * wp.dot(a, axis)
-    across = (h * p[0] + p[2]) * wp.dot(a, normal)
-    return along * axis + across * normal + wp.vec3d(zero, zero, p[3] * a[2])
+    V = s.twist[e, k]
+    along = h * (p[0] + p[1] * wp.abs(c * V[0] + d * V[1]))
+    across = h * p[0] + p[2]
+    xy = (along - across) * c * d
+    return wp.mat33d(
+        along * c * c + across * d * d, xy, zero,
+        xy, along * d * d + across * c * c, zero,
+        zero, zero, p[3],
+    )  # fmt: skip
 
 
 @wp.func

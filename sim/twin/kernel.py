@@ -171,7 +171,7 @@ def advance_twin(
         )
         R = wp.vec3d(m[0] * V[0] + before[0], m[0] * V[1] + before[1], m[1] * V[2] + before[2])
         R += held(e, k, h, s)
-        laden = appendages(e, k, h, chain, s)
+        laden = appendages(e, k, h, chain, s) + resist(e, k, h, chain, s)
         tether = zero
         if k == 0:
             R += pull(e, h, chain, s)
@@ -184,7 +184,7 @@ def advance_twin(
             turn -= h * arm * end[1]
         R += wp.vec3d(push_t * c - push_n * d, push_t * d + push_n * c, turn)
         for i in range(3 + k):
-            a = column(e, k, i, chain, s)
+            a = column(e, k, i, s)
             s.b[e, i] = s.b[e, i] + wp.dot(a, R)
             at_n = c * a[1] - d * a[0]
             f_n = a0 * at_n + a1 * a[2]
@@ -194,9 +194,9 @@ def advance_twin(
                 (m[0] + tether) * a[1] + f_t * d + f_n * c,
                 m[1] * a[2] + a1 * at_n + a2 * a[2],
             )
-            Ka += resist(e, k, h, a, chain, s) + laden * a
+            Ka += laden * a
             for j in range(i + 1):
-                s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, chain, s))
+                s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, s))
     for k in range(J):
         push = drive(e, k, h, chain, s)
         elastic = skin(e, k, h, chain, s)
@@ -208,7 +208,7 @@ def advance_twin(
     stop_joints(e, N, h, friction[e], chain, s)
     for i in range(N):
         s.v[e, i] = s.b[e, i]
-    move_links(e, chain, s)
+    move_links(e, s)
     for k in range(L):
         water.carried[e, k] = impulse(e, k, chain, s, water)
         hold(e, k, chain, s)
@@ -242,6 +242,8 @@ def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
     for k in range(chain.length.shape[0]):
         at = s.link[e, k]
         s.link[e, k] = wp.vec3d(at[0] + off[0], at[1] + off[1], at[2])
+        if k > 0:
+            s.joint[e, k - 1] = s.joint[e, k - 1] + off
     for k in range(s.q.shape[1] - 3):
         angle = s.q[e, 3 + k]
         if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
@@ -279,7 +281,7 @@ def start_twin(chain: Chain, s: Motion, water: Water, mask: wp.array(dtype=wp.in
     if mask[e] == 0:
         return
     pose_links(e, chain, s)
-    move_links(e, chain, s)
+    move_links(e, s)
     for k in range(chain.length.shape[0]):
         water.carried[e, k] = impulse(e, k, chain, s, water)
         hold(e, k, chain, s)

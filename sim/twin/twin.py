@@ -137,7 +137,7 @@ class Twin:
         s = self.motion = Motion()
         s.q, s.v, s.b = (zeros((E, N), wp.float64) for _ in range(3))
         s.link, s.twist, s.before, s.force = (zeros((E, L), wp.vec3d) for _ in range(4))
-        s.held = zeros((E, L), wp.vec3d)
+        s.held, s.joint = zeros((E, L), wp.vec3d), zeros((E, J), wp.vec2d)
         s.torque, s.impulse, s.stop = (zeros((E, J), wp.float64) for _ in range(3))
         s.measured, s.strain = (zeros((E, J), wp.float64) for _ in range(2))
         s.clock = zeros((E,), wp.float64)
