@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIMS, agents_in
+from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
 from rl.experiments.arms import PAPER
 from rl.experiments.pretrained import write_pretrained
 from rl.sac.train import Plan
@@ -35,7 +35,7 @@ def main() -> None:
     options = parser.parse_args()
     plan = replace(QUICK, seeds=tuple(range(SEEDS)))
     agents = trained(options.run / "trained" / "train", plan)
-    inputs = [POOL / "robot.toml", POOL / "model.json", *(POOL / f"{name}.csv" for name in SWIMS)]
+    inputs = [POOL / "robot.toml", POOL / "model.json", POOL / f"{SWIM}.csv"]
     made = provenance([*inputs, *agents_in(POOL)], None)
     model, ranges = (options.run / name for name in ("calibrated.json", "ranges.json"))
     listing = write_pretrained(

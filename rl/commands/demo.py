@@ -31,9 +31,8 @@ from rl.experiments.ablation_report import (
 from rl.experiments.differences import differences
 from rl.experiments.pretrained import Pretrained, read_pretrained
 from sim.commands.diagnose import write_all
-from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
-from sim.inference.swims import by_twin, swim_of
+from sim.inference.swims import by_twin
 from sim.view.calibration_page import calibration_section
 from sim.view.diagnosis_page import swims_section
 from sim2real.check import check
@@ -114,20 +113,20 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model, Di
 def _pool(
     options: argparse.Namespace, second_process: Iterator[Done]
 ) -> tuple[list[Section], Diagnosis, str, Section]:
-    """A robot in a pool: calibration, diagnosis, ranges, a quick ablation, a swim.
+    """A robot in a pool: diagnosis, calibration, ranges, a quick ablation, a swim.
 
     Returns:
         The sections, the diagnosis, the ablation's result in a sentence, and the swim's section.
     """
     pool, out = Pool.of(options.pool), options.out
     agents = None if options.train else read_pretrained(options.pool / PRETRAINED)
-    robot, swim = pool.robot, swim_of(pool.recordings[0], pool.robot)
-    fitted, drift = _received(second_process, "calibrate", f"the body in the twin, on {swim.name}")
-    followed = by_followed_twin(robot)
-    with _stage("diagnose", f"physics missing from the body model, on {swim.name}"):
-        missing = diagnose_swims([swim], pool.model, robot, followed)
+    robot, swim, followed = pool.robot, pool.swim, by_followed_twin(pool.robot)
+    what = f"physics missing from the body model, on {swim.name}"
+    missing = _received(second_process, "diagnose", what)
     write_model(missing.model, out / "swim.enriched.json")
     write_diagnosis(missing, out / "swim.json", "swim.enriched.json")
+    what = "the body in the twin, with the effects found"
+    fitted, drift = _received(second_process, "calibrate", what)
     gathered = _received(second_process, "ranges", "randomization ranges")
     write_model(fitted.model, out / "calibrated.json")
     write_ranges(gathered.ranges, out / "ranges.json")
@@ -148,8 +147,8 @@ def _pool(
         print(f"note: {_drift_warning(drift)}")
     ablation = _ablation(results, agents, drift)
     sections = [
-        calibration_section(swim, pool.model, fitted, by_twin(robot), robot),
         replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
+        calibration_section(swim, pool.model, fitted, by_twin(robot), robot),
         ranges_section(gathered),
         ablation,
     ]

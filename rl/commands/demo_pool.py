@@ -1,9 +1,13 @@
-"""The part of ``sim2real demo`` that runs in a second process: body, ranges, agents."""
+"""The part of ``sim2real demo`` that runs in a second process: body, ranges, agents.
+
+The swim is diagnosed before the body is calibrated: without an effect that the robot has, the other
+parameters take values that fit its recording and no other motion.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,15 +23,18 @@ from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
 from sim.calibration.swim_parameters import twin_parameters
 from sim.calibration.twin_fit import Calibrated, calibrate
-from sim.inference.swims import by_twin, swim_of
+from sim.inference.diagnose_swims import diagnose_swims
+from sim.inference.followed import by_followed_twin
+from sim.inference.swims import Swim, by_twin, swim_of
+from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model
 from sim2real.ranges.gather import Gathered, gather
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
 
-SWIMS = ("p1", "p2")
-"""Swims of the pool: the first is used for the calibration, both for the ranges."""
+SWIM = "p1"
+"""The swim of the pool from which all is found."""
 QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
 """Plan of the training of each arm, which continues from agents that all arms share."""
 SEEDS, REPEATS = 8, 12
@@ -37,37 +44,47 @@ PRETRAINED = Path("agents") / "ablation"
 
 @dataclass(frozen=True)
 class Pool:
-    """The shipped swims, their robot and its servos.
+    """A shipped swim, its robot and its servos.
 
     Attributes:
         folder: Where they are.
         robot: The robot.
         model: Its servos, from a bench.
-        recordings: ``SWIMS``.
+        recording: That of ``SWIM``.
     """
 
     folder: Path
     robot: Robot
     model: Model
-    recordings: Sequence[Recording]
+    recording: Recording
 
     @classmethod
     def of(cls, folder: Path) -> Pool:
         """Read the files of a folder."""
-        recordings = [read_recording(folder / f"{name}.csv") for name in SWIMS]
         return cls(
-            folder, read_robot(folder / "robot.toml"), read_model(folder / "model.json"), recordings
+            folder,
+            read_robot(folder / "robot.toml"),
+            read_model(folder / "model.json"),
+            read_recording(folder / f"{SWIM}.csv"),
         )
 
-    def calibrated(self) -> Calibrated:
-        """The body in the twin, fitted to the first swim."""
-        free = twin_parameters(self.model, self.robot)
-        swim = swim_of(self.recordings[0], self.robot)
-        return calibrate([swim], self.model, free, by_twin(self.robot))
+    @property
+    def swim(self) -> Swim:
+        """The recording as a swim."""
+        return swim_of(self.recording, self.robot)
+
+    def diagnosis(self) -> Diagnosis:
+        """What the model of the body leaves out."""
+        return diagnose_swims([self.swim], self.model, self.robot, by_followed_twin(self.robot))
+
+    def calibrated(self, model: Model) -> Calibrated:
+        """The body in the twin, fitted to the swim, with the effects of ``model``."""
+        free = twin_parameters(model, self.robot)
+        return calibrate([self.swim], model, free, by_twin(self.robot))
 
     def ranges(self, model: Model) -> Gathered:
         """Randomization ranges for a calibrated model."""
-        return gather(self.recordings, self.robot, model)
+        return gather([self.recording], self.robot, model)
 
 
 @dataclass(frozen=True)
@@ -84,7 +101,7 @@ class Done:
 
 
 def pool_work(folder: Path, out: Path, seed: int, repeats: int, train: bool) -> Iterator[Done]:
-    """Calibration, ranges and the evaluation of the pretrained agents in both testbeds.
+    """Diagnosis, calibration, ranges, the evaluation of the pretrained agents in both testbeds.
 
     Args:
         folder: Folder of the pool.
@@ -94,9 +111,9 @@ def pool_work(folder: Path, out: Path, seed: int, repeats: int, train: bool) -> 
         train: Whether agents will be trained, which the calling process does.
 
     Yields:
-        The ``Calibrated`` and the drift of its model from that of the shipped agents (0 with
-        ``train``), see ``pretrained.drift``; the ``Gathered``; and, without ``train``, the result
-        of ``ablate``.
+        The ``Diagnosis``; the ``Calibrated`` and the drift of its model from that of the shipped
+        agents (0 with ``train``), see ``pretrained.drift``; the ``Gathered``; and, without
+        ``train``, the result of ``ablate``.
     """
     torch.set_num_threads(1)
     start = time.perf_counter()
@@ -108,7 +125,9 @@ def pool_work(folder: Path, out: Path, seed: int, repeats: int, train: bool) -> 
 
     pool = Pool.of(folder)
     agents = None if train else read_pretrained(folder / PRETRAINED)
-    fitted = pool.calibrated()
+    missing = pool.diagnosis()
+    yield done(missing)
+    fitted = pool.calibrated(missing.model)
     yield done((fitted, 0.0 if agents is None else calibration_drift(pool, fitted, agents)))
     gathered = pool.ranges(fitted.model)
     yield done(gathered)
@@ -118,8 +137,7 @@ def pool_work(folder: Path, out: Path, seed: int, repeats: int, train: bool) -> 
 
 def calibration_drift(pool: Pool, fitted: Calibrated, agents: Pretrained) -> float:
     """Difference of a calibration from the one that agents were trained for; see ``drift``."""
-    swim = swim_of(pool.recordings[0], pool.robot)
-    return drift(agents.model, fitted.model, swim, by_twin(pool.robot), fitted.rmse[1])
+    return drift(agents.model, fitted.model, pool.swim, by_twin(pool.robot), fitted.rmse[1])
 
 
 def run_ablation(

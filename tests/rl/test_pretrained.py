@@ -16,7 +16,7 @@ from rl.deploy.export import read_zip
 from rl.experiments.ablation import policy_in
 from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import LISTING, drift, read_pretrained, write_pretrained
-from sim.inference.swims import by_twin, swim_of
+from sim.inference.swims import by_twin
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.ranges.entry import read_ranges
@@ -71,8 +71,7 @@ def test_agents_that_are_missing_or_changed_are_refused(kept, robot, tmp_path):
 
 def test_models_drift_apart_as_their_servos_do(robot):
     model = read_model(POOL / "calibrated.json")
-    pool = Pool.of(POOL)
-    swim, twin = swim_of(pool.recordings[0], robot), by_twin(robot)
+    swim, twin = Pool.of(POOL).swim, by_twin(robot)
     error = np.array([0.02, 0.02, 0.2, 0.02, 0.02, 0.02])
 
     def late(seconds: float):
@@ -99,5 +98,5 @@ def test_the_shipped_agents_are_those_of_the_demos_plan():
     assert sum(file.stat().st_size for file in folder.rglob("*.*")) < 2_000_000
     made = listing["provenance"]["inputs"]
     assert {Path(name).name for name in made} == {
-        "robot.toml", "model.json", "p1.csv", "p2.csv", *(path.name for path in agents_in(POOL)),
+        "robot.toml", "model.json", "p1.csv", *(path.name for path in agents_in(POOL)),
     }  # fmt: skip
