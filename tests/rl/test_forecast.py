@@ -418,7 +418,8 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     likely = [x["best"] for x in content["ranking"]]
     assert likely == sorted(likely, reverse=True) and len(likely) == 2
     learned = content["ranking"][0]["policy"] == "all-0"  # a controller is not trained
-    assert bool(content["train_next"]) == ("What to randomize next" in page) == learned
+    assert bool(content["train_next"]) == ("What to randomize next" in page)
+    assert learned or not content["train_next"]
     energy = energy["mean"]
     trials = files.folder / "trials.csv"
     trials.write_text(f"policy,success,energy\npnl,0,{energy}\npnl,0,{1.01 * energy}\n")
@@ -426,7 +427,7 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     content = json.loads((files.folder / "forecast.json").read_text())
     assert content["update"]["trials"] == 2 and not content["update"]["contradicted"]
     assert "agree with the forecast" in capsys.readouterr().out
-    assert files.call("--no-page", "--rank-by", "energy") == 0
+    assert files.call("--no-page", "--rank-by", "energy", realities=80) == 0
     (first, *_) = json.loads((files.folder / "forecast.json").read_text())["train_next"]
     low, high = first["trained"]
     assert low <= high, "the shipped policy states its ranges"
