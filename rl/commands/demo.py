@@ -186,8 +186,8 @@ def _ablation(results: dict[str, Any], agents: Pretrained | None, drift: float) 
         "other parameters, friction, play and a skin, as a surrogate with its own fluid is too "
         "slow for two cores. Of a hundred such ablations in an earlier version of the twin 97 or "
         "more found the servo calibration significant, twenty another technique by chance. "
-        "Trained from scratch and evaluated in the fluid (an earlier version, too), the servo "
-        "calibration had by far the largest effect (reports/ablation)."
+        "Trained from scratch and evaluated in the fluid, the servo calibration had by far the "
+        "largest effect (reports/ablation)."
     )
     effects_of_arms = differences(results)
     blocks: list[Block] = [Note("info", note)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
 
 SWIM = "p1"
-"""The swim of the pool from which all is found."""
+"""The swim of the pool that is diagnosed, calibrated and gives the ranges."""
 QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
 """Plan of the training of each arm, which continues from agents that all arms share."""
 SEEDS, REPEATS = 8, 12
@@ -68,7 +68,7 @@ class Pool:
             read_recording(folder / f"{SWIM}.csv"),
         )
 
-    @property
+    @cached_property
     def swim(self) -> Swim:
         """The recording as a swim."""
         return swim_of(self.recording, self.robot)

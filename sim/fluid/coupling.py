@@ -23,7 +23,7 @@ import warp as wp
 
 from sim.fluid.section import along, distance, position_on, side, solid_share
 from sim.fluid.wall import Touch, friction
-from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, column_at, rigid_velocity
+from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, column_at, rigid_velocity, slot_at
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
@@ -113,7 +113,6 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
     ):
         """One column of cells; ``kept`` is the velocity that the cells at each surface get back."""
         e, column = wp.tid()
-        count = covered.side
         base = column_at(e, column, covered, box)
         if base[2] < 0 or stopped[e] >= 0:
             return
@@ -198,7 +197,7 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
                             ahead = axis - wp.dot(axis, o) * o
                             surface_mass += rho * slips * wp.dot(ahead, axis)
                             more = -slips * kept[e, link] * ahead
-                    slot = (e * count * count + column) * covered.tall + layer
+                    slot = slot_at(e, column * covered.tall + layer, covered)
                     covered.share[slot] = held
                     covered.face[slot] = wp.vec4(o[0], o[1], o[2], even)
                     covered.more[slot] = more

@@ -28,9 +28,9 @@ from sim.lattice.cell import (
     Box,
     Covered,
     column_at,
-    listed_at,
     neighbour,
     rigid_velocity,
+    slot_at,
 )
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
@@ -42,13 +42,13 @@ class GhostKernels(NamedTuple):
 
     Attributes:
         mark: Lists the cells inside a body and those next to it, with their distance and normal.
-        rub: Sums over the cells next to a body: friction.
-        cover: Sums over the cells inside.
+        shear: Sums over the cells next to a body: friction.
+        cover: Sums over the ghost cells.
         emit: Populations of these, in place of a collision.
     """
 
     mark: Any
-    rub: Any
+    shear: Any
     cover: Any
     emit: Any
 
@@ -76,6 +76,39 @@ def nearest_link(
     return link, nearest, share
 
 
+@wp.func
+def enlist(e: int, kind: int, cell: int, covered: Covered) -> int:
+    """Add a cell of a body's square to its ghost cells (``kind`` 0) or those next to it (1)."""
+    row = 2 * e + kind
+    covered.listed[row, wp.atomic_add(covered.count, row, 1)] = cell
+    return 0
+
+
+@wp.func
+def listed_cell(
+    e: int,
+    kind: int,
+    i: int,
+    covered: Covered,
+    box: Box,
+    twist: wp.array2d(dtype=wp.vec4),
+    centre: wp.array2d(dtype=wp.vec2),
+):
+    """Listed cell ``i`` of a body, a ghost cell (``kind`` 0) or one next to it (1).
+
+    Returns its coordinates and number in the boxes, its slot, its link, its place relative to the
+    link's centre, and the body's velocity there.
+    """
+    cell = covered.listed[2 * e + kind, i]
+    base = column_at(e, cell // covered.tall, covered, box)
+    z = covered.low + cell % covered.tall
+    at = wp.vec4i(base[0], base[1], z, base[2] + box.nx * box.ny * z)
+    slot = slot_at(e, cell, covered)
+    link = int(covered.share[slot])
+    r = wp.vec2(float(at[0]), float(at[1])) - centre[e, link]
+    return at, slot, link, r, rigid_velocity(twist[e, link], r)
+
+
 @cache
 def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     """The kernels for a lattice."""
@@ -101,7 +134,6 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
     ):
         """Some layers of a column: depth and normal of cells inside a body and next to it."""
         e, part, column = wp.tid()
-        count = covered.side
         base = column_at(e, column, covered, box)
         if base[2] < 0 or stopped[e] >= 0:
             return
@@ -135,20 +167,19 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         touch.edge,
                     )
                     cell = column * covered.tall + layer
-                    slot = e * count * count * covered.tall + cell
+                    slot = slot_at(e, cell, covered)
                     covered.share[slot] = float(link)
                     if d <= 0.0:
                         flag = flag | wp.static(GHOST)
                         covered.face[slot] = wp.vec4(o[0], o[1], o[2], -d)
                         covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, other)
-                        covered.listed[2 * e, wp.atomic_add(covered.count, 2 * e, 1)] = cell
+                        enlist(e, 0, cell, covered)
                     elif d <= 1.0:
                         flag = flag | wp.static(BODY)
                         axes = along(half_width[link], s) + along(half_height[link], s)
                         covered.face[slot] = wp.vec4(o[0], o[1], o[2], d)
                         covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, axes / (axes + 2.0 * d))
-                        i = wp.atomic_add(covered.count, 2 * e + 1, 1)
-                        covered.listed[2 * e + 1, i] = cell
+                        enlist(e, 1, cell, covered)
                 flags[n] = wp.uint8(flag)
 
     @wp.func
@@ -175,7 +206,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         return wp.vec4(n[0], n[1], n[2], 1.0 + found[0]), wp.vec4(u[0], u[1], u[2], wp.dot(body, n))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rub(
+    def shear(
         f: Stored,
         flags: wp.array(dtype=wp.uint8),
         box: Box,
@@ -188,19 +219,13 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """Friction in some of the cells next to a body, which ``mark`` has listed."""
+        """Friction in one thread's share of the listed cells next to a body."""
         e, lane = wp.tid()
         if stopped[e] >= 0:
             return
-        square = covered.side * covered.side * covered.tall
         for i in range(lane, covered.count[2 * e + 1], covered.lanes):
-            cell = covered.listed[2 * e + 1, i]
-            at = listed_at(e, cell, covered, box)
+            at, slot, link, r, body = listed_cell(e, 1, i, covered, box, twist, centre)
             n = at[3]
-            slot = e * square + cell
-            link = int(covered.share[slot])
-            r = wp.vec2(float(at[0]), float(at[1])) - centre[e, link]
-            body = rigid_velocity(twist[e, link], r)
             m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
             face = covered.face[slot]
             o = wp.vec3(face[0], face[1], face[2])
@@ -255,21 +280,15 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """What some of the ghost cells of a body, which ``mark`` has listed, exchange."""
+        """Momentum and mass that one thread's share of a body's ghost cells exchange."""
         e, lane = wp.tid()
         if stopped[e] >= 0:
             return
-        square = covered.side * covered.side * covered.tall
         for i in range(lane, covered.count[2 * e], covered.lanes):
-            cell = covered.listed[2 * e, i]
-            place = listed_at(e, cell, covered, box)
+            place, slot, link, r, body = listed_cell(e, 0, i, covered, box, twist, centre)
             at = wp.vec3(float(place[0]), float(place[1]), float(place[2]))
             n = place[3]
-            slot = e * square + cell
-            link = int(covered.share[slot])
             leak = kept[e, link]
-            r = wp.vec2(at[0], at[1]) - centre[e, link]
-            body = rigid_velocity(twist[e, link], r)
             head = pose[e, link]
             lateral = wp.vec3(-head[3], head[2], 0.0)
             off = wp.dot(wp.vec3(at[0] - head[0], at[1] - head[1], 0.0), lateral)
@@ -332,19 +351,13 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         centre: wp.array2d(dtype=wp.vec2),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """Store what some of the ghost cells of a body send out, as ``cover`` set it."""
+        """Store what one thread's share of a body's ghost cells send out, as ``cover`` set it."""
         e, lane = wp.tid()
         if stopped[e] >= 0:
             return
-        square = covered.side * covered.side * covered.tall
         for i in range(lane, covered.count[2 * e], covered.lanes):
-            cell = covered.listed[2 * e, i]
-            at = listed_at(e, cell, covered, box)
+            at, slot, link, r, body = listed_cell(e, 0, i, covered, box, twist, centre)
             n = at[3]
-            slot = e * square + cell
-            link = int(covered.share[slot])
-            r = wp.vec2(float(at[0]), float(at[1])) - centre[e, link]
-            body = rigid_velocity(twist[e, link], r)
             j = neighbours(n, int(flags[n]), box)
             p = load(f, n, j, t, box.total)
             links = covered.links[slot]
@@ -361,4 +374,4 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         out[k] = beyond[k]
             store(f, n, j, t, box.total, out)
 
-    return GhostKernels(mark, rub, cover, emit)
+    return GhostKernels(mark, shear, cover, emit)

@@ -100,11 +100,9 @@ def column_at(e: int, column: int, covered: Covered, box: Box) -> wp.vec3i:
 
 
 @wp.func
-def listed_at(e: int, cell: int, covered: Covered, box: Box) -> wp.vec4i:
-    """Coordinates of a listed cell, and its number."""
-    base = column_at(e, cell // covered.tall, covered, box)
-    z = covered.low + cell % covered.tall
-    return wp.vec4i(base[0], base[1], z, base[2] + box.nx * box.ny * z)
+def slot_at(e: int, cell: int, covered: Covered) -> int:
+    """Index of a cell of a body's square in the arrays of covered cells."""
+    return e * covered.side * covered.side * covered.tall + cell
 
 
 @wp.func

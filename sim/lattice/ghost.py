@@ -75,7 +75,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
         z0 = int(wp.floor(z))
         total = wp.vec4()
         weight = float(0.0)
-        corners = wp.where(box.nz > 1, 8, 4)  # a number that keeps compilers from unrolling
+        corners = int(wp.static(2**lattice.dimensions))  # a variable: Warp unrolls constants
         for corner in range(corners):
             i = corner % 2
             k = (corner // 2) % 2

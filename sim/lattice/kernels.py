@@ -6,7 +6,18 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box, Covered, place, rigid_velocity, within
+from sim.lattice.cell import (
+    BODY,
+    FLUID,
+    GHOST,
+    KIND,
+    Box,
+    Covered,
+    place,
+    rigid_velocity,
+    slot_at,
+    within,
+)
 from sim.lattice.collision import collision
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
@@ -54,8 +65,8 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         corner = covered.corner[e]
         dx = within(at[0] - corner[0], box.nx)
         dy = within(at[1] - corner[1], box.ny)
-        slot = ((e * covered.side + dy) * covered.side + dx) * covered.tall + at[2] - covered.low
-        return wp.vec3i(slot, corner[0] + dx, corner[1] + dy)
+        cell = (dy * covered.side + dx) * covered.tall + at[2] - covered.low
+        return wp.vec3i(slot_at(e, cell, covered), corner[0] + dx, corner[1] + dy)
 
     @wp.func
     def body_velocity(

@@ -235,20 +235,19 @@ class Bodies:
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
         fluid, robots = self.fluid, [self.chain, self.motion, self.grid, mode]
-        self._sum_over_covered()
+        water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
+        self._sum_over_covered(water)
         moved = [*robots, self.target, self.friction, fluid.stopped]
         self._launch(advance, fluid.boxes, moved)
         if self.wall.ghosts:
-            water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
             sent = [*water, self.grid.twist, self.grid.centre, fluid.stopped]
             self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), sent)
         fluid.collide_and_stream()
         self._launch(move, fluid.boxes, [*robots, fluid.stopped])
 
-    def _sum_over_covered(self) -> None:
+    def _sum_over_covered(self, water: list[Any]) -> None:
         """The fluid's sums over each link (``coupling.SUMS``)."""
         fluid, grid, covered = self.fluid, self.grid, self.fluid.covered
-        water = [fluid.f, fluid.flags, fluid.box, fluid.t, covered]
         place, sums = [grid.pose, grid.twist, grid.centre], [grid.sums, fluid.stopped]
         surface = [self._touch, self.chain.rough]
         columns = self._side**2
@@ -261,7 +260,7 @@ class Bodies:
         parts = (fluid.boxes, -(-covered.tall // covered.layers), columns)
         self._launch(self._cover.mark, parts, [*inputs, self._touch, fluid.stopped], BLOCK)
         listed = (fluid.boxes, covered.lanes)
-        self._launch(self._cover.rub, listed, [*water, *surface, *place[1:], *sums])
+        self._launch(self._cover.shear, listed, [*water, *surface, *place[1:], *sums])
         self._launch(self._cover.cover, listed, [*water, *place, grid.kept, *sums])
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401
