@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.in_water import BOX_M, CELL_M, SUBSTEPS, VISCOSITY_M2_S
+from sim.inference.in_water import BOX_M, CELL_M, VISCOSITY_M2_S
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.model import read_model
 from sim2real.robot import read_robot
@@ -28,10 +28,9 @@ SIZE_RAD, HERTZ, LAG_RAD = 0.35, 1.0, 1.1
 def speeds(cell_m: float, box_m: tuple[float, float, float], device: str) -> list[float]:
     """Mean surge in m/s in each heading over the last seconds, shape (headings,)."""
     robot, model = read_robot(POOL / "robot.toml"), read_model(POOL / "model.json")
-    substeps = 2 * round(SUBSTEPS * CELL_M / cell_m / 2)
     swimmer = Swimmer(
         robot, model, n_envs=len(HEADINGS_DEG), cell_m=cell_m, box_m=box_m, device=device,
-        viscosity_m2_s=VISCOSITY_M2_S, substeps=substeps,
+        viscosity_m2_s=VISCOSITY_M2_S,
     )  # fmt: skip
     headings = np.deg2rad(HEADINGS_DEG)
     swimmer.reset(pose=np.stack([0 * headings, 0 * headings, headings], axis=1))

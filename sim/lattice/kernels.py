@@ -214,7 +214,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
             p[2 * k + 2] = even + odd
         store(f, n, neighbours(n, flag, box), t, box.total, p)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", grid_stride=False)
     def damp(
         f: Stored,
         box: Box,
@@ -226,9 +226,11 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         """Damp the flow far from each box's robot: an absorbing layer that moves with it.
 
         Stored populations of water at rest are 0, so each slot is multiplied by a factor, which
-        decreases with the square of the depth in the layer and so reflects little sound.
+        decreases with the square of the depth in the layer and so reflects little sound. All slots
+        are read before one is written, so that the reads do not wait for each other.
         """
-        e, n = wp.tid()
+        n = wp.tid()
+        e = n // box.cells
         at = place(n, box)
         dx = float(at[0]) - position[e][0]
         dy = float(at[1]) - position[e][1]
@@ -238,9 +240,11 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if depth <= 0.0:
             return
         keep = 1.0 - strength * wp.min(depth * depth, 1.0)
-        cell = e * box.cells + n
+        p = Vector()
         for d in range(wp.static(lattice.Q)):
-            write(f, d, cell, box.total, keep * read(f, d, cell, box.total))
+            p[d] = read(f, d, n, box.total)
+        for d in range(wp.static(lattice.Q)):
+            write(f, d, n, box.total, keep * p[d])
 
     @wp.kernel(enable_backward=False, module="unique")
     def weigh(

@@ -17,7 +17,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import INLET, KIND, MOVING, SLIP, Box, neighbour
+from sim.lattice.cell import INLET, KIND, MOVING, SLIP, Box
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
@@ -83,38 +83,23 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
         n = e * box.cells + listed[k]
         flag = int(flags[n])
         kind = flag & wp.static(KIND)
+        j = neighbours(n, flag, box)
         if kind == wp.static(SLIP):
             for m in range(wp.static(len(exchanges))):
                 if normal[k] == wp.static(exchanges[m].normal):
-                    other = neighbour(
-                        n,
-                        wp.static(exchanges[m].across[0]),
-                        wp.static(exchanges[m].across[1]),
-                        wp.static(exchanges[m].across[2]),
-                        box,
-                    )
-                    if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
+                    other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
+                    beyond = int(flags[other])
+                    if (beyond & wp.static(KIND)) == wp.static(SLIP):
                         # Populations of even directions are stored in the cell that they come from.
                         one = wp.static(lattice.index(exchanges[m].one))
                         two = wp.static(lattice.index(exchanges[m].two))
                         at_two = n
                         at_one = other
-                        if two % 2 == 0:
-                            at_two = neighbour(
-                                n,
-                                wp.static(-exchanges[m].two[0]),
-                                wp.static(-exchanges[m].two[1]),
-                                wp.static(-exchanges[m].two[2]),
-                                box,
-                            )
-                        if one % 2 == 0:
-                            at_one = neighbour(
-                                other,
-                                wp.static(-exchanges[m].one[0]),
-                                wp.static(-exchanges[m].one[1]),
-                                wp.static(-exchanges[m].one[2]),
-                                box,
-                            )
+                        if wp.static(lattice.index(exchanges[m].two) % 2 == 0):
+                            at_two = j[wp.static(lattice.index(exchanges[m].two) // 2 - 1)]
+                        if wp.static(lattice.index(exchanges[m].one) % 2 == 0):
+                            around = neighbours(other, beyond, box)
+                            at_one = around[wp.static(lattice.index(exchanges[m].one) // 2 - 1)]
                         row_one = row(one, t)
                         row_two = row(two, t)
                         held = read(f, row_two, at_two, box.total)
@@ -129,7 +114,6 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
             rest = sent[3]
             if kind != wp.static(INLET):
                 rest = excess[e]
-        j = neighbours(n, flag, box)
         p = load(f, n, j, t, box.total)
         out = Vector()
         out[0] = p[0]

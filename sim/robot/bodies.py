@@ -32,9 +32,10 @@ THINNEST = INSET + 0.15
 """Smallest half-width and half-height in cells: a thinner fin would lie between the cells."""
 _MARGIN = 3
 _NO_LIMIT, _FINE = 1e6, 60
-_LISTED, _BLOCK = 32, 32
+_LISTED, _BLOCK, _COLUMNS = 32, 32, 2**17
 """Cells of a body's square for each thread that shares its listed cells, about as many as there are
-of these; CUDA threads of a block where there are few: large blocks leave processors idle."""
+of these; CUDA threads of a block where there are few: large blocks leave processors idle; columns
+of all squares from which on a GPU is busy with one thread for each."""
 
 
 def inset_at(viscosity: float) -> float:
@@ -173,7 +174,8 @@ class Bodies:
         high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
         covered = fluid.covered = Covered()
         covered.side, covered.low, covered.tall = self._side, low, high - low
-        covered.layers = 1 if fluid.device.is_cuda else covered.tall
+        few = fluid.device.is_cuda and E * self._side**2 < _COLUMNS
+        covered.layers = 1 if few else covered.tall
         square = self._side**2 * covered.tall
         covered.lanes = max(1, square // _LISTED) if fluid.device.is_cuda else 1
         cells = E * square

@@ -335,7 +335,7 @@ class Swimmer:
         reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
         self._launch(
             fluid.kernels.damp,
-            (self.n_envs, fluid.cells),
+            self.n_envs * fluid.cells,
             [fluid.f, fluid.box, self.bodies.grid.position, reach, float(tank.sponge), _SPONGE],
         )
 
