@@ -51,7 +51,7 @@ Made by `python benchmarks/speed_page.py` from the JSON files in this folder; th
 `benchmarks/rival_xlb.py` (`xlb.json`). MLUPS: million lattice updates a second. The share is of the
 bytes a second of a plain copy on the same device in the same run; an update of a cell reads and
 writes each population once, and reads a byte of flags. A control step is 0.02 s of the robot.
-Rows of the H200 were measured while other programs used its host's CPU and its other GPU; those of
+Rows of the H200 were measured while other programs used its host's CPU and its other GPUs; those of
 the CPU are with the wall model before November 2026.
 """
 BARS = ("", "asked", "measured", "met")

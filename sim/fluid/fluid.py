@@ -94,7 +94,7 @@ class Fluid:
             raise InputError("fluid", "size", found, expected)
         self.wide = is_wide(lattice, boxes * self.cells)
         self.kernels = kernels(lattice, storage, self.wide, self.device.is_cuda)
-        self._walls, self._openings = wall_kernels(lattice, storage, self.wide)
+        self._mirror, self._walls, self._openings = wall_kernels(lattice, storage, self.wide)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
         self.box.cells, self.box.total = self.cells, boxes * self.cells
@@ -139,11 +139,14 @@ class Fluid:
         flat = flatten(flags)
         self.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
         kind = flat & KIND
-        active = np.flatnonzero(np.isin(kind, (MOVING, SLIP, INLET, OUTLET))).astype(np.int32)
-        self.fluid_cells = int(np.count_nonzero(kind == FLUID))
-        normal = np.zeros(active.size, dtype=np.int32)
+        direction = np.zeros(flat.size, dtype=np.int32)
         if normals is not None:
-            normal = flatten(normals.reshape(self.size))[active].astype(np.int32)
+            direction[:] = flatten(normals.reshape(self.size))
+        slips = np.flatnonzero(kind == SLIP).astype(np.int32)
+        self._slips = [self._put(rows, wp.int32) for rows in (slips, direction[slips])]
+        active = np.flatnonzero(np.isin(kind, (MOVING, INLET, OUTLET))).astype(np.int32)
+        normal = direction[active]
+        self.fluid_cells = int(np.count_nonzero(kind == FLUID))
         moving = np.zeros((active.size, 3), dtype=np.float32)
         if velocity is not None:
             moving = flatten(velocity.reshape(*self.size, 3))[active]
@@ -172,18 +175,7 @@ class Fluid:
             self.collide_and_stream()
 
     def collide_and_stream(self) -> None:
-        """One step: openings, walls, then all cells."""
-        if self._has_openings:
-            self._flow_through()
-        if self.listed.shape[0]:
-            self._launch(
-                self._walls,
-                (self.boxes, self.listed.shape[0]),
-                [
-                    self.f, self.flags, self.box, self.t, self.listed, self.normal,
-                    self.wall_velocity, self._through, self._excess,
-                ],
-            )  # fmt: skip
+        """One step: all cells, then walls and openings, which set what arrives from them."""
         total = self.boxes * self.cells
         if self._pool is None or total < _LEAST_SLAB:
             self._collide(0, total)
@@ -191,6 +183,19 @@ class Fluid:
             edges = np.linspace(0, total, self.threads + 1).astype(int)
             list(self._pool.map(self._collide, edges[:-1], np.diff(edges)))
         self.t = 1 - self.t
+        water = [self.f, self.flags, self.box, self.t]
+        if self._slips[0].shape[0]:
+            self._launch(
+                self._mirror, (self.boxes, self._slips[0].shape[0]), [*water, *self._slips]
+            )
+        if self._has_openings:
+            self._flow_through()
+        if self.listed.shape[0]:
+            self._launch(
+                self._walls,
+                (self.boxes, self.listed.shape[0]),
+                [*water, self.listed, self.wall_velocity, self._through, self._excess],
+            )
 
     def _flow_through(self) -> None:
         self._launch(

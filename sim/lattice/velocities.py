@@ -39,6 +39,11 @@ class Lattice:
         """Number of the direction with this velocity."""
         return self.velocities.index(velocity)
 
+    def opposite(self, velocity: tuple[int, int, int]) -> int:
+        """Number of the direction against this velocity."""
+        x, y, z = velocity
+        return self.index((-x, -y, -z))
+
 
 def _lattice(dimensions: int, weight: dict[int, float]) -> Lattice:
     """The velocity set with one weight for each squared speed."""

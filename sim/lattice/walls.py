@@ -1,7 +1,9 @@
 """Boundary conditions at walls, inlets and outlets, applied to populations before they return.
 
-A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285); a free-slip wall exchanges
-its cells' populations along the wall, which is specular reflection. A wall at rest needs no kernel.
+A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285). At a wall at rest, which
+needs no kernel, populations return after two steps. A free-slip wall reflects them specularly
+within one (Kruger et al. (2017), Sec. 5.3.7), as if the water went on beyond it: after two, the
+flow around ghost cells of a body that pierces the surface breaks down.
 
 Openings send an equilibrium (bounce-back there is unstable at low viscosity): an inlet with its
 velocity and the density of the cell before it, an outlet with the velocity of the cell before it
@@ -17,42 +19,62 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import INLET, KIND, MOVING, SLIP, Box
+from sim.lattice.cell import FLUID, INLET, KIND, MOVING, SLIP, Box, neighbour
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
+
+Velocity = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Mirror:
-    """One exchange at a free-slip wall: directions ``one`` and ``two`` differ along ``across``."""
+    """One reflection at a free-slip wall, between two of its cells or, with 0 across, at one.
+
+    Attributes:
+        normal: Direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z.
+        one, two: Velocities with which populations arrive at the wall.
+        across: From the cell at which ``two`` arrives to that of ``one``.
+    """
 
     normal: int
-    one: tuple[int, int, int]
-    two: tuple[int, int, int]
-    across: tuple[int, int, int]
+    one: Velocity
+    two: Velocity
+    across: Velocity
 
 
 def mirrors(lattice: Lattice) -> tuple[Mirror, ...]:
-    """All exchanges, for normals 0 to 5: +x, -x, +y, -y, +z, -z."""
+    """All reflections."""
     exchanges = []
     axes = range(lattice.dimensions)
-    for axis, sign, across in product(axes, (1, -1), axes):
-        if across != axis:
-            first, second, along = [0, 0, 0], [0, 0, 0], [0, 0, 0]
-            first[axis] = second[axis] = sign
-            first[across], second[across], along[across] = 1, -1, 1
-            normal = 2 * axis + int(sign < 0)
-            exchanges.append(Mirror(normal, _triple(first), _triple(second), _triple(along)))
+    for axis, sign, along in product(axes, (1, -1), axes):
+        first, second, across = [0, 0, 0], [0, 0, 0], [0, 0, 0]
+        first[axis] = second[axis] = sign
+        if along != axis:
+            first[along], second[along], across[along] = 1, -1, 1
+        normal = 2 * axis + int(sign < 0)
+        exchanges.append(Mirror(normal, _velocity(first), _velocity(second), _velocity(across)))
     return tuple(exchanges)
 
 
-def _triple(x: list[int]) -> tuple[int, int, int]:
+def _velocity(x: list[int]) -> Velocity:
     return x[0], x[1], x[2]
 
 
+@wp.func
+def before(n: int, normal: int, box: Box) -> int:
+    """The fluid cell before a wall cell whose normal is this direction out of the fluid."""
+    sign = 2 * (normal % 2) - 1
+    axis = normal // 2
+    if axis == 0:
+        return neighbour(n, sign, 0, 0, box)
+    if axis == 1:
+        return neighbour(n, 0, sign, 0, box)
+    return neighbour(n, 0, 0, sign, box)
+
+
 @cache
-def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
-    """Kernels for walls, and for the flow through inlets and outlets."""
+def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any, Any]:
+    """Kernels for free-slip walls, for the other walls, and for the flow through openings."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
     pop = populations(lattice, storage, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
@@ -60,11 +82,54 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
     exchanges = mirrors(lattice)
 
     @wp.func
-    def row(d: int, t: int) -> int:
-        """The row of the population that arrives along direction d."""
+    def arriving(f: Stored, d: int, n: int, source: int, t: int, total: int) -> float:
+        """The population that arrives at n along direction d from the cell ``source``."""
         if d % 2 == 0:
-            return d - 1 + t
-        return d + 1 - t
+            return read(f, d - 1 + t, source, total)
+        return read(f, d + 1 - t, n, total)
+
+    @wp.func
+    def arrive(
+        f: Stored, flag: wp.uint8, d: int, n: int, source: int, t: int, total: int, x: float
+    ) -> int:
+        """Set that population if n, whose flag is given, is a fluid cell."""
+        if (int(flag) & wp.static(KIND)) != wp.static(FLUID):
+            return 0
+        if d % 2 == 0:
+            write(f, d - 1 + t, source, total, x)
+        else:
+            write(f, d + 1 - t, n, total, x)
+        return 0
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def mirror(
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        t: int,
+        listed: wp.array(dtype=wp.int32),
+        normal: wp.array(dtype=wp.int32),
+    ):
+        """Free-slip cell k of box e; ``listed`` are the cells, counted in one box."""
+        e, k = wp.tid()
+        n = e * box.cells + listed[k]
+        j = neighbours(n, int(flags[n]), box)
+        water = before(n, normal[k], box)
+        for m in range(wp.static(len(exchanges))):
+            if normal[k] == wp.static(exchanges[m].normal):
+                other = n
+                if wp.static(any(exchanges[m].across)):
+                    other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
+                if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
+                    beside = other + water - n
+                    one = wp.static(lattice.index(exchanges[m].one))
+                    two = wp.static(lattice.index(exchanges[m].two))
+                    back_one = wp.static(lattice.opposite(exchanges[m].one))
+                    back_two = wp.static(lattice.opposite(exchanges[m].two))
+                    first = arriving(f, one, other, water, t, box.total)
+                    second = arriving(f, two, n, beside, t, box.total)
+                    arrive(f, flags[beside], back_two, beside, n, t, box.total, first)
+                    arrive(f, flags[water], back_one, water, other, t, box.total, second)
 
     @wp.kernel(enable_backward=False, module="unique")
     def walls(
@@ -73,7 +138,6 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
         box: Box,
         t: int,
         listed: wp.array(dtype=wp.int32),
-        normal: wp.array(dtype=wp.int32),
         velocity: wp.array(dtype=wp.vec3),
         through: wp.array2d(dtype=wp.vec4),
         excess: wp.array(dtype=wp.float32),
@@ -83,29 +147,6 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
         n = e * box.cells + listed[k]
         flag = int(flags[n])
         kind = flag & wp.static(KIND)
-        j = neighbours(n, flag, box)
-        if kind == wp.static(SLIP):
-            for m in range(wp.static(len(exchanges))):
-                if normal[k] == wp.static(exchanges[m].normal):
-                    other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
-                    beyond = int(flags[other])
-                    if (beyond & wp.static(KIND)) == wp.static(SLIP):
-                        # Populations of even directions are stored in the cell that they come from.
-                        one = wp.static(lattice.index(exchanges[m].one))
-                        two = wp.static(lattice.index(exchanges[m].two))
-                        at_two = n
-                        at_one = other
-                        if wp.static(lattice.index(exchanges[m].two) % 2 == 0):
-                            at_two = j[wp.static(lattice.index(exchanges[m].two) // 2 - 1)]
-                        if wp.static(lattice.index(exchanges[m].one) % 2 == 0):
-                            around = neighbours(other, beyond, box)
-                            at_one = around[wp.static(lattice.index(exchanges[m].one) // 2 - 1)]
-                        row_one = row(one, t)
-                        row_two = row(two, t)
-                        held = read(f, row_two, at_two, box.total)
-                        write(f, row_two, at_two, box.total, read(f, row_one, at_one, box.total))
-                        write(f, row_one, at_one, box.total, held)
-            return
         u = velocity[k]
         rest = float(0.0)
         if kind != wp.static(MOVING):
@@ -114,6 +155,7 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
             rest = sent[3]
             if kind != wp.static(INLET):
                 rest = excess[e]
+        j = neighbours(n, flag, box)
         p = load(f, n, j, t, box.total)
         out = Vector()
         out[0] = p[0]
@@ -166,7 +208,7 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any]:
         wp.atomic_add(sums, e, wp.int64(wp.float64(out) * wp.float64(wp.static(FIXED_POINT))))
         through[e, k] = wp.vec4(u[0], u[1], u[2], m[0])
 
-    return walls, openings
+    return mirror, walls, openings
 
 
 @wp.kernel(enable_backward=False)

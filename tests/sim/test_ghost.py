@@ -1,5 +1,7 @@
 """Ghost cells: water that slips along a body and exchanges nothing with it along its surface."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from swimming_robots import FISH, servos
@@ -15,7 +17,10 @@ from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced
 from sim.robot.swimmer import Swimmer
 from sim2real.errors import InputError
+from sim2real.model import read_model
+from sim2real.robot import read_robot
 
+POOL = Path(__file__).parents[2] / "datasets" / "pool"
 SLIPS = Wall(slip=True, ghosts=True)
 LATTICE = Units(1.0, 1.0, 1.0, 1.0)
 
@@ -136,6 +141,28 @@ def test_the_joints_of_a_straight_thin_chain_are_closed(heading):
         marks.append((fluid.flags.numpy() & GHOST) != 0)
     assert marks[0].sum() > 25
     assert np.array_equal(*marks)
+
+
+def test_a_hull_that_pierces_the_surface_is_towed_steadily():
+    """At a surface that reflects with a delay the flow broke down: 2 N to the side."""
+    robot, model = read_robot(POOL / "robot.toml"), read_model(POOL / "model.json")
+    heading, joints = np.deg2rad([0.0, 15.0]), np.zeros((2, len(robot.joints)))
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    swimmer = Swimmer(robot, model, n_envs=2, cell_m=0.02, box_m=(1.0, 0.8, 0.4))
+    assert swimmer.surface_m < 0
+    twist = np.concatenate([0.15 * ahead, np.zeros((2, 1)), joints], axis=1)
+    swimmer.bodies.place(
+        np.concatenate([np.zeros((2, 2)), heading[:, None], joints], axis=1), twist
+    )
+    swimmer.bodies.prescribe(twist)
+    force = []
+    for _ in range(50 * swimmer.substeps):
+        swimmer.bodies.step(HELD)
+        force.append(swimmer.state().force[:, :, :2].sum(axis=1))
+    mean = np.mean(force[len(force) // 2 :], axis=0)
+    along = np.einsum("ek,ek->e", mean, ahead)
+    assert np.all((along > -0.05) & (along < 0.0))
+    assert np.all(np.linalg.norm(mean - along[:, None] * ahead, axis=1) < 0.02)
 
 
 def test_ghost_cells_need_slip():
