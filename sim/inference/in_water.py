@@ -35,7 +35,7 @@ from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
 
 CELL_M = 0.016
-"""Side of a cell; at 1.6 cm the speed of a robot that carries a bar depends on its heading."""
+"""Side of a cell."""
 BOX_M = (1.25, 0.9, 0.4)
 """Length, width and depth of a box, which moves with its robot."""
 VISCOSITY_M2_S = 5e-5
