@@ -1,6 +1,6 @@
 """How much a robot's heading in its box of cells changes its speed: of water itself, not at all.
 
-    python benchmarks/heading_in_a_box.py OUT.json [--device cuda:0]
+    python benchmarks/heading_in_a_box.py OUT.json [--device cuda:0] [--cells 0.01 0.02]
 
 The robot of ``datasets/pool`` swims the same waves in several headings, in the boxes with which
 swims are diagnosed (``sim.inference.in_water``) and cells of several sizes.
@@ -14,6 +14,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from sim.inference.in_water import BOX_M, VISCOSITY_M2_S
 from sim.robot.swimmer import CONTROL_S, Swimmer
@@ -53,14 +54,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cells", type=float, nargs="*", default=[0.01, 0.012, 0.016, 0.02])
+    parser.add_argument(
+        "--cells",
+        type=float,
+        nargs="*",
+        default=[0.01, 0.012, 0.016, 0.02],
+        help="their sides, in m",
+    )
     options = parser.parse_args()
     found = []
-    for cell_m, wave in product(options.cells, WAVES):
+    for cell_m, wave in tqdm(list(product(options.cells, WAVES)), disable=None):
         speed = speeds(cell_m, wave, options.device)
         spread = float(np.ptp(speed) / np.mean(speed))
         found.append({"cell_m": cell_m, "wave": wave, "m_s": speed.tolist(), "spread": spread})
-        print(cell_m, wave, *(f"{v:.3f}" for v in speed), f"{100 * spread:.1f} %", flush=True)
+        line = [cell_m, wave, *(f"{v:.3f}" for v in speed), f"{100 * spread:.1f} %"]
+        tqdm.write(" ".join(map(str, line)))
         options.out.write_text(json.dumps({"headings_deg": HEADINGS_DEG, "rows": found}) + "\n")
 
 

@@ -143,7 +143,8 @@ class Fluid:
         if normals is not None:
             direction[:] = flatten(normals.reshape(self.size))
         slips = np.flatnonzero(kind == SLIP).astype(np.int32)
-        self._slips = [self._put(rows, wp.int32) for rows in (slips, direction[slips])]
+        before = self._before(slips, direction[slips])
+        self._slips = [self._put(rows, wp.int32) for rows in (slips, direction[slips], before)]
         active = np.flatnonzero(np.isin(kind, (MOVING, INLET, OUTLET))).astype(np.int32)
         normal = direction[active]
         self.fluid_cells = int(np.count_nonzero(kind == FLUID))
@@ -152,16 +153,23 @@ class Fluid:
             moving = flatten(velocity.reshape(*self.size, 3))[active]
         self.listed, self.normal = self._put(active, wp.int32), self._put(normal, wp.int32)
         self.wall_velocity = self._put(moving, wp.vec3)
-        stride = np.array([1, self.size[0], self.size[0] * self.size[1]])[normal // 2]
-        before = active + np.where(normal % 2 == 0, -stride, stride)
+        before = self._before(active, normal)
         openings = np.isin(kind[active], (INLET, OUTLET))
         self._has_openings = bool(np.any(openings))
-        self._inside = self._put(np.where(openings, before, -1).astype(np.int32), wp.int32)
+        self._inside = self._put(np.where(openings, before, np.int32(-1)), wp.int32)
         shape, device = (self.boxes, active.size), self.device
         self._through: Any = wp.zeros(shape, dtype=wp.vec4, device=device)
         self._outlets = int(np.count_nonzero(kind == OUTLET))
         self._excess: Any = wp.zeros(self.boxes, dtype=wp.float32, device=device)
         self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=device)
+
+    def _before(self, cells: Integers, normal: Integers) -> Integers:
+        """The cells before wall cells, against the direction out of the fluid; boxes wrap."""
+        shape = self.size[::-1]
+        at = np.array(np.unravel_index(cells, shape))
+        at[2 - normal // 2, np.arange(cells.size)] += np.where(normal % 2 == 0, -1, 1)
+        flat = np.ravel_multi_index(tuple(at), shape, mode="wrap")
+        return np.asarray(flat, dtype=np.int32)
 
     def accelerate(self, acceleration: NDArray[Any]) -> None:
         """Set a body force on all fluid: shape (E, 3) or (3,), in cells per step squared."""

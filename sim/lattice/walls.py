@@ -2,8 +2,8 @@
 
 A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285). At a wall at rest, which
 needs no kernel, populations return after two steps. A free-slip wall reflects them specularly
-within one (Kruger et al. (2017), Sec. 5.3.7), as if the water went on beyond it: after two, the
-flow around ghost cells of a body that pierces the surface breaks down.
+within one (Kruger et al. (2017), Sec. 5.3.7), like the mirror image of the water: after two, the
+flow around ghost cells of a body that pierces the surface is unstable.
 
 Openings send an equilibrium (bounce-back there is unstable at low viscosity): an inlet with its
 velocity and the density of the cell before it, an outlet with the velocity of the cell before it
@@ -19,7 +19,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.cell import FLUID, INLET, KIND, MOVING, SLIP, Box, neighbour
+from sim.lattice.cell import FLUID, INLET, KIND, MOVING, SLIP, Box
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
@@ -60,18 +60,6 @@ def _velocity(x: list[int]) -> Velocity:
     return x[0], x[1], x[2]
 
 
-@wp.func
-def before(n: int, normal: int, box: Box) -> int:
-    """The fluid cell before a wall cell whose normal is this direction out of the fluid."""
-    sign = 2 * (normal % 2) - 1
-    axis = normal // 2
-    if axis == 0:
-        return neighbour(n, sign, 0, 0, box)
-    if axis == 1:
-        return neighbour(n, 0, sign, 0, box)
-    return neighbour(n, 0, 0, sign, box)
-
-
 @cache
 def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any, Any]:
     """Kernels for free-slip walls, for the other walls, and for the flow through openings."""
@@ -82,24 +70,11 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any, 
     exchanges = mirrors(lattice)
 
     @wp.func
-    def arriving(f: Stored, d: int, n: int, source: int, t: int, total: int) -> float:
-        """The population that arrives at n along direction d from the cell ``source``."""
+    def slot(d: int, n: int, source: int, t: int) -> wp.vec2i:
+        """Row and cell of the population that arrives at n along direction d from ``source``."""
         if d % 2 == 0:
-            return read(f, d - 1 + t, source, total)
-        return read(f, d + 1 - t, n, total)
-
-    @wp.func
-    def arrive(
-        f: Stored, flag: wp.uint8, d: int, n: int, source: int, t: int, total: int, x: float
-    ) -> int:
-        """Set that population if n, whose flag is given, is a fluid cell."""
-        if (int(flag) & wp.static(KIND)) != wp.static(FLUID):
-            return 0
-        if d % 2 == 0:
-            write(f, d - 1 + t, source, total, x)
-        else:
-            write(f, d + 1 - t, n, total, x)
-        return 0
+            return wp.vec2i(d - 1 + t, source)
+        return wp.vec2i(d + 1 - t, n)
 
     @wp.kernel(enable_backward=False, module="unique")
     def mirror(
@@ -109,12 +84,16 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any, 
         t: int,
         listed: wp.array(dtype=wp.int32),
         normal: wp.array(dtype=wp.int32),
+        inside: wp.array(dtype=wp.int32),
     ):
-        """Free-slip cell k of box e; ``listed`` are the cells, counted in one box."""
+        """Free-slip cell k of box e; ``listed`` are the cells, counted in one box.
+
+        ``inside`` are the cells before them, of which only fluid cells receive populations.
+        """
         e, k = wp.tid()
         n = e * box.cells + listed[k]
+        water = e * box.cells + inside[k]
         j = neighbours(n, int(flags[n]), box)
-        water = before(n, normal[k], box)
         for m in range(wp.static(len(exchanges))):
             if normal[k] == wp.static(exchanges[m].normal):
                 other = n
@@ -122,14 +101,16 @@ def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any, 
                     other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
                 if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
                     beside = other + water - n
-                    one = wp.static(lattice.index(exchanges[m].one))
-                    two = wp.static(lattice.index(exchanges[m].two))
-                    back_one = wp.static(lattice.opposite(exchanges[m].one))
-                    back_two = wp.static(lattice.opposite(exchanges[m].two))
-                    first = arriving(f, one, other, water, t, box.total)
-                    second = arriving(f, two, n, beside, t, box.total)
-                    arrive(f, flags[beside], back_two, beside, n, t, box.total, first)
-                    arrive(f, flags[water], back_one, water, other, t, box.total, second)
+                    one = slot(wp.static(lattice.index(exchanges[m].one)), other, water, t)
+                    two = slot(wp.static(lattice.index(exchanges[m].two)), n, beside, t)
+                    first = read(f, one[0], one[1], box.total)
+                    second = read(f, two[0], two[1], box.total)
+                    if (int(flags[beside]) & wp.static(KIND)) == wp.static(FLUID):
+                        to = slot(wp.static(lattice.opposite(exchanges[m].two)), beside, n, t)
+                        write(f, to[0], to[1], box.total, first)
+                    if (int(flags[water]) & wp.static(KIND)) == wp.static(FLUID):
+                        to = slot(wp.static(lattice.opposite(exchanges[m].one)), water, other, t)
+                        write(f, to[0], to[1], box.total, second)
 
     @wp.kernel(enable_backward=False, module="unique")
     def walls(

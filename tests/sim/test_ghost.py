@@ -144,7 +144,7 @@ def test_the_joints_of_a_straight_thin_chain_are_closed(heading):
 
 
 def test_a_hull_that_pierces_the_surface_is_towed_steadily():
-    """At a surface that reflects with a delay the flow broke down: 2 N to the side."""
+    """With a surface that reflected with a delay the flow was unstable, with 2 N to the side."""
     robot, model = read_robot(POOL / "robot.toml"), read_model(POOL / "model.json")
     heading, joints = np.deg2rad([0.0, 15.0]), np.zeros((2, len(robot.joints)))
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
