@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from sim.inference.swims import Simulator, Swim, simulated, with_values
 from sim2real.arrays import Array, Index
 from sim2real.inference import least_squares
+from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.inference.least_squares import Expansion, central, expansion
 from sim2real.inference.parameters import Gaussian, Parameter, column
 from sim2real.model import Model
@@ -134,6 +135,12 @@ class SwimProblem:
         """Root mean square of ``errors`` of each signal over all swims, shape (E, K)."""
         parts = [e[:, c:] if held else e[:, :c] for e, c in zip(errors, self.cut, strict=True)]
         return np.asarray(np.sqrt(np.mean(np.concatenate(parts, axis=1) ** 2, axis=1)))
+
+    def autocorrelation_times(self, errors: Sequence[Array]) -> Array:
+        """Mean integrated autocorrelation time of ``errors`` (1, T, K) over all swims, (K,)."""
+        parts = [e[0, :c] for e, c in zip(errors, self.cut, strict=True)]
+        times = [[correlation_samples(column - column.mean()) for column in e.T] for e in parts]
+        return np.asarray(np.mean(times, axis=0))
 
 
 def seen(signals: Array) -> Array:

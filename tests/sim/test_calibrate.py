@@ -1,18 +1,24 @@
 """Calibration on swims of the twin itself: what was put in comes out, on what was held out too."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.calibration.swim_parameters import effect_parameters, servo_parameters
+from sim.calibration.swim_parameters import (
+    effect_parameters,
+    servo_parameters,
+    twin_parameters,
+)
 from sim.calibration.twin_fit import calibrate
 from sim.inference.swims import Swim, by_twin, simulated, swim_of, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.recording import Recording
+from sim2real.robot import read_robot
 
 TIMES = CONTROL_S * np.arange(600)
 SENT = np.array(
@@ -21,10 +27,10 @@ SENT = np.array(
 )  # fmt: skip
 
 
-def swum(truth, seed=0):
+def swum(truth, seed=0, model=None, robot=FISH):
     rng = np.random.default_rng(seed)
     empty = Swim("made", TIMES, SENT, np.zeros(3), np.empty((0, 6)))
-    (signals,) = simulated(empty, [with_values(servos(), truth)], by_twin(FISH))
+    (signals,) = simulated(empty, [with_values(model or servos(), truth)], by_twin(robot))
     noise = rng.standard_normal(signals.shape) * [0.005, 0.005, 0.02, 0.002, 0.002, 0.002]
     return Swim("made", TIMES, SENT, np.zeros(3), signals + noise)
 
@@ -45,6 +51,17 @@ def test_what_was_put_in_comes_out():
         assert best == pytest.approx(truth[p.name], rel=0.35), p.name
     assert found.rmse[1, 0] < 0.7 * found.rmse[0, 0]
     assert found.rmse[1, :3] == pytest.approx([0.005, 0.005, 0.02], rel=0.2)
+
+
+def test_an_error_of_the_law_does_not_pass_for_drag_area():
+    robot, model = read_robot("datasets/pool/robot.toml"), replace(servos(), body={})
+    swim = swum({"twin.head": 2.0, "twin.tail": 1.5}, model=model, robot=robot)
+    free = twin_parameters(model, robot)
+    found = calibrate([swim], model, free, by_twin(robot))
+    (k,) = [k for k, p in enumerate(free) if p.name == "appendage_area.ratio"]
+    low, high = found.interval()[k]
+    assert abs(found.best[k]) < 1.5 * free[k].prior_sd
+    assert low < 0.0 < high
 
 
 def test_camera_effects_are_seen_through():
