@@ -34,7 +34,7 @@ from sim2real.model import Model
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
 
-CELL_M = 0.016
+CELL_M = 0.012
 """Side of a cell."""
 BOX_M = (1.25, 0.9, 0.4)
 """Length, width and depth of a box, which moves with its robot."""
