@@ -59,7 +59,7 @@ def _plan(command: argparse.ArgumentParser) -> None:
         "task of the paper), or brief and fine, which continue from trained policies",
     )
     command.add_argument(
-        "--steps", type=int, help="simulation steps of 20 ms per agent (default 800000)"
+        "--steps", type=int, help="simulation steps of 20 ms per agent (default 1600000)"
     )
     command.add_argument("--envs", type=int, help="parallel environments per agent (default 64)")
     command.add_argument("--segment", type=int, help="steps between checkpoints (default 200000)")

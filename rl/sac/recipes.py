@@ -31,7 +31,7 @@ class Recipe:
     task: str = "chain"
     energy: float = 7e-4
     energy_start: float = 0.1
-    steps: int = 800_000
+    steps: int = 1_600_000
     envs: int = 64
     segment: int = 200_000
     view: View = field(default_factory=View)
@@ -40,7 +40,9 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = {
     "default": Recipe(),
-    "paper": Recipe("point", energy=1e-3, energy_start=1.0, view=PAPER, settings=PLAIN),
+    "paper": Recipe(
+        "point", energy=1e-3, energy_start=1.0, steps=800_000, view=PAPER, settings=PLAIN
+    ),
     "fine": Recipe(
         energy_start=1.0,
         steps=200_000,

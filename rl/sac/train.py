@@ -81,7 +81,7 @@ class Plan:
     """
 
     task: Task
-    steps: int = 800_000
+    steps: int = 1_600_000
     envs: int = 64
     segment: int = 200_000
     seeds: tuple[int, ...] = (0,)
