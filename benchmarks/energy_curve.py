@@ -13,6 +13,7 @@ Writes ``TASK.json`` and ``curve.png``: who is left and below the others wins.
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -70,13 +71,9 @@ def main() -> None:
 
 
 def read(options: argparse.Namespace) -> dict[str, Any]:
-    """What an earlier call has written."""
-    import json
-
-    return {
-        task: json.loads((options.out / f"{task}.json").read_text())["results"]
-        for task in options.tasks
-    }
+    """What an earlier call has written, or ``sim2real evaluate``, by task and simulator."""
+    files = [json.loads((options.out / f"{name}.json").read_text()) for name in options.tasks]
+    return {f"{one['task']}, {one['fidelity']}": one["results"] for one in files}
 
 
 def made(options: argparse.Namespace) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, LAW, servos
 from test_calibrate import SENT, TIMES
 
 import sim.inference.coordinates as places
@@ -28,6 +28,8 @@ from sim2real.recording import Recording
 from sim2real.velocity import body_velocity
 
 IN_WATER = read_law_error(law_error.IN_WATER)
+OF_THIS_LAW = replace(LAW_ERROR, usual={f"twin.{name}": value for name, value in LAW.items()})
+"""The error that ships, of robots whose mean law is that of the swims here."""
 
 
 NAMES = ("camera_latency", "skin_elasticity", "pool_current")
@@ -60,7 +62,8 @@ def swum(truth, seed=0):
 
 def diagnosed(effects, references=()):
     given = [swum(effects)], servos(), FISH, by_followed_twin(FISH)
-    return diagnose_swims(*given, references=[swum({}, seed=k + 1) for k in range(len(references))])
+    references = [swum({}, seed=k + 1) for k in range(len(references))]
+    return diagnose_swims(*given, references=references, law_error=OF_THIS_LAW)
 
 
 SKIN_LEFT_OUT = {"skin_elasticity.stiffness_Nm_per_rad": 0.6}
