@@ -217,8 +217,8 @@ def _experiment(
             replaced = others | {effect.group[1]}
             for hypothesis in result.found:
                 if frozenset(names_of(hypothesis.members)) == replaced:
-                    names = (effect.name[0], effect.group[1][0])
-                    return next_swim(result.problem, fitted.fit, hypothesis.fit, names)
+                    pair = (effect.name, effect.group[1])
+                    return next_swim(result.problem, fitted.fit, hypothesis.fit, pair)
     return None
 
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from sim.inference.blocks import Blocks
 from sim.inference.coordinates import signals_at
+from sim.inference.swim_decision import Name
 from sim.inference.twin_search import Fit, TwinSwims
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
+from sim2real.body import body_effect
 from sim2real.diagnose.result import Experiment
 
 SECONDS = 12.0
@@ -66,7 +68,7 @@ MENU: Mapping[str, Callable[[Array, int], Array]] = {
 """Swims that are compared; any robot can swim them."""
 
 
-def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str]) -> Experiment:
+def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[Name, Name]) -> Experiment:
     """The swim of ``MENU`` in which the predictions of two fits differ most.
 
     The difference is in standard deviations of the noise, including the twin's error.
@@ -75,7 +77,7 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str
         problem: The swims that both were fitted to.
         best: The likeliest fit.
         rival: Its closest rival.
-        effects: Their names.
+        effects: Their names and components.
     """
     before = problem.swims[0]
     t: Array = CONTROL_S * np.arange(round(SECONDS / CONTROL_S), dtype=np.float64)
@@ -92,15 +94,14 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str
         errors = blocks.errors(signals[1]) * blocks.weights(problem.prior.shares)
         candidates.append((float(np.sqrt(np.sum(errors**2))), name, command))
     separation, name, command = max(candidates, key=lambda candidate: candidate[0])
-    family = next(
-        (f for f, names in _FAMILIES.items() if effects[0] in names and effects[1] in names), ""
-    )
+    names = tuple(effect for effect, _ in effects)
+    family = next((f for f, members in _FAMILIES.items() if set(names) <= set(members)), "")
     context = CONTEXTS.get(family, "none")
     also = f", and {context}" if family else ""
-    titles = " and ".join(effect.replace("_", " ") for effect in effects)
+    titles = " and ".join(map(_title, effects))
     return Experiment(
         component="body",
-        separates=effects,
+        separates=names,
         command=name,
         context=context,
         separation=separation,
@@ -112,6 +113,13 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[str, str
         t=t,
         signal=command,
     )
+
+
+def _title(effect: Name) -> str:
+    """What a sentence calls an effect, with the material that it belongs to."""
+    name, component = effect
+    where = f" ({component})" if body_effect(name).by_material else ""
+    return name.replace("_", " ") + where
 
 
 __all__ = ["next_swim"]
