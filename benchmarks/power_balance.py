@@ -5,8 +5,9 @@
 The body is held and its joints beat, in a periodic box without an absorbing layer, so that all work
 on the water is dissipated or stays in the wake as kinetic energy. Dissipation is that of resolved
 gradients, ``2 rho nu S:S`` with central differences outside the body and the viscosity that each
-cell has, sub-grid viscosity included (Pope, Turbulent Flows (2000), eq. 13.90). What is left is
-lost by the scheme. Without skin friction, whose heat arises between body and water.
+cell has, sub-grid viscosity included. What is missing is lost by the scheme: at the surface of the
+body, or in gradients that the cells do not resolve. Without skin friction, whose heat arises between
+body and water.
 """
 
 import argparse
@@ -150,7 +151,7 @@ def main() -> None:
         rows.append({"cell_m": cell_m, "work_J": work, "wake_J": wake, "dissipated_J": lost})
         missing = 100 * (1 - (wake + lost) / work)
         found = f"work {work:.3f} J, kinetic energy {wake:+.3f} J, dissipated {lost:.3f} J"
-        print(f"{cell_m:g} m: {found}, {missing:.0f} % by the scheme", flush=True)
+        print(f"{cell_m:g} m: {found}, {missing:.0f} % missing", flush=True)
         options.out.write_text(json.dumps(rows, indent=1) + "\n")
 
 
