@@ -6,8 +6,8 @@ The body is held and its joints beat, in a periodic box without an absorbing lay
 on the water is dissipated or stays in the wake as kinetic energy. Dissipation is that of resolved
 gradients, ``2 rho nu S:S`` with central differences outside the body and the viscosity that each
 cell has, sub-grid viscosity included. What is missing is lost by the scheme: at the surface of the
-body, or in gradients that the cells do not resolve. Without skin friction, whose heat arises between
-body and water.
+body, or in gradients that the cells do not resolve. There is no skin friction, whose heat
+arises between body and water.
 """
 
 import argparse
