@@ -116,12 +116,13 @@ class Balance:
         for k in tqdm(range(round(SECONDS / CONTROL_S) * n), disable=None):
             if k == first:
                 begin = self.kinetic()
+            before = bodies.motion.twist.numpy()[0].copy()
             rates = (joints((k + 1) * h) - joints(k * h)) / h
             bodies.prescribe(np.concatenate([np.zeros(3), rates]))
             bodies.step(HELD)
             if k >= first:
-                force, twist = bodies.motion.force.numpy()[0], bodies.motion.twist.numpy()[0]
-                work -= h * float(np.sum(force * twist))
+                force, after = bodies.motion.force.numpy()[0], bodies.motion.twist.numpy()[0]
+                work -= h * float(np.sum(force * (before + after) / 2))
                 lost += every * self.dissipated() if k % every == 0 else 0.0
         return np.array([work, self.kinetic() - begin, lost])
 
