@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image as Picture
 from tqdm import tqdm
 
@@ -27,11 +28,11 @@ from rl.experiments.named import controller_of
 from rl.experiments.trials import UNSEEN
 from rl.make import draws_of, make_world, own_stream
 from rl.task import TASKS
-from sim.view.legend import Image
 from sim.view.video import FRAMES_PER_S, Video
 from sim2real.ranges.entry import read_ranges
 
 POOL = Path("datasets/pool")
+Image = NDArray[np.uint8]
 
 
 class Pictures:

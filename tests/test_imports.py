@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -139,6 +140,24 @@ def test_the_inference_knows_neither_servo_nor_swim() -> None:
     )
     above = [i for i in own if i.package in FLOORS and not i.module.startswith(known)]
     assert above == []
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "datasets", "examples"])
+def test_names_that_scripts_import_from_the_packages_exist(folder: str) -> None:
+    missing = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node, _ in statements(ast.parse(path.read_text(encoding="utf-8")), late=False):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in FLOORS:
+                missing += [f"{path.name}: {node.module}.{name}" for name in lacking(node)]
+    assert missing == []
+
+
+def lacking(node: ast.ImportFrom) -> list[str]:
+    """Names that a module does not have, neither itself nor as a submodule."""
+    module = importlib.import_module(str(node.module))
+    names = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+    inside = hasattr(module, "__path__")
+    return [n for n in names if not (inside and importlib.util.find_spec(f"{node.module}.{n}"))]
 
 
 def test_the_walk_sees_the_packages() -> None:
