@@ -66,18 +66,19 @@ def main() -> None:
     parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    found = read(options) if options.draw_only else made(options)
-    draw(found, options.out / "curve.png")
+    if not options.draw_only:
+        make(options)
+    draw(read(options), options.out / "curve.png")
 
 
 def read(options: argparse.Namespace) -> dict[str, Any]:
-    """What an earlier call has written, or ``sim2real evaluate``, by task and simulator."""
+    """Results by task and simulator, of ``make`` or of ``sim2real evaluate``."""
     files = [json.loads((options.out / f"{name}.json").read_text()) for name in options.tasks]
     return {f"{one['task']}, {one['fidelity']}": one["results"] for one in files}
 
 
-def made(options: argparse.Namespace) -> dict[str, Any]:
-    """Train one agent a weight and seed, and swim every task."""
+def make(options: argparse.Namespace) -> None:
+    """Train one agent a weight and seed, swim every task, and write its results."""
     robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
     ranges = read_ranges(POOL / "ranges.json")
     water: Any = {
@@ -92,7 +93,6 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
         folders = train(options.out / "train", robot, arms, plan)
         agents = {f"{one.name}/policy.zip": str(one / "policy.zip") for one in folders}
     limits = [joint.limits_rad for joint in robot.joints]
-    found = {}
     for task in options.tasks:
         n = options.episodes if task != "pentagram" else max(options.episodes // 3, 1)
         controllers: dict[str, Controller] = {}
@@ -104,11 +104,10 @@ def made(options: argparse.Namespace) -> dict[str, Any]:
                 controllers[name] = controller_of(name, limits, n, gains=options.gains)
         own = replace(TASKS[task], energy=RECIPES["default"].energy)
         swims = run_trials(robot, model, ranges, own, controllers, episodes=n, seed=7, **water)
-        found[task] = {name: summary(one, own) for name, one in swims.items()}
+        results = {name: summary(one, own) for name, one in swims.items()}
         content = {"task": task, "fidelity": options.fidelity, "randomized": True}
-        content |= {"results": found[task], "provenance": provenance([], options.seed)}
+        content |= {"results": results, "provenance": provenance([], options.seed)}
         write_json(options.out / f"{task}.json", content)
-    return found
 
 
 def known(trained: list[str], prices: list[float] | None) -> dict[str, str]:

@@ -19,9 +19,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 from fluid_speed import MODEL, ROBOT
-from resolution import VISCOSITY_M2_S
+from resolution import VISCOSITY_M2_S, beat
 from tqdm import tqdm
 
+from sim.cases.hard_commands import water_energy
+from sim.fluid.fluid import CS2
 from sim.fluid.wall import SLIP
 from sim.lattice.cell import BODY, FLUID, GHOST, KIND, Box
 from sim.lattice.collision import collision
@@ -32,7 +34,6 @@ from sim2real.arrays import Array
 
 SECONDS, COUNTED = 4.0, 2.0
 """Simulated, and of these at the end counted: whole beats."""
-SIZE_RAD, LAG_RAD, BEAT_HZ = np.array([0.30, 0.45, 0.60]), 1.2 * np.arange(3), 1.0
 SAMPLED = 2
 """Dissipation is sampled this many times a control period."""
 
@@ -58,7 +59,7 @@ def viscosity_kernel(fluid: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
             whole = subgrid_tau(p, m[0], velocity, 1.0 / (1.0 + m[0]), tau[0], square)
             if (flag & wp.static(BODY)) != 0:
                 whole += damping
-            out[n] = (whole - 0.5) / 3.0
+            out[n] = wp.static(CS2) * (whole - 0.5)
 
     return viscosities
 
@@ -89,10 +90,9 @@ class Balance:
         return np.asarray(flat.numpy().reshape(self.fluid.size[::-1]).transpose(2, 1, 0))
 
     def kinetic(self) -> float:
-        """Kinetic energy of the water, that of sound included."""
+        """Kinetic energy of the water, with that of compression."""
         density, u, wet = self.water()
-        cells = 0.5 * density * (u**2).sum(axis=-1) + (density - 1) ** 2 / 6
-        return self.joule * float(cells[wet].sum(dtype=np.float64))
+        return self.joule * float(water_energy(density, u)[wet].sum(dtype=np.float64))
 
     def dissipated(self) -> float:
         """Dissipation in one step of the lattice."""
@@ -117,7 +117,7 @@ class Balance:
             if k == first:
                 begin = self.kinetic()
             before = bodies.motion.twist.numpy()[0].copy()
-            rates = (joints((k + 1) * h) - joints(k * h)) / h
+            rates = (beat((k + 1) * h) - beat(k * h)) / h
             bodies.prescribe(np.concatenate([np.zeros(3), rates]))
             bodies.step(HELD)
             if k >= first:
@@ -125,11 +125,6 @@ class Balance:
                 work -= h * float(np.sum(force * (before + after) / 2))
                 lost += every * self.dissipated() if k % every == 0 else 0.0
         return np.array([work, self.kinetic() - begin, lost])
-
-
-def joints(t: float) -> Array:
-    """Angles of the beat in rad, growing over the first half second."""
-    return np.asarray(min(1.0, 2 * t) * SIZE_RAD * np.sin(2 * np.pi * BEAT_HZ * t - LAG_RAD))
 
 
 def difference(u: Array, wet: Array, axis: int) -> Array:

@@ -130,6 +130,11 @@ def swim(cell: float, device: str, which: list[int], wall: Wall, swim_s: float =
     return out
 
 
+def beat(t: float) -> Array:
+    """Angles of the held body's beat at 1 Hz in rad, growing over the first half second, (3,)."""
+    return np.asarray(min(1.0, 2 * t) * _SIZE * np.sin(2 * np.pi * t - _LAG))
+
+
 def held(cell: float, device: str, wall: Wall) -> Array:
     """Mean force along the held body in each of ``CASES`` in N; NaN where the box stopped."""
     swimmer = Swimmer(
@@ -139,9 +144,6 @@ def held(cell: float, device: str, wall: Wall) -> Array:
     bodies, h = swimmer.bodies, swimmer.units.step_s
     beats = np.array([0.0, 1.0, 1.0])[:, None]
 
-    def joints(t: float) -> Array:
-        return np.asarray(beats * min(1.0, 2 * t) * _SIZE * np.sin(2 * np.pi * t - _LAG))
-
     every, force = max(1, swimmer.substeps // 16), []
     for k in tqdm(range(round(HELD_S / CONTROL_S)), desc=f"{cell:g} m, held", disable=None):
         seen = []
@@ -149,7 +151,7 @@ def held(cell: float, device: str, wall: Wall) -> Array:
             t = k * CONTROL_S + j * h
             v = np.zeros((len(CASES), 3 + len(_SIZE)))
             v[:, 0] = np.array(ADVANCE) * min(1.0, t / 0.3)
-            v[:, 3:] = (joints(t + h) - joints(t)) / h
+            v[:, 3:] = beats * (beat(t + h) - beat(t)) / h
             bodies.prescribe(v)
             bodies.step(HELD)
             if j % every == 0:

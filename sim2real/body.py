@@ -27,6 +27,11 @@ def body_effect(name: str, where: str = "body.effects") -> SwimEffect:
     return find((*BODY, *CAMERA), name, where)
 
 
+def material_note(effect: str, component: str) -> str:
+    """The material in brackets, for an effect with separate parameters for each; else nothing."""
+    return f" ({component})" if body_effect(effect).by_material else ""
+
+
 def values(model: Model, where: str = "model") -> dict[str, float]:
     """Parameters of the effects of body and camera by ``effect.parameter``.
 

@@ -139,7 +139,7 @@ class SwimProblem:
     def autocorrelation_times(self, errors: Sequence[Array]) -> Array:
         """Mean integrated autocorrelation time of ``errors`` (1, T, K) over all swims, (K,)."""
         parts = [e[0, :c] for e, c in zip(errors, self.cut, strict=True)]
-        times = [[correlation_samples(column - column.mean()) for column in e.T] for e in parts]
+        times = [[correlation_samples(column) for column in e.T] for e in parts]
         return np.asarray(np.mean(times, axis=0))
 
 

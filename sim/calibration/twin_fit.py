@@ -2,7 +2,7 @@
 
 Least squares on surge, sway, yaw rate and joint angles, each weighted by its residual after a first
 fit. The residuals are correlated in time and contain errors of the simulator: a signal counts as
-one sample per autocorrelation time of its residual, which leaves the priors their share, and the
+one sample per autocorrelation time of its residual, so that the priors keep their weight, and the
 intervals use the covariance of the scores over two seconds (the sandwich of White, Econometrica 48
 (1980) 817, with a long-run covariance), not a likelihood of independent samples.
 Derivatives are central differences, all simulations of a step in one launch.
@@ -102,8 +102,8 @@ def calibrate(
         after = problem.errors(best[None])
         progress((done + 1) / _ROUNDS)
         if done < _ROUNDS - 1:
-            weight = 1 / np.maximum(problem.rmse(after, held=False)[0], _FINEST)
-            weight = weight / np.sqrt(problem.autocorrelation_times(after))
+            times = problem.autocorrelation_times(after)
+            weight = 1 / np.maximum(problem.rmse(after, held=False)[0], _FINEST) / np.sqrt(times)
     pair = (before, after)
     return Calibrated(
         model=problem.with_values(best),

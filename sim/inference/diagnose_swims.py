@@ -28,7 +28,7 @@ from sim.inference.swim_sets import rival_sets
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
 from sim2real.arrays import Array
-from sim2real.body import body_effect
+from sim2real.body import body_effect, material_note
 from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
@@ -141,7 +141,7 @@ def diagnosis_of(
             f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
         )
         described = body_effect(effect.name)
-        where = f" ({effect.component})" if described.by_material else ""
+        where = material_note(effect.name, effect.component)
         others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
         or_else = f" These swims do not distinguish it from {others}." if others else ""
         title = f"{described.title[0].upper()}{described.title[1:]}"

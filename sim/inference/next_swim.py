@@ -13,7 +13,7 @@ from sim.inference.swim_decision import Name
 from sim.inference.twin_search import Fit, TwinSwims
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
-from sim2real.body import body_effect
+from sim2real.body import material_note
 from sim2real.diagnose.result import Experiment
 
 SECONDS = 12.0
@@ -98,7 +98,7 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[Name, Na
     family = next((f for f, members in _FAMILIES.items() if set(names) <= set(members)), "")
     context = CONTEXTS.get(family, "none")
     also = f", and {context}" if family else ""
-    titles = " and ".join(map(_title, effects))
+    titles = " and ".join(f"{n.replace('_', ' ')}{material_note(n, of)}" for n, of in effects)
     return Experiment(
         component="body",
         separates=names,
@@ -113,13 +113,6 @@ def next_swim(problem: TwinSwims, best: Fit, rival: Fit, effects: tuple[Name, Na
         t=t,
         signal=command,
     )
-
-
-def _title(effect: Name) -> str:
-    """What a sentence calls an effect, with the material that it belongs to."""
-    name, component = effect
-    where = f" ({component})" if body_effect(name).by_material else ""
-    return name.replace("_", " ") + where
 
 
 __all__ = ["next_swim"]
