@@ -1,15 +1,14 @@
-"""The twin's error in forecasts, from calibrations and trials in several waters.
+"""The error of energy in forecasts by the twin, from trials in several waters.
 
     python benchmarks/forecast_realities.py swim OUT --seed 8 --groups 8 --in-group 8
     python benchmarks/forecast_realities.py forecast OUT
     python benchmarks/forecast_law.py OUT
 
-Writes ``rl/forecast/twin_error.json``: how far laws that were calibrated on one swim are from that
-fitted to the fluid, and how real energy differs from that forecast, policy by policy: the median of
-the logarithm of their ratio, and half the distance of its 16 % and 84 % quantile, so that the few
-robots whose joints oscillate do not decide, less the spread that the other parameters of a draw
-explain. Each water is left out in turn, which shows how certain the two are. The prior of the law,
-ten percent of each coefficient, is chosen: with it forecasts of time vary as real times do.
+Writes ``rl/forecast/twin_error.json``: how real energy differs from that forecast, policy by
+policy: the median of the logarithm of their ratio, and half the distance of its 16 % and 84 %
+quantile, so that the few robots whose joints oscillate do not decide, less the spread that the
+other parameters of a draw explain. Each water is left out in turn, which shows how certain the two
+are.
 """
 
 from __future__ import annotations
@@ -22,9 +21,7 @@ import numpy as np
 
 from rl.forecast import twin_error
 from rl.forecast.realities import DEVIATIONS
-from sim.twin.law import FITTED
 from sim2real.arrays import Array
-from sim2real.model import read_model
 from sim2real.output import write_json
 
 
@@ -34,7 +31,7 @@ def robust(errors: Array) -> tuple[float, float]:
     Columns are the error and the standard deviation of what was forecast without it.
     """
     low, middle, high = np.quantile(errors[:, 0], [0.16, 0.5, 0.84])
-    variance = ((high - low) / 2) ** 2 - np.mean(errors[:, 1] ** 2)
+    variance = ((high - low) / 2) ** 2 - np.median(errors[:, 1] ** 2)
     return float(middle), float(np.sqrt(max(variance, 0.0)))
 
 
@@ -43,15 +40,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path)
     out: Path = parser.parse_args().out
-    law: dict[str, list[float]] = {}
     ratio: dict[int, list[tuple[float, float]]] = {}
     realities = 0
     for path in sorted((out / "forecasts").glob("??-??.npz")):
-        model = read_model(path.with_suffix(".model.json"))
-        for name in model.body["posterior"]["names"]:
-            if name.startswith("twin."):
-                at, usual = model.body["twin"][name[5:]], getattr(FITTED, name[5:])
-                law.setdefault(name, []).append(at - usual)
         g, r = map(int, path.stem.split("-"))
         answers = json.loads((out / "answers" / f"{g:02d}.json").read_text())
         who, ok = np.array(answers["who"]), ~np.array(answers["stopped"])[r]
@@ -67,11 +58,8 @@ def main() -> None:
         others = [x for k, values in ratio.items() if k != g for x in values]
         print("without water", g, *robust(np.array(others)))
     middle, sd = robust(np.array([x for values in ratio.values() for x in values]))
-    content = json.loads(twin_error.FILE.read_text())
-    content["from"] = {"waters": len(ratio), "realities": realities}
-    content["swim"] = {k: float(np.sqrt(np.mean(np.square(x)))) for k, x in law.items()}
-    content["energy"] = {"mean": middle, "sd": sd}
-    write_json(twin_error.FILE, content)
+    origin = {"waters": len(ratio), "realities": realities}
+    write_json(twin_error.FILE, {"from": origin, "energy": {"mean": middle, "sd": sd}})
 
 
 if __name__ == "__main__":

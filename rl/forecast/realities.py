@@ -1,9 +1,9 @@
 """Realities that agree with everything known of a robot: one draw of all that is uncertain each.
 
 A draw has servos from the joint posterior sample and the ranges, effects with the probabilities of
-a diagnosis, a body from its calibration combined with the law fitted to the fluid, the error of the
-twin as measured against the fluid and in trials, and what the fit leaves unexplained (Kennedy and
-O'Hagan, J. R. Stat. Soc. B 63 (2001) 425: parameters, discrepancy and noise are kept apart).
+a diagnosis, a body from the posterior of its calibration, the error of the twin as measured against
+the fluid and in trials, and what the fit leaves unexplained (Kennedy and O'Hagan, J. R. Stat. Soc.
+B 63 (2001) 425: parameters, discrepancy and noise are kept apart).
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from rl.forecast.twin_error import TWIN_ERROR, TwinError
 from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
 from sim.inference.law_error import LAW_ERROR, LawError
 from sim.inference.swims import Coefficients, with_values
-from sim.twin.law import FITTED
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -97,12 +96,12 @@ def draw_realities(
         diagnosed: Effects with their probabilities, if they were diagnosed.
         error: Error of the twin. Velocities of a calibrated body have its relative error; a body
             that was not calibrated has laws as different as those of the robots in ``error``.
-        forecast_error: Error of calibrated laws, and of the energy of trials in them.
+        forecast_error: Error of the energy of trials of a calibrated body.
     """
     models = draw_models(model, ranges, robot, n, rng, sample)
     if diagnosed is not None:
         models = [diagnosed.drawn(one, rng) for one in models]
-    models = _with_bodies(models, model, error, forecast_error, rng)
+    models = _with_bodies(models, model, error, rng)
     law = np.zeros((n, 4))
     if "twin" in model.body:
         # the mean speed and turn are slow; sway is zero on average, what matters of it is its beat
@@ -130,16 +129,13 @@ def draw_realities(
 
 
 def _with_bodies(
-    models: Sequence[Model],
-    model: Model,
-    error: LawError,
-    forecast_error: TwinError,
-    rng: np.random.Generator,
+    models: Sequence[Model], model: Model, error: LawError, rng: np.random.Generator
 ) -> list[Model]:
     """Models with bodies drawn from their calibration, or from laws of other robots.
 
     A calibration fits latencies together with the body, so that they are drawn together; the
-    spread of the models' latencies, between days, is added.
+    spread of the models' latencies, between days, is added. Coefficients of the law that were not
+    fitted keep the values with which the others were.
     """
     posterior = model.body.get("posterior")
     late = np.zeros(())
@@ -154,9 +150,6 @@ def _with_bodies(
         late -= late.mean(axis=0)
         mean = np.array(posterior["mean"])[own]
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
-        mean, covariance = _with_prior(names, mean, covariance, forecast_error)
-        if posterior.get("cell_m") is None:  # one swim tells nothing of the other coefficients
-            models = [replace(one, body={**one.body, "twin": vars(FITTED)}) for one in models]
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
         interval = model.body.get("interval", {})
@@ -185,19 +178,6 @@ def _overfit(model: Model) -> float:
     ratios = [held / max(train, 1e-9) for one in fits
               if (held := one.get("heldout")) and (train := one.get("train"))]  # fmt: skip
     return max(1.0, float(np.mean(np.square(ratios)))) if ratios else 1.0
-
-
-def _with_prior(
-    names: Sequence[str], mean: Array, covariance: Array, error: TwinError
-) -> tuple[Array, Array]:
-    """A calibration with the twin's error in a swim, combined with the fluid's law (Bayes)."""
-    covariance = covariance + np.diag([error.swim.get(name, 0.0) ** 2 for name in names])
-    usual = np.array([getattr(FITTED, name.removeprefix("twin."), 0.0) for name in names])
-    scale = np.sqrt(np.diag(covariance))
-    precision = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
-    prior = np.array([(error.prior * x) ** -2 if x > 0 else 0.0 for x in usual])
-    combined = np.linalg.inv(precision + np.diag(prior))
-    return combined @ (precision @ mean + prior * usual), combined
 
 
 def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[str]) -> Array:
