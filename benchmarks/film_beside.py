@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from PIL import Image as Picture
+from PIL import Image
 from tqdm import tqdm
 
 import sim2real as s2r
@@ -29,19 +28,19 @@ from rl.experiments.trials import UNSEEN
 from rl.make import draws_of, make_world, own_stream
 from rl.task import TASKS
 from sim.view.video import FRAMES_PER_S, Video
+from sim2real.arrays import Picture
 from sim2real.ranges.entry import read_ranges
 
 POOL = Path("datasets/pool")
-Image = NDArray[np.uint8]
 
 
 class Pictures:
     """What ``Film`` writes to, as a video is; keeps the pictures."""
 
     def __init__(self, width: int) -> None:
-        self.width, self.taken = width, list[Image]()
+        self.width, self.taken = width, list[Picture]()
 
-    def add(self, image: Image) -> None:
+    def add(self, image: Picture) -> None:
         """Keep one."""
         self.taken.append(image)
 
@@ -71,10 +70,10 @@ def main() -> None:
     if options.out:
         with Video(options.out, frames_per_s=FRAMES_PER_S) as video:
             for path in sorted(options.frames.glob("*.png")):
-                video.add(np.asarray(Picture.open(path).convert("RGB")))
+                video.add(np.asarray(Image.open(path).convert("RGB")))
 
 
-def filmed(options: argparse.Namespace, k: int) -> list[Image]:
+def filmed(options: argparse.Namespace, k: int) -> list[Picture]:
     """Pictures of one swim."""
     robot, model = s2r.read_robot(POOL / "robot.toml"), s2r.read_model(POOL / "calibrated.json")
     ranges = read_ranges(POOL / "ranges.json")
@@ -95,12 +94,12 @@ def filmed(options: argparse.Namespace, k: int) -> list[Image]:
     return list(pictures.taken)
 
 
-def keep(films: list[list[Image]], options: argparse.Namespace) -> None:
+def keep(films: list[list[Picture]], options: argparse.Namespace) -> None:
     """Write the pictures beside each other; who has arrived waits in the last one."""
     last = max(map(len, films))
     for t in tqdm(range(0, last, options.every), disable=None):
         row = [film[min(t, len(film) - 1)] for film in films]
-        Picture.fromarray(np.concatenate(row, axis=1)).save(options.frames / f"{t:05d}.png")
+        Image.fromarray(np.concatenate(row, axis=1)).save(options.frames / f"{t:05d}.png")
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def energy_kernel(fluid: Fluid) -> Any:  # noqa: ANN401 - Warp has no stubs
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     moments, neighbours = pop.moments, pop.neighbours
     collide = collision(fluid.lattice, fluid.storage, fluid.wide)
-    subgrid_tau, relaxed = collide.subgrid_tau, collide.relaxed
+    rates, relaxed = collide.rates, collide.relaxed
     w, Q = fluid.lattice.weights, fluid.lattice.Q
 
     @wp.func
@@ -70,12 +70,10 @@ def energy_kernel(fluid: Fluid) -> Any:  # noqa: ANN401 - Warp has no stubs
             m = moments(p)
             momentum = wp.vec3(m[1], m[2], m[3])
             inverse = 1.0 / (1.0 + m[0])
-            above = subgrid_tau(p, m[0], momentum, inverse, tau[0], square) - 0.5
-            if (flag & wp.static(BODY)) != 0:
-                above += damping
-            odd = above / (0.5 * above + magic)
+            more = wp.where((flag & wp.static(BODY)) != 0, damping, 0.0)
+            rate = rates(p, m[0], momentum, inverse, tau[0], magic, square, more)
             before = energy(p)
-            after = energy(relaxed(p, m[0], momentum, inverse, 1.0 / (above + 0.5), odd))
+            after = energy(relaxed(p, m[0], momentum, inverse, rate[0], rate[1]))
             found = wp.vec2d(before, before - after)
         out[n] = found
 

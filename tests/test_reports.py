@@ -68,8 +68,8 @@ def test_every_command_and_option_exists(printed):
         ("sim2real calibrate", "--arms midway"),
         ("--arms midway", "sim2real demo"),
         ("demo_agents.py", "forecast_realities.py swim"),
-        ("forecast_realities.py forecast", "forecast_law.py"),
-        ("forecast_law.py", "forecast_next"),
+        ("forecast_realities.py forecast", "forecast_energy.py"),
+        ("forecast_energy.py", "forecast_next"),
         ("--arms all no-servo", "ablation_elsewhere.py"),
     ],
 )

@@ -88,24 +88,15 @@ def robot(joints: int, boxes: int, *, device: str, threads: int) -> Bodies:
     return bodies
 
 
-def water_energy(density: Array, velocity: Array) -> Array:
-    """Kinetic energy of each cell with that of compression, in lattice units, shape (...).
-
-    Args:
-        density: Shape (...).
-        velocity: Shape (..., 3).
-    """
-    return np.asarray(0.5 * (density * (velocity**2).sum(axis=-1) + CS2 * (density - 1) ** 2))
-
-
 def kinetic_energy(bodies: Bodies) -> Array:
     """Kinetic energy of water and robot in J, shape (E,).
 
     The water inside the robot moves with it and is counted with the water.
     """
     density, u = (field.astype(np.float64) for field in bodies.fluid.moments())
+    cells = 0.5 * (density * (u**2).sum(axis=-1) + CS2 * (density - 1) ** 2)
     units = bodies.units
-    water = water_energy(density, u).sum(axis=(1, 2, 3)) * units.mass_kg * units.speed_m_s**2
+    water = cells.sum(axis=(1, 2, 3)) * units.mass_kg * units.speed_m_s**2
     mass, twist = bodies.chain.mass.numpy(), bodies.motion.twist.numpy()
     links = mass[..., 0] * (twist[..., :2] ** 2).sum(axis=-1) + mass[..., 1] * twist[..., 2] ** 2
     return np.asarray(water + 0.5 * links.sum(axis=1))

@@ -24,12 +24,12 @@ class Collision:
     """Warp functions for one lattice.
 
     Attributes:
-        subgrid_tau: Relaxation time with the sub-grid viscosity.
+        rates: Relaxation rates with the sub-grid viscosity.
         relaxed: Populations after the collision.
         pushed: Populations after a change of velocity.
     """
 
-    subgrid_tau: Any
+    rates: Any
     relaxed: Any
     pushed: Any
 
@@ -76,6 +76,21 @@ def collision(lattice: Lattice, storage: str, wide: bool) -> Collision:
         return 0.5 * (tau + wp.sqrt(tau * tau + wp.static(18.0 * 2.0**0.5) * square * norm * inv))
 
     @wp.func
+    def rates(
+        p: Vector,
+        rest: float,
+        m: wp.vec3,
+        inv: float,
+        tau: float,
+        magic: float,
+        square: float,
+        more: float,
+    ) -> wp.vec2:
+        """Rates of the even and the odd part; ``more`` is added to the relaxation time."""
+        above = subgrid_tau(p, rest, m, inv, tau, square) - 0.5 + more
+        return wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
+
+    @wp.func
     def relaxed(
         p: Vector, rest: float, m: wp.vec3, inv: float, plus: float, minus: float
     ) -> Vector:
@@ -119,4 +134,4 @@ def collision(lattice: Lattice, storage: str, wide: bool) -> Collision:
             out[2 * k + 2] += even - odd
         return out
 
-    return Collision(subgrid_tau, relaxed, pushed)
+    return Collision(rates, relaxed, pushed)

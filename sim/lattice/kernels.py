@@ -56,7 +56,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
     pop, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
     neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
-    subgrid_tau, relaxed, pushed = collide.subgrid_tau, collide.relaxed, collide.pushed
+    subgrid_rates, relaxed, pushed = collide.rates, collide.relaxed, collide.pushed
 
     @wp.func
     def slot_of(n: int, e: int, box: Box, covered: Covered) -> wp.vec3i:
@@ -137,8 +137,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         if (flag & wp.static(BODY)) != 0:
             damping = covered.damping
         if square > 0.0 or damping > 0.0:
-            above = subgrid_tau(p, rest, m, inv, tau[e], square) - 0.5 + damping
-            rate = wp.vec2(1.0 / (above + 0.5), above / (0.5 * above + magic))
+            rate = subgrid_rates(p, rest, m, inv, tau[e], magic, square, damping)
         speed2 = wp.dot(m, m) * inv * inv
         if speed2 > wp.static(FAST):
             rate = wp.vec2(1.0, 1.0)

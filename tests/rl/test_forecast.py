@@ -220,7 +220,7 @@ def test_draws_are_joint_and_have_the_error_of_the_law(robot, model):
     assert 0.03 < made.velocity_error[:, 0].std() < 0.1
     assert np.allclose(made.energy_error, np.expm1(0.2))
     slender = {one.body["twin"]["slender"] for one in made.models}
-    assert slender == {3.6}, "what was not fitted keeps the value with which the rest was"
+    assert slender == {3.6}, "a coefficient that was not fitted keeps its value in the calibration"
 
 
 def test_effects_are_drawn_with_their_probabilities(model):

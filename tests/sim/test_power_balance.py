@@ -1,4 +1,4 @@
-"""The energy of populations, of which ``benchmarks/power_balance.py`` makes a balance."""
+"""Energy of populations and its dissipation by collisions (``benchmarks/power_balance.py``)."""
 
 import importlib
 from pathlib import Path
@@ -15,7 +15,7 @@ SIDE, SPEED = 16, 0.05
 
 @pytest.fixture
 def energies(monkeypatch):
-    """Of a fluid: energy in lattice units, and what the next collision dissipates."""
+    """Energy of a fluid in lattice units and what the next collision dissipates, shape (2,)."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     made = importlib.import_module("power_balance").energy_kernel
 

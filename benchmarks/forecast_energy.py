@@ -2,7 +2,7 @@
 
     python benchmarks/forecast_realities.py swim OUT --seed 8 --groups 8 --in-group 8
     python benchmarks/forecast_realities.py forecast OUT
-    python benchmarks/forecast_law.py OUT
+    python benchmarks/forecast_energy.py OUT
 
 Writes ``rl/forecast/twin_error.json``: how real energy differs from that forecast, policy by
 policy: the median of the logarithm of their ratio, and half the distance of its 16 % and 84 %
