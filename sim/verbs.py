@@ -92,12 +92,17 @@ def diagnose(
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
     if diagnosis is not None:
         raise InputError("diagnose", "diagnosis", "swims in a pool", "recordings of a bench")
-    from sim.inference.recorded_swims import diagnose_recorded_swims
+    from dataclasses import replace
 
+    from sim.inference.recorded_swims import diagnose_recorded_swims
+    from sim2real.plausible import recording_warnings
+
+    warnings = recording_warnings([*swims, *earlier], machine)
     water_file = None if in_water is None else Path(in_water)
-    return diagnose_recorded_swims(
+    diagnosed = diagnose_recorded_swims(
         swims, start, machine, references=earlier, in_water=water_file, device=device
     )
+    return replace(diagnosed, warnings=warnings)
 
 
 def calibrate(
@@ -135,10 +140,12 @@ def calibrate(
     from sim.calibration.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance
+    from sim2real.plausible import recording_warnings
 
     machine, start = robot_of(robot), model_of(model)
     check_joints(start, machine)
     read = recordings_to_fit(recordings)
+    notes = recording_warnings(read, machine)
     calibration = calibrate_body(
         [swim_of(recording, machine) for recording in read],
         start,
@@ -149,7 +156,9 @@ def calibrate(
         seed=seed,
     )
     origin = provenance([*read, machine, model], seed)
-    return replace(calibration, model=replace(calibration.model, provenance=origin))
+    calibrated = calibration.model
+    notes = (*calibrated.notes, *(note for note in notes if note not in calibrated.notes))
+    return replace(calibration, model=replace(calibrated, provenance=origin, notes=notes))
 
 
 def simulate(
@@ -256,6 +265,7 @@ def design(
         InputError: If limits contradict each other, the duration is too short, the robot and the
             model or the diagnosis do not agree, or the diagnosis leaves nothing open.
     """
+    import warnings
     from dataclasses import replace
 
     from sim2real.output import provenance
@@ -280,6 +290,8 @@ def design(
     from sim2real.design.plan import design as plan
 
     fitted = None if model is None else model_of(model)
+    for note in () if fitted is None else fitted.notes:
+        warnings.warn(f"the model's fit: {note}", stacklevel=2)
     loads = stated_loads(description, fitted, inertia, pendulum)
     with progress_bar("design") as progress:
         found = plan(

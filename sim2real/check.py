@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.clock import Timing, clock_findings, timing
+from sim2real.clock import Timing, timing
 from sim2real.display import NotebookDisplay, from_report
-from sim2real.findings import joint_findings, moves
+from sim2real.finding import Finding
+from sim2real.findings import joint_findings, merged, moves, recording_findings
 from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.plausible import validate_recording
@@ -30,7 +31,7 @@ class JointCheck:
         step_rad: Quantization step; 0 if none is visible.
         missing: Number of missing positions.
         load: Description of the load.
-        findings: Findings, one sentence each.
+        findings: Findings.
         identifiable: Which parameters can and cannot be identified, one sentence each.
     """
 
@@ -42,7 +43,7 @@ class JointCheck:
     step_rad: float
     missing: int
     load: str
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     identifiable: tuple[str, ...] = ()
 
 
@@ -55,7 +56,13 @@ class Check(NotebookDisplay):
     duration_s: float
     timing: Timing
     joints: tuple[JointCheck, ...]
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def all_findings(self) -> list[Finding]:
+        """All findings; one that several joints share is listed once."""
+        rows = ((row.joint, finding) for row in self.joints for finding in row.findings)
+        return [*self.findings, *merged(rows)]
 
     def __str__(self) -> str:
         """The check as the command line prints it."""
@@ -79,33 +86,16 @@ def check(
             error (``validate_recording``).
     """
     validate_recording(recording, robot)
-    clock = timing(recording.t, recording.position)
-    findings = list(clock_findings(recording.t, clock))
-    if np.isnan(recording.command).all():
-        findings.append("No command was recorded: servos cannot be identified.")
-    if recording.kind == "pool" and not recording.has_poses:
-        findings.append("The body was not tracked: body and fluid cannot be calibrated.")
     index = range(len(recording.joints))
     joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in index)
     return Check(
-        recording.name, recording.kind, recording.duration_s, clock, joints, tuple(findings)
+        recording.name,
+        recording.kind,
+        recording.duration_s,
+        timing(recording.t, recording.position),
+        joints,
+        tuple(recording_findings(recording)),
     )
-
-
-def all_findings(check: Check) -> list[str]:
-    """All findings, one sentence each; findings that joints share are listed once."""
-    joints: dict[str, list[str]] = {}
-    findings: dict[str, str] = {}
-    for row in check.joints:
-        for finding in row.findings:
-            about = finding.removeprefix(row.joint).removeprefix("'s").lstrip()
-            joints.setdefault(about, []).append(row.joint)
-            findings[about] = finding
-    shared = (
-        findings[about] if len(names) == 1 else f"{', '.join(names)}: {about}"
-        for about, names in joints.items()
-    )
-    return [*check.findings, *shared]
 
 
 def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | None) -> JointCheck:
@@ -116,6 +106,13 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     load = recording.loads.get(name)
     noise = noise_floor(recording.t, recording.command[:, j], position)
     sheet = robot.joint(name) if robot else None
+    findings = tuple(joint_findings(recording, j, noise, step, sheet))
+    identifiable: tuple[str, ...] = ()
+    if seed is not None and powered > 1:
+        # Excitation alone says nothing about readings that do not belong to it.
+        identifiable = ("what can be identified is not stated while the warnings hold",)
+        if all(finding.severity == "note" for finding in findings):
+            identifiable = expected_precision(recording, name, seed=seed)
     return JointCheck(
         joint=name,
         range_rad=_range(position),
@@ -125,10 +122,8 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
         step_rad=step,
         missing=recording.missing(j),
         load=_load_text(load) if recording.kind == "servo" else recording.medium,
-        findings=tuple(joint_findings(recording, j, noise, step, sheet)),
-        identifiable=()
-        if seed is None or powered < 2
-        else expected_precision(recording, name, seed=seed),
+        findings=findings,
+        identifiable=identifiable,
     )
 
 

@@ -1,20 +1,34 @@
-"""Findings about one joint of a recording, one sentence each."""
+"""Findings about a recording and its joints, one sentence each."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.arrays import Array, Mask
+from sim2real.clock import clock_findings, timing
+from sim2real.finding import Finding
+from sim2real.noise import noise_floor, quantization_step
+from sim2real.readings import (
+    departure,
+    interleaved_constant,
+    repeated_readings,
+    wraps,
+    wrong_readings,
+)
 from sim2real.recording import Recording
-from sim2real.robot import Joint
+from sim2real.robot import Joint, Robot
 
 SLOWEST_EXCITATION_HZ = 0.2
 FEWEST_MOVES = 4
 LONGEST_LATENCY_S = 0.15
+_LONGEST_DELAY_S = 1.0
 STUCK_S = 0.5
+BEYOND_LIMITS_RAD = 0.1
+"""Distance beyond a joint's limits from which a reading cannot be right."""
+_REPEATED_SHARE, _FEWEST_REPEATED = 0.03, 5
 
 
 @dataclass(frozen=True)
@@ -39,9 +53,58 @@ def moves(t: Array, command: Array) -> int:
     return 1 + int(np.sum(turned | pause))
 
 
+def recording_findings(recording: Recording) -> list[Finding]:
+    """Findings about a recording as a whole: its clock, and columns that it lacks."""
+    clock = timing(recording.t, recording.position)
+    findings = [Finding(text) for text in clock_findings(recording.t, clock)]
+    if np.isnan(recording.command).all():
+        findings.append(Finding("No command was recorded: servos cannot be identified."))
+    if recording.kind == "pool" and not recording.has_poses:
+        text = "The body was not tracked: body and fluid cannot be calibrated."
+        findings.append(Finding(text))
+    return findings
+
+
+def all_findings(recording: Recording, robot: Robot | None = None) -> list[Finding]:
+    """All findings about a recording; one that several joints share is listed once.
+
+    Args:
+        recording: The recording.
+        robot: The robot that was recorded, with its limits and data sheets.
+    """
+    rows = []
+    for j, joint in enumerate(recording.joints):
+        position = recording.position[:, j]
+        noise = noise_floor(recording.t, recording.command[:, j], position)
+        sheet = robot.joint(joint) if robot else None
+        found = joint_findings(recording, j, noise, quantization_step(position), sheet)
+        rows += [(joint, finding) for finding in found]
+    return [*recording_findings(recording), *merged(rows)]
+
+
+def merged(rows: Iterable[tuple[str, Finding]]) -> list[Finding]:
+    """Findings of joints, of which one that several joints share is listed once.
+
+    Args:
+        rows: The name of each joint, and a finding about it.
+    """
+    joints: dict[str, list[str]] = {}
+    findings: dict[str, Finding] = {}
+    for joint, finding in rows:
+        about = finding.text.removeprefix(joint).removeprefix("'s").lstrip()
+        joints.setdefault(about, []).append(joint)
+        findings[about] = finding
+    return [
+        findings[about]
+        if len(names) == 1
+        else replace(findings[about], text=f"{', '.join(names)}: {about}")
+        for about, names in joints.items()
+    ]
+
+
 def joint_findings(
     recording: Recording, j: int, noise_rad: float, step_rad: float, sheet: Joint | None
-) -> Iterator[str]:
+) -> Iterator[Finding]:
     """Findings about one joint, including what its load does not allow to identify.
 
     Args:
@@ -57,60 +120,146 @@ def joint_findings(
     t, command = recording.t[:powered], recording.command[:powered, j]
     position = recording.position[:powered, j]
     data = _PoweredJoint(recording.joints[j], t, command, position, noise_rad, step_rad)
+    load = recording.loads.get(data.joint)
     finite = np.isfinite(data.position)
     if not finite.any():
-        yield f"{data.joint} has no measured positions."
+        yield Finding(f"{data.joint} has no measured positions.")
         return
     missing = float(np.mean(~finite))
     if missing > 0.01:
-        yield f"{data.joint} lacks {100 * missing:.2g} % of its positions."
+        yield Finding(f"{data.joint} lacks {100 * missing:.2g} % of its positions.")
+    yield from _readings(data)
     span, least = float(np.ptp(data.command)), max(2 * data.step_rad, 9 * data.noise_rad)
     if span <= max(2 * data.step_rad, 1e-4):
-        yield f"{data.joint} is never commanded to move: nothing can be fitted to it."
+        yield Finding(f"{data.joint} is never commanded to move: nothing can be fitted to it.")
     elif float(np.ptp(data.position[finite])) <= min(least, 0.5 * span):
-        yield f"{data.joint} does not move, although its command spans {span:.3g} rad."
-    else:
-        yield from _motion(data, finite)
+        yield Finding(
+            f"{data.joint} does not move, although its command spans {span:.3g} rad.", "warning"
+        )
+    elif recording.kind == "servo":
+        yield from _motion(data, finite, gravity=load is None or load.gravity_Nm > 0)
     yield from _start(data, finite)
-    yield from _excitation(data)
+    yield from (Finding(text) for text in _excitation(data))
     if sheet is not None:
         yield from _data_sheet(data, sheet)
     if powered < recording.t.size:
-        yield f"{data.joint}'s torque is off from {recording.t[powered]:.4g} s on."
+        yield Finding(f"{data.joint}'s torque is off from {recording.t[powered]:.4g} s on.")
     if recording.kind != "servo":
         return
-    load = recording.loads.get(data.joint)
     if load is None:
-        yield f"{data.joint} has no stated load: its gains are identified per unit of inertia."
+        yield Finding(
+            f"{data.joint} has no stated load: its gains are identified per unit of inertia."
+        )
     elif not load.gravity_Nm:
-        yield (
+        yield Finding(
             f"{data.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
             "identifiable, so the stated inertia cannot be checked."
         )
 
 
-def _motion(data: _PoweredJoint, finite: Mask) -> Iterator[str]:
+def _readings(data: _PoweredJoint) -> Iterator[Finding]:
+    """Readings that are wrong in themselves, whatever the joint does."""
+    after, jumps = wraps(data.position)
+    if after.size:
+        size, turn = float(np.median(np.abs(jumps))), 2 * np.pi
+        whole = " (one turn)" if abs(size - turn) < 0.1 * turn else ""
+        jumping = f"jumps by {size:.3g} rad{whole} between two samples, {_times(after.size)}"
+        first = f"first at {data.t[after[0]]:.4g} s"
+        yield Finding(
+            f"{data.joint} {jumping}, {first}: its angle wraps around and must be unwrapped.",
+            "error",
+            f"{data.joint}.position_rad",
+            f"an angle that {jumping}, {first}",
+            "one without jumps (does it wrap around? numpy.unwrap continues it)",
+        )
+        return
+    constant = interleaved_constant(data.position)
+    if constant is not None:
+        value, count = constant
+        measured = int(np.isfinite(data.position).sum())
+        mixed = f"reads exactly {value:.4g} rad between other angles, {_times(count)}"
+        yield Finding(
+            f"{data.joint} {mixed} in {measured} samples: another source writes into the column.",
+            "error",
+            f"{data.joint}.position_rad",
+            f"an angle that {mixed} in {measured} samples",
+            "one series of angles (does another source write into the column?)",
+        )
+        return
+    fresh = np.append(True, np.diff(data.position) != 0)
+    wrong = np.flatnonzero(wrong_readings(data.position) & fresh)
+    if wrong.size:
+        seconds = ", ".join(f"{data.t[k]:.4g}" for k in wrong[:3])
+        more = ", ..." if wrong.size > 3 else ""
+        yield Finding(
+            f"{data.joint} has {_counted(wrong.size, 'reading')} far from those before and after "
+            f"(at {seconds}{more} s): wrong readings of the sensor or the bus.",
+            "warning",
+        )
+    repeated, turning = repeated_readings(data.position, data.step_rad, data.noise_rad)
+    if repeated >= max(_FEWEST_REPEATED, _REPEATED_SHARE * turning):
+        yield Finding(
+            f"{data.joint} repeats the previous reading in {100 * repeated / turning:.0f} % of the "
+            "samples in which it turns steadily: stale readings, which look like missing physics.",
+            "warning",
+        )
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"one {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _motion(data: _PoweredJoint, finite: Mask, *, gravity: bool) -> Iterator[Finding]:
     t, command, position = data.t[finite], data.command[finite], data.position[finite]
+    match = _correlations(t, command, position, LONGEST_LATENCY_S)
+    if match.size and match.max() < 0 and match.min() < -0.5:
+        against = f"moves against its command (correlation {match.min():.2f})"
+        # Half a period of a periodic command looks like a reversed sign.
+        late = _correlations(t, command, position, _LONGEST_DELAY_S).max() > -0.8 * match.min()
+        yield Finding(
+            f"{data.joint} {against}: the sign of one of them is reversed"
+            + (f", or its latency exceeds {LONGEST_LATENCY_S:g} s." if late else "."),
+            "warning" if late else "error",
+            f"{data.joint}.position_rad",
+            f"an angle that {against}",
+            "one with the sign of its command (is one of them reversed?)",
+        )
+        return
     edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
     for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
         # Commands at the end of the interval have not taken effect yet.
         due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
         moved = float(np.ptp(due)) if due.size else 0.0
         if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * data.step_rad):
-            yield (
+            yield Finding(
                 f"{data.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
                 f"while its command moves by {moved:.2g} rad: friction, gears or sensor may be "
-                "stuck."
+                "stuck.",
+                "warning",
             )
             return
-    largest = max(1, int(LONGEST_LATENCY_S / np.median(np.diff(t)))) if t.size > 2 else 0
-    lags = range(min(largest, t.size - 3) + 1)
-    match = [_correlation(command[: t.size - k], position[k:]) for k in lags]
-    if match and max(match) < 0 and min(match) < -0.5:
-        yield (
-            f"{data.joint} moves against its command (correlation {min(match):.2f}): the sign of "
-            "one of them is reversed."
+    apart = departure(data.t, data.command, data.position, gravity)
+    if apart is not None:
+        first, last = apart.windows_s[0]
+        total = sum(end - start for start, end in apart.windows_s)
+        where = "" if apart.held_rad is None else f", and stays near {apart.held_rad:.3g} rad"
+        yield Finding(
+            f"{data.joint} does not follow its command: for {total:.3g} s in all, first from "
+            f"{first:.4g} to {last:.4g} s, it is up to {apart.largest_rad:.2g} rad away{where}. "
+            "It may be stopped or pulled, its torque may be off, or commands may be increments.",
+            "warning",
         )
+
+
+def _correlations(t: Array, command: Array, position: Array, longest_s: float) -> Array:
+    """Correlations of the command with the position at lags of up to ``longest_s``, shape (L,)."""
+    largest = max(1, int(longest_s / np.median(np.diff(t)))) if t.size > 2 else 0
+    lags = range(min(largest, t.size - 3) + 1)
+    return np.array([_correlation(command[: t.size - k], position[k:]) for k in lags])
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -119,7 +268,7 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-def _start(data: _PoweredJoint, finite: Mask) -> Iterator[str]:
+def _start(data: _PoweredJoint, finite: Mask) -> Iterator[Finding]:
     changed = np.flatnonzero(data.command != data.command[0])
     still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
     early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))
@@ -127,12 +276,17 @@ def _start(data: _PoweredJoint, finite: Mask) -> Iterator[str]:
         return
     offset = float(np.median(data.position[early] - data.command[0]))
     if float(np.ptp(data.position[early])) > max(5 * data.step_rad, 9 * data.noise_rad, 0.01):
-        yield f"{data.joint} is moving at the start of the recording: it should be at rest."
+        yield Finding(
+            f"{data.joint} is moving at the start of the recording: it should be at rest.",
+            "warning",
+        )
     elif abs(offset) > 0.1:
-        yield f"{data.joint} starts {abs(offset):.2g} rad away from its first command."
+        yield Finding(
+            f"{data.joint} starts {abs(offset):.2g} rad away from its first command.", "warning"
+        )
     elif abs(offset) > max(3 * data.step_rad, 4 * data.noise_rad, 0.005):
         side = "above" if offset > 0 else "below"
-        yield (
+        yield Finding(
             f"{data.joint} starts at rest {abs(offset):.2g} rad {side} its command: there may "
             "be an offset, a load or a dead band."
         )
@@ -159,7 +313,7 @@ def _excitation(data: _PoweredJoint) -> Iterator[str]:
         )
 
 
-def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[str]:
+def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[Finding]:
     if sheet.states("limits_rad"):
         yield from _limits(data, *sheet.limits_rad)
     changed = np.flatnonzero(np.diff(data.command)) + 1
@@ -168,24 +322,34 @@ def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[str]:
     fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
     servo = sheet.servo
     if servo.states("no_load_speed_rad_s") and fastest > servo.no_load_speed_rad_s:
-        yield (
+        yield Finding(
             f"{data.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
             f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: the response will be limited by it."
         )
     stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
     counts = data.step_rad / stated if stated > 0 else 0.0
     if counts and abs(counts - round(counts)) > 0.05:
-        yield (
+        yield Finding(
             f"{data.joint} is measured in steps of {data.step_rad:.3g} rad, but the data sheet "
             f"states {stated:.3g} rad."
         )
 
 
-def _limits(data: _PoweredJoint, low: float, high: float) -> Iterator[str]:
+def _limits(data: _PoweredJoint, low: float, high: float) -> Iterator[Finding]:
     extremes = (float(data.command.min()), float(data.command.max()))
     if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
         beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
-        yield (
+        yield Finding(
             f"{data.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
             f"{high:.3g} rad."
+        )
+    angle = np.where(wrong_readings(data.position), np.nan, data.position)
+    outside = np.maximum(low - angle, angle - high) > BEYOND_LIMITS_RAD
+    reached = np.maximum(low - data.command, data.command - high) > BEYOND_LIMITS_RAD
+    if outside.any() and not reached.any():
+        row = int(np.nanargmax(np.maximum(low - angle, angle - high)))
+        yield Finding(
+            f"{data.joint} reads {angle[row]:.3g} rad at {data.t[row]:.4g} s, outside its limits "
+            f"of {low:.3g} to {high:.3g} rad, {_times(int(outside.sum()))}.",
+            "warning",
         )

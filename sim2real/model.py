@@ -82,6 +82,7 @@ class Model(NotebookDisplay):
         notes: Remarks on the whole model, one sentence each.
         provenance: Command line, versions, seed and SHA-256 of the inputs.
         arm: The rigid bodies that load the servos of an arm.
+        firmware_p_gain: Gain of the firmware to which kp belongs; None where it is not known.
     """
 
     joints: Mapping[str, JointModel]
@@ -91,6 +92,7 @@ class Model(NotebookDisplay):
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     arm: Arm | None = None
+    firmware_p_gain: float | None = None
 
     def __str__(self) -> str:
         """Table of the fitted parameters of every joint, with intervals and errors."""
@@ -111,6 +113,8 @@ def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     content = {"schema": SCHEMA, **vars(model)}
     content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
     content["effects"] = [vars(effect) for effect in model.effects]
+    if model.firmware_p_gain is None:
+        del content["firmware_p_gain"]
     if model.arm is None:
         del content["arm"]
     else:
@@ -134,6 +138,9 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
         arm=arm_from(top.table("arm")) if "arm" in top else None,
+        firmware_p_gain=top.number("firmware_p_gain", above=0)
+        if "firmware_p_gain" in top
+        else None,
     )
 
 

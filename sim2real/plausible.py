@@ -6,6 +6,7 @@ Recordings that are rejected here can only be mistakes; what is merely unusual i
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,8 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.errors import InputError
+from sim2real.findings import all_findings
+from sim2real.readings import wrong_readings
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Joint, Robot, match_joints
 
@@ -24,6 +27,33 @@ UNEXPLAINED_RATIO = 3.0
 """Smallest ratio of the variance unexplained by the best later shift to that by the best earlier
 one. It is at most 2.0 for the joints of shipped, real and generated recordings, and above 3 for
 99 % of them with command and position swapped (``benchmarks/causality.py``)."""
+
+
+def recording_warnings(
+    recordings: Iterable[Recording], robot: Robot | None = None
+) -> tuple[str, ...]:
+    """Warnings about recordings before a fit, one sentence each, with the recordings' names.
+
+    Whatever is fitted to the recordings shows them: identified models, diagnoses, calibrations and
+    ranges.
+
+    Args:
+        recordings: The recordings.
+        robot: The robot that was recorded; without it units of angles and loads are not checked.
+
+    Raises:
+        InputError: If a recording can only be a mistake (``validate_recording``), or a finding
+            about it is an error.
+    """
+    where: dict[str, list[str]] = {}
+    for recording in recordings:
+        validate_recording(recording, robot)
+        for finding in all_findings(recording, robot):
+            if finding.severity == "error":
+                raise InputError(recording.file, finding.where, finding.found, finding.expected)
+            if finding.severity == "warning":
+                where.setdefault(finding.text, []).append(recording.name)
+    return tuple(f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in where.items())
 
 
 def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
@@ -102,7 +132,7 @@ def _check_columns(recording: Recording, j: int) -> None:
             "the same values in every row",
             "set-points and the angles that were measured (is one column there twice?)",
         )
-    lead = lead_s(t, command, position)
+    lead = lead_s(t, command, np.where(wrong_readings(position), np.nan, position))
     if lead is not None:
         raise InputError(
             recording.file,

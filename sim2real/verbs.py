@@ -123,18 +123,22 @@ def posterior(
         InputError: If recordings, robot and model do not agree, or a chain is too short to have
             converged.
     """
+    import warnings
+
     from sim2real.arm.arm_loads import with_arm_loads
-    from sim2real.plausible import validate_recording
+    from sim2real.plausible import recording_warnings
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Sampling, sample_joints
+    from sim2real.servo.trace import at_one_gain
 
     _check_sampling("posterior", steps, walkers, seed)
     loaded, description = recordings_to_fit(recordings), robot_of(robot)
-    for recording in loaded:
-        validate_recording(recording, description)
-    bench = [recording for recording in loaded if recording.kind == "servo"]
-    sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
+    for sentence in recording_warnings(loaded, description):
+        warnings.warn(sentence, stacklevel=2)
     fitted = model_of(model)
+    bench = [recording for recording in loaded if recording.kind == "servo"]
+    bench = at_one_gain(bench, fitted.firmware_p_gain)
+    sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
     loaded = with_arm_loads(bench, description, fitted)
     return Posteriors(*sample_joints(loaded, fitted, sampling), seed)
 

@@ -9,6 +9,7 @@ import pytest
 
 from sim2real.check import Check, check
 from sim2real.errors import InputError
+from sim2real.finding import Finding
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, match_joints, read_robot
 
@@ -56,7 +57,7 @@ def without_fits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def said(checked: Check) -> str:
-    return " ".join([*checked.findings, *(f for joint in checked.joints for f in joint.findings)])
+    return " ".join(finding.text for finding in checked.all_findings)
 
 
 def test_a_good_recording_has_no_finding() -> None:
@@ -230,19 +231,19 @@ def test_real_backlash_stand(realdata) -> None:
     for csv in sorted(folder.glob("*.csv")):
         recorded = read_recording(csv)
         checked = check(recorded, read_robot(folder / recorded.metadata["robot"]))
-        assert all("has no stated load" in " ".join(j.findings) for j in checked.joints)
+        assert all(
+            "has no stated load" in said(replace(checked, joints=(j,))) for j in checked.joints
+        )
         assert "At 9.9 Hz" in said(checked)
         assert "against" not in said(checked)
 
 
 @pytest.mark.usefixtures("without_fits")
 def test_what_joints_share_is_said_once():
-    from dataclasses import replace
-
-    from sim2real.check import all_findings
-
     one = check(recording())
-    first = replace(one.joints[0], joint="a", findings=("a's load is odd.", "a never moves."))
-    second = replace(one.joints[0], joint="b", findings=("b's load is odd.",))
-    both = replace(one, joints=(first, second), findings=("A gap.",))
-    assert all_findings(both) == ["A gap.", "a, b: load is odd.", "a never moves."]
+    odd, still = (Finding("a's load is odd."), Finding("a never moves."))
+    first = replace(one.joints[0], joint="a", findings=(odd, still))
+    second = replace(one.joints[0], joint="b", findings=(Finding("b's load is odd."),))
+    both = replace(one, joints=(first, second), findings=(Finding("A gap."),))
+    texts = [finding.text for finding in both.all_findings]
+    assert texts == ["A gap.", "a, b: load is odd.", "a never moves."]

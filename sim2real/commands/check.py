@@ -12,10 +12,11 @@ from sim2real.robot import read_robot
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the check of each recording."""
+    """Print the check of each recording; status 2 if one of them would not be fitted."""
     robot = read_robot(options.robot) if options.robot else None
     paths = tqdm(options.recordings, desc="check", unit="recording", disable=None)
     checks = [check(read_recording(path), robot, seed=options.seed) for path in paths]
     options.result = checks
     print("\n\n\n".join(map(str, checks)) + "\n")
-    return 0
+    refused = any(f.severity == "error" for checked in checks for f in checked.all_findings)
+    return 2 if refused else 0

@@ -31,11 +31,12 @@ from sim2real.effects import named
 from sim2real.identification.fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import Model
-from sim2real.plausible import validate_recording
+from sim2real.plausible import recording_warnings
 from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
+from sim2real.servo.trace import at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
 
@@ -72,8 +73,10 @@ def diagnose(
     Raises:
         InputError: If the recordings and the robot do not agree, or no joint moves.
     """
-    recordings = with_arm_loads(recordings, robot, model)
-    references = with_arm_loads(references, robot, model)
+    gain = None if model is None else model.firmware_p_gain
+    everything = at_one_gain([*references, *recordings], gain)
+    loaded = with_arm_loads(everything, robot, model)
+    references, recordings = loaded[: len(references)], loaded[len(references) :]
     case = Case(recordings, robot, model, references)
     (result,) = diagnose_all(
         [case],
@@ -82,6 +85,9 @@ def diagnose(
         thorough=True,
         progress=lambda share: progress(BEFORE * share),
     )
+    if model is None:
+        gain = next(filter(None, map(firmware_gain, everything)), None)
+    result = replace(result, model=replace(result.model, firmware_p_gain=gain))
     return predicting(result, recordings, seed, progress)
 
 
@@ -125,8 +131,7 @@ def examined(
         For each robot the case with the servos that were taken for granted, and its joints.
     """
     for case in cases:
-        for recording in (*case.recordings, *case.references):
-            validate_recording(recording, case.robot)
+        recording_warnings((*case.recordings, *case.references), case.robot)
     results: dict[int, tuple[Case, list[JointFindings]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)

@@ -227,6 +227,7 @@ class Diagnosis(NotebookDisplay):
         detection_limits: Sizes of effects that the recordings could have shown.
         next_experiment: Recommended recording, if a group has several members.
         gate: Findings about timing, gaps and units of the data, one sentence each.
+        warnings: Those by which the result may be wrong, as of ``plausible.recording_warnings``.
         model: The enriched model: with the reported effects, or with the whole most probable set
             of effects if that predicts held-out recordings better.
         baseline: The model without effects.
@@ -250,6 +251,7 @@ class Diagnosis(NotebookDisplay):
     detection_limits: tuple[DetectionLimit, ...] = ()
     next_experiment: Experiment | None = None
     gate: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     baseline: Model | None = None
     evidence: tuple[JointSeries, ...] = ()
     negligible: tuple[NamedEffect, ...] = ()
@@ -274,6 +276,7 @@ class Diagnosis(NotebookDisplay):
     def __str__(self) -> str:
         """Verdict, effects and mismatches, one per line."""
         lines = [f"verdict: {self.verdict.replace('_', ' ')}"]
+        lines += [f"  warning: {sentence}" for sentence in self.warnings]
         for effect in self.effects:
             lines.append(f"  {percent(effect.probability):>5}  {effect.statement}")
         for effect in self.negligible:
@@ -344,6 +347,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "rival_sets": [joint.content() for joint in diagnosis.rival_sets],
         "swim_rivals": None if diagnosis.swim_rivals is None else diagnosis.swim_rivals.content(),
         "gate": list(diagnosis.gate),
+        "warnings": list(diagnosis.warnings),
         "search": {
             "complete": not diagnosis.unfinished,
             "unfinished": list(diagnosis.unfinished),

@@ -8,7 +8,12 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.control_loop import undetected_loop
-from sim2real.identification.fit import Fit, residuals
+from sim2real.identification.fit import (
+    Fit,
+    fastest_visible_rad_s,
+    residuals,
+    ringing_rad_s,
+)
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.play import play_between_pulls
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
@@ -17,11 +22,15 @@ from sim2real.inference.parameters import column
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import Trace, firmware_gain
 from sim2real.units import readable_name
 
 ABOVE_NOISE = 2.0
 """Multiple of the noise above which residuals are reported as a misfit."""
+HELD_OUT_RATIO = 4.0
+"""Ratio of the held-out error to that of the fit, or to the noise, above which it is reported."""
+_CORRELATED = 0.5
+"""Lag-1 autocorrelation from which a residual counts as correlated."""
 _KEPT = 0.7
 """Ratio of posterior to prior standard deviation above which a parameter counts as undetermined."""
 _MATERIAL = 0.05
@@ -34,6 +43,25 @@ def on_recordings(recordings: Sequence[Recording], still: Sequence[str]) -> tupl
     wet = [recording.name for recording in recordings if recording.medium == "water"]
     if wet:
         notes.append(f"recorded in water ({', '.join(wet)}): drag and added mass bias the gains")
+    return tuple(notes)
+
+
+def on_gains(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """A note on recordings with other gains of the firmware."""
+    gains = {recording.name: firmware_gain(recording) for recording in recordings}
+    known = [gain for gain in gains.values() if gain is not None]
+    if len(set(gains.values())) < 2:
+        return ()
+    others = ", ".join(f"{gain:g}" for gain in dict.fromkeys(known[1:]) if gain != known[0])
+    notes = []
+    if others:
+        notes.append(
+            f"kp is that of the firmware gain {known[0]:g}; recordings with a gain of {others} "
+            "were fitted with kp in proportion to it"
+        )
+    unknown = ", ".join(name for name, gain in gains.items() if gain is None)
+    if unknown:
+        notes.append(f"{unknown}: no firmware_p_gain is stated, and {known[0]:g} was assumed")
     return tuple(notes)
 
 
@@ -58,8 +86,18 @@ def on_fit(
     ends: Mapping[str, tuple[float, float]],
     without_influence: Sequence[str],
     figures: Mapping[str, float | None],
+    warned: bool = False,
 ) -> list[str]:
-    """Notes on parameters without influence, undetermined ones, bounds, convergence and misfit."""
+    """Notes on parameters without influence, undetermined ones, bounds, convergence and misfit.
+
+    Args:
+        best: The fit.
+        spread: Its uncertainty.
+        ends: Intervals of the fitted parameters, by name.
+        without_influence: Columns that were not fitted.
+        figures: Errors of the fit, as of ``Model.fit``.
+        warned: Whether there are warnings about the recordings, which may explain a misfit.
+    """
     notes = [
         f"{readable_name(name)} has no influence on these recordings; "
         "its value is the starting value"
@@ -83,15 +121,57 @@ def on_fit(
             notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
     if not best.converged:
         notes.append("the search did not converge; do not use these values")
-    keys = ("train", "noise", "whiteness", "correlation_time_s")
-    train, noise, white, time = (figures[key] or 0.0 for key in keys)
-    if train > 0 and train >= ABOVE_NOISE * noise and white >= 0.5:
+    return notes + _misfit(figures, warned)
+
+
+def _misfit(figures: Mapping[str, float | None], warned: bool) -> list[str]:
+    """Notes on errors far above the noise, of the fit and on held-out data."""
+    keys = ("train", "heldout", "noise", "whiteness", "correlation_time_s")
+    train, held_out, noise, white, time = (figures[key] or 0.0 for key in keys)
+    notes = []
+    if train > 0 and train >= ABOVE_NOISE * noise:
         times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
+        correlated = f", and is correlated over {1e3 * time:.0f} ms" if white >= _CORRELATED else ""
+        why = "physics is missing from this model"
+        if warned:
+            why = "see the warnings about the recordings before physics that may be missing"
+        elif not correlated:
+            why = (
+                "single readings or times of samples are wrong, or the noise varies with the speed"
+            )
         notes.append(
-            f"the residual of the model is {1e3 * train:.1f} mrad, {times}, and is correlated over "
-            f"{1e3 * time:.0f} ms: physics is missing from this model"
+            f"the residual of the model is {1e3 * train:.1f} mrad, {times}{correlated}: {why}"
+        )
+    least = max(train, noise)
+    if held_out > HELD_OUT_RATIO * least > 0:
+        notes.append(
+            f"the error on held-out data is {1e3 * held_out:.1f} mrad, {held_out / least:.0f} "
+            "times that of the fit: these values do not hold for other motions"
         )
     return notes
+
+
+def on_ringing(best: Fit, traces: Sequence[Trace]) -> list[str]:
+    """A note on a servo that oscillates faster than the recordings can show."""
+    found, visible = ringing_rad_s(traces, best.row), fastest_visible_rad_s(traces)
+    if found <= visible:
+        return []
+    found_hz, visible_hz = found / (2 * np.pi), visible / (2 * np.pi)
+    return [
+        f"the fitted servo oscillates at {found_hz:.3g} Hz, above half the sampling rate of "
+        f"{visible_hz:.3g} Hz: kp and kd are not determined by these recordings; sample faster"
+    ]
+
+
+def on_weight(traces: Sequence[Trace]) -> list[str]:
+    """A note where the stated weight of a pendulum sets the scale of gains and torques."""
+    load = max((trace.load for trace in traces), key=lambda load: load.gravity_Nm)
+    if load.gravity_Nm == 0 or traces[0].varying is not None:
+        return []
+    return [
+        f"kp, kd and every torque are in proportion to the stated pendulum "
+        f"({load.pendulum_mass_kg:g} kg at {load.pendulum_length_m:g} m)"
+    ]
 
 
 def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:

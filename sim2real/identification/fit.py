@@ -86,6 +86,7 @@ def first_guess(
     rng: np.random.Generator,
     *,
     rotor_kgm2: float = 0.0,
+    fastest_rad_s: float = FREQUENCY_RAD_S[1],
     guesses: int = 1024,
     elite: int = 16,
     spreads: Sequence[float] = (0.1, 0.04, 0.015),
@@ -103,6 +104,7 @@ def first_guess(
         traces: The recorded joint, one trace per recording.
         rng: Generator for the candidates.
         rotor_kgm2: Inertia of the candidates in addition to that of the load.
+        fastest_rad_s: Largest natural frequency of the candidates in rad/s.
         guesses: Number of servos in the first round.
         elite: Number of the best servos, about which further ones are drawn.
         spreads: Standard deviations of further ones in each round, as shares of the ranges.
@@ -118,6 +120,8 @@ def first_guess(
     moving = [window for window in windows if window.moves() and window.used.any()]
     trace = max(moving or [trace for trace in traces if trace.used.any()], key=Trace.activity)
     points = kronecker(guesses, 3, rng)
+    low, high = np.log(FREQUENCY_RAD_S)
+    points[:, 0] *= min(1.0, (np.log(fastest_rad_s) - low) / (high - low))
     error = _guess_errors(points, trace, rotor_kgm2)
     for spread in spreads:
         best = np.argsort(error)[:elite]
@@ -189,6 +193,25 @@ def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
         Parameter("kd_Nms_per_rad", 0.0, 1.6e3 * inertia, kd, float(row[1])),
         Parameter("latency_s", 0.0, 0.5, 0.05, float(row[2])),
     )
+
+
+def ringing_rad_s(traces: Sequence[Trace], row: Array) -> float:
+    """Frequency of the damped oscillation of a servo (P,) in rad/s, the largest of its recordings.
+
+    0 where it does not oscillate. With kp, kd and the inertia I it is sqrt(kp/I - (kd/2I)^2), the
+    imaginary part of the poles of I s^2 + kd s + kp.
+    """
+    largest = 0.0
+    for trace in traces:
+        inertia = trace.load.inertia_kgm2 + float(row[INERTIA_LEFT_OUT] + row[ROTOR_INERTIA])
+        kp, kd = float(row[0]) * trace.gain_factor, float(row[1])
+        largest = max(largest, kp / inertia - (kd / (2 * inertia)) ** 2)
+    return float(np.sqrt(largest))
+
+
+def fastest_visible_rad_s(traces: Sequence[Trace]) -> float:
+    """Half the sampling rate in rad/s, the largest of the recordings: pi / period."""
+    return float(np.pi / min(trace.period_s for trace in traces))
 
 
 def inertia_left_out(row: Array, inertia: float) -> Parameter:

@@ -17,20 +17,24 @@ from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import (
     Fit,
     best_of,
+    fastest_visible_rad_s,
     first_guess,
     fit,
     gains,
     inertia_left_out,
     plain_parameters,
     residuals,
+    ringing_rad_s,
 )
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.motor_prior import nominal_rotor
 from sim2real.identification.servo_type import ServoType, learn, type_of
 from sim2real.identification.uncertainty import (
+    GAINS,
     Uncertainty,
     as_good,
+    beyond_data_sheet,
     intervals,
     motor_intervals,
     symmetric_intervals,
@@ -41,11 +45,20 @@ from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
-from sim2real.plausible import validate_recording
+from sim2real.plausible import recording_warnings
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo.parameters import INERTIA_LEFT_OUT, motor_of, stated
-from sim2real.servo.trace import Trace, check_samples, sensor_noise, shows_inertia, split, traces
+from sim2real.servo.trace import (
+    Trace,
+    at_one_gain,
+    check_samples,
+    firmware_gain,
+    sensor_noise,
+    shows_inertia,
+    split,
+    traces,
+)
 
 MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
 """What a data sheet must state for the law ``motor``."""
@@ -103,7 +116,8 @@ def identify(
         check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
-    _check_inputs(recordings, robot, held_out)
+    recordings = at_one_gain(recordings)
+    warnings = _check_inputs(recordings, robot, held_out)
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
     if not moving:
@@ -121,7 +135,8 @@ def identify(
         notes = []
         if law is None and not extra and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        return _identify_joint(data, held_out, extra, streams[joint], servos[joint], prior, notes)
+        options = (held_out, extra, streams[joint], servos[joint], prior, notes, bool(warnings))
+        return _identify_joint(data, *options)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
         running = {joint: pool.submit(identify_joint, joint, types.get(joint)) for joint in moving}
@@ -134,9 +149,12 @@ def identify(
     return Model(
         joints={joint: result.model for joint, result in results.items()},
         fit={f"{joint}.position_rad": result.figures for joint, result in results.items()},
-        notes=advice.on_recordings(recordings, [j for j in recorded if j not in moving])
+        notes=warnings
+        + advice.on_recordings(recordings, [j for j in recorded if j not in moving])
+        + advice.on_gains(recordings)
         + advice.on_play(recordings),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
+        firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
     )
 
 
@@ -190,11 +208,13 @@ def _type_from_others(
     return learn(servo.name, motors, ", ".join(others), per_inertia=per_inertia)
 
 
-def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
-    """Check that recordings, robot and the held-out name agree."""
+def _check_inputs(
+    recordings: Sequence[Recording], robot: Robot, held_out: str | None
+) -> tuple[str, ...]:
+    """Check that recordings, robot and held-out name agree; warnings about the recordings."""
     match_recordings(recordings, robot)
+    warnings = recording_warnings(recordings, robot)
     for recording in recordings:
-        validate_recording(recording, robot)
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
             raise InputError(recording.file, "header", found, expected)
@@ -206,6 +226,7 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
     names = [recording.name for recording in recordings]
     if held_out is not None and held_out not in names:
         raise InputError("--held-out", "", repr(held_out), f"one of {', '.join(names)}")
+    return warnings
 
 
 def _identify_joint(
@@ -216,6 +237,7 @@ def _identify_joint(
     servo: Servo | None,
     prior: ServoType | None,
     notes: list[str],
+    warned: bool,
 ) -> JointFit:
     fitted, scored, held_out_name = split(data, held_out)
     load = data[0].load
@@ -263,7 +285,12 @@ def _identify_joint(
         latency = float(best.row[2])
         if wait > 0:
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
-    notes += advice.on_fit(best, spread, ends, without_influence, figures)
+        ends |= beyond_data_sheet(motor, ends, servo)
+    ringing = advice.on_ringing(best, fitted)
+    if ringing:
+        ends |= {name: (0.0, np.inf) for name in GAINS}
+    notes += ringing + advice.on_weight(fitted)
+    notes += advice.on_fit(best, spread, ends, without_influence, figures, warned)
     model = _joint_model(best, ends, spread, load, tuple(notes), motor)
     return JointFit(model, figures, held_out_name, motor)
 
@@ -284,6 +311,13 @@ def _fit_plain(
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
     best, rivals = best_of(fitted, [start, *others], names)
+    visible = fastest_visible_rad_s(fitted)
+    if ringing_rad_s(fitted, best.row) > visible:  # may be an alias of a slower servo
+        rotor = _assumed_rotor(fitted, servo)
+        start, others = first_guess(fitted, rng, rotor_kgm2=rotor, fastest_rad_s=visible)
+        again, more = best_of(fitted, [start, *others], names)
+        pool = sorted([best, *rivals, again, *more], key=lambda f: f.loss(again.scale_rad))
+        best, rivals = pool[0], pool[1:]
     return best, rivals, [p.name for p in free if p.name not in names]
 
 

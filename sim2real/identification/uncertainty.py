@@ -5,7 +5,7 @@ Ends of intervals are infinite where the recordings set no bound.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +17,12 @@ from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.repeating_error import repeating_error
 from sim2real.inference.correlated_noise import bandwidth, correlation_samples, fixed_b, long_run
 from sim2real.inference.least_squares import OUTLIER_SD
+from sim2real.recording import PER_INERTIA
+from sim2real.robot import Servo
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.trace import Trace
 
+GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
 _CHI2_90 = 6.251
 """90 % quantile of chi-square with three degrees of freedom, as regions may be disconnected."""
 
@@ -221,6 +224,38 @@ def motor_intervals(motor: MotorFit, spread: Uncertainty) -> dict[str, tuple[flo
         top = np.inf if ends[1] >= p.high else ends[1]
         result[p.name] = (min(max(ends[0], p.low), value), max(top, value))
     return result
+
+
+def beyond_data_sheet(
+    motor: MotorFit,
+    ends: Mapping[str, tuple[float, float]],
+    servo: Servo,
+    *,
+    implausible_sd: float = 4.0,
+) -> dict[str, tuple[float, float]]:
+    """Wider intervals of the gains where the stall torque is implausible for the data sheet.
+
+    The load sets the scale of both. If a stated load is wrong, the gains are as wrong as the stall
+    torque, and their intervals extend to the values that belong to that of the data sheet.
+
+    Args:
+        motor: The fit.
+        ends: Intervals of the gains, by name.
+        servo: The data sheet.
+        implausible_sd: Deviation of the stall torque from it, in standard deviations of its prior.
+    """
+    name = "motor.stall_torque_Nm"
+    if name not in motor.fit.names or motor.problem.traces[0].load is PER_INERTIA:
+        return {}
+    k = motor.fit.names.index(name)
+    factor = servo.max_torque_Nm / float(motor.fit.values[k])
+    if abs(np.log(factor)) < implausible_sd * motor.fit.parameters[k].prior_sd:
+        return {}
+    wider = {}
+    for gain in GAINS:
+        low, high = ends[gain]
+        wider[gain] = (min(low, low * factor), max(high, high * factor))
+    return wider
 
 
 def _profiled(

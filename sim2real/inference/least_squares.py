@@ -20,6 +20,8 @@ OUTLIER_SD = 3.0
 """Residuals beyond this number of standard deviations are down-weighted."""
 _DAMPING = 1e-6, 1e6
 """Smallest damping, and damping above which a search ends."""
+_DOUBLINGS = 60
+"""Largest number of times that the damping of one step is doubled."""
 _LARGEST_STEP = 3.0
 """Longest step of a parameter, in units."""
 _SAME_SCALE = 0.05
@@ -131,7 +133,8 @@ def minimise(
         step, gain = _step(current, best, (low, high), free, damping, active)
         worth = (gain > settled) & (damping[active] < _DAMPING[1])
         converged[active] = ~worth
-        trial[active] = best[active] + step
+        bounded = np.clip(best[active] + step, low[active], high[active])
+        trial[active] = np.where(free[active], bounded, best[active])
         active = active[worth]
         if hopeless is not None and active.size and count % look_every == 0:
             # Parameters with the same effect leave the curvature singular without damping.
@@ -162,18 +165,37 @@ def _step(
     held |= diagonal <= 1e-12 * diagonal.max(axis=1, initial=0.0, keepdims=True) + 1e-300
     moving, factor = ~held, 1 + damping[rows, None]
     matrix = normal * (moving[:, :, None] & moving[:, None])
-    while True:
-        np.einsum("nff->nf", matrix)[...] = np.where(moving, diagonal * factor, 1.0)
-        step = np.linalg.solve(matrix, np.where(moving, -slope, 0.0)[:, :, None])[:, :, 0]
-        longest = np.abs(step).max(axis=1, initial=0.0, keepdims=True)
-        step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))
-        step = np.where(free[rows], np.clip(x + step, low, high) - x, 0.0)
-        gain = -np.einsum("nf,nf->n", slope, step)
-        gain -= 0.5 * np.einsum("nf,nfg,ng->n", step, normal, step)
-        uphill = gain < 0  # a step cut at its bounds; more damping turns it towards the slope
-        if not uphill.any():
-            return np.asarray(step), np.asarray(gain)
-        factor = np.where(uphill[:, None], 2 * factor, factor)
+    step, gain = np.zeros_like(x), np.zeros(len(x))
+    todo = np.arange(len(x))
+    for _ in range(_DOUBLINGS):
+        size = factor[todo] * diagonal[todo]
+        np.einsum("nff->nf", matrix)[todo] = np.where(moving[todo], size, 1.0)
+        slopes, at = slope[todo], x[todo]
+        move = _solved(matrix[todo], np.where(moving[todo], -slopes, 0.0))
+        longest = np.abs(move).max(axis=1, initial=0.0, keepdims=True)
+        move *= np.minimum(1.0, _LARGEST_STEP / np.maximum(longest, 1e-300))
+        # Rounding may leave a held parameter outside its bound, by what no damping shrinks.
+        move = np.where(moving[todo], np.clip(at + move, low[todo], high[todo]) - at, 0.0)
+        expected = -np.einsum("nf,nf->n", slopes, move)
+        expected -= 0.5 * np.einsum("nf,nfg,ng->n", move, normal[todo], move)
+        uphill = expected < 0  # a step cut at its bounds; more damping turns it towards the slope
+        step[todo[~uphill]], gain[todo[~uphill]] = move[~uphill], expected[~uphill]
+        todo = todo[uphill]
+        if not todo.size:
+            break
+        factor[todo] *= 2
+    return step, gain
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """Solutions of symmetric systems (M, F, F), of least norm if one is singular; (M, F)."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right[:, :, None])[:, :, 0])
+    except np.linalg.LinAlgError:
+        finite = np.isfinite(matrix).all(axis=(1, 2))
+        inverse = np.full_like(matrix, np.nan)
+        inverse[finite] = np.linalg.pinv(matrix[finite], hermitian=True)
+        return np.asarray(np.einsum("nfg,ng->nf", inverse, right))
 
 
 def cannot_win(

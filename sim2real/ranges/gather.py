@@ -15,7 +15,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
-from sim2real.plausible import validate_recording
+from sim2real.plausible import recording_warnings
 from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
@@ -34,7 +34,7 @@ from sim2real.ranges.sources import (
 )
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_recordings
-from sim2real.servo.trace import check_runs, split, traces
+from sim2real.servo.trace import at_one_gain, check_runs, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -119,7 +119,8 @@ def gather(
         InputError: If recordings, robot and model do not agree, or a chain has not converged.
     """
     sampling = sampling or Sampling()
-    _check(recordings, robot, model)
+    warnings = _check(recordings, robot, model)
+    recordings = at_one_gain(recordings, model.firmware_p_gain)
     bench = [recording for recording in recordings if recording.kind == "servo"]
     posteriors, checks = sample_joints(bench, model, sampling)
     fits = latencies(recordings, model)
@@ -139,17 +140,19 @@ def gather(
     entries += density_ranges(density) if density is not None else []
     entries += body_ranges(model) + shared_ranges(model)
     notes = _notes(recordings, posteriors, checks, fits, scatter, noise)
-    return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, fits, scatter, density)
+    ranges = Ranges(tuple(entries), notes=(*warnings, *notes))
+    return Gathered(ranges, posteriors, checks, fits, scatter, density)
 
 
-def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
+def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> tuple[str, ...]:
+    """Check that recordings, robot and model agree; warnings about the recordings."""
     match_recordings(recordings, robot)
-    for recording in recordings:
-        validate_recording(recording, robot)
+    warnings = recording_warnings(recordings, robot)
     for joint in model.joints:
         if robot.joint(joint) is None:
             names = ", ".join(known.name for known in robot.joints)
             raise InputError("model", f"joints.{joint}", "a joint not of the robot", names)
+    return warnings
 
 
 def sample_joints(

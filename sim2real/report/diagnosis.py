@@ -83,6 +83,7 @@ _WORTH_A_BAR = 0.05
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """Text, tables and figures of a diagnosis."""
     blocks: list[Block] = [_verdict(diagnosis)]
+    blocks += [Note("warn", sentence) for sentence in diagnosis.warnings]
     if diagnosis.unfinished:
         blocks.append(Note("warn", diagnosis.search_ended))
     blocks += [_effect(effect) for effect in diagnosis.effects]
@@ -97,9 +98,10 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     if diagnosis.next_experiment is not None:
         blocks += _next(diagnosis.next_experiment)
     blocks += _limits(diagnosis)
-    if diagnosis.gate:
+    remarks = [sentence for sentence in diagnosis.gate if sentence not in diagnosis.warnings]
+    if remarks:
         text = "Remarks of the check of the recordings; they may affect the diagnosis."
-        blocks += [Text(text, heading="Data"), *(Note("info", x) for x in diagnosis.gate)]
+        blocks += [Text(text, heading="Data"), *(Note("info", x) for x in remarks)]
     return Section("Diagnosis", _LEAD, blocks)
 
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable
 from functools import singledispatch
 
-from sim2real.check import Check, all_findings
+from sim2real.check import Check
 from sim2real.density import Density
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
@@ -241,7 +241,7 @@ def _check(check: Check) -> Section:
     header = (
         "joint", "moves", "command\nrad", "position\nrad", "noise\nmrad", "missing", "identifiable",
     )  # fmt: skip
-    blocks = [Table(header, rows), *_notes(all_findings(check))]
+    blocks = [Table(header, rows), *_notes([finding.text for finding in check.all_findings])]
     return Section(f"Check of {printable(check.recording)}", lead, blocks)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sim2real.check import Check, all_findings
+from sim2real.check import Check
 from sim2real.recording import Recording
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
@@ -75,8 +75,8 @@ def _notes(checks: Sequence[Check]) -> list[Block]:
     """Distinct findings, each with the recordings that share it."""
     where: dict[str, list[str]] = {}
     for check in checks:
-        for finding in all_findings(check):
-            where.setdefault(finding, []).append(check.recording)
+        for finding in check.all_findings:
+            where.setdefault(finding.text, []).append(check.recording)
     if not where:
         return [Note("good", "No irregularities were found.")]
     heading = Text("Remarks of the check.", heading="Remarks")

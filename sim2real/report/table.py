@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.check import Check, all_findings
+from sim2real.check import Check
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report.quantity import (
@@ -91,7 +91,10 @@ def check_report(check: Check) -> str:
             f"{row.missing:>7}  {row.load}"
         )
     lines = [_cut(line.rstrip(), WIDTH) for line in lines]
-    findings = all_findings(check)
+    findings = [
+        finding.text if finding.severity == "note" else f"{finding.severity}: {finding.text}"
+        for finding in check.all_findings
+    ]
     identifiable = [f"{row.joint}: {f}" for row in check.joints for f in row.identifiable]
     for mark, sentences in (("! ", findings), ("  ", identifiable)):
         if sentences:

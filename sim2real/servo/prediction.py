@@ -15,7 +15,7 @@ from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.recording import Load, Recording
 from sim2real.servo.parameters import in_context, joint_row
-from sim2real.servo.trace import context_of, split, traces
+from sim2real.servo.trace import at_one_gain, context_of, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,7 +137,7 @@ def _predicted(
     model: Model, recording: Recording, command: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Angles predicted for set-points of a recording, in the context that it states."""
-    context = context_of(recording)
+    context = context_of(*at_one_gain([recording], model.firmware_p_gain))
     joints = {name: in_context(joint, **context) for name, joint in model.joints.items()}
     fitted = replace(model, joints=joints)
     return predict(fitted, recording.t, command, recording.loads, where=recording.file)

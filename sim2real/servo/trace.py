@@ -136,6 +136,43 @@ def context_of(recording: Recording) -> dict[str, float]:
     return {**ratios, "sample_delay_s": context.number("sample_delay_s", 0.0, low=0.0)}
 
 
+def at_one_gain(recordings: Sequence[Recording], gain: float | None = None) -> list[Recording]:
+    """Recordings whose context states the firmware's gain relative to a common one.
+
+    kp is in proportion to the gain of the firmware, ``firmware_p_gain`` of a recording. Recordings
+    that state no gain, or already have a ``gain_ratio``, are left as they are.
+
+    Args:
+        recordings: The recordings.
+        gain: The common gain; by default that of the first recording that states one.
+
+    Raises:
+        InputError: If a gain is not a positive number, or a context of another form.
+    """
+    gains = [firmware_gain(recording) for recording in recordings]
+    common = gain or next((stated for stated in gains if stated is not None), None)
+    result = []
+    for recording, stated in zip(recordings, gains, strict=True):
+        context = Fields(recording.file, "", recording.metadata).table("context").content
+        if stated is not None and stated != common and "gain_ratio" not in context:
+            context = {**context, "gain_ratio": stated / (common or stated)}
+            metadata = {**recording.metadata, "context": context}
+            recording = replace(recording, metadata=metadata)
+        result.append(recording)
+    return result
+
+
+def firmware_gain(recording: Recording) -> float | None:
+    """``firmware_p_gain`` of a recording, None where it states none.
+
+    Raises:
+        InputError: If it is not a positive number.
+    """
+    if recording.metadata.get("firmware_p_gain") is None:
+        return None
+    return Fields(recording.file, "", recording.metadata).number("firmware_p_gain", above=0.0)
+
+
 def sensor_noise(traces: Sequence[Trace]) -> float:
     """Standard deviation of a joint's sensor noise in rad, the largest over its recordings."""
     floors = (noise_floor(trace.t, trace.command, trace.position) for trace in traces)

@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares, lsq_linear
 
 from sim2real.inference.least_squares import (
@@ -98,6 +101,50 @@ def test_correlated_parameters_reach_the_minimum_within_bounds():
     for n in range(30):
         best = lsq_linear(matrix[n], target[n], (low[n], high[n]), method="bvls").cost
         assert found.expansion.loss[n] == pytest.approx(best, rel=1e-4, abs=1e-6)
+
+
+def quadratics(curvature, slope):
+    """Quadratics (N,) about 0 with these curvatures (N, F, F) and slopes (N, F)."""
+
+    def at(x, index):
+        bend = np.einsum("nfg,ng->nf", curvature[index], x)
+        loss = np.einsum("nf,nf->n", slope[index] + 0.5 * bend, x)
+        return Expansion(loss, slope[index] + bend, curvature[index].copy(), {})
+
+    return at
+
+
+def test_rounding_at_a_bound_ends_the_search():
+    """x + (high - x) may lie beyond the bound, by an amount that no damping shrinks."""
+    rng = np.random.default_rng(0)
+    start, high = np.sort(rng.uniform(0.05, 0.95, (2, 4000)), axis=0)[..., None]
+    assert (start + (high - start) > high).any()
+    falling = quadratics(np.full((4000, 1, 1), 1e-3), np.full((4000, 1), -1.0))
+    found = minimise(falling, start, np.zeros_like(high), high, settled=1e-12)
+    assert (found.x <= high).all()
+    np.testing.assert_allclose(found.x, high, rtol=1e-12)
+
+
+scales = st.floats(-150, 150).map(lambda power: 10.0**power)
+numbers = st.one_of(
+    st.just(0.0), st.builds(lambda x, sign: sign * x, scales, st.sampled_from((-1, 1)))
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(1, 4), st.data())
+def test_every_search_ends_within_its_bounds(size, data):
+    """Curvatures and slopes of every sign and scale, singular and indefinite ones too."""
+    draw = arrays(float, (2, size, size), elements=numbers)
+    factor = data.draw(draw)
+    curvature = np.einsum("nfk,ngk->nfg", factor, factor)
+    if data.draw(st.booleans()):
+        curvature = 0.5 * (factor + factor.swapaxes(1, 2))
+    slope = data.draw(arrays(float, (2, size), elements=numbers))
+    reach = data.draw(arrays(float, (2, size), elements=st.floats(0, 1e3)))
+    with np.errstate(all="ignore"):
+        found = minimise(quadratics(curvature, slope), 0.3 * reach, -reach, reach)
+    assert (np.abs(found.x) <= reach).all()
 
 
 def test_places_without_a_parameter_stay():

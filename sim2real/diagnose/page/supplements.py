@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.check import all_findings, check
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.references import repeat
 from sim2real.diagnose.decision import DECISION
@@ -20,7 +19,9 @@ from sim2real.diagnose.page.next_experiment import next_experiment
 from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
 from sim2real.diagnose.rival_sets import design_of
 from sim2real.diagnose.separation import separations
+from sim2real.findings import all_findings
 from sim2real.inference.normal import NINE_IN_TEN
+from sim2real.plausible import recording_warnings
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
 
@@ -34,13 +35,14 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         joints: What is known of its joints.
     """
     checks = (
-        f"{recording.name}: {sentence}"
+        f"{recording.name}: {finding.text}"
         for recording in case.recordings
-        for sentence in all_findings(check(recording, case.robot, identifiable=False))
+        for finding in all_findings(recording, case.robot)
     )
     return replace(
         found,
         gate=tuple(dict.fromkeys(checks)),
+        warnings=recording_warnings((*case.recordings, *case.references), case.robot),
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},

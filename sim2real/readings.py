@@ -1,0 +1,186 @@
+"""Faults of the measured angles of one joint: wrong readings, wraps, repeats, departures.
+
+The limits below separate faults that were put into recordings of several plants from the recordings
+without them (``benchmarks/recording_findings.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim2real.arrays import Array, Index, Mask
+
+SMALLEST_ERROR_RAD = 0.2
+"""Smallest distance of a wrong reading from its neighbours."""
+SMALLEST_WRAP_RAD = 3.0
+"""Smallest jump between two samples that counts as a wrap of the angle."""
+SMALLEST_DEPARTURE_RAD = 0.1
+DEPARTURE_SHARE = 0.25
+"""Share of the smoothed command's range by which an angle that follows it differs at most."""
+_SMOOTHING_S = 1.0
+_LONGEST_LAG_S = 0.3
+_SUSTAINED_S = 0.5
+_STEP_S = 0.02
+
+
+def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
+    """Mask of isolated readings that are far from those before and after them, shape (T,).
+
+    A reading is compared with the median of seven around it. It is wrong if it is further from that
+    than ``SMALLEST_ERROR_RAD`` and than ``ratio`` times the spread of the three middle readings.
+
+    Args:
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        ratio: Smallest distance in multiples of the spread, by which fast motion is not wrong.
+    """
+    result = np.zeros(position.shape, dtype=bool)
+    measured = np.flatnonzero(np.isfinite(position))
+    if measured.size < 7:
+        return result
+    angle = position[measured]
+    window = np.lib.stride_tricks.sliding_window_view(np.pad(angle, 3, mode="edge"), 7)
+    low, middle, high = np.partition(window, (2, 3, 4), axis=1)[:, 2:5].T
+    limit = np.maximum(SMALLEST_ERROR_RAD, ratio * (high - low))
+    result[measured] = np.abs(angle - middle) > limit
+    return result
+
+
+def wraps(position: Array, *, ratio: float = 4.0) -> tuple[Index, Array]:
+    """Jumps of an angle by the range of its sensor, between two samples in steady motion.
+
+    Args:
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        ratio: Smallest ratio of a jump to the steps before and after it.
+
+    Returns:
+        Indices of the samples after the jumps, shape (N,), and the jumps in rad, shape (N,).
+    """
+    measured = np.flatnonzero(np.isfinite(position) & ~wrong_readings(position))
+    jump = np.diff(position[measured])
+    size = np.abs(jump)
+    around = np.maximum(np.r_[0.0, size[:-1]], np.r_[size[1:], 0.0]) if size.size else size
+    found = (size > SMALLEST_WRAP_RAD) & (size > ratio * around)
+    return measured[1:][found], jump[found]
+
+
+def interleaved_constant(
+    position: Array, *, share: float = 0.01, fewest: int = 5
+) -> tuple[float, int] | None:
+    """A constant that takes the place of single readings, and how often; None if there is none.
+
+    It is the most frequent value of readings that differ from both neighbours, to the same side, by
+    more than ``SMALLEST_ERROR_RAD``.
+
+    Args:
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        share: Smallest share of the readings.
+        fewest: Smallest number of readings.
+    """
+    angle = position[np.isfinite(position)]
+    step = np.diff(angle)
+    there, back = step[:-1], step[1:]
+    away = (np.minimum(np.abs(there), np.abs(back)) > SMALLEST_ERROR_RAD) & (there * back < 0)
+    values, counts = np.unique(angle[1:-1][away], return_counts=True)
+    if not counts.size:
+        return None
+    most = int(np.argmax(counts))
+    count = int(counts[most])
+    # Turning points of a fast motion are isolated as well, but on either side of it.
+    next_count = int(np.partition(counts, -2)[-2]) if counts.size > 1 else 0
+    if count < max(fewest, share * angle.size, 2 * next_count):
+        return None
+    return float(values[most]), count
+
+
+def repeated_readings(position: Array, step_rad: float, noise_rad: float) -> tuple[int, int]:
+    """Readings that equal the previous one although the joint turns, and readings while it turns.
+
+    A joint turns steadily where the angle changes by more than five steps of the sensor, and by
+    five standard deviations of its noise, before and after the pair, to the same side.
+
+    Args:
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        step_rad: Quantization step in rad; 0 if there is none.
+        noise_rad: Standard deviation of the noise in rad.
+    """
+    change = np.diff(position[np.isfinite(position)])
+    least = 5 * max(step_rad, noise_rad)
+    before, pair, after = change[:-2], change[1:-1], change[2:]
+    steady = (np.minimum(np.abs(before), np.abs(after)) > least) & (before * after > 0)
+    return int(np.sum(steady & (pair == 0))), int(np.sum(steady))
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Where an angle does not follow its command.
+
+    Attributes:
+        windows_s: Start and end of every interval in s, in order of time.
+        largest_rad: Largest sustained distance of the angle from its command.
+        held_rad: Angle at which it stays meanwhile; None if it moves.
+    """
+
+    windows_s: tuple[tuple[float, float], ...]
+    largest_rad: float
+    held_rad: float | None
+
+
+def departure(t: Array, command: Array, position: Array, gravity: bool) -> Departure | None:
+    """Where an angle does not follow its command, if it does not.
+
+    Both are smoothed over a second, the angle is advanced by its latency, and the deflection by a
+    pendulum's weight, which is proportional to the sine of the angle, is left out. What remains of
+    a servo that follows is at most ``DEPARTURE_SHARE`` of the command's range, in intervals of half
+    a second.
+
+    Args:
+        t: Times in s, shape (T,).
+        command: Set-points in rad, shape (T,), all finite.
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        gravity: Whether the joint turns a pendulum.
+    """
+    good = np.isfinite(position) & ~wrong_readings(position)
+    grid = np.arange(t[0], t[-1], _STEP_S)
+    sustained = round(_SUSTAINED_S / _STEP_S)
+    if good.sum() < 2 or grid.size < 4 * sustained:
+        return None
+    sent = _smoothed(np.interp(grid, t, command))
+    angle = _smoothed(np.interp(grid, t[good], position[good]))
+    lags = range(round(_LONGEST_LAG_S / _STEP_S) + 1)
+    advanced = [np.append(angle[lag:], np.full(lag, angle[-1])) for lag in lags]
+    apart = [_without_deflection(a - sent, a) if gravity else a - sent for a in advanced]
+    best = min(range(len(apart)), key=lambda lag: float(apart[lag] @ apart[lag]))
+    error = np.abs(apart[best])
+    limit = max(SMALLEST_DEPARTURE_RAD, DEPARTURE_SHARE * float(np.ptp(sent)))
+    edges = np.flatnonzero(np.diff(np.r_[False, error > limit, False].astype(int)))
+    windows = [(a, b) for a, b in edges.reshape(-1, 2) if b - a >= sustained]
+    if not windows:
+        return None
+    inside = np.concatenate([np.arange(a, b) for a, b in windows])
+    there = np.interp(grid[inside], t[good], position[good])
+    low, held, high = (float(x) for x in np.quantile(there, [0.15, 0.5, 0.85]))
+    return Departure(
+        windows_s=tuple((float(grid[a]), float(grid[b - 1])) for a, b in windows),
+        largest_rad=float(error[inside].max()),
+        held_rad=held if high - low < 0.2 * limit else None,
+    )
+
+
+def _smoothed(signal: Array) -> Array:
+    """The signal (N,), averaged twice over half the smoothing time."""
+    size = round(_SMOOTHING_S / _STEP_S) // 2
+    for _ in range(2):
+        padded = np.pad(signal, (size // 2, size - 1 - size // 2), mode="edge")
+        total = np.cumsum(np.r_[0.0, padded])
+        signal = (total[size:] - total[:-size]) / size
+    return signal
+
+
+def _without_deflection(error: Array, angle: Array) -> Array:
+    """The error (N,) without its part in proportion to the sine of the angle, if it is a droop."""
+    sine = np.sin(angle)
+    square = float(sine @ sine)
+    share = min(0.0, float(error @ sine) / square) if square > 0 else 0.0
+    return error - share * sine

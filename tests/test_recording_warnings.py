@@ -1,0 +1,167 @@
+"""What is wrong with recordings is stated wherever a number depends on them."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+import sim2real as s2r
+from sim2real.errors import InputError
+from sim2real.identification.identify import identify
+from sim2real.plausible import recording_warnings
+from sim2real.recording import Load, Recording
+from sim2real.servo.rollout import rollout
+
+ROBOT = simulated.robot("j1")
+GOOD = simulated.recording(1, "good", seconds=8.0)
+
+
+def with_stop():
+    """A joint that is stopped at 0.2 rad."""
+    moved = simulated.recording(2, "stopped", seconds=8.0)
+    noise = np.random.default_rng(0).normal(0, 1e-4, moved.position.shape)
+    return replace(moved, position=np.minimum(moved.position, 0.2) + noise)
+
+
+STOPPED = with_stop()
+WORDS = "stopped: j1 does not follow its command"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return identify([STOPPED, GOOD], ROBOT)
+
+
+def test_identified_model(model):
+    assert any(note.startswith(WORDS) for note in model.notes)
+    assert WORDS in " ".join(str(model).split())
+    assert "physics is missing" not in str(model)  # the stop comes first
+    assert "see the warnings about the recordings" in " ".join(str(model).split())
+
+
+def test_diagnosis():
+    found = s2r.diagnose([STOPPED, GOOD], ROBOT)
+    assert [text.startswith(WORDS) for text in found.warnings] == [True]
+    assert f"warning: {WORDS}" in str(found)
+
+
+@pytest.mark.parametrize("verb", ["ranges", "posterior"])
+def test_ranges_and_posterior(model, verb):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            result = getattr(s2r, verb)([STOPPED, GOOD], ROBOT, model, steps=300, walkers=32)
+        except InputError:  # the chain is short
+            result = None
+    stated = [str(w.message) for w in caught]
+    if result is not None and verb == "ranges":
+        stated += result.ranges.notes
+    assert any(text.startswith(WORDS) for text in stated)
+
+
+def test_design_repeats_the_notes_of_its_model(model):
+    with pytest.warns(UserWarning, match=WORDS):
+        s2r.design(ROBOT, model, seconds=4.0)
+
+
+@pytest.mark.parametrize("verb", ["identify", "diagnose"])
+def test_errors_are_refused(verb):
+    backwards = replace(GOOD, position=-GOOD.position)
+    with pytest.raises(InputError, match=r"good\.csv: j1\.position_rad: found an angle that moves"):
+        getattr(s2r, verb)([GOOD, backwards], ROBOT)
+    with pytest.raises(InputError, match=r"j1\.position_rad: found an angle that moves"):
+        s2r.diagnose([GOOD], ROBOT, references=[backwards])
+
+
+def test_good_recordings_have_no_warning():
+    assert recording_warnings([GOOD, GOOD], ROBOT) == ()
+
+
+def at_gain(gain, seed):
+    """A recording of the servo whose kp is that of a firmware gain of 30, at another gain."""
+    recording = simulated.recording(seed, f"gain_{gain}")
+    row = simulated.row()
+    row[0] *= gain / 30
+    sent = recording.command[:, 0]
+    noise = np.random.default_rng(seed).normal(0, simulated.NOISE, sent.size)
+    angle = rollout(row[None], recording.t, sent)[0] + noise
+    return replace(recording, position=angle[:, None], metadata={"firmware_p_gain": gain})
+
+
+def test_kp_is_in_proportion_to_the_firmware_gain(tmp_path):
+    recordings = [at_gain(30, 1), at_gain(60, 2), at_gain(15, 3)]
+    model = identify(recordings, ROBOT)
+    assert model.joints["j1"].kp_Nm_per_rad == pytest.approx(simulated.KP, rel=0.02)
+    assert model.fit["j1.position_rad"]["heldout"] < 2 * simulated.NOISE
+    assert model.firmware_p_gain == 30
+    assert "kp is that of the firmware gain 30; recordings with a gain of 60, 15" in str(model)
+    s2r.write_model(model, tmp_path / "model.json")
+    again = s2r.read_model(tmp_path / "model.json")
+    for recording in recordings:  # whose contexts state no ratio
+        (error,) = s2r.predict(recording, ROBOT, again).rmse.values()
+        assert error < 2 * simulated.NOISE
+
+
+@pytest.mark.parametrize("gain", ["high", 0, -3.0, [1]])
+def test_gains_that_are_none(gain):
+    with pytest.raises(InputError, match="firmware_p_gain"):
+        identify([replace(GOOD, metadata={"firmware_p_gain": gain})], ROBOT)
+
+
+def test_a_servo_that_oscillates_faster_than_half_the_sampling_rate():
+    """Smooth motions at 30 Hz: an undamped servo of 32 Hz imitates the slow one at the samples."""
+    t = np.arange(0, 20, 1 / 30)
+    rng = np.random.default_rng(0)
+    row = simulated.row()
+    row[:3] = 1.5, 0.07, 0.045
+    names = ("first", "second")
+    recordings = []
+    for name in names:
+        knots = rng.uniform(-0.6, 0.6, 26)
+        knots[0] = 0.0
+        share = np.minimum((t % 0.8) / 0.5, 1.0)
+        share = share**3 * (10 - 15 * share + 6 * share**2)
+        place = (t / 0.8).astype(int)
+        sent = knots[place] + share * (knots[place + 1] - knots[place])
+        jitter = t + rng.normal(0, 0.002, t.size) * (t > 0.5)
+        seen = np.interp(jitter, t, rollout(row[None], t, sent)[0])
+        load = {"j1": Load(simulated.INERTIA)}
+        recordings.append(Recording(name, "servo", ("j1",), t, sent[:, None], seen[:, None], load))
+    joint = identify(recordings, ROBOT).joints["j1"]
+    low, high = joint.interval["kp_Nm_per_rad"]
+    assert low <= 1.5 <= high
+
+
+def test_a_servo_faster_than_the_samples_has_no_certain_gains():
+    fast = simulated.row()
+    fast[:3] = 60.0, 0.07, 0.045  # 27 Hz
+    t = np.arange(0, 12, 0.04)
+    sent = simulated.steps(t, np.random.default_rng(1))
+    angle = rollout(fast[None], t, sent)[0]
+    load = {"j1": Load(simulated.INERTIA)}
+    recording = Recording("slow", "servo", ("j1",), t, sent[:, None], angle[:, None], load)
+    joint = identify([recording], ROBOT, law="pd").joints["j1"]
+    if joint.kp_Nm_per_rad > 1.2 * (np.pi / 0.04) ** 2 * simulated.INERTIA:
+        assert joint.interval["kp_Nm_per_rad"][1] == np.inf
+        assert any("above half the sampling rate of 12.5 Hz" in note for note in joint.notes)
+
+
+def test_a_white_residual_far_above_the_noise_is_reported():
+    """Single rows of another series make no correlated residual."""
+    rng = np.random.default_rng(0)
+    noisy = simulated.recording(4, noise=1e-4)
+    moving = np.abs(np.gradient(noisy.position[:, 0])) > 0.005
+    position = noisy.position + 0.03 * rng.standard_normal((noisy.t.size, 1)) * moving[:, None]
+    joint = identify([replace(noisy, position=position)], ROBOT, law="pd").joints["j1"]
+    assert any("times the noise" in note and "correlated" not in note for note in joint.notes)
+
+
+def test_the_scale_of_a_pendulum_is_stated():
+    hung = simulated.recording(1, load=Load(0.004, 0.3, 0.1))
+    joint = identify([hung], ROBOT).joints["j1"]
+    assert "kp, kd and every torque are in proportion to the stated pendulum (0.3 kg at 0.1 m)" in (
+        joint.notes
+    )
+    assert not any("stated pendulum" in x for x in identify([GOOD], ROBOT).joints["j1"].notes)
