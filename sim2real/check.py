@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.clock import Timing, clock_findings, timing
+from sim2real.clock import Timing, recording_clock_findings, timing
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.findings import joint_findings, moves
 from sim2real.identification.expected_precision import expected_precision
@@ -80,7 +80,7 @@ def check(
     """
     validate_recording(recording, robot)
     clock = timing(recording.t, recording.position)
-    findings = list(clock_findings(recording.t, clock))
+    findings = recording_clock_findings(recording.joints, recording.t, recording.position)
     if np.isnan(recording.command).all():
         findings.append("No command was recorded: servos cannot be identified.")
     if recording.kind == "pool" and not recording.has_poses:
