@@ -81,8 +81,8 @@ def missing_samples(t: Array, angle: Array) -> int:
         return int(angle.size - rows.size)
     ends = np.r_[t[0], t[rows], t[-1]]
     usual = float(np.median(np.diff(t[rows])))
-    due = np.round(np.diff(ends) / usual).astype(int)
-    due[1:-1] -= 1  # a step ends with a measurement; the ends of the recording do not
+    due = np.floor(np.diff(ends) / usual + NEARLY_WHOLE)
+    due[1:-1] = np.round(np.diff(t[rows]) / usual) - 1  # its last one is there
     empty = np.diff(np.r_[-1, rows, angle.size]) - 1
     return int(np.minimum(empty, np.maximum(due, 0)).sum())
 
