@@ -149,7 +149,9 @@ def recording_clock_findings(joints: Sequence[str], t: Array, position: Array) -
     for joint, angle in zip(joints, position.T, strict=True):
         times = _times(t, angle)
         clock = timing(times, np.zeros((times.size, 1)))
-        for sentence in (*clock_findings(times, clock), *_dropped_rows(t, angle)):
+        even = clock.jitter_s < NEARLY_WHOLE / clock.rate_hz
+        dropped = _dropped_rows(t, angle) if even else ()
+        for sentence in (*clock_findings(times, clock), *dropped):
             concerned.setdefault(sentence, []).append(joint)
     return [
         sentence if len(names) == len(joints) else f"{', '.join(names)}: {sentence}"
