@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.finding import Finding
 
 GAP = 2.5  # median steps
+NEARLY_WHOLE = 0.1  # steps
 SLOWEST_RATE_HZ = 20.0
 SHORTEST_PERIOD_S = 20e-6
 """50 kHz: current loops of motor drives are not faster; servo buses run at a tenth of it."""
@@ -19,18 +21,19 @@ LONGEST_PERIOD_S = 0.5
 """Servos complete a motion in less time: their dynamics are not visible at a slower rate."""
 LONGEST_COMMAND_PERIOD_S = 10.0
 """Set-points may be waypoints that are held for seconds."""
-UNITS = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
+UNITS = (("seconds", 1.0), ("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
 
 
 @dataclass(frozen=True)
 class Timing:
-    """The clock of a recording.
+    """The clock of a recording's measurements.
 
     Attributes:
-        rate_hz: One over the median step between samples.
-        jitter_s: Standard deviation of the steps without gaps.
+        rate_hz: One over the median step between measurements.
+        jitter_s: Standard deviation of the steps without gaps; a step of several usual ones, over
+            measurements that are missing, counts by its difference from their sum.
         gaps: Start and length in s of every pause of more than 2.5 median steps.
-        missing_cells: Number of missing positions of all joints.
+        missing_cells: Number of missing positions of all joints, see ``missing_samples``.
     """
 
     rate_hz: float
@@ -40,49 +43,146 @@ class Timing:
 
 
 def timing(t: Array, position: Array) -> Timing:
-    """Measure the sampling rate, jitter and gaps of a recording.
+    """Measure the sampling rate, jitter and gaps of the measurements of a recording.
+
+    Only rows with a measured position count: on a merged time axis the others are the times of
+    set-points. Of several joints the one that is measured least often is described.
 
     Args:
         t: Times in s, shape (T,).
         position: Measured angles, NaN where missing, shape (T, J).
     """
-    steps = np.diff(t)
+    joints = position.T
+    measured = [_times(t, angle) for angle in joints]
+    slowest = max(measured, key=lambda times: float(np.median(np.diff(times))))
+    steps = np.diff(slowest)
     usual = float(np.median(steps))
     long = steps > GAP * usual
+    several = _multiples(steps, usual)
     return Timing(
         rate_hz=1 / usual,
-        jitter_s=float(steps[~long].std()),
-        gaps=tuple((float(t[k]), float(steps[k])) for k in np.flatnonzero(long)),
-        missing_cells=int(np.isnan(position).sum()),
+        jitter_s=float((steps - (several - 1) * usual)[~long].std()),
+        gaps=tuple((float(slowest[k]), float(steps[k])) for k in np.flatnonzero(long)),
+        missing_cells=sum(missing_samples(t, angle) for angle in joints),
     )
 
 
+def missing_samples(t: Array, angle: Array) -> int:
+    """Number of missing measurements of one joint among the rows of a recording.
+
+    A row without a position lacks one only where a measurement was due. Rows between two
+    measurements one usual step apart are those of set-points, on a merged time axis.
+
+    Args:
+        t: Times in s, shape (T,).
+        angle: Its measured angles, NaN where missing, shape (T,).
+    """
+    rows = np.flatnonzero(np.isfinite(angle))
+    if rows.size < 2:
+        return int(angle.size - rows.size)
+    ends = np.r_[t[0], t[rows], t[-1]]
+    usual = float(np.median(np.diff(t[rows])))
+    due = np.floor(np.diff(ends) / usual + NEARLY_WHOLE)
+    due[1:-1] = np.round(np.diff(t[rows]) / usual) - 1  # its last one is there
+    empty = np.diff(np.r_[-1, rows, angle.size]) - 1
+    return int(np.minimum(empty, np.maximum(due, 0)).sum())
+
+
+def _times(t: Array, angle: Array) -> Array:
+    """Times of the measurements of one joint, or of all rows if there are too few."""
+    measured = t[np.isfinite(angle)]
+    return measured if measured.size > 1 else t
+
+
+def _multiples(steps: Array, usual: float) -> Array:
+    """Number of usual steps in each step where that is nearly whole, otherwise 1."""
+    whole = np.maximum(np.round(steps / usual), 1)
+    return np.where(np.abs(steps / usual - whole) < NEARLY_WHOLE, whole, 1.0)
+
+
 def check_sampling(
-    file: str | PathLike[str], t: Array, longest_s: float = LONGEST_PERIOD_S
+    file: str | PathLike[str],
+    t: Array,
+    longest_s: float = LONGEST_PERIOD_S,
+    *,
+    where: str = "t_s",
+    unit_s: float = 1.0,
 ) -> None:
-    """Check that the intervals of the times ``t`` (T,) are plausible for samples of a servo.
+    """Check that the intervals of the times ``t`` (T,) in s are plausible for samples of a servo.
 
     The upper quartile of the steps is checked: rows may come in pairs, such as a set-point and an
     angle a few microseconds later.
+
+    Args:
+        file: The recording or log, for the message.
+        t: Times in s, shape (T,).
+        longest_s: Longest plausible step.
+        where: What states the times, for the message.
+        unit_s: The unit from which the times were converted, in s.
 
     Raises:
         InputError: If that step is below 20 us or above ``longest_s``; the message names the
             unit in which the times would be plausible.
     """
     if t.size < 2:
-        raise InputError(file, "t_s", f"{t.size} sample", "at least two")
+        raise InputError(file, where, f"{t.size} sample", "at least two")
     usual = float(np.quantile(np.diff(t), 0.75))
     if SHORTEST_PERIOD_S <= usual <= longest_s:
         return
-    plausible = (unit for unit, size in UNITS if 1e-4 <= usual * size <= LONGEST_PERIOD_S)
-    unit = next(plausible, None) if usual > longest_s else "minutes or hours"
+    stated = usual / unit_s
+    plausible = (unit for unit, size in UNITS if 1e-4 <= stated * size <= LONGEST_PERIOD_S)
+    unit = next(plausible, None) or ("minutes or hours" if usual < SHORTEST_PERIOD_S else None)
     hint = f" (are the times in {unit}?)" if unit else ""
-    expected = f"between {1e6 * SHORTEST_PERIOD_S:g} us and {longest_s:g} s, with t_s in s{hint}"
-    raise InputError(file, "t_s", f"samples {usual:.4g} s apart", expected)
+    limits = f"between {1e6 * SHORTEST_PERIOD_S:g} us and {longest_s:g} s"
+    expected = f"{limits}, with {where} in s{hint}" if where == "t_s" else f"{limits}{hint}"
+    raise InputError(file, where, f"samples {usual:.4g} s apart", expected)
+
+
+def recording_clock_findings(joints: Sequence[str], t: Array, position: Array) -> list[Finding]:
+    """Findings about the times at which the joints of a recording were measured.
+
+    Rows that are missing one at a time are a warning: commands between them are not known.
+
+    Args:
+        joints: Names of the J joints; a sentence that does not concern all of them names its own.
+        t: Times in s, shape (T,).
+        position: Measured angles, NaN where missing, shape (T, J).
+    """
+    concerned: dict[Finding, list[str]] = {}
+    for joint, angle in zip(joints, position.T, strict=True):
+        times = _times(t, angle)
+        clock = timing(times, np.zeros((times.size, 1)))
+        even = clock.jitter_s < NEARLY_WHOLE / clock.rate_hz
+        found = [Finding(sentence) for sentence in clock_findings(times, clock)]
+        if even:
+            found += [Finding(sentence, "warning") for sentence in _dropped_rows(t, angle)]
+        for finding in found:
+            concerned.setdefault(finding, []).append(joint)
+    return [
+        finding
+        if len(names) == len(joints)
+        else replace(finding, text=f"{', '.join(names)}: {finding.text}")
+        for finding, names in concerned.items()
+    ]
+
+
+def _dropped_rows(t: Array, angle: Array, *, least_share: float = 0.01) -> Iterator[str]:
+    """A finding about rows that are missing one at a time, where no other row is in their place."""
+    rows = np.flatnonzero(np.isfinite(angle))
+    if rows.size < 3:
+        return
+    steps = np.diff(t[rows])
+    twice = (np.diff(rows) == 1) & (_multiples(steps, float(np.median(steps))) == 2)
+    if twice.sum() > max(1, least_share * steps.size):
+        first = t[rows[np.flatnonzero(twice)[0]]]
+        yield (
+            f"{twice.sum()} samples are missing one at a time ({100 * twice.mean():.2g} % of the "
+            f"steps are twice the usual step), the first after {first:.4g} s."
+        )
 
 
 def clock_findings(t: Array, clock: Timing) -> Iterator[str]:
-    """Findings about the times ``t`` (T,), whose statistics are ``clock``."""
+    """Findings about times of measurements ``t`` (T,), whose statistics are ``clock``."""
     steps, usual = np.diff(t), 1 / clock.rate_hz
     doubled, short = int(np.sum(steps < 0.01 * usual)), int(np.sum(steps < 0.2 * usual))
     if doubled:

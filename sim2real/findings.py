@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim2real.arrays import Array, Mask
-from sim2real.clock import clock_findings, timing
+from sim2real.clock import missing_samples, recording_clock_findings
 from sim2real.finding import Finding
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.readings import (
@@ -55,8 +55,10 @@ def moves(t: Array, command: Array) -> int:
 
 def recording_findings(recording: Recording) -> list[Finding]:
     """Findings about a recording as a whole: its clock, and columns that it lacks."""
-    clock = timing(recording.t, recording.position)
-    findings = [Finding(text) for text in clock_findings(recording.t, clock)]
+    findings = recording_clock_findings(recording.joints, recording.t, recording.position)
+    imported = recording.metadata.get("import_warnings")
+    if isinstance(imported, list):
+        findings += [Finding(str(sentence)) for sentence in imported]
     if np.isnan(recording.command).all():
         findings.append(Finding("No command was recorded: servos cannot be identified."))
     if recording.kind == "pool" and not recording.has_poses:
@@ -125,7 +127,8 @@ def joint_findings(
     if not finite.any():
         yield Finding(f"{data.joint} has no measured positions.")
         return
-    missing = float(np.mean(~finite))
+    lost = missing_samples(data.t, data.position)
+    missing = lost / (lost + int(finite.sum()))
     if missing > 0.01:
         yield Finding(f"{data.joint} lacks {100 * missing:.2g} % of its positions.")
     yield from _readings(data)

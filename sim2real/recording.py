@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from dataclasses import fields as dataclass_fields
@@ -14,7 +15,12 @@ import pandas as pd
 
 from sim2real import csv_columns
 from sim2real.arrays import Array
-from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling
+from sim2real.clock import (
+    LONGEST_COMMAND_PERIOD_S,
+    check_sampling,
+    missing_samples,
+    timing,
+)
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import write_json, write_whole
@@ -99,8 +105,8 @@ class Recording(NotebookDisplay):
 
     @property
     def rate_hz(self) -> float:
-        """Inverse of the median time between samples; NaN for fewer than two samples."""
-        return 1 / float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+        """Inverse of the median time between measurements, see ``timing``; NaN for one row."""
+        return timing(self.t, self.position).rate_hz if self.t.size > 1 else float("nan")
 
     @property
     def has_poses(self) -> bool:
@@ -118,8 +124,8 @@ class Recording(NotebookDisplay):
         return self.kind == "pool" and self.has_poses
 
     def missing(self, joint: int) -> int:
-        """Number of missing positions of joint number ``joint``."""
-        return int(np.isnan(self.position[:, joint]).sum())
+        """Number of missing positions of joint ``joint``; rows of set-points only lack none."""
+        return missing_samples(self.t, self.position[:, joint])
 
     @property
     def summary(self) -> str:
@@ -168,8 +174,13 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         InputError: If a file cannot be read, or a row or field does not conform to the format.
     """
     csv = Path(path)
-    table = csv_columns.read_table(csv)
     sidecar = csv.with_suffix(".json")
+    if os.path.isdir(csv):  # perhaps of a ROS bag
+        raise InputError(csv, "", "a folder", f"the CSV file of a recording; {_import_first(csv)}")
+    if os.path.isfile(csv) and not os.path.exists(sidecar):
+        expected = f"the file that belongs to each recording; {_import_first(csv)}"
+        raise InputError(sidecar, "", "no such file", expected)
+    table = csv_columns.read_table(csv)
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA))
     top.refuse_misspelt(FIELDS)
     kind = top.text("kind")
@@ -202,6 +213,13 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         metadata=_metadata(top),
         path=csv,
     )
+
+
+def _import_first(log: Path) -> str:
+    """What to do with a log that is not a recording yet."""
+    out = f"{log.resolve().stem}_imported.csv"
+    command = shlex.join(["sim2real", "import", str(log), "--out", out])
+    return f"import the log {log.name} first: {command}"
 
 
 def read_commands(path: str | os.PathLike[str]) -> Recording:

@@ -188,7 +188,18 @@ def test_sidecar_missing_or_no_text(tmp_path: Path) -> None:
     path.with_suffix(".json").write_bytes(b'{"schema": "\xe9"}')
     message(lambda: read_recording(path), "bench.json", "byte 12", "not UTF-8")
     path.with_suffix(".json").unlink()
-    message(lambda: read_recording(path), "bench.json", "no such file")
+    command = f"sim2real import {path} --out bench_imported.csv"
+    message(lambda: read_recording(path), "bench.json", "no such file", "first", command)
+
+
+@pytest.mark.parametrize("name", ["log.csv", "run.bag", "folder"])
+def test_a_log_that_was_not_imported(tmp_path: Path, name: str) -> None:
+    (tmp_path / "log.csv").write_text("Zeit;Soll;Ist\n0,00;0,0;0,0\n")
+    (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n\xff")
+    (tmp_path / "folder").mkdir()
+    log = tmp_path / name
+    line = message(lambda: read_recording(log), f"import the log {name} first")
+    assert line.endswith(f": sim2real import {log} --out {log.stem}_imported.csv")
 
 
 def test_outputs_that_can_not_be_written(tmp_path: Path) -> None:

@@ -8,12 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
+from sim2real.clock import check_sampling
 from sim2real.errors import InputError
 from sim2real.importers.bam import read_bam
 from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
 from sim2real.importers.loads import loads_of, with_loads
-from sim2real.importers.missing import angle_options, ask_for, bag_options, table_options
+from sim2real.importers.missing import (
+    angle_options,
+    ask_for,
+    bag_options,
+    refuse,
+    table_options,
+    unused_angle_options,
+)
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
 from sim2real.importers.units import Conversion, conversion
@@ -23,9 +31,19 @@ from sim2real.recording import Recording, write_recording
 from sim2real.structured import read_json
 
 BAGS = (".bag", ".db3", ".mcap")
-TABLES = (".csv", ".npz")
+TABLES = (".csv", ".tsv", ".npz")
 KINDS = f"a BAM log (.json), a ROS bag (a folder, {', '.join(BAGS)}), a LeRobot dataset (a folder "
 KINDS += f"with meta/info.json) or a table ({', '.join(TABLES)})"
+LOADS = ("inertia", "pendulum")
+ANGLES = ("units", "counts_per_turn", "zero_count", "calibration")
+OPTIONS = {
+    "a BAM log": LOADS,
+    "BAM's parameters": LOADS,
+    "a ROS bag": ("state_topic", "command_topic", "joints", *LOADS),
+    "a LeRobot dataset": (*ANGLES, "episode", "joints", *LOADS),
+    "a table": ("columns", "time_unit", *ANGLES, *LOADS),
+}
+"""Options of each kind of log."""
 STATE_TOPIC = "/joint_states"
 LARGEST_START_RAD = 0.1  # largest initial difference of a joint at rest on its first command
 
@@ -46,18 +64,23 @@ def run(args: argparse.Namespace) -> int:
         0, the exit status.
 
     Raises:
-        InputError: If the log or an argument is not as expected.
+        InputError: If the log or an argument is not as expected, or does not apply to such a log.
     """
     source, out = Path(args.source), check_writable(args.out)
     if source.suffix == ".json" and source.is_file() and is_bam_parameters(read_json(source)):
+        _refuse_others(source, "BAM's parameters", args)
         return _import_parameters(source, out, args)
     if out.suffix != ".csv":
         raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
     if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
         raise InputError(out, "", "a name that would overwrite the log", "another name")
     recording = with_loads(_read(source, args), args.inertia, args.pendulum)
+    measured_at = recording.t[np.isfinite(recording.position).any(axis=1)]
+    check_sampling(source, measured_at, where="times")
     write_recording(recording, out)
     print(f"{out}: {_summary(recording)}")
+    for warning in recording.metadata.get("import_warnings", ()):
+        print(f"! {warning}")
     if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
         print(_without_loads(unknown))
     return 0
@@ -84,19 +107,22 @@ def _import_parameters(source: Path, out: Path, args: argparse.Namespace) -> int
 
 def _read(source: Path, args: argparse.Namespace) -> Recording:
     if source.suffix == ".json" and not source.is_dir():
+        _refuse_others(source, "a BAM log", args)
         return read_bam(source)
     if not source.exists():
         raise InputError(source, "", "no such file", KINDS)
-    angles = (args.units, args.counts_per_turn, args.zero_count, args.calibration)
     if is_lerobot(source):
-        ask_for(source, angle_options(*angles))
-        return read_lerobot(source, _units(args), episode=args.episode, joints=args.joints)
+        _refuse_others(source, "a LeRobot dataset", args)
+        ask_for(source, angle_options(*_angles(args)))
+        return read_lerobot(source, _units(source, args), episode=args.episode, joints=args.joints)
     if source.suffix in TABLES:
-        ask_for(source, table_options(args.columns, args.time_unit, *angles))
+        _refuse_others(source, "a table", args)
+        ask_for(source, table_options(args.columns, args.time_unit, *_angles(args)))
         columns = column_map(args.columns)
-        return read_table(source, columns, _units(args), time_unit=args.time_unit)
+        return read_table(source, columns, _units(source, args), time_unit=args.time_unit)
     if not source.is_dir() and source.suffix not in BAGS:
         raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
+    _refuse_others(source, "a ROS bag", args)
     ask_for(source, bag_options(args.command_topic))
     state_topic = args.state_topic or STATE_TOPIC
     return read_bag(
@@ -104,8 +130,27 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
     )
 
 
-def _units(args: argparse.Namespace) -> Conversion:
-    return conversion(args.units, args.counts_per_turn, args.zero_count, args.calibration)
+def _refuse_others(source: Path, kind: str, args: argparse.Namespace) -> None:
+    """Refuse options that belong to another kind of log."""
+    known = {name for names in OPTIONS.values() for name in names} - set(OPTIONS[kind])
+    given = [name for name in vars(args) if name in known and getattr(args, name) is not None]
+    refuse(source, _flags(given), kind, _flags(OPTIONS[kind]))
+
+
+def _flags(names: Sequence[str]) -> list[str]:
+    return [f"--{name.replace('_', '-')}" for name in names]
+
+
+def _angles(
+    args: argparse.Namespace,
+) -> tuple[list[str] | None, int | None, float | None, str | None]:
+    return args.units, args.counts_per_turn, args.zero_count, args.calibration
+
+
+def _units(source: Path, args: argparse.Namespace) -> Conversion:
+    unused = unused_angle_options(*_angles(args))
+    refuse(source, unused, f"angles in {', '.join(args.units)}", ["--units"])
+    return conversion(*_angles(args))
 
 
 def _without_loads(joints: Sequence[str]) -> str:
@@ -119,12 +164,16 @@ def _without_loads(joints: Sequence[str]) -> str:
 
 
 def _summary(recording: Recording) -> str:
-    sampled = np.isfinite(recording.position).any(axis=1)
-    rate = 1 / np.median(np.diff(recording.t[sampled])) if sampled.sum() > 1 else 0.0
     loaded = [joint for joint in recording.joints if joint in recording.loads]
     loads = f"load known on {', '.join(loaded)}" if loaded else "loads unknown"
     parts = [f"{recording.t.size} rows in {recording.duration_s:.2f} s"]
-    parts += [f"joints {', '.join(recording.joints)}", f"{rate:.0f} samples a second", loads]
+    parts += [
+        f"joints {', '.join(recording.joints)}",
+        f"{recording.rate_hz:.3g} samples a second",
+        loads,
+    ]
+    if "format" in recording.metadata:
+        parts.append(str(recording.metadata["format"]))
     for j, joint in enumerate(recording.joints):
         first = np.flatnonzero(np.isfinite(recording.position[:, j]))[0]
         difference = float(recording.position[first, j] - recording.command[first, j])

@@ -68,7 +68,7 @@ def _import(command: argparse.ArgumentParser) -> None:
         "source",
         "source",
         "a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table "
-        "(.csv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)",
+        "(.csv, .tsv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)",
     )
     add_file(command, "--out", "CSV", "recording to write (of parameters: model)", required=True)
     command.add_argument("--state-topic", metavar="TOPIC", help="bag: measured joint states")
@@ -86,7 +86,8 @@ def _import(command: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="UNIT",
         help="dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or"
-        " range_0_100; JOINT=UNIT for one joint",
+        " range_0_100; JOINT=UNIT for one joint, JOINT.command=UNIT or JOINT.position=UNIT for one"
+        " of its columns",
     )
     add_file(command, "--calibration", "JSON", "calibration file of LeRobot")
     command.add_argument("--counts-per-turn", type=int, metavar="N", help="encoder counts per turn")

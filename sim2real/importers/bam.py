@@ -11,7 +11,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
-from sim2real.errors import InputError
+from sim2real.errors import InputError, shown
+from sim2real.importers.missing import import_warnings
 from sim2real.recording import Load, Recording
 from sim2real.structured import Fields, read_json
 
@@ -21,6 +22,7 @@ COLUMNS |= {"input_volts": "supply_V"}
 TEXTS = {"motor": "servo", "trajectory": "trajectory"}
 NUMBERS = {"kp": "firmware_p_gain", "damping": "damping_gain", "vin": "supply_nominal_V"}
 NUMBERS |= {"dt": "resampled_every_s"}
+TOP = ("mass", "arm_mass", "length", "entries", *TEXTS, *NUMBERS)
 
 
 def read_bam(path: str | os.PathLike[str]) -> Recording:
@@ -29,7 +31,9 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
     Commands are empty while the torque is off, which is imported only at the end of a recording:
     if the torque is switched on again, the rest is omitted, as stated in ``metadata["left_out"]``.
     Speed, load, temperature and supply become columns if they were measured (a recorder writes 0
-    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the other fields.
+    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the other fields, and a
+    sentence of ``metadata["import_warnings"]`` names unknown fields of the log. A hyphen in the
+    name of a field, as in ``arm-mass``, is read as an underscore.
 
     Args:
         path: The log.
@@ -40,7 +44,7 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
     Raises:
         InputError: If a field does not conform to the format or the torque is off at the start.
     """
-    top = Fields(path, "", read_json(path))
+    top = _top(path)
     samples = _samples(top)
     load = _load(top)
     t = _times(samples)
@@ -54,6 +58,7 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
         *measured,
     }
     metadata = _metadata(top) | {"not_imported": sorted(not_imported)}
+    metadata |= import_warnings(_unknown(top, not_imported - set(COLUMNS)))
     if off < stop:
         metadata["torque_off_from_s"] = float(t[off])
     if stop < t.size:
@@ -71,6 +76,26 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
         columns={COLUMNS[name]: values for name, values in measured.items()},
         metadata=metadata,
     )
+
+
+def _top(path: str | os.PathLike[str]) -> Fields:
+    """The fields of a log, with the known names that BAM's recorders write with a hyphen."""
+    content = read_json(path)
+    for name in [name for name in content if "-" in name]:
+        ours = name.replace("-", "_")
+        if ours in TOP and content.setdefault(ours, content[name]) != content[name]:
+            expected = f"the value of {ours}, {shown(content[ours])}"
+            raise InputError(path, name, shown(content[name]), expected)
+        if ours in TOP:
+            del content[name]
+    return Fields(path, "", content)
+
+
+def _unknown(top: Fields, of_samples: set[str]) -> list[str]:
+    """A sentence on fields of the log, and of its samples, that BAM's format does not have."""
+    unknown = [str(name) for name in top.content if name not in TOP]
+    unknown += [f"entries.{name}" for name in sorted(of_samples)]
+    return [f"Unknown fields of the log are not read: {', '.join(unknown)}."] if unknown else []
 
 
 def _load(top: Fields) -> Load:

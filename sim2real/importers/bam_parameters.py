@@ -27,7 +27,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from sim2real.errors import one_of
+from sim2real.errors import one_of, shown
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.structured import Fields, finite_number, read_json
@@ -188,6 +188,8 @@ def _not_mapped(fields: Fields, values: dict[str, float]) -> tuple[str, ...]:
         notes.append(f"q_offset = {offset:.3g} rad: not mapped, it belongs to BAM's bench")
     known = {*values, "model", "actuator"}
     for name, value in fields.content.items():
-        if name not in known and finite_number(value) is not None:
-            notes.append(f"{name} = {value:.6g}: not mapped, an unknown field")
+        if name not in known:
+            number = finite_number(value)
+            text = shown(value) if number is None else f"{number:.6g}"
+            notes.append(f"{name} = {text}: not mapped, an unknown field")
     return tuple(notes)

@@ -11,6 +11,9 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 
+PLACEHOLDER = {"max_torque_Nm": 1000.0, "no_load_speed_rad_s": 100.0}
+"""Smallest limits that no servo has: files of robots state them where a number is required."""
+
 
 @dataclass(frozen=True)
 class Body:
@@ -89,11 +92,16 @@ def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, li
             notes.append(f"{hinge.name}: limits_rad: not stated")
     for (torque, speed), name in servos.items():
         text += f"\n[servos.{name}]\n"
+        # Exporters of CAD write 10, 100 and so on as both limits of every joint.
+        alike = torque is not None and torque == speed and torque in (10.0, 100.0)
         for field, value in (("max_torque_Nm", torque), ("no_load_speed_rad_s", speed)):
-            if value is not None and value > 0:
-                text += f"{field} = {value:.9g}\n"
-            else:
+            if value is None or value <= 0:
                 notes.append(f"{name}: {field}: not stated")
+            elif alike or value >= PLACEHOLDER[field]:
+                what = f"{value:g}, a placeholder" + (" (torque and speed alike)" if alike else "")
+                notes.append(f"{name}: {field}: {what}: take it from the data sheet")
+            else:
+                text += f"{field} = {value:.9g}\n"
         notes.append(f"{name}: position_step_rad: take it from the data sheet")
     if groups is not None:
         notes.append("links: width_m and height_m: measure them, if the robot is to swim")

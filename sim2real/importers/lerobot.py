@@ -7,7 +7,7 @@ pyarrow: a file for each episode (2.x), or files of many episodes that ``meta/ep
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,14 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.importers.missing import import_warnings
 from sim2real.importers.units import Conversion
 from sim2real.recording import Recording
 from sim2real.structured import Fields, read_json
 
 STATE, ACTION = "observation.state", "action"
+QUANTITY = {STATE: "position", ACTION: "command"}
+INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 SOURCE = (
     "LeRobot dataset; its licence is in its README. Set-points stand at the time of their frame, "
     "as they were sent right after its observation. Loads are unknown."
@@ -79,7 +82,9 @@ def read_lerobot(
     angles = {
         feature: np.stack(
             [
-                conversion.radians(joint, _column(frames[feature], k, file, feature), file)
+                conversion.radians(
+                    joint, QUANTITY[feature], _column(frames[feature], k, file, feature), file
+                )
                 for joint in chosen
                 for k in [available.index(joint)]
             ],
@@ -102,8 +107,23 @@ def read_lerobot(
             "episode": index,
             "robot_type": info.content.get("robot_type"),
             "units": {joint or "all": unit for joint, unit in conversion.units.items()},
+            **import_warnings(_not_read(info, names, chosen)),
         },
     )
+
+
+def _not_read(info: Fields, names: Mapping[str, Sequence[str]], chosen: Sequence[str]) -> list[str]:
+    """Sentences on joints and numbers of the dataset that the recording lacks."""
+    rest = {name: [j for j in available if j not in chosen] for name, available in names.items()}
+    sentences = [f"{name} of {', '.join(left)} is not read." for name, left in rest.items() if left]
+    features = info.table("features")
+    known = (STATE, ACTION, *INDICES)
+    numbers = [
+        str(name)
+        for name in features.content
+        if name not in known and str(features.table(name).content.get("dtype")).startswith("float")
+    ]
+    return sentences + ([f"{', '.join(numbers)}: not read."] if numbers else [])
 
 
 def _episode(info: Fields, episode: int | None) -> int:

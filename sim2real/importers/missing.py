@@ -1,4 +1,4 @@
-"""Check for options that a log needs, with all missing ones in one message."""
+"""What is missing: options that a log needs, in one message, and parts that were not imported."""
 
 from __future__ import annotations
 
@@ -51,6 +51,25 @@ def angle_options(
     return lacking
 
 
+def unused_angle_options(
+    units: Sequence[str] | None,
+    counts_per_turn: int | None,
+    zero_count: float | None,
+    calibration: str | os.PathLike[str] | None,
+) -> list[str]:
+    """Options on angles that do not apply to any of the stated units."""
+    stated = {text.rpartition("=")[2] for text in units or ()}
+    counts, ranges = "counts" in stated, bool(stated & set(RANGES))
+    applies = {
+        "--counts-per-turn": counts or ranges,
+        "--zero-count": counts,
+        "--calibration": ranges or (counts and zero_count is None),
+    }
+    values = (counts_per_turn, zero_count, calibration)
+    given = dict(zip(applies, values, strict=True))
+    return [name for name in applies if given[name] is not None and not applies[name]]
+
+
 def bag_options(command_topic: Sequence[str] | None) -> list[str]:
     """Missing options of a bag."""
     return [] if command_topic else ["--command-topic TOPIC (of the set-points)"]
@@ -65,3 +84,25 @@ def ask_for(source: Path, lacking: Sequence[str]) -> None:
     if lacking:
         names = ", ".join(text.split(" ")[0] for text in lacking)
         raise InputError(source, "", f"no {names}", "; ".join(lacking))
+
+
+def refuse(source: Path, options: Sequence[str], of: str, applicable: Sequence[str]) -> None:
+    """Raise one error for all options that do not apply.
+
+    Args:
+        source: The log.
+        options: The options that do not apply, such as ``--units``.
+        of: What they do not apply to.
+        applicable: The options that do.
+
+    Raises:
+        InputError: If there are any.
+    """
+    if options:
+        expected = f"only options that apply to it: {', '.join(applicable)}"
+        raise InputError(source, "", f"{', '.join(options)} for {of}", expected)
+
+
+def import_warnings(sentences: Sequence[str]) -> dict[str, list[str]]:
+    """The field of a recording's metadata with what its user should know; none if empty."""
+    return {"import_warnings": list(sentences)} if sentences else {}

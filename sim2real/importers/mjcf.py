@@ -74,6 +74,13 @@ def read_mjcf(path: str | os.PathLike[str]) -> Tree:
                 torque=_torque(mj, model, j),
             )
         )
+        dof = model.jnt_dofadr[j]
+        if model.dof_damping[dof] or model.dof_frictionloss[dof] or model.dof_armature[dof]:
+            what = "damping, friction and armature (identify finds them)"
+            left_out.append(f"{name}: {what}: not taken")
+    for count, what in ((model.neq, "equality constraints"), (model.ntendon, "tendons")):
+        if count:
+            left_out.append(f"{what} ({count}): not taken")
     title = model.names[: model.names.index(b"\0")].decode() or file.stem
     return Tree(str(file), title, bodies, hinges, tuple(left_out))
 

@@ -179,9 +179,11 @@ def _checked_clock(file: str | os.PathLike[str], topic: str, t: Times) -> Times:
         problem = (
             f"a time {(t[decreasing[0]] - t[decreasing[0] + 1]) / 1e9:g} s before the previous one"
         )
-        raise InputError(
-            file, f"{topic}, message {decreasing[0] + 1}", problem, "a clock never set back"
-        )
+        expected = "a clock never set back"
+        if decreasing.size > 1:
+            problem += f", and {decreasing.size} such times"
+            expected += ", or one publisher of the topic instead of two with clocks of their own"
+        raise InputError(file, f"{topic}, message {decreasing[0] + 1}", problem, expected)
     return t
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.importers.missing import import_warnings
 from sim2real.importers.ros_messages import (
     COMMAND_TYPES,
     STATE_TYPES,
@@ -28,6 +29,7 @@ from sim2real.importers.ros_series import (
     joint_series,
     streams,
 )
+from sim2real.importers.ros_sources import check_sources
 from sim2real.recording import Recording
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}
@@ -70,7 +72,8 @@ def read_bag(
         A ``servo`` recording of T rows, ``t`` from 0.
 
     Raises:
-        InputError: If the bag, a topic, a message or a joint is invalid.
+        InputError: If the bag, a topic, a message or a joint is invalid, or two sources write one
+            topic.
     """
     topics = command_topics(path, command_topic, joints)
     if state_topic in topics:
@@ -80,10 +83,13 @@ def read_bag(
     names = joint_names(joints, topics, bag, state_topic)
     state = bag[state_topic]
     position = angle_series(state, names, partial(measured, field="position"))
+    warnings = check_sources(state, position, commands=False)
     command: dict[str, Series] = {}
     for topic, topic_joints in topics.items():
         topic_names = topic_joints or names
-        command |= angle_series(bag[topic], topic_names, partial(set_points, joints=topic_names))
+        sent = angle_series(bag[topic], topic_names, partial(set_points, joints=topic_names))
+        warnings += check_sources(bag[topic], sent, commands=True)
+        command |= sent
     rows = _rows(state, position, command)
     columns = {}
     for field, column in OPTIONAL.items():
@@ -106,8 +112,20 @@ def read_bag(
             "clock": {topic: stream.clock for topic, stream in bag.items()},
             "clock_at_start_s": float(rows[0] / 1e9),
             "states_before_first_command": int((state.t < rows[0]).sum()),
+            **import_warnings(warnings + _not_read(topics, bag, names)),
         },
     )
+
+
+def _not_read(
+    topics: Mapping[str, Sequence[str]], bag: Mapping[str, Stream], names: Sequence[str]
+) -> list[str]:
+    """Sentences on joints with set-points that the recording lacks."""
+    sent = {
+        joint for topic in topics for message in bag[topic].messages for joint in message.joints
+    }
+    rest = sorted(sent - set(names))
+    return [f"Set-points of {', '.join(rest)} are not read: --joints selects."] if rest else []
 
 
 def _rows(state: Stream, position: Mapping[str, Series], command: Mapping[str, Series]) -> Times:

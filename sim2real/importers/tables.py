@@ -1,27 +1,34 @@
 """Import of tables with a map of their columns.
 
-CSV as Dynamixel and Feetech tools write it, and ``.npz`` archives of arrays by the names of
-MuJoCo's ``mjData`` (``time``, ``qpos``, ``ctrl``).
+Text with columns separated by commas, as Dynamixel and Feetech tools write it, by semicolons, tabs
+or spaces, with decimal points or commas and lines of comments; and ``.npz`` archives of arrays by
+the names of MuJoCo's ``mjData`` (``time``, ``qpos``, ``ctrl``).
 """
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from sim2real.arrays import Array
+from sim2real.clock import check_sampling
+from sim2real.csv_columns import LARGEST_FILE_BYTES
 from sim2real.errors import InputError, shown
-from sim2real.importers.units import SECONDS_PER, Conversion
+from sim2real.importers.units import ANGLES, SECONDS_PER, Conversion
 from sim2real.recording import Recording
+from sim2real.structured import check_size
 
-ANGLES = ("command", "position")
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
+COMMENTS = ("#", "//", "%")
 MAP = "t=COLUMN J.command=COLUMN J.position=COLUMN ..."
 
 
@@ -59,7 +66,7 @@ def read_table(
     *,
     time_unit: str | None,
 ) -> Recording:
-    """Read a CSV or an ``.npz`` as a recording with unknown loads.
+    """Read a table of text or an ``.npz`` as a recording with unknown loads.
 
     An array of several columns is indexed: ``qpos[2]``. Rows before every joint has its first
     set-point are omitted; a set-point that is missing later is the previous one, as in a servo.
@@ -73,14 +80,15 @@ def read_table(
         time_unit: ``s``, ``ms``, ``us`` or ``ns``.
 
     Raises:
-        InputError: If a column is missing or invalid, or a unit is not stated.
+        InputError: If a column is missing or invalid, a unit is not stated, or the sampling period
+            in the unit of time is not one of a servo.
     """
     file = Path(path)
     if time_unit not in SECONDS_PER:
         found = "nothing" if time_unit is None else repr(time_unit)
         raise InputError("--time-unit", "", found, f"one of {', '.join(SECONDS_PER)}")
     read = _npz if file.suffix == ".npz" else _csv
-    table = read(file, columns)
+    table, form = read(file, columns)
     t = (table["t"] - table["t"][0]) * SECONDS_PER[time_unit]
     decreasing = np.flatnonzero(~(np.diff(t) > 0))
     if decreasing.size:
@@ -89,9 +97,15 @@ def read_table(
     joints = _joints(columns)
     conversion.check_joints(joints)
     sent, measured = (
-        np.stack([conversion.radians(j, table[f"{j}.{q}"], file) for j in joints], axis=1)
+        np.stack([conversion.radians(j, q, table[f"{j}.{q}"], file) for j in joints], axis=1)
         for q in ANGLES
     )
+    measured_at = t[np.isfinite(measured).any(axis=1)]
+    if measured_at.size < 2:
+        found = f"{measured_at.size} rows with angles"
+        raise InputError(file, "positions", found, "two or more")
+    where, unit_s = f"--time-unit {time_unit}", SECONDS_PER[time_unit]
+    check_sampling(file, measured_at, where=where, unit_s=unit_s)
     sent = pd.DataFrame(sent).ffill().to_numpy()
     started = np.isfinite(sent).all(axis=1)
     if started.sum() < 2:
@@ -114,6 +128,7 @@ def read_table(
             "original_file": file.name,
             "rows_before_first_command": first,
             "units": {joint or "all": unit for joint, unit in conversion.units.items()},
+            **({"format": form} if form else {}),
         },
     )
 
@@ -122,34 +137,119 @@ def _joints(columns: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(n.rpartition(".")[0] for n in columns if "." in n))
 
 
-def _csv(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+def _csv(file: Path, columns: Mapping[str, str]) -> tuple[dict[str, Array], str]:
+    """The columns of a text file, and a phrase on separators and commas unless they are plain."""
+    lines = _lines(file)
+    header, separator, rows = _header(lines, set(columns.values()))
+    if len(rows) < 2:
+        raise InputError(file, "", f"{len(rows)} rows", "a header and at least two rows")
+    form = f"columns separated by {SEPARATORS[separator]}"
+    hint = " (decimal commas need another separator of columns)" if separator == "," else ""
     try:
-        table = pd.read_csv(file, skipinitialspace=True, compression=None, low_memory=False)
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", "a CSV") from None
-    except (ValueError, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(file, "", f"no table ({reason})", "comma-separated rows") from None
+        table = pd.read_csv(
+            StringIO("\n".join(rows)),
+            sep=r"\s+" if separator == " " else separator,
+            header=None,
+            names=range(len(header)),
+            dtype=str,
+            skipinitialspace=True,
+        )
+    except ValueError as error:
+        long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        if not long:
+            raise InputError(file, "", f"no table ({error})", form) from None
+        place, expected = f"row {long[2]} of the data", f"{long[1]}, as in the header{hint}"
+        raise InputError(file, place, f"{long[3]} cells", expected) from None
     if not isinstance(table.index, pd.RangeIndex):  # pandas reads surplus cells as row names
-        raise InputError(file, "row 1 of the data", "more cells than columns", "as many")
-    if len(table) < 2:
-        raise InputError(file, "", f"{len(table)} rows", "a header and at least two rows")
-    read = {}
-    for ours, theirs in columns.items():
-        if theirs not in table:
-            available = ", ".join(str(name) for name in table.columns[:20])
-            raise InputError(file, "header", f"no column {theirs}", f"one of {available}")
-        values = pd.to_numeric(table[theirs], errors="coerce").to_numpy(np.float64, copy=True)
-        wrong = np.flatnonzero((np.isnan(values) & table[theirs].notna()) | np.isinf(values))
-        if wrong.size:
-            found = shown(str(table[theirs].iloc[wrong[0]]))
-            place = f"row {wrong[0] + 1} of the data, {theirs}"
-            raise InputError(file, place, found, "a number or an empty cell")
-        read[ours] = values
-    return read
+        raise InputError(file, "row 1 of the data", "more cells than columns", f"as many{hint}")
+    for theirs in columns.values():
+        if header.count(theirs) != 1:
+            found = f"{theirs} twice" if theirs in header else f"no column {theirs} ({form})"
+            raise InputError(file, "header", found, f"one of {', '.join(header[:20])}, once")
+    chosen = {theirs: table[header.index(theirs)].str.strip() for theirs in columns.values()}
+    comma = separator != "," and any(cells.str.contains(",").any() for cells in chosen.values())
+    if comma:
+        _check_decimal_commas(file, chosen)
+        form += ", decimal commas"
+    read = {name: _numbers(file, theirs, chosen[theirs], comma) for name, theirs in columns.items()}
+    return read, "" if separator == "," else form
 
 
-def _npz(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+def _lines(file: Path) -> list[str]:
+    """The lines of a text file in UTF-8, or in UTF-16 or Windows-1252 as spreadsheets write it."""
+    check_size(file, LARGEST_FILE_BYTES, "; cut the log into pieces")
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise InputError(file, "", str(error.strerror), "a readable file") from None
+    encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        text = content.decode(encoding)
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", errors="replace")
+    if not text.strip() or "\0" in text:
+        found = "no table (binary data)" if "\0" in text else "no table (an empty file)"
+        raise InputError(file, "", found, "rows of text")
+    return re.split(r"\r\n|\r|\n", text)
+
+
+def _header(lines: Sequence[str], wanted: set[str]) -> tuple[list[str], str, list[str]]:
+    """Names of the columns, their separator, and the rows below without comments.
+
+    The header is the first line that is no comment, or a comment before it that has all wanted
+    names (as ``numpy.savetxt`` and ``rostopic echo -p`` write it).
+    """
+    filled = [line for line in lines if line.strip()]
+    rows = [line for line in filled if not line.lstrip().startswith(COMMENTS)]
+    if not rows:
+        return [], ",", []
+    above = filled[: filled.index(rows[0])]
+    for line in (rows[0], *reversed(above)):
+        for text in dict.fromkeys((line.lstrip().lstrip("#/%"), line)):
+            for separator in SEPARATORS:
+                names = _cells(text, separator)
+                if wanted <= set(names):
+                    return names, separator, rows[1:] if line is rows[0] else rows
+    separator = max(",;\t", key=lambda character: len(_cells(rows[0], character)))
+    return _cells(rows[0], separator), separator, rows[1:]
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """The cells of the header."""
+    if separator == " ":
+        return line.split()
+    return [name.strip() for name in next(csv.reader([line.strip(" ")], delimiter=separator))]
+
+
+def _check_decimal_commas(file: Path, chosen: Mapping[str, pd.Series]) -> None:
+    """Check that commas in numbers can only be decimal commas."""
+    cells = pd.concat(list(chosen.values())).dropna()
+    with_comma = cells[cells.str.contains(",")]
+    if with_comma.str.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}").all():
+        found = f"{shown(str(with_comma.iloc[0]))}, with a comma of thousands or of decimals"
+        raise InputError(file, "", found, "numbers without separators of thousands")
+    for theirs, column in chosen.items():
+        dotted = np.flatnonzero(column.str.contains(".", regex=False, na=False))
+        if dotted.size:
+            place = f"row {dotted[0] + 1} of the data, {theirs}"
+            found = f"{shown(str(column.iloc[dotted[0]]))} where others have decimal commas"
+            raise InputError(file, place, found, "decimal commas or decimal points throughout")
+
+
+def _numbers(file: Path, theirs: str, cells: pd.Series, comma: bool) -> Array:
+    """The cells of a column as numbers, NaN where one is empty, shape (T,)."""
+    text = cells.str.replace(",", ".", regex=False) if comma else cells
+    values = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, copy=True)
+    wrong = np.flatnonzero((np.isnan(values) & cells.notna().to_numpy()) | np.isinf(values))
+    if wrong.size:
+        found = shown(str(cells.iloc[wrong[0]]))
+        place = f"row {wrong[0] + 1} of the data, {theirs}"
+        raise InputError(file, place, found, "a number or an empty cell")
+    return values
+
+
+def _npz(file: Path, columns: Mapping[str, str]) -> tuple[dict[str, Array], str]:
+    """The columns of an archive; there is nothing to say about its format."""
     try:
         with np.load(file, allow_pickle=False) as archive:
             arrays = {name: np.asarray(archive[name], dtype=np.float64) for name in archive.files}
@@ -163,7 +263,7 @@ def _npz(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
     if len(rows) > 1 or rows.pop() < 2:
         sizes = ", ".join(f"{columns[ours]}: {values.size}" for ours, values in read.items())
         raise InputError(file, "", f"rows: {sizes}", "as many in each, at least two")
-    return read
+    return read, ""
 
 
 def _array(file: Path, arrays: Mapping[str, Array], place: str) -> Array:

@@ -16,6 +16,7 @@ from sim2real.structured import Fields, read_json
 
 RADIANS_PER = {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi}
 RANGES = {"range_m100_100": (-100.0, 100.0), "range_0_100": (0.0, 100.0)}
+ANGLES = ("command", "position")
 ANGLE_UNITS = (*RADIANS_PER, "counts", *RANGES)
 SECONDS_PER = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -25,7 +26,8 @@ class Conversion:
     """Conversion of the angles of a log to radians.
 
     Attributes:
-        units: Unit of each joint by name, and of all other joints under ``""``.
+        units: Unit of each joint by name, of ``J.command`` or ``J.position`` alone, and of all
+            others under ``""``.
         counts_per_turn: Encoder counts per turn of the output shaft, for ``counts`` and the
             calibrated ranges.
         zero_count: The count at angle 0; default: the middle of the calibrated range.
@@ -44,12 +46,31 @@ class Conversion:
         Raises:
             InputError: If one is stated for a joint that the log lacks.
         """
-        unknown = [joint for joint in self.units if joint and joint not in joints]
+        known = {"", *joints, *(f"{joint}.{quantity}" for joint in joints for quantity in ANGLES)}
+        unknown = [name for name in self.units if name not in known]
         if unknown:
-            raise InputError("--units", "", ", ".join(unknown), f"joints of {', '.join(joints)}")
+            expected = f"joints of {', '.join(joints)}, or one's command or position"
+            raise InputError("--units", "", ", ".join(unknown), expected)
 
-    def radians(self, joint: str, values: Array, where: str | os.PathLike[str]) -> Array:
-        """Angles of a joint in rad, of the shape of ``values``.
+    def unit(self, joint: str, quantity: str) -> str:
+        """Unit of the commands or positions of a joint.
+
+        Raises:
+            InputError: If it is missing or unknown.
+        """
+        names = (f"{joint}.{quantity}", joint, "")
+        unit = next((self.units[name] for name in names if name in self.units), None)
+        if unit is None:
+            expected = f"{joint}=UNIT, of {', '.join(ANGLE_UNITS)}"
+            raise InputError("--units", "", f"none for {joint}", expected)
+        if unit not in ANGLE_UNITS:
+            raise InputError("--units", joint, repr(unit), f"one of {', '.join(ANGLE_UNITS)}")
+        return unit
+
+    def radians(
+        self, joint: str, quantity: str, values: Array, where: str | os.PathLike[str]
+    ) -> Array:
+        """Commands or positions of a joint in rad, of the shape of ``values``.
 
         A calibrated range (LeRobot's ``RANGE_M100_100`` and ``RANGE_0_100``) spans from
         ``range_min`` to ``range_max``, its middle is angle 0, as with LeRobot's degrees, and its
@@ -58,12 +79,7 @@ class Conversion:
         Raises:
             InputError: If the unit or a value that it needs is missing, or an angle is too large.
         """
-        unit = self.units.get(joint, self.units.get(""))
-        if unit is None:
-            expected = f"{joint}=UNIT, of {', '.join(ANGLE_UNITS)}"
-            raise InputError("--units", "", f"none for {joint}", expected)
-        if unit not in ANGLE_UNITS:
-            raise InputError("--units", joint, repr(unit), f"one of {', '.join(ANGLE_UNITS)}")
+        unit = self.unit(joint, quantity)
         angles = values * RADIANS_PER.get(unit, 1.0)
         if unit in RANGES:
             low, high = RANGES[unit]
@@ -75,7 +91,9 @@ class Conversion:
         largest = float(np.nanmax(np.abs(angles), initial=0.0))
         if largest > LARGEST_ANGLE_RAD:
             found = f"{largest:.4g} rad, if angles are {unit}"
-            raise InputError(where, joint, found, f"at most {LARGEST_ANGLE_RAD:.1f} rad")
+            raise InputError(
+                where, f"{joint}, {quantity}", found, f"at most {LARGEST_ANGLE_RAD:.1f} rad"
+            )
         return angles
 
     def _per_count(self, unit: str) -> float:
@@ -110,7 +128,7 @@ def conversion(
     zero_count: float | None = None,
     calibration: str | os.PathLike[str] | None = None,
 ) -> Conversion:
-    """The conversion for ``--units UNIT`` or ``--units UNIT JOINT=UNIT ...``.
+    """The conversion for ``--units UNIT`` or ``--units UNIT JOINT=UNIT JOINT.command=UNIT ...``.
 
     Raises:
         InputError: If no unit is stated, or a unit is unknown.

@@ -15,6 +15,11 @@ from sim2real.importers.chain import Body, Hinge, Tree
 from sim2real.structured import read_text
 
 TURNS = ("revolute", "continuous")
+NOT_TAKEN = {
+    "mimic": "its coupling to another joint (mimic)",
+    "dynamics": "damping and friction (identify finds them)",
+}
+"""Elements of a joint that a robot here has no place for."""
 Frame = tuple[Array, Array]  # position of the origin, (3,), and rotation, (3, 3)
 
 
@@ -49,6 +54,12 @@ def read_urdf(path: str | os.PathLike[str]) -> Tree:
         f"{_name(file, joint)}: a {joint.get('type')} joint: taken for stiff"
         for joint in hung.values()
         if joint.get("type") not in (*TURNS, "fixed")
+    ]
+    left_out += [
+        f"{_name(file, joint)}: {what}: not taken"
+        for joint in hung.values()
+        for tag, what in NOT_TAKEN.items()
+        if joint.find(tag) is not None and joint.get("type") in TURNS
     ]
     hinges = [
         _hinge(file, joint, body, *frames[body])

@@ -167,3 +167,66 @@ def test_bad_loads(tmp_path, capsys, options, parts):
     for part in parts:
         assert part in line
     assert not (tmp_path / "pan.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "parts"),
+    [
+        ("log.csv", ["--joints", "pan"], ("--joints for a table", "--columns, --time-unit")),
+        ("log.csv", ["--episode", "0"], ("--episode for a table",)),
+        ("log.csv", ["--state-topic", "/x", "--episode", "1"], ("--state-topic, --episode",)),
+        ("log.csv", ["--calibration", "arm.json"], ("--calibration for angles in counts",)),
+        ("log.json", ["--units", "deg"], ("--units for a BAM log", "--inertia, --pendulum")),
+        ("log.json", ["--time-unit", "ms"], ("--time-unit for a BAM log",)),
+        ("bam.json", ["--joints", "pan"], ("--joints for BAM's parameters", "--inertia")),
+        (".", ["--time-unit", "ms", "--units", "deg"], ("--units, --time-unit for a ROS bag",)),
+        (".", ["--columns", "t=t"], ("--columns for a ROS bag", "--command-topic")),
+        ("dataset", ["--columns", "t=t"], ("--columns for a LeRobot dataset", "--episode")),
+    ],
+)
+def test_options_of_another_format_are_refused(log, tmp_path, capsys, source, options, parts):
+    (tmp_path / "bam.json").write_text('{"kt": 1, "actuator": "mx64", "model": "m1"}')
+    (tmp_path / "dataset" / "meta").mkdir(parents=True)
+    (tmp_path / "dataset" / "meta" / "info.json").write_text("{}")
+    if source == "log.csv":
+        assert table(tmp_path, *options) == 2
+    else:
+        assert main(["import", str(tmp_path / source), *options, "--out", out(tmp_path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for part in parts:
+        assert part in line
+    assert not (tmp_path / "pan.csv").exists()
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad", "turns"])
+def test_options_of_another_unit_are_refused(tmp_path, capsys, unit):
+    def line(*without):
+        options = ["--units", unit]
+        assert table(tmp_path, *options, without=("--units", *without)) == 2
+        return capsys.readouterr().err
+
+    assert f"found --counts-per-turn, --zero-count for angles in {unit}" in line()
+    assert f"found --zero-count for angles in {unit}" in line("--counts-per-turn")
+    assert not (tmp_path / "pan.csv").exists()
+
+
+def test_times_in_another_unit_are_refused(log, tmp_path, capsys):
+    """As 0 samples a second they could not be of a servo."""
+    slow = json.loads(log.read_text())
+    for entry in slow["entries"]:
+        entry["timestamp"] *= 1000
+    log.write_text(json.dumps(slow))
+    assert main(["import", str(log), "--out", out(tmp_path)]) == 2
+    assert "times: found samples 10 s apart" in capsys.readouterr().err
+    assert table(tmp_path, "--time-unit", "s", without=("--time-unit",)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--time-unit s: found samples 10 s apart" in line
+    assert not (tmp_path / "pan.csv").exists()
+
+
+def test_what_a_log_has_besides_is_a_line_of_its_own(log, tmp_path, capsys):
+    log.write_text(json.dumps(json.loads(log.read_text()) | {"gear_ratio": 2}))
+    assert main(["import", str(log), "--out", out(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines()[1] == (
+        "! Unknown fields of the log are not read: gear_ratio."
+    )

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from good_input import message
 
 from sim2real.errors import InputError
 from sim2real.importers.bam import read_bam
@@ -113,6 +114,22 @@ def test_point_mass_without_arm(read):
     load = read(raw_log()).loads["j1"]
     assert load.inertia_kgm2 == pytest.approx(0.49 * 0.1**2)
     assert (load.pendulum_mass_kg, load.pendulum_length_m) == (0.49, 0.1)
+
+
+def test_the_arm_s_mass_with_a_hyphen_as_recorders_write_it(read):
+    spelt = [read(raw_log(mass=2.0, **{name: 1.0})) for name in ("arm-mass", "arm_mass")]
+    assert spelt[0].loads == spelt[1].loads
+    assert "import_warnings" not in spelt[0].metadata
+    both = raw_log(**{"arm-mass": 1.0, "arm_mass": 2.0})
+    message(lambda: read(both), "arm-mass: found 1.0", "the value of arm_mass, 2.0")
+
+
+def test_unknown_fields_are_named(read):
+    log = raw_log(gear_ratio=2, **{"arm-length": 0.1})
+    for entry in log["entries"]:
+        entry["control"] = 1.5
+    (warning,) = read(log).metadata["import_warnings"]
+    assert warning.endswith("not read: gear_ratio, arm-length, entries.control.")
 
 
 def test_arm_adds_the_inertia_and_the_gravity_torque_of_a_rod(read):

@@ -93,6 +93,25 @@ def test_from_dataset_to_gains(tmp_path: Path, version: str) -> None:
         assert joint.latency_s == pytest.approx(0.06, abs=0.001)
 
 
+def test_what_is_not_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
+    file = root / "meta" / "info.json"
+    features = json.loads(file.read_text())["features"]
+    features["action"] = features["action"] | {"names": ["shoulder_pan", "elbow_flex", "wrist"]}
+    features["observation.current"] = {"dtype": "float32", "shape": [3], "names": None}
+    spoiled(root, features=features)
+    out = tmp_path / "out.csv"
+    assert main(["import", str(root), "--units", "deg", "--out", str(out)]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("! ")]
+    assert lines == [
+        "! observation.state of gripper is not read.",
+        "! action of wrist is not read.",
+        "! observation.current: not read.",
+    ]
+    units = conversion(["deg", "elbow_flex.command=rad"])
+    message(lambda: read_lerobot(root, units), "elbow_flex, command", "if angles are rad")
+
+
 def spoiled(root: Path, **fields: object) -> Path:
     file = root / "meta" / "info.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | fields))

@@ -129,6 +129,52 @@ def test_a_body_that_turns_on_the_floor(tmp_path: Path) -> None:
     assert robot.links[1].inertia_kgm2 == pytest.approx(0.002)
 
 
+PLACEHOLDERS = [("1000", "6"), ("3", "1e6"), ("1e6", "1000"), ("10", "10"), ("100", "100")]
+
+
+@pytest.mark.parametrize(("effort", "velocity"), PLACEHOLDERS)
+def test_placeholders_are_no_data_sheet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], effort: str, velocity: str
+) -> None:
+    text = URDF.replace('effort="3" velocity="6"', f'effort="{effort}" velocity="{velocity}"')
+    servo = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", text)).joints[0].servo
+    lines = capsys.readouterr().out.splitlines()
+    for field, value, kept in (
+        ("max_torque_Nm", effort, effort == "3"),
+        ("no_load_speed_rad_s", velocity, velocity == "6"),
+    ):
+        said = [
+            line for line in lines if f"servo1: {field}: {float(value):g}, a placeholder" in line
+        ]
+        assert (servo.states(field), len(said)) == (kept, 0 if kept else 1)
+
+
+def test_equal_limits_that_are_no_round_number_are_kept(tmp_path: Path) -> None:
+    text = URDF.replace('effort="3" velocity="6"', 'effort="8.5" velocity="8.5"')
+    servo = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", text)).joints[0].servo
+    assert (servo.max_torque_Nm, servo.no_load_speed_rad_s) == (8.5, 8.5)
+
+
+def test_what_a_robot_has_no_place_for_is_named(tmp_path: Path) -> None:
+    more = '<mimic joint="shoulder"/><dynamics damping="0.1" friction="0.2"/>'
+    text = URDF.replace('<axis xyz="0 0 1"/>', f'<axis xyz="0 0 1"/>{more}')
+    _, notes = robot_toml(read_urdf(written(tmp_path, "arm.urdf", text)))
+    assert "elbow: its coupling to another joint (mimic): not taken" in notes
+    assert "elbow: damping and friction (identify finds them): not taken" in notes
+
+
+def test_placeholders_and_omissions_of_mjcf(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
+    text = MJCF.replace('forcerange="-3 3"', 'forcerange="-1000 1000"')
+    text = text.replace('name="elbow" type', 'name="elbow" damping="0.1" type')
+    equality = '<equality><joint joint1="elbow" joint2="shoulder"/></equality></mujoco>'
+    text = text.replace("</mujoco>", equality)
+    _, notes = robot_toml(read_mjcf(written(tmp_path, "arm.xml", text)))
+    assert "servo1: max_torque_Nm: 1000, a placeholder: take it from the data sheet" in notes
+    assert "elbow: damping, friction and armature (identify finds them): not taken" in notes
+    assert "equality constraints (1): not taken" in notes
+
+
 def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
     finger = '<joint name="finger" type="revolute"><parent link="plate"/><child link="tip"/>'
     finger += '<limit lower="0" upper="1" effort="1" velocity="9"/></joint><link name="tip"/>'

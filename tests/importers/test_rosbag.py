@@ -5,7 +5,9 @@ import sys
 
 import numpy as np
 import pytest
+from good_input import message
 
+from sim2real.clock import recording_clock_findings
 from sim2real.errors import InputError
 from sim2real.importers.rosbag import read_bag
 from sim2real.recording import read_recording, write_recording
@@ -124,6 +126,26 @@ def test_states_and_set_points_stand_at_their_own_times(ros):
     assert recording.metadata["states_before_first_command"] == 3
     assert recording.metadata["clock_at_start_s"] == pytest.approx(1_700_000_000.023, abs=1e-6)
     assert recording.metadata["original_file"] == bag.name
+
+
+def test_a_clean_bag_has_a_clean_clock_and_two_publishers_are_refused(ros):
+    t = np.arange(0, 6, 0.008)
+    angle = 0.5 * np.sin(3 * t)
+    states = [
+        (STATE, 1000 * at + 0.2, ros.state(["j1"], [x], stamp_ns=stamp(1000 * at)))
+        for at, x in zip(t, angle, strict=True)
+    ]
+    sent = [(COMMAND, 1000 * at, ros.number(np.sin(3 * at))) for at in np.arange(0.003, 6, 1 / 45)]
+    arguments = {"state_topic": STATE, "command_topic": COMMAND}
+    recording = read_bag(ros.write(*states, *sent), **arguments)
+    assert recording_clock_findings(recording.joints, recording.t, recording.position) == []
+    assert recording.rate_hz == pytest.approx(125)
+    assert recording.missing(0) == 0
+    assert "import_warnings" not in recording.metadata
+    more = [(s[0], s[1] + 1.1, ros.state(["j1"], [0.0], stamp_ns=stamp(s[1]))) for s in states[::5]]
+    again = Ros(ros.file.with_stem("again"))
+    bag = again.write(*states, *more, *sent)
+    message(lambda: read_bag(bag, **arguments), STATE, "two publishers", "angles of j1")
 
 
 def test_written_and_read_back_it_is_the_same(ros2, tmp_path):

@@ -130,3 +130,114 @@ def test_bad_arrays(tmp_path: Path) -> None:
     message(
         lambda: read_table(file, column_map(columns), units, time_unit="s"), "no arrays of numbers"
     )
+
+
+def variant(
+    separator: str = ",", comma: bool = False, comment: str = "", header: str = "{}"
+) -> str:
+    """The table with other separators, commas, comments and marks at its header."""
+    rows = [line.split(",") for line in DYNAMIXEL.splitlines()]
+    lines = [separator.join(cells) for cells in rows]
+    lines[1:] = [line.replace(".", ",") if comma else line for line in lines[1:]]
+    if comment:
+        lines.insert(3, f"{comment} paused here")
+        lines.insert(0, f"{comment} recorded on a bench, first run")
+    top = 1 if comment else 0
+    lines[top] = header.format(lines[top])
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "form"),
+    [
+        (variant(";"), "columns separated by semicolons"),
+        (variant(";", comma=True), "columns separated by semicolons, decimal commas"),
+        (variant("\t"), "columns separated by tabs"),
+        (variant("\t", comma=True), "columns separated by tabs, decimal commas"),
+        (variant(comment="#"), None),
+        (variant(comment="//"), None),
+        (variant(";", comment="%", comma=True), "columns separated by semicolons, decimal commas"),
+        (variant(header="# {}"), None),
+        (variant(comment="#", header="%{}"), None),
+        ("\n\n" + variant().replace("\n", "\r\n"), None),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_other_forms_of_a_table(tmp_path: Path, text: str, form: str | None, encoding: str) -> None:
+    named = [pair.replace("Goal Position", "Soll [°]") for pair in COLUMNS]
+    expected = read_table(csv(tmp_path), column_map(COLUMNS), COUNTS, time_unit="ms")
+    file = tmp_path / "log.tsv"
+    file.write_bytes(text.replace("Goal Position", "Soll [°]").encode(encoding))
+    log = read_table(file, column_map(named), COUNTS, time_unit="ms")
+    np.testing.assert_array_equal(log.t, expected.t)
+    np.testing.assert_array_equal(log.command, expected.command)
+    np.testing.assert_array_equal(log.position, expected.position)
+    for name, values in expected.columns.items():
+        np.testing.assert_array_equal(log.columns[name], values)
+    assert log.metadata.get("format") == form
+
+
+def test_columns_separated_by_spaces_below_a_comment(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(50)
+    values = np.stack([t, np.sin(t), np.cos(t)], axis=1)
+    np.savetxt(tmp_path / "log.csv", values, header="time goal angle")
+    columns = column_map(["t=time", "pan.command=goal", "pan.position=angle"])
+    log = read_table(tmp_path / "log.csv", columns, conversion(["rad"]), time_unit="s")
+    np.testing.assert_allclose(log.position[:, 0], np.cos(t), rtol=1e-15)
+    assert log.metadata["format"] == "columns separated by spaces"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("t;c;p\n0;1,5;2\n0,01;1.5;2\n", ("row 2 of the data, c", "'1.5'", "decimal commas")),
+        ("t;c;p\n1;2,048;2,049\n2;2,048;2,049\n", ("'2,048'", "thousands")),
+        ("t,c,p\n0,00,1,5,2,5\n0,01,1,5,2,5\n", ("more cells", "decimal commas need another")),
+        ("t,c,p\n0,1,2\n0,01,1,2\n", ("row 2 of the data", "4 cells", "3, as in the header")),
+        ("t;c;d\n0;1;2\n1;1;2\n", ("no column p", "semicolons", "one of t, c, d")),
+        ("t;c;p;p\n0;1;2;2\n1;1;2;2\n", ("header", "p twice")),
+        ("t,c,p\n0,1,2\n\0\n", ("no table (binary",)),
+    ],
+)
+def test_bad_forms(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
+    columns = column_map(["t=t", "j.command=c", "j.position=p"])
+    units, file = conversion(["deg"]), csv(tmp_path, text)
+    message(lambda: read_table(file, columns, units, time_unit="s"), str(file), *parts)
+
+
+def test_a_unit_for_each_column(tmp_path: Path) -> None:
+    text = "t,c,p,d,q\n" + "".join(f"{k},{k},{k},{k},0.{k}\n" for k in range(9))
+    columns = ["t=t", "a.command=c", "a.position=p", "b.command=d", "b.position=q"]
+
+    def read(*units: str) -> np.ndarray:
+        log = read_table(
+            csv(tmp_path, text), column_map(columns), conversion(units), time_unit="ms"
+        )
+        return np.stack([log.command[-1], log.position[-1]])
+
+    one = math.pi / 180
+    expected = [[8 * one, 8 * one], [8 * one, 0.8]]
+    assert read("deg", "b.position=rad") == pytest.approx(np.array(expected))
+    expected = [[8, 8 * one], [8 * one, 0.8]]
+    assert read("a.command=rad", "a=deg", "b.command=deg", "b.position=rad") == pytest.approx(
+        np.array(expected)
+    )
+    message(lambda: read("deg", "b.current=rad"), "--units", "b.current", "command or position")
+    message(lambda: read("a=deg", "b.command=rad"), "--units", "none for b")
+
+
+@pytest.mark.parametrize(
+    ("unit", "step", "parts"),
+    [
+        ("ns", 0.01, ("--time-unit ns", "samples 1e-11 s apart", "in seconds?")),
+        ("s", 10, ("--time-unit s", "samples 10 s apart", "in milliseconds?")),
+        ("us", 1e-3, ("--time-unit us", "samples 1e-09 s apart", "in seconds?")),
+        ("s", 1e7, ("--time-unit s", "in nanoseconds?")),
+    ],
+)
+def test_implausible_units_of_time(
+    tmp_path: Path, unit: str, step: float, parts: tuple[str, ...]
+) -> None:
+    file = csv(tmp_path, "t,c,p\n" + "".join(f"{k * step!r},0.1,0.1\n" for k in range(20)))
+    columns = column_map(["t=t", "j.command=c", "j.position=p"])
+    message(lambda: read_table(file, columns, conversion(["rad"]), time_unit=unit), *parts)
