@@ -110,7 +110,7 @@ def test_joints_that_are_read_in_turn() -> None:
     assert recording_clock_findings(["a", "b"], t, position) == []
     position[200:240, 1] = np.nan
     (finding,) = recording_clock_findings(["a", "b"], t, position)
-    assert finding == "b: A gap of 0.42 s, starting at 1.984 s."
+    assert finding.text == "b: A gap of 0.42 s, starting at 1.984 s."
     assert [missing_samples(t, angle) for angle in position.T] == [0, 20]
 
 
@@ -125,7 +125,8 @@ def test_missing_samples_are_no_jitter_and_dropped_rows_are_named() -> None:
     assert (clock.gaps, clock.missing_cells) == ((), lost.sum())
     assert recording_clock_findings(["j1"], T, position) == []
     (finding,) = recording_clock_findings(["j1"], T[~lost], position[~lost])
-    assert finding.startswith(f"{lost.sum()} samples are missing one at a time (")
+    assert finding.severity == "warning"
+    assert finding.text.startswith(f"{lost.sum()} samples are missing one at a time (")
 
 
 def test_a_wrong_unit_of_time_is_named() -> None:

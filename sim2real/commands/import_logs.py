@@ -10,6 +10,7 @@ import numpy as np
 
 from sim2real.clock import check_sampling
 from sim2real.errors import InputError
+from sim2real.findings import all_findings
 from sim2real.importers.bam import read_bam
 from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
@@ -45,7 +46,6 @@ OPTIONS = {
 }
 """Options of each kind of log."""
 STATE_TOPIC = "/joint_states"
-LARGEST_START_RAD = 0.1  # largest initial difference of a joint at rest on its first command
 
 
 def run(args: argparse.Namespace) -> int:
@@ -81,6 +81,9 @@ def run(args: argparse.Namespace) -> int:
     print(f"{out}: {_summary(recording)}")
     for warning in recording.metadata.get("import_warnings", ()):
         print(f"! {warning}")
+    for finding in all_findings(recording):
+        if finding.severity != "note":
+            print(f"! {finding.severity}: {finding.text}")
     if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
         print(_without_loads(unknown))
     return 0
@@ -174,11 +177,6 @@ def _summary(recording: Recording) -> str:
     ]
     if "format" in recording.metadata:
         parts.append(str(recording.metadata["format"]))
-    for j, joint in enumerate(recording.joints):
-        first = np.flatnonzero(np.isfinite(recording.position[:, j]))[0]
-        difference = float(recording.position[first, j] - recording.command[first, j])
-        if abs(difference) > LARGEST_START_RAD:
-            parts.append(f"{joint} starts {difference:+.2f} rad from its first command")
     if "left_out" in recording.metadata:
         omitted = recording.metadata["left_out"]
         parts.append(

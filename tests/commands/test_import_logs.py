@@ -29,14 +29,14 @@ def log(tmp_path):
     return file
 
 
-def test_writes_a_recording_and_says_so_in_one_line(log, tmp_path, capsys):
+def test_writes_a_recording_and_says_so(log, tmp_path, capsys):
     out = tmp_path / "new" / "out.csv"
     assert command.run(arguments(log, out)) == 0
     assert read_recording(out).t.size == 7
-    (line,) = capsys.readouterr().out.splitlines()
+    line, warning = capsys.readouterr().out.splitlines()
+    assert warning == "! warning: j1 starts 0.5 rad away from its first command."
     assert line == (
         f"{out}: 7 rows in 0.06 s; joints j1; 100 samples a second; load known on j1; "
-        "j1 starts +0.50 rad from its first command; "
         "2 rows omitted from 0.07 s: the torque comes on again"
     )
 
