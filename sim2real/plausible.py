@@ -26,7 +26,7 @@ _FEWEST_SAMPLES = 20
 UNEXPLAINED_RATIO = 3.0
 """Smallest ratio of the variance unexplained by the best later shift to that by the best earlier
 one. It is at most 2.0 for the joints of shipped, real and generated recordings, and above 3 for
-99 % of them with command and position swapped (``benchmarks/causality.py``)."""
+99 % of them with command and position swapped (``benchmarks/recording_findings.py``)."""
 
 
 def recording_warnings(

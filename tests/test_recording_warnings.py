@@ -181,6 +181,7 @@ def test_import_prints_what_fits_will_refuse(tmp_path, capsys):
     np.savetxt(log, table, delimiter=",", header="time,goal,present", comments="")
     columns = ["t=time", "j1.command=goal", "j1.position=present"]
     options = ["--columns", *columns, "--units", "counts", "--counts-per-turn", "4096"]
+    options += ["--zero-count", "200", "--time-unit", "s", "--out", str(out)]
     assert (
         main(
             [
