@@ -309,7 +309,7 @@ def read_water_swims(*paths: Path) -> InWater:
 
 def _read_water(path: Path) -> InWater:
     """Read one file."""
-    content = read_arrays(path, "a file by --in-water")
+    content = read_arrays(path, "a file by --in-water", what="swims in water")
     try:
         names = tuple(content["names"].tolist())
         count = sum(name.startswith("key_") for name in content)
