@@ -31,6 +31,8 @@ NEAR_M, HALF_M = 0.05, 0.5
 """The column of the distance d is log((d + near) / half)."""
 LARGEST = 10.0
 """Scaled columns are clipped to this magnitude."""
+MOST = 1000
+"""Largest period and memory of a view."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,20 @@ class View:
         target = [1.0, 0.0, 0.0] if self.scaled else [0.0, 1.0]
         sides = [1.0, 1.0] if self.sides else []
         return [0.0, 1.0, 1.0, *[1.0] * (2 * J), *target, *sides, *[1.0] * (self.memory * J)]
+
+    @classmethod
+    def from_content(cls, fields: Any) -> View:  # noqa: ANN401 - any JSON
+        """The view with the fields of a file.
+
+        Raises:
+            ValueError: If a field is missing, unknown, of another type or out of range.
+        """
+        kinds = {"period": int, "ramp": bool, "memory": int, "scaled": bool, "sides": bool}
+        if not isinstance(fields, dict) or {k: type(v) for k, v in fields.items()} != kinds:
+            raise ValueError(f"a view {fields!r}")
+        if not 1 <= fields["period"] <= MOST or not 0 <= fields["memory"] <= MOST:
+            raise ValueError(f"a view {fields!r}")
+        return cls(**fields)
 
     @property
     def decision_s(self) -> float:

@@ -253,7 +253,15 @@ def _swim(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--pose",
         metavar="URL",
-        help="address of this computer to which a tracker sends poses, with --bus: udp://HOST:PORT",
+        help="address of this computer to which a tracker sends poses, with --bus: udp://HOST:PORT "
+        "(udp://:PORT for a tracker on this computer, udp://0.0.0.0:PORT for any)",
+    )
+    command.add_argument(
+        "--key-file",
+        type=Path,
+        metavar="FILE",
+        help="file with a key that robot and tracker share, of at least 16 characters, which "
+        "authenticates their datagrams (default: environment variable SIM2REAL_KEY; none without)",
     )
     add_number(
         command,

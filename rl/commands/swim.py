@@ -19,6 +19,7 @@ from rl.deploy.swim import ANSWER_S, swim
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.interruption import interruption
+from sim2real.hardware.shared_key import shared_key
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
 from sim2real.robot import Robot, read_robot
@@ -40,21 +41,21 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
     if options.out is not None:
         _check_out(options.out)
+    key = shared_key(options.key_file)
     policy = _policy(options.policy)
     pilot = Pilot(policy, target, options.seconds)
     with (
         interruption() as stop,
-        _robot(options, policy, stop) as url,
-        Link(url, len(policy.joints)) as link,
+        _robot(options, policy, stop, key) as url,
+        Link(url, len(policy.joints), key) as link,
         tqdm(total=options.seconds, desc="swim", bar_format=_BAR, disable=None) as bar,
     ):
         track = swim(link, pilot, interrupted=stop, progress=bar.update)
         if track is None:
             strange = f", only {link.strange} strange datagrams" if link.strange else ""
             failure = f"no answer from {url} in {ANSWER_S:g} s{strange}"
-            raise InputError(
-                "--port", "", failure, "a robot with the protocol of rl/deploy/link.py"
-            )
+            expected = "a robot with the protocol of rl/deploy/link.py, this key and no other pilot"
+            raise InputError("--port", "", failure, expected)
     written = "nothing written"
     if options.out is not None and len(track.t) >= FEWEST_ROWS:
         write_recording(_recording(options, policy, track), options.out)
@@ -86,10 +87,12 @@ def _policy(path: Path) -> Policy:
 
 
 @contextmanager
-def _robot(options: argparse.Namespace, policy: Policy, stop: Callable[[], bool]) -> Iterator[str]:
+def _robot(
+    options: argparse.Namespace, policy: Policy, stop: Callable[[], bool], key: bytes | None
+) -> Iterator[str]:
     """URL of the robot; a virtual one, or one on a bus, runs until the block ends."""
     if options.bus is not None:
-        with _on_bus(options, policy, stop) as url:
+        with _on_bus(options, policy, stop, key) as url:
             yield url
         return
     if not options.virtual:
@@ -103,12 +106,14 @@ def _robot(options: argparse.Namespace, policy: Policy, stop: Callable[[], bool]
 
     _needs(options, "robot", "model", why="--virtual")
     robot = _described(options, policy)
-    with virtual_robot(Twin(robot, read_model(options.model), threads=1)) as url:
+    with virtual_robot(Twin(robot, read_model(options.model), threads=1), key) as url:
         yield url
 
 
 @contextmanager
-def _on_bus(options: argparse.Namespace, policy: Policy, stop: Callable[[], bool]) -> Iterator[str]:
+def _on_bus(
+    options: argparse.Namespace, policy: Policy, stop: Callable[[], bool], key: bytes | None
+) -> Iterator[str]:
     """URL of a robot whose servos are on a bus of this computer."""
     from rl.deploy.bus_robot import bus_robot
     from sim2real.hardware.buses import bus_class, connection
@@ -136,6 +141,7 @@ def _on_bus(options: argparse.Namespace, policy: Policy, stop: Callable[[], bool
                 options.pose,
                 hottest_C=options.max_temperature,
                 interrupted=stop,
+                key=key,
             ) as (url, driven),
         ):
             yield url

@@ -7,23 +7,28 @@ duration of a choice and the network are different. ``discrete_train`` trains it
 
 from __future__ import annotations
 
-import json
+import io
 import os
-import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 from stable_baselines3 import DQN
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
+from rl.sac.policy_zip import read_policy_zip, read_settings, write_policy_zip
+from rl.sac.sac import Spaces
 from rl.task import CONTROL_S
 from sim2real.arrays import Array, Array32, Mask
 from sim2real.errors import InputError
+
+LONGEST_HOLD = 1000
+"""Longest duration of a choice in control periods."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +95,12 @@ class ActionTable:
         frequency, amplitude, offset = (np.array(c, dtype=np.float64) for c in columns)
         if frequency.ndim != 1 or {amplitude.shape, offset.shape} != {frequency.shape}:
             raise ValueError("columns of different lengths")
-        front, lag = float(content["front"]), float(content["lag_rad"])
-        return cls(frequency, amplitude, offset, front, lag, int(content["hold"]))
+        front, lag, hold = (float(content[k]) for k in ("front", "lag_rad", "hold"))
+        if not np.isfinite([*frequency, *amplitude, *offset, front, lag]).all():
+            raise ValueError("a number that is not finite")
+        if not 1 <= hold <= LONGEST_HOLD:
+            raise ValueError(f"a hold of {hold:g}")
+        return cls(frequency, amplitude, offset, front, lag, int(hold))
 
 
 TABLE = ActionTable.of(
@@ -154,6 +163,36 @@ def with_phase(
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
+class GaitDQN(DQN):
+    """Deep Q-learning whose choices are rows of a table, saved without pickled objects.
+
+    Attributes:
+        gaits: The table, as ``ActionTable.content``.
+        joints: Names of the joints.
+    """
+
+    gaits: Mapping[str, Any]
+    joints: list[str]
+
+    def save(
+        self,
+        path: str | os.PathLike[str] | io.BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """Write ``policy.zip`` atomically.
+
+        Args:
+            path: Name of the file.
+            exclude: Unused.
+            include: Unused.
+        """
+        del exclude, include
+        settings = {"algorithm": "DQN", "gaits": self.gaits, "joints": self.joints}
+        file = cast("str | os.PathLike[str]", path)
+        write_policy_zip(file, settings, self.policy.state_dict(), {})
+
+
 def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
     """Read the gaits of a trained policy; None if the file has none.
 
@@ -161,13 +200,12 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
         InputError: If its gaits are invalid.
     """
     try:
-        with zipfile.ZipFile(path) as file:
-            content = json.loads(file.read("data"))["gaits"]
-    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        content = read_settings(path)["gaits"]
+    except (InputError, KeyError):
         return None
     try:
         return ActionTable.from_content(content)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         expected = "frequencies, amplitudes and offsets"
         raise InputError(Path(path), "gaits", f"an invalid table ({error})", expected) from None
 
@@ -177,7 +215,7 @@ def read_policy(
 ) -> DiscreteCPG:
     """Read a policy of ``discrete_train`` as a controller.
 
-    The zip file contains pickled Python objects: read only files from trusted sources.
+    Nothing in the file is executed, see ``rl.sac.policy_zip``.
 
     Args:
         path: The file.
@@ -188,14 +226,17 @@ def read_policy(
     Raises:
         InputError: If it is no policy, or for a robot with another number of joints.
     """
-    try:
-        model = DQN.load(Path(path), device="cpu")
-    except Exception as error:  # unpickling can raise any exception
-        problem = f"a file that cannot be loaded ({type(error).__name__}: {error})"
-        expected = "a policy saved by Stable-Baselines3's DQN"
-        raise InputError(Path(path), "", problem, expected) from None
-    joints, shape = len(np.asarray(limits_rad)), model.observation_space.shape
-    if shape != (7 + 2 * joints,):
+    saved = read_policy_zip(path, "DQN")
+    columns, *hidden, choices = saved.widths("q_net.q_net")
+    joints = len(np.asarray(limits_rad))
+    if columns != 7 + 2 * joints:
         expected = f"{7 + 2 * joints} for the robot's {joints} joints"
-        raise InputError(Path(path), "observation", f"columns {shape}", expected)
+        raise InputError(Path(path), "observation", f"{columns} columns", expected)
+    if choices != len(table):
+        raise InputError(Path(path), "gaits", f"{len(table)}", f"{choices}, as the network has")
+    box = spaces.Box(-np.inf, np.inf, (columns,), dtype=np.float32)
+    options = {"net_arch": hidden}
+    env = Spaces(box, spaces.Discrete(choices))
+    model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=options, device="cpu")
+    saved.load_into(model.policy)
     return DiscreteCPG(model, limits_rad, n_envs, table)

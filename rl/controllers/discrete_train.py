@@ -6,7 +6,6 @@ Mnih et al., "Human-level control through deep reinforcement learning" (Nature 5
 from __future__ import annotations
 
 import json
-import os
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -14,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
-from rl.controllers.discrete_cpg import TABLE, ActionTable
+from rl.controllers.discrete_cpg import TABLE, ActionTable, GaitDQN
 from rl.controllers.discrete_env import DiscreteCPGEnv
 from rl.make import Fidelity, draws_of, make_world, own_stream
 from rl.observer import PAPER
@@ -30,6 +28,7 @@ from sim2real.model import read_model
 from sim2real.output import provenance, write_json, write_whole
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
+from sim2real.structured import read_json
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
 ROWS = 50
@@ -67,9 +66,9 @@ class GaitSettings:
     least: float = 0.05
 
 
-def make_dqn(env: VecEnv, seed: int, settings: GaitSettings = GaitSettings()) -> DQN:
+def make_dqn(env: VecEnv, seed: int, settings: GaitSettings = GaitSettings()) -> GaitDQN:
     """An untrained agent for ``env``, a ``DiscreteCPGEnv``."""
-    return DQN(
+    return GaitDQN(
         "MlpPolicy", env, learning_rate=settings.rate, buffer_size=settings.memory,
         learning_starts=settings.warm_up, batch_size=settings.batch, gamma=settings.gamma,
         train_freq=1, gradient_steps=settings.updates, target_update_interval=settings.follow,
@@ -129,12 +128,12 @@ def train_run(
                 fish, chosen, draws, n_envs=envs, seed=seed, fidelity=fidelity, device=device,
                 cell_m=cell_m, threads=threads,
             )  # fmt: skip
-            agent: Any = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER), table), seed, settings)
+            agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER), table), seed, settings)
             callback = ProgressCallback(steps, table.hold)
             agent.learn(-(-steps // table.hold), callback=callback)
         agent.gaits, agent.joints = table.content(), [joint.name for joint in fish.joints]
         write_whole(directory / "progress.csv", callback.csv())
-        save(agent, directory / "policy.zip")
+        agent.save(directory / "policy.zip")
     return folders
 
 
@@ -143,22 +142,13 @@ def _is_done(directory: Path, description: dict[str, Any], note: dict[str, Any])
     path = directory / "run.json"
     if not path.exists():
         write_json(path, {**description, "provenance": note})
-    existing = json.loads(path.read_text())
-    expected_content = json.loads(json.dumps(description))
-    if {k: existing.get(k) for k in expected_content} != expected_content or existing["provenance"][
-        "inputs"
-    ] != note["inputs"]:
+    existing = read_json(path)
+    same = all(existing.get(k) == v for k, v in json.loads(json.dumps(description)).items())
+    origin = existing.get("provenance")
+    if not same or not isinstance(origin, dict) or origin.get("inputs") != note["inputs"]:
         expected = "the same options and files, or a new folder"
         raise InputError(directory, "run.json", "another run", expected)
     return (directory / "policy.zip").exists()
-
-
-def save(agent: DQN, path: Path) -> None:
-    """Write a policy atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    agent.save(temporary)
-    os.replace(temporary, path)
 
 
 class ProgressCallback(BaseCallback):

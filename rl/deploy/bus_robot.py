@@ -1,8 +1,6 @@
 """A robot whose servos are on a bus of this computer, with the protocol of ``rl.deploy.link``.
 
-Its pose comes in UDP datagrams from a tracker, one JSON object each, as of a robot without joints::
-
-    {"t_s": 12.34, "pose": [0.51, -0.02, 0.13], "joints_rad": []}
+Its pose comes from a tracker, in UDP datagrams whose format is described there.
 """
 
 from __future__ import annotations
@@ -17,7 +15,15 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from rl.deploy.link import LARGEST, Telemetry, read_telemetry, telemetry_bytes
+from rl.deploy.link import (
+    LARGEST,
+    MOST,
+    SILENCE_S,
+    TRACKER_S,
+    Telemetry,
+    read_telemetry,
+    telemetry_bytes,
+)
 from rl.deploy.measurements import CONTROL_S
 from rl.deploy.virtual_robot import Received, served
 from sim2real.arrays import Array
@@ -32,6 +38,44 @@ CYCLE_S = 0.4 * CONTROL_S
 """Longest round over the bus: set-points are awaited in the rest of a period."""
 
 
+class Poses:
+    """Poses of the first tracker that sends, until it falls silent."""
+
+    def __init__(self, listener: socket.socket, key: bytes | None = None) -> None:
+        """Poses that arrive at a socket.
+
+        Args:
+            listener: The socket, which does not block.
+            key: Key that the tracker shares; none by default.
+        """
+        self._listener, self._key = listener, key
+        self._tracker: tuple[object, str] | None = None
+        self._t, self._heard = 0.0, 0.0
+
+    def newest(self) -> Array:
+        """x, y, heading, shape (3,); NaN if no pose has arrived since the last call."""
+        pose = np.full(3, np.nan)
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(MOST):
+                datagram, sender = self._listener.recvfrom(LARGEST)
+                seen = read_telemetry(datagram, 0, self._key)
+                if seen is not None and self._accept(seen, sender):
+                    pose = seen.pose
+        return pose
+
+    def _accept(self, seen: Telemetry, sender: object) -> bool:
+        """Whether a pose is of the present tracker and new, or of the first one."""
+        now, tracker = time.monotonic(), (sender, seen.session)
+        passed = now - self._heard
+        if tracker != self._tracker:
+            if self._tracker is not None and passed <= SILENCE_S:
+                return False
+        elif not 0 < seen.t_s - self._t <= passed + TRACKER_S:
+            return False
+        self._tracker, self._t, self._heard = tracker, seen.t_s, now
+        return True
+
+
 class BusRobot(Received):
     """Servos on a bus, and the pose that a tracker sends.
 
@@ -44,9 +88,10 @@ class BusRobot(Received):
         bus: ServoBus,
         mountings: Sequence[Mounting],
         rest: Array,
-        poses: socket.socket,
+        poses: Poses,
         *,
         hottest_C: float,
+        key: bytes | None = None,
     ) -> None:
         """Start at rest.
 
@@ -54,10 +99,12 @@ class BusRobot(Received):
             bus: The bus, on which the servos hold their rest angles.
             mountings: The J servos.
             rest: Rest angles in rad, shape (J,).
-            poses: Socket at which poses arrive.
+            poses: Poses of the tracker.
             hottest_C: Temperature at which to stop.
+            key: Key that the computer shares; none by default.
         """
-        super().__init__(rest)
+        limits = np.array([mounting.joint.limits_rad for mounting in mountings])
+        super().__init__(rest, limits, key)
         self.stopped: str | None = None
         self._bus, self._mountings, self._hottest_C = bus, mountings, hottest_C
         self._poses, self._joint = poses, np.full(len(mountings), np.nan)
@@ -77,7 +124,8 @@ class BusRobot(Received):
     def telemetry(self) -> bytes:
         """The datagram with the state; the pose is missing if none has arrived since the last."""
         joint = self._joint if self.stopped is None else np.full(len(self._joint), np.nan)
-        return telemetry_bytes(Telemetry(time.monotonic(), self._pose(), joint))
+        seen = Telemetry(time.monotonic(), self._poses.newest(), joint, self.session)
+        return telemetry_bytes(seen, self._key)
 
     def _round(self, desired: Array) -> Array:
         pairs = list(zip(self._mountings, desired, strict=True))
@@ -91,14 +139,6 @@ class BusRobot(Received):
             angles.append(math.nan if ticks is None else mounting.angle(ticks))
         return np.array(angles)
 
-    def _pose(self) -> Array:
-        pose = np.full(3, np.nan)
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                telemetry = read_telemetry(self._poses.recv(LARGEST), 0)
-                pose = pose if telemetry is None else telemetry.pose
-        return pose
-
 
 @contextmanager
 def bus_robot(
@@ -109,6 +149,7 @@ def bus_robot(
     *,
     hottest_C: float,
     interrupted: Callable[[], bool],
+    key: bytes | None = None,
 ) -> Iterator[tuple[str, BusRobot]]:
     """Context manager that moves the servos to rest and serves them on loopback.
 
@@ -118,9 +159,11 @@ def bus_robot(
         connection: The bus.
         mountings: The J servos.
         rest: Rest angles in rad, shape (J,).
-        poses: ``udp://HOST:PORT`` of this computer, to which the tracker sends poses.
+        poses: ``udp://HOST:PORT`` of this computer, to which the tracker sends poses; only from
+            this computer if HOST is missing.
         hottest_C: Temperature at which to stop.
         interrupted: Whether the user has asked to stop.
+        key: Key of the link and of the tracker; none by default.
 
     Returns:
         The robot's ``udp://HOST:PORT``, and the robot.
@@ -139,7 +182,8 @@ def bus_robot(
                 hottest_C=hottest_C,
                 interrupted=interrupted,
             )
-            robot = BusRobot(connection.bus, mountings, rest, listener, hottest_C=hottest_C)
+            seen = Poses(listener, key)
+            robot = BusRobot(connection.bus, mountings, rest, seen, hottest_C=hottest_C, key=key)
             with served(robot) as url:
                 yield url, robot
         finally:
@@ -155,7 +199,7 @@ def _listening(url: str) -> socket.socket:
         address = urlsplit(url)
         if address.scheme != "udp":
             raise ValueError("not udp")
-        listener.bind((address.hostname or "", address.port or 0))
+        listener.bind((address.hostname or "127.0.0.1", address.port or 0))
     except (OSError, ValueError, UnicodeError, OverflowError) as error:
         listener.close()
         expected = "udp://HOST:PORT of this computer, where poses arrive"

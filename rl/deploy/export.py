@@ -17,11 +17,11 @@ from rl.deploy.forward import Policy, npz
 from rl.deploy.header import c_header
 from rl.deploy.onnx_graph import onnx_model
 from rl.observer import PAPER, View
+from rl.sac.policy_zip import read_policy_zip
+from rl.sac.sac import SwimSAC, agent_in
 from rl.task import observation_bounds, observation_names
 from sim2real.errors import InputError
 from sim2real.output import check_writable, provenance, write_whole
-
-_EXPECTED = "a policy saved by Stable-Baselines3's SAC"
 
 
 def read_zip(
@@ -32,10 +32,10 @@ def read_zip(
     If the agent states the angles of its actions -1 and 1 (as those of ``rl.sac.sac`` do), the
     policy has them; otherwise its action space is in rad.
 
-    The zip file contains pickled Python objects: read only files from trusted sources.
+    Nothing in the file is executed, see ``rl.sac.policy_zip``.
 
     Args:
-        path: Saved by ``SAC.save``.
+        path: Saved by an agent of this library, or by Stable-Baselines3's ``SAC.save``.
         seed: For the provenance.
         price: Price of energy relative to that of the training; default: that of the file.
 
@@ -50,20 +50,13 @@ def read_zip(
     return policy_of(agent, where=str(file), note={**provenance([file], seed)})
 
 
-def read_agent(path: str | os.PathLike[str]) -> SAC:
+def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
     """Read an SAC agent without replay memory; see ``read_zip``.
 
     Raises:
         InputError: If it cannot be read.
     """
-    file = Path(path)
-    if not file.is_file():
-        raise InputError(file, "", "no file", _EXPECTED)
-    try:
-        return SAC.load(file, device="cpu", custom_objects={"buffer_size": 1})
-    except Exception as error:  # unpickling can raise any exception
-        problem = f"a file that cannot be loaded ({type(error).__name__}: {error})"
-        raise InputError(file, "", problem, _EXPECTED) from None
+    return agent_in(read_policy_zip(path, "SAC"))
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from io import BytesIO
@@ -15,12 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rl.observer import PAPER, View
+from sim2real.archives import read_arrays
 from sim2real.arrays import Array32
 from sim2real.errors import InputError
+from sim2real.structured import finite_number
 
 SCHEMA = "sim2real.policy/2"
 FIRST = "sim2real.policy/1"
 """Former schema without a view, which is that of the paper."""
+LARGEST_BYTES = 64 * 2**20
+"""Largest unpacked file."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +99,7 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
         InputError: If it cannot be read, or the shapes of its arrays are inconsistent.
     """
     file = Path(path)
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            content = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(file, "", f"no arrays ({error})", "a policy exported as .npz") from None
+    content = read_arrays(file, "a policy exported as .npz", largest=LARGEST_BYTES)
     if str(content.get("schema")) not in (SCHEMA, FIRST):
         raise InputError(file, "schema", repr(str(content.get("schema"))), repr(SCHEMA))
     try:
@@ -114,11 +113,11 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
             observation=tuple(map(str, content["observation"])),
             observation_limit=_numbers(content["observation_limit"]),
             view=_view(content),
-            provenance=json.loads(str(content["provenance"])),
+            provenance=_provenance(json.loads(str(content["provenance"]))),
         )
     except KeyError as error:
         raise InputError(file, str(error.args[0]), "nothing", "an array of that name") from None
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(file, "", f"an invalid array ({error})", "finite numbers") from None
     _check(file, policy)
     return policy
@@ -127,13 +126,21 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
 def _view(content: Mapping[str, NDArray[Any]]) -> View:
     if str(content["schema"]) == FIRST:
         return PAPER
-    fields = json.loads(str(content["view"]))
-    kinds = {"period": int, "ramp": bool, "memory": int, "scaled": bool, "sides": bool}
-    if not isinstance(fields, dict) or {k: type(v) for k, v in fields.items()} != kinds:
-        raise ValueError(f"a view {fields!r}")
-    if fields["period"] < 1 or fields["memory"] < 0:
-        raise ValueError(f"a view {fields!r}")
-    return View(**fields)
+    return View.from_content(json.loads(str(content["view"])))
+
+
+def _provenance(content: Any) -> dict[str, Any]:  # noqa: ANN401 - any JSON
+    if not isinstance(content, dict) or not is_spread(content.get("trained_over", {})):
+        raise ValueError("a provenance that is no object, or without two numbers by parameter")
+    return content
+
+
+def is_spread(content: object) -> bool:
+    """Whether ``content`` has two finite numbers for each parameter, as ``trained_over`` does."""
+    return isinstance(content, dict) and all(
+        isinstance(ends, list) and len(ends) == 2 and None not in map(finite_number, ends)
+        for ends in content.values()
+    )
 
 
 def _numbers(values: NDArray[Any]) -> Array32:

@@ -1,24 +1,47 @@
 """Protocol between a swimming robot and the computer that controls it.
 
-UDP datagrams, one JSON object each. The robot sends its state 50 times per second to the address
-that sent the last set-points; the computer answers each::
+UDP datagrams, one JSON object each. The robot sends its state 50 times per second to the computer
+that controls it, which answers each with set-points::
 
-    {"t_s": 12.34, "pose": [0.51, -0.02, 0.13], "joints_rad": [0.11, 0.20, -0.05]}
-    {"number": 617, "joints_rad": [0.15, 0.31, -0.12]}
+    {"session": "b7...e1", "t_s": 12.34, "pose": [0.51, -0.02, 0.13], "joints_rad": [0.11, 0.20]}
+    {"session": "b7...e1", "number": 617, "joints_rad": [0.15, 0.31]}
 
 ``t_s`` is the robot's clock, which increases. ``pose`` is x and y of the head's centre of mass in m
 and its heading in rad, in the pool's frame, from the overhead camera. ``joints_rad`` are measured
 or desired angles, from head to tail. Missing measurements are ``null``.
 
-``number`` increases, and the robot ignores set-points that arrive out of order. Number 0 starts a
-swim: the robot answers with its state and does not move. A robot that receives nothing for
-``SILENCE_S`` moves to its rest angles.
+**Session.** The computer begins with number 0, no angles and 16 hexadecimal digits of its own as
+``session``, repeated until the robot answers. The robot does not move, answers with its state, and
+appends 16 random digits of its own to ``session``; both ends use all 32 from then on. The robot
+keeps the address and session of the first sender and ignores all others, and number 0 too, until it
+has received no set-points for ``SILENCE_S``; it then moves to its rest angles and sends nothing.
+
+**Numbers** increase. The robot ignores one that is not larger than the last, or larger by more than
+``AHEAD`` and the control periods of 20 ms since the last: neither an old nor a huge number takes
+effect. It limits angles to those of its joints.
+
+**Key.** Where both ends share a key, 16 bytes follow each JSON object, see
+``sim2real.hardware.shared_key``, and datagrams without them are ignored.
+
+Without a key, whoever can read the traffic and send from the computer's address can move the robot:
+the network must be trusted. With a key they cannot, and cannot replay an earlier session, but they
+can read all, delay a start by replaying its first datagram, and block the traffic. Nothing is
+encrypted.
+
+A tracker sends poses to ``sim2real swim --pose`` in the same format, as a robot without joints::
+
+    {"session": "5c...02", "t_s": 12.34, "pose": [0.51, -0.02, 0.13], "joints_rad": []}
+
+The first tracker is kept until it has been silent for ``SILENCE_S``. Poses whose ``t_s`` does not
+increase, or increases by more than ``TRACKER_S`` and the time since the last pose, are ignored. A
+session of poses that was recorded can be replayed while no tracker sends.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import secrets
 import select
 import socket
 import time
@@ -29,11 +52,20 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.hardware.shared_key import sealed, unsealed
 
 SILENCE_S = 0.5
 """Time without a datagram after which either side regards the connection as lost."""
 LARGEST = 2048
 """Largest datagram in bytes."""
+AHEAD = 25
+"""Largest step of the numbers of set-points that arrive within one control period."""
+TRACKER_S = 1.0
+"""Largest step of a tracker's clock beyond the time that has passed."""
+MOST = 256
+"""Largest number of datagrams that are processed at once."""
+LONGEST_SESSION = 64
+"""Largest number of characters of a session that is accepted."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +75,7 @@ class Telemetry:
     t_s: float
     pose: Array
     joint: Array
+    session: str = ""
 
 
 @dataclass(frozen=True)
@@ -51,51 +84,58 @@ class SetPoints:
 
     number: int
     joint: Array
+    session: str = ""
 
 
-def telemetry_bytes(telemetry: Telemetry) -> bytes:
-    """The robot's datagram."""
-    content = {"t_s": round(telemetry.t_s, 9), "pose": _list(telemetry.pose)}
-    return json.dumps(content | {"joints_rad": _list(telemetry.joint)}).encode()
+def telemetry_bytes(telemetry: Telemetry, key: bytes | None = None) -> bytes:
+    """The robot's datagram, sealed with a key if there is one."""
+    content = {"session": telemetry.session, "t_s": round(telemetry.t_s, 9)}
+    content |= {"pose": _list(telemetry.pose), "joints_rad": _list(telemetry.joint)}
+    return sealed(json.dumps(content).encode(), key)
 
 
-def set_point_bytes(sent: SetPoints) -> bytes:
-    """The computer's datagram."""
-    return json.dumps({"number": sent.number, "joints_rad": _list(sent.joint)}).encode()
+def set_point_bytes(sent: SetPoints, key: bytes | None = None) -> bytes:
+    """The computer's datagram, sealed with a key if there is one."""
+    content = {"session": sent.session, "number": sent.number, "joints_rad": _list(sent.joint)}
+    return sealed(json.dumps(content).encode(), key)
 
 
-def read_telemetry(datagram: bytes, J: int) -> Telemetry | None:
-    """Parse the robot's datagram; None if it is not of a robot with J joints."""
-    content = _object(datagram)
+def read_telemetry(datagram: bytes, J: int, key: bytes | None = None) -> Telemetry | None:
+    """Parse the robot's datagram; None if it is not of a robot with J joints and this key."""
+    content, session = _object(datagram, key)
     t, pose = _numbers([content.get("t_s")], 1), _numbers(content.get("pose"), 3)
     joint = _numbers(content.get("joints_rad"), J)
     if t is None or pose is None or joint is None or not np.isfinite(t[0]):
         return None
-    return Telemetry(float(t[0]), pose, joint)
+    return Telemetry(float(t[0]), pose, joint, session)
 
 
-def read_set_points(datagram: bytes, J: int) -> SetPoints | None:
-    """Parse the computer's datagram; None if it is not for a robot with J joints."""
-    content = _object(datagram)
+def read_set_points(datagram: bytes, J: int, key: bytes | None = None) -> SetPoints | None:
+    """Parse the computer's datagram; None if it is not for a robot with J joints and this key."""
+    content, session = _object(datagram, key)
     number = content.get("number")
     if type(number) is not int or number < 0:
         return None
     joint = _numbers(content.get("joints_rad"), J if number else 0)
     if joint is None or not np.isfinite(joint).all():
         return None
-    return SetPoints(number, joint)
+    return SetPoints(number, joint, session)
 
 
 def _list(values: Array) -> list[float | None]:
     return [round(float(x), 9) if np.isfinite(x) else None for x in values]
 
 
-def _object(datagram: bytes) -> dict[str, object]:
+def _object(datagram: bytes, key: bytes | None) -> tuple[dict[str, object], str]:
+    """The content of a datagram and its session; empty if it is none."""
     try:
-        content = json.loads(datagram)
+        content = json.loads(unsealed(datagram, key) or b"")
     except (ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
+        return {}, ""
+    session = content.get("session", "") if isinstance(content, dict) else None
+    if not isinstance(session, str) or not session.isascii() or len(session) > LONGEST_SESSION:
+        return {}, ""
+    return content, session
 
 
 def _numbers(values: object, count: int) -> Array | None:
@@ -112,15 +152,21 @@ def _numbers(values: object, count: int) -> Array | None:
 class Link:
     """The computer's end.
 
+    Args:
+        url: ``udp://HOST:PORT`` of the robot.
+        J: Number of its joints.
+        key: Key that the robot shares; none by default.
+
     Attributes:
-        strange: Number of datagrams that were not telemetry of such a robot.
+        strange: Number of datagrams that were not telemetry of such a robot in this session.
 
     Raises:
         InputError: If the address is invalid.
     """
 
-    def __init__(self, url: str, J: int) -> None:
-        self._J, self._number, self.strange = J, 0, 0
+    def __init__(self, url: str, J: int, key: bytes | None = None) -> None:
+        self._J, self._key, self._number, self.strange = J, key, 0, 0
+        self._own = self._session = secrets.token_hex(8)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -135,19 +181,21 @@ class Link:
             raise InputError("--port", "", problem, "a robot at udp://HOST:PORT") from None
 
     def begin(self) -> None:
-        """Ask the robot for its state; it does not move yet."""
+        """Ask the robot for its state; it does not move yet. After set-points, a new session."""
+        if self._number:
+            self._own = self._session = secrets.token_hex(8)
         self._number = 0
-        self._send(SetPoints(0, np.empty(0)))
+        self._send(SetPoints(0, np.empty(0), self._own))
 
     def send(self, joint: Array) -> None:
         """Send desired angles in rad, shape (J,)."""
         self._number += 1
-        self._send(SetPoints(self._number, joint))
+        self._send(SetPoints(self._number, joint, self._session))
 
     def _send(self, sent: SetPoints) -> None:
         # refused: no listener at present, for example while the robot restarts
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            self._socket.send(set_point_bytes(sent))
+            self._socket.send(set_point_bytes(sent, self._key))
 
     def receive(self, wait_s: float) -> list[Telemetry]:
         """Wait for telemetry and return all that has arrived; empty after ``wait_s``."""
@@ -162,11 +210,19 @@ class Link:
     def _waiting(self) -> list[Telemetry]:
         telemetry = []
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            while True:
-                message = read_telemetry(self._socket.recv(LARGEST), self._J)
-                self.strange += message is None
-                telemetry += [message] if message else []
+            for _ in range(MOST):
+                message = read_telemetry(self._socket.recv(LARGEST), self._J, self._key)
+                if message is None or not self._ours(message.session):
+                    self.strange += 1
+                else:
+                    telemetry.append(message)
         return telemetry
+
+    def _ours(self, session: str) -> bool:
+        """Whether a session is this one, which the robot completes in its first answer."""
+        if self._session == self._own and session.startswith(self._own):
+            self._session = session
+        return session == self._session
 
     def __enter__(self) -> Link:
         return self

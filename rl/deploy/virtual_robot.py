@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import hmac
+import secrets
 import select
 import socket
 import threading
@@ -13,38 +15,69 @@ from typing import Protocol
 
 import numpy as np
 
-from rl.deploy.link import LARGEST, SILENCE_S, Telemetry, read_set_points, telemetry_bytes
+from rl.deploy.link import (
+    AHEAD,
+    LARGEST,
+    MOST,
+    SILENCE_S,
+    Telemetry,
+    read_set_points,
+    telemetry_bytes,
+)
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 
 
 class Received:
-    """Set-points that a robot has received; in silence it moves to rest.
+    """Set-points that a robot has received from one sender; in silence it moves to rest.
 
     Attributes:
         begun: Whether a swim has started.
+        session: Identifier of the present or last session; empty before the first.
+        sender: Address of its computer.
     """
 
-    def __init__(self, rest: Array) -> None:
+    def __init__(self, rest: Array, limits: Array, key: bytes | None = None) -> None:
         """Start at rest.
 
         Args:
             rest: Rest angles in rad, shape (J,).
+            limits: Lowest and highest angle of each joint in rad, shape (J, 2).
+            key: Key that the computer shares; none by default.
         """
-        self.begun = False
-        self._rest = rest
+        self.begun, self.session, self._asked = False, "", ""
+        self.sender: tuple[str, int] | None = None
+        self._rest, self._limits, self._key = rest, limits, key
         self._desired, self._number, self._silent = rest, 0, 0
 
-    def receive(self, datagram: bytes) -> bool:
-        """Process set-points; False if they are invalid or old."""
-        sent = read_set_points(datagram, len(self._rest))
-        if sent is None or 0 < sent.number <= self._number:
+    @property
+    def held(self) -> bool:
+        """Whether a computer has the robot: it has been heard within ``SILENCE_S``."""
+        return bool(self.session) and self._silent * CONTROL_S <= SILENCE_S
+
+    def receive(self, datagram: bytes, sender: tuple[str, int] | None = None) -> bool:
+        """Process set-points from an address; False if they are invalid, old or a stranger's."""
+        sent = read_set_points(datagram, len(self._rest), self._key)
+        if sent is None:
+            return False
+        if sent.number == 0:
+            return self._begin(sent.session, sender)
+        step = sent.number - self._number
+        ours = sender == self.sender and hmac.compare_digest(sent.session, self.session)
+        if not self.session or not ours or not 0 < step <= AHEAD + self._silent:
             return False
         self._number, self._silent = sent.number, 0
-        if sent.number:
-            self._desired = sent.joint
-        self.begun = True
+        self._desired = np.clip(sent.joint, *self._limits.T)
+        return True
+
+    def _begin(self, session: str, sender: tuple[str, int] | None) -> bool:
+        """Start a session unless a computer has the robot; True also for its repeated request."""
+        if self.held:
+            return (session, sender, 0) == (self._asked, self.sender, self._number)
+        self._asked, self.sender = session, sender
+        self.session = session + secrets.token_hex(8)
+        self._number, self._silent, self.begun = 0, 0, True
         return True
 
     def next_set_points(self) -> Array:
@@ -56,12 +89,17 @@ class Received:
 
 
 class Robot(Protocol):
-    """A robot's end of the protocol."""
+    """A robot's end of the protocol, see ``Received``."""
 
     begun: bool
+    sender: tuple[str, int] | None
 
-    def receive(self, datagram: bytes) -> bool:
-        """Process set-points; False if they are invalid or old."""
+    @property
+    def held(self) -> bool:
+        """Whether a computer has the robot."""
+
+    def receive(self, datagram: bytes, sender: tuple[str, int] | None = None) -> bool:
+        """Process set-points; False if they are invalid, old or a stranger's."""
 
     def advance(self) -> None:
         """Move for one control period."""
@@ -77,14 +115,15 @@ class VirtualRobot(Received):
         twin: Its simulator.
     """
 
-    def __init__(self, twin: Twin) -> None:
+    def __init__(self, twin: Twin, key: bytes | None = None) -> None:
         """Start with straight joints at rest.
 
         Args:
             twin: A twin of one robot.
+            key: Key that the computer shares; none by default.
         """
         limits = np.array([joint.limits_rad for joint in twin.robot.joints])
-        super().__init__(np.clip(0.0, *limits.T))
+        super().__init__(np.clip(0.0, *limits.T), limits, key)
         self.twin = twin
 
     def advance(self) -> None:
@@ -94,44 +133,45 @@ class VirtualRobot(Received):
     def telemetry(self) -> bytes:
         """The datagram with the state."""
         state = self.twin.state()
-        return telemetry_bytes(Telemetry(float(state.time[0]), state.pose[0], state.measured[0]))
+        seen = (float(state.time[0]), state.pose[0], state.measured[0])
+        return telemetry_bytes(Telemetry(*seen, self.session), self._key)
 
 
 def serve(radio: socket.socket, robot: Robot, stop: Callable[[], bool]) -> None:
     """Simulate in real time from the first datagram until ``stop``.
 
-    Telemetry is sent at the start of each period. Set-points apply to the period whose start is
-    nearest to their arrival, so that an answer acts without delay, as in training.
+    Telemetry is sent to the robot's computer at the start of each period. Set-points apply to the
+    period whose start is nearest to their arrival, so that an answer acts without delay, as in
+    training.
     """
-    sender: tuple[str, int] | None = None
     begin = time.monotonic()
     while not stop():
-        if sender is not None:
+        if robot.held and robot.sender is not None:
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                radio.sendto(robot.telemetry(), sender)
-        sender = _listen(radio, robot, begin + CONTROL_S / 2) or sender
+                radio.sendto(robot.telemetry(), robot.sender)
+        _listen(radio, robot, begin + CONTROL_S / 2)
         if robot.begun:
             robot.advance()
         begin += CONTROL_S
-        sender = _listen(radio, robot, begin) or sender
+        _listen(radio, robot, begin)
 
 
-def _listen(radio: socket.socket, robot: Robot, until: float) -> tuple[str, int] | None:
-    """Process datagrams until a time; address of the last sender."""
-    sender = None
-    while select.select([radio], [], [], max(until - time.monotonic(), 0.0))[0]:
+def _listen(radio: socket.socket, robot: Robot, until: float) -> None:
+    """Process datagrams until a time, at most ``MOST``, so that a flood cannot stop the robot."""
+    for _ in range(MOST):
+        if not select.select([radio], [], [], max(until - time.monotonic(), 0.0))[0]:
+            return
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            datagram, origin = radio.recvfrom(LARGEST)
-            sender = origin if robot.receive(datagram) else sender
-    return sender
+            robot.receive(*radio.recvfrom(LARGEST))
+    time.sleep(max(until - time.monotonic(), 0.0))
 
 
 @contextmanager
-def virtual_robot(twin: Twin) -> Iterator[str]:
+def virtual_robot(twin: Twin, key: bytes | None = None) -> Iterator[str]:
     """Context manager that runs a robot on loopback; returns its ``udp://HOST:PORT``."""
     twin.step(np.zeros(len(twin.robot.joints)))  # compiles the kernels, so that no period is late
     twin.reset()
-    with served(VirtualRobot(twin)) as url:
+    with served(VirtualRobot(twin, key)) as url:
         yield url
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +26,12 @@ Results = Mapping[str, Any]
 
 
 def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, Any]) -> None:
-    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained."""
-    write_json(folder / "ablation.json", {**results, "table": rows(results)})
+    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained.
+
+    ``losses`` in the JSON are the same as in text, table and figure: positive if an arm is worse.
+    """
+    losses = {arm: asdict(loss) for arm, loss in differences(results).items()}
+    write_json(folder / "ablation.json", {**results, "table": rows(results), "losses": losses})
     write_whole(folder / "ablation.md", markdown(results) + "\n")
     trained: dict[str, list[Path]] = {}
     for agent in results["agents"]:
@@ -189,20 +194,17 @@ _FORECAST = (
 )
 _DIFFERENCES = (
     "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
-    "90 % interval. A difference is significant if its interval excludes zero."
+    "90 % interval, positive if the arm is worse. A loss is significant if its interval excludes "
+    "zero."
 )
 
 
 def loss_text(arm: str, loss: Difference) -> str:
-    """The loss of an arm relative to all techniques, as a sentence."""
-    word = "less" if loss.mean > 0 else "more"
-    text = f"{TITLES[arm]}: {abs(loss.mean):.2f} {word} return in reality than all techniques"
+    """The loss of an arm relative to all techniques, as a sentence; positive if it is worse."""
+    text = f"{TITLES[arm]}: loss of return in reality"
     if loss.pairs < 2:
-        return f"{text}; one pair of agents gives no interval"
-    ends = sorted((abs(loss.low), abs(loss.high)))
-    if loss.significant:
-        return f"{text} ({ends[0]:.2f} to {ends[1]:.2f})"
-    return f"{text} (90 % interval {-loss.high:+.2f} to {-loss.low:+.2f}, not significant)"
+        return f"{text} {loss.mean:+.2f}; one pair of agents gives no interval"
+    return f"{text} {_ends(loss)}{'' if loss.significant else ', not significant'}"
 
 
 def seeds_text(losses: Mapping[str, Difference]) -> str:

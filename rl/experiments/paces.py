@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -87,8 +86,7 @@ def choose_prices(
     for (folder, agent), row in zip(priced.items(), worst, strict=True):
         chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(row))])
         set_price(agent, chosen[folder.name])
-        agent.save(folder / ".policy.zip")
-        os.replace(folder / ".policy.zip", folder / "policy.zip")
+        agent.save(folder / "policy.zip")
     return chosen
 
 

@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 
 from rl.sac.agents import Agents
+from sim2real.archives import read_arrays, reason
+from sim2real.errors import InputError
 from sim2real.output import write_whole
 
 COLUMNS = (
@@ -88,8 +90,7 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
             write_whole(directory / "progress.csv", "\n".join(lines) + "\n")
             model.num_timesteps = progress.steps
             model.by_price = _by_price(agents, a)
-            model.save(directory / ".policy.zip")
-            os.replace(directory / ".policy.zip", directory / "policy.zip")
+            model.save(directory / "policy.zip")
     temporary = folder / f".{CHECKPOINT}"
     with temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
@@ -104,17 +105,49 @@ def _by_price(agents: Agents, a: int) -> dict[str, Any]:
 
 
 def load(folder: Path, agents: Agents) -> Progress | None:
-    """Restore agents from the checkpoint of a folder; None if there is none."""
+    """Restore agents from the checkpoint of a folder; None if there is none.
+
+    Raises:
+        InputError: If it is damaged, or not one of such agents.
+    """
     path = folder / CHECKPOINT
     if not path.exists():
         return None
-    with np.load(path) as arrays:
-        for name, tensor in agents.state().items():
-            tensor.copy_(torch.from_numpy(arrays[name]))
-        steps, agents.position, filled = (int(x) for x in arrays["counts"])
-        agents.memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
-        progress = Progress(len(agents.models), steps)
-        content = json.loads(arrays["progress"].tobytes().decode())
-        progress.rows, progress.grown, progress.success = content
+    expected = f"a checkpoint of this run; without {CHECKPOINT} it starts anew"
+    state, memory = agents.state(), agents.memory
+    numbers = sum(tensor.numel() for tensor in (memory, *state.values()))
+    arrays = read_arrays(path, expected, largest=4 * numbers + 64 * 2**20)
+    try:
+        steps, position, filled = (int(x) for x in arrays["counts"])
+        if steps < 0 or not 0 <= filled <= memory.shape[1] or not 0 <= position < memory.shape[1]:
+            raise ValueError(f"counts {arrays['counts'].tolist()}")
+        shapes = {name: tuple(tensor.shape) for name, tensor in state.items()}
+        shapes["memory"] = (len(memory), filled, memory.shape[2])
+        for name, shape in shapes.items():
+            array = arrays[name]
+            if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
+                raise ValueError(f"{name} is no finite array of float32 of the shape {shape}")
+        progress = _progress(arrays["progress"].tobytes(), len(memory), steps)
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InputError(path, "", f"a damaged one ({reason(error)})", expected) from None
+    for name, tensor in state.items():
+        tensor.copy_(torch.from_numpy(arrays[name]))
+    memory[:, :filled] = torch.from_numpy(arrays["memory"]).to(agents.device)
+    agents.position = position
     agents.set_filled(filled)
+    return progress
+
+
+def _progress(content: bytes, A: int, steps: int) -> Progress:
+    """Progress of A agents, as ``save`` writes it; ``ValueError`` if it is anything else."""
+    progress = Progress(A, steps)
+    progress.rows, progress.grown, progress.success = json.loads(content)
+    lists = (progress.rows, progress.grown, progress.success)
+    rows = [row for of_agent in progress.rows for row in of_agent]
+    shares = [*progress.grown, *progress.success, *(value for row in rows for value in row)]
+    numbers = all(type(value) in (int, float) for value in shares)
+    if {len(one) for one in lists} != {A} or {len(row) for row in rows} - {len(COLUMNS)}:
+        raise ValueError("progress of other agents")
+    if not numbers:
+        raise ValueError("progress with other values than numbers")
     return progress

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import io
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
+import numpy as np
 from gymnasium import spaces
 from stable_baselines3 import SAC
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
+from rl.deploy.forward import is_spread
 from rl.env import action_space, observation_space
 from rl.observer import View
+from rl.sac.policy_zip import PolicyZip, write_policy_zip
 from rl.sac.settings import Settings
 from rl.world import World
 from sim2real.arrays import Array32
 from sim2real.errors import InputError
+from sim2real.structured import finite_number
 
 
 class NormedPolicy(SACPolicy):
@@ -42,8 +50,8 @@ class NormedPolicy(SACPolicy):
 class SwimSAC(SAC):
     """SAC whose networks are views of those of ``Agents``, which trains them.
 
-    ``predict`` and ``save`` are those of Stable-Baselines3; ``SAC.load`` reads the saved models,
-    with the attributes below.
+    ``predict`` is that of Stable-Baselines3. ``save`` writes the networks and the attributes below
+    without pickled objects (``rl.sac.policy_zip``), which ``rl.deploy.export.read_agent`` reads.
 
     Attributes:
         view: Definition of the observations.
@@ -61,20 +69,45 @@ class SwimSAC(SAC):
     trained_over: Mapping[str, Sequence[float]]
     by_price: dict[str, Any]
 
-    def get_parameters(self) -> dict[str, Any]:
-        """Copies of the parameters, which are views of shared tensors."""
-        parameters: dict[str, Any] = super().get_parameters()
-        policy = parameters["policy"]
-        parameters["policy"] = {
-            name: value.detach().cpu().clone() for name, value in policy.items()
-        }
-        return parameters
+    def save(
+        self,
+        path: str | os.PathLike[str] | io.BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """Write ``policy.zip`` atomically.
+
+        Args:
+            path: Name of the file.
+            exclude: Unused.
+            include: Unused.
+        """
+        del exclude, include
+        box: Any = self.action_space
+        settings: dict[str, Any] = {"algorithm": "SAC", "num_timesteps": self.num_timesteps}
+        arrays = {"action_low": box.low, "action_high": box.high}
+        arrays |= {k: getattr(self, k) for k in ("joint_low", "joint_high") if hasattr(self, k)}
+        settings |= {name: np.asarray(array).tolist() for name, array in arrays.items()}
+        for name in ("joints", "trained_over"):
+            if hasattr(self, name):
+                settings[name] = getattr(self, name)
+        if hasattr(self, "view"):
+            settings["view"] = asdict(self.view)
+        if hasattr(self, "by_price"):
+            column = self.by_price["column"]
+            column = None if column is None else np.asarray(column).tolist()
+            settings["by_price"] = {**self.by_price, "column": column}
+        learned: Any = self.log_ent_coef
+        variables = {} if learned is None else {"log_ent_coef": learned}
+        write_policy_zip(
+            cast("str | os.PathLike[str]", path), settings, self.policy.state_dict(), variables
+        )
 
 
-class _Spaces(gymnasium.Env[Any, Any]):
+class Spaces(gymnasium.Env[Any, Any]):
     """Observation and action spaces of a model; cannot be stepped."""
 
-    def __init__(self, observation: spaces.Box, action: spaces.Box) -> None:
+    def __init__(self, observation: spaces.Box, action: spaces.Space[Any]) -> None:
         self.observation_space: Any = observation
         self.action_space: Any = action
 
@@ -96,7 +129,7 @@ def make_sac(
     """
     model = SwimSAC(
         NormedPolicy if settings.norm else "MlpPolicy",
-        _Spaces(observation_space(world, view), action_space(world)),
+        Spaces(observation_space(world, view), action_space(world)),
         learning_rate=settings.rate,
         buffer_size=1,  # the memory is that of ``Agents``
         learning_starts=settings.warm_up,
@@ -117,6 +150,78 @@ def make_sac(
     return model
 
 
+def agent_in(saved: PolicyZip) -> SwimSAC:
+    """The agent of a file, with networks of the widths of its weights and without a memory.
+
+    Raises:
+        InputError: If weights or settings are not those of an agent.
+    """
+    inputs, *actor, J = saved.widths("actor.latent_pi", "actor.mu")
+    _, *critic, _ = saved.widths("critic.qf0")
+    critics = sum(bool(re.fullmatch(r"critic\.qf\d+\.0\.weight", name)) for name in saved.weights)
+    low, high = saved.array("action_low", J), saved.array("action_high", J)
+    saved.check(holds=bool((low < high).all()), name="action_low", expected="less than action_high")
+    observations = spaces.Box(-np.inf, np.inf, (inputs,), dtype=np.float32)
+    agent = SwimSAC(
+        NormedPolicy if "critic.qf0.3.weight" in saved.weights else "MlpPolicy",
+        Spaces(observations, spaces.Box(low, high, dtype=np.float32)),
+        buffer_size=1,
+        policy_kwargs={"net_arch": {"pi": actor, "qf": critic}, "n_critics": critics},
+        device="cpu",
+    )
+    saved.load_into(agent.policy)
+    learned = saved.variables.get("log_ent_coef")
+    if learned is not None and learned.shape == (1,):
+        coefficient: Any = agent.log_ent_coef
+        coefficient.data.copy_(learned)
+    else:
+        agent.log_ent_coef = None
+    _set_attributes(agent, saved, J, first=(actor or [J])[0])
+    return agent
+
+
+def _set_attributes(agent: SwimSAC, saved: PolicyZip, J: int, first: int) -> None:
+    """Check and set the attributes of an agent with J joints and a first layer of some width."""
+    settings = saved.settings
+    steps = settings.get("num_timesteps", 0)
+    saved.check(holds=type(steps) is int, name="num_timesteps", expected="a whole number")
+    agent.num_timesteps = steps
+    if "view" in settings:
+        try:
+            agent.view = View.from_content(settings["view"])
+        except ValueError:
+            saved.check(holds=False, name="view", expected="period, ramp, memory, scaled, sides")
+    if "joints" in settings:
+        joints = settings["joints"]
+        named = isinstance(joints, list) and all(isinstance(name, str) for name in joints)
+        saved.check(holds=named and len(joints) == J, name="joints", expected=f"{J} names")
+        agent.joints = joints
+        agent.joint_low, agent.joint_high = (saved.array(f"joint_{k}", J) for k in ("low", "high"))
+    if "trained_over" in settings:
+        spread = settings["trained_over"]
+        saved.check(
+            holds=is_spread(spread), name="trained_over", expected="two numbers by parameter"
+        )
+        agent.trained_over = spread
+    if "by_price" in settings:
+        agent.by_price = _by_price(saved, first)
+
+
+def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
+    """Effect of the price of energy on a first layer of some width."""
+    content = saved.settings["by_price"]
+    saved.check(holds=isinstance(content, dict), name="by_price", expected="prices, column, share")
+    prices, share = (finite_number(content.get(name)) for name in ("prices", "share"))
+    fits = prices is not None and share is not None and prices >= 1 and abs(share) <= 1.001
+    saved.check(holds=fits, name="by_price", expected="prices of at least 1, a share from -1 to 1")
+    column = content.get("column")
+    if column is None:
+        saved.check(holds=prices == 1, name="by_price", expected="a column for its prices")
+    else:
+        column = replace(saved, settings=content).array("column", first)
+    return {"prices": prices, "column": column, "share": share}
+
+
 def start_from(model: SwimSAC, path: Path) -> None:
     """Copy the networks and the entropy coefficient of a saved model.
 
@@ -133,5 +238,7 @@ def start_from(model: SwimSAC, path: Path) -> None:
     except RuntimeError as error:
         problem = str(error).splitlines()[-1].strip()
         raise InputError(path, "networks", problem, "those of this training's recipe") from None
+    if saved.log_ent_coef is None:
+        raise InputError(path, "entropy coefficient", "a fixed one", "one that is learned")
     entropy: Any = model.log_ent_coef
     entropy.data.copy_(saved.log_ent_coef.data)

@@ -27,6 +27,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from rl.decisions import Decisions
+from rl.deploy.export import read_agent
 from rl.make import Fidelity, make_world, own_stream
 from rl.observer import View
 from rl.randomize import spread_of
@@ -39,6 +40,7 @@ from rl.world import Draws, Step
 from sim2real.errors import InputError
 from sim2real.output import write_json
 from sim2real.robot import Robot
+from sim2real.structured import read_json
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,8 @@ def train(
     prices = [arm.energy for arm in arms]
     content = {"plan": plan.content(), "agents": names, "draws": digests, "energy": prices}
     if first:
+        for path in first:
+            read_agent(path)  # refused, if at all, before anything is written
         content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
     _write_run(folder, content, note or {})
     with own_stream(plan.device):
@@ -238,7 +242,7 @@ def _write_run(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> N
     """Write ``run.json``, or check that an existing one is of the same run."""
     path = folder / "run.json"
     if path.exists():
-        existing = json.loads(path.read_text())
+        existing = read_json(path)
         if {k: existing.get(k) for k in content} != content:
             expected = "the same options and files, or a new folder"
             raise InputError(folder, "run.json", "another run", expected)

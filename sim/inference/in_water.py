@@ -27,6 +27,7 @@ from sim.inference.swims import Swim, with_values
 from sim.inference.twin_search import TwinSwims
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim.twin.law import Coefficients
+from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
@@ -308,17 +309,17 @@ def read_water_swims(*paths: Path) -> InWater:
 
 def _read_water(path: Path) -> InWater:
     """Read one file."""
+    content = read_arrays(path, "a file by --in-water", what="swims in water")
     try:
-        content = np.load(path)
         names = tuple(content["names"].tolist())
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        count = sum(name.startswith("key_") for name in content)
+        steps = {
+            content[f"key_{k}"].tobytes(): content[f"steps_{k}"].astype(np.float64)
+            for k in range(count)
+        }
+        law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, "content", "no swims in water", "a file by --in-water") from error
-    count = sum(name.startswith("key_") for name in content.files)
-    steps = {
-        content[f"key_{k}"].tobytes(): content[f"steps_{k}"].astype(np.float64)
-        for k in range(count)
-    }
-    law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
     return InWater(names, steps, law)
 
 

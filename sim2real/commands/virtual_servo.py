@@ -15,6 +15,7 @@ from sim2real.hardware.interruption import interruption
 from sim2real.hardware.mounting import check_ids
 from sim2real.hardware.priority import priority
 from sim2real.hardware.servo_models import ServoModel, model_named, names
+from sim2real.hardware.shared_key import shared_key
 from sim2real.hardware.virtual_bus import OnWire, Speech, VirtualBus
 from sim2real.hardware.virtual_dynamixel import DYNAMIXEL, dynamixel_servo
 from sim2real.hardware.virtual_feetech import FEETECH, feetech_servo
@@ -63,7 +64,8 @@ def run(options: argparse.Namespace) -> int:
 
     with interruption() as stop, priority():
         if options.udp:
-            serve_udp(bus, _address(options.udp), announce, stop, rng=rng, loss=options.loss)
+            key, where = shared_key(), _address(options.udp)
+            serve_udp(bus, where, announce, stop, rng=rng, loss=options.loss, key=key)
         else:
             serve_terminal(bus, announce, stop)
     return 0

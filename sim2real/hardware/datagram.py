@@ -5,48 +5,84 @@ sends on its bus in order. Its answer: the same four bytes, its clock in microse
 of the datagram (eight bytes, low first), then all bytes of the servos' replies. A simple bridge
 from UDP to serial works as well: servos ignore bytes before a header, and an answer that does not
 begin with ``4C 58`` consists of replies only.
+
+Where radio and computer share a key, ``4C 59`` is followed by a session (16 bytes), a number of
+four bytes and the rest as above, and 16 bytes authenticate all of it (``shared_key.py``). The first
+eight bytes of the session are the computer's. It begins with number 0, no packets and zeros in the
+place of the other eight, which the radio answers with random ones, so that no earlier session can
+be replayed.
+
+A radio should keep the sender that it heard first until that has been silent for ``SILENCE_S`` or
+has sent no packets, and ignore numbers that are not 1 to ``AHEAD`` larger than the last
+(``virtual_radio.py`` does). Without a key the network must be trusted: whoever can send from the
+computer's address can move the servos. Nothing is encrypted.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-MARK = b"\x4c\x58"
-_HEAD, _CLOCK = len(MARK) + 2, 8
+from sim2real.hardware.shared_key import sealed, unsealed
+
+MARK, SEALED_MARK = b"\x4c\x58", b"\x4c\x59"
+HALF = 8
+"""Bytes of a session that each end chooses."""
 LARGEST = 2048
 NUMBERS = 1 << 16
+SEALED_NUMBERS = 1 << 32
+SILENCE_S = 0.5
+"""Time without a datagram after which a radio takes another sender."""
+AHEAD = 1000
+"""Largest step of the number of a datagram."""
+_CLOCK = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Datagram:
-    """A parsed datagram; ``number`` and ``clock_s`` are None if it does not contain them."""
+    """A parsed datagram; ``number``, ``clock_s`` and ``session`` are None if it has none."""
 
     data: bytes
     number: int | None = None
     clock_s: float | None = None
+    session: bytes | None = None
 
 
-def request(number: int, data: bytes) -> bytes:
+def request(number: int, data: bytes, session: bytes = b"", key: bytes | None = None) -> bytes:
     """The datagram with ``data`` for the radio."""
-    return MARK + number.to_bytes(2, "little") + data
+    if key is None:
+        return MARK + number.to_bytes(2, "little") + data
+    return sealed(SEALED_MARK + session + number.to_bytes(4, "little") + data, key)
 
 
-def answer(number: int, clock_s: float, data: bytes) -> bytes:
+def answer(
+    number: int, clock_s: float, data: bytes, session: bytes = b"", key: bytes | None = None
+) -> bytes:
     """The datagram with the replies."""
-    return request(number, round(1e6 * clock_s).to_bytes(_CLOCK, "little") + data)
+    clock = round(1e6 * clock_s).to_bytes(_CLOCK, "little")
+    return request(number, clock + data, session, key)
 
 
-def read_request(datagram: bytes) -> Datagram:
-    """Parse a datagram to the radio."""
-    if not datagram.startswith(MARK) or len(datagram) < _HEAD:
-        return Datagram(datagram)
-    return Datagram(datagram[_HEAD:], int.from_bytes(datagram[len(MARK) : _HEAD], "little"))
+def read_request(datagram: bytes, key: bytes | None = None) -> Datagram | None:
+    """Parse a datagram to the radio; None if it does not have this key."""
+    if key is None:
+        head = len(MARK) + 2
+        if not datagram.startswith(MARK) or len(datagram) < head:
+            return Datagram(datagram)
+        return Datagram(datagram[head:], int.from_bytes(datagram[len(MARK) : head], "little"))
+    content, start = unsealed(datagram, key), len(SEALED_MARK)
+    head = start + 2 * HALF + 4
+    if content is None or not content.startswith(SEALED_MARK) or len(content) < head:
+        return None
+    number = int.from_bytes(content[head - 4 : head], "little")
+    return Datagram(content[head:], number, session=content[start : head - 4])
 
 
-def read_answer(datagram: bytes) -> Datagram:
-    """Parse a datagram from the radio."""
-    if not datagram.startswith(MARK) or len(datagram) < _HEAD + _CLOCK:
-        return Datagram(datagram)
-    clock = int.from_bytes(datagram[_HEAD : _HEAD + _CLOCK], "little") * 1e-6
-    number = int.from_bytes(datagram[len(MARK) : _HEAD], "little")
-    return Datagram(datagram[_HEAD + _CLOCK :], number, clock)
+def read_answer(datagram: bytes, key: bytes | None = None) -> Datagram | None:
+    """Parse a datagram from the radio; None if it does not have this key."""
+    parsed = read_request(datagram, key)
+    if parsed is None or parsed.number is None:
+        return parsed
+    if len(parsed.data) < _CLOCK:
+        return Datagram(datagram) if key is None else None
+    clock = int.from_bytes(parsed.data[:_CLOCK], "little") * 1e-6
+    return Datagram(parsed.data[_CLOCK:], parsed.number, clock, parsed.session)

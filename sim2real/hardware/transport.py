@@ -37,16 +37,18 @@ def open_transport(url: str, *, baud: int = 115_200) -> Transport:
 
     Args:
         url: A serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network
-            (``socket://``, ``rfc2217://``), or a radio (``udp://HOST:PORT``).
+            (``socket://``, ``rfc2217://``), or a radio (``udp://HOST:PORT``, with the key in the
+            environment variable ``SIM2REAL_KEY`` if there is one).
         baud: Bits per second of a serial port.
 
     Raises:
         InputError: If there is no such port, or it cannot be opened.
     """
     if url.startswith("udp://"):
+        from sim2real.hardware.shared_key import shared_key
         from sim2real.hardware.transport_udp import UdpTransport
 
-        return UdpTransport(url)
+        return UdpTransport(url, shared_key())
     if "://" not in url and os.name == "posix" and not Path(url).exists():
         raise InputError("--port", "", f"no port {url!r}", EXPECTED)
     try:

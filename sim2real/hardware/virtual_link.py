@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from sim2real.errors import InputError
-from sim2real.hardware.datagram import LARGEST, answer, read_request
+from sim2real.hardware.datagram import LARGEST
 from sim2real.hardware.virtual_bus import VirtualBus
+from sim2real.hardware.virtual_radio import VirtualRadio
 
 TICK_S = 0.02  # period of the simulation without requests
 
@@ -72,6 +73,7 @@ def serve_udp(
     *,
     rng: np.random.Generator,
     loss: float = 0.0,
+    key: bytes | None = None,
 ) -> None:
     """Serve a radio at ``address`` until ``stop``.
 
@@ -82,38 +84,41 @@ def serve_udp(
         stop: Whether to end.
         rng: Random number generator.
         loss: Share of lost datagrams in both directions.
+        key: Key that the computer shares; none by default.
 
     Raises:
         InputError: If the address is not available.
     """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
+    radio = VirtualRadio(key)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as socket_:
         try:
-            radio.bind(address)
+            socket_.bind(address)
         except (OSError, OverflowError) as error:
             problem = f"{address[0]}:{address[1]} ({error})"
             raise InputError("--udp", "", problem, "an address of this computer") from None
-        host, port = radio.getsockname()
+        host, port = socket_.getsockname()
         announce(f"udp://{host}:{port}")
         while not stop():
-            if select.select([radio], [], [], TICK_S)[0]:
+            if select.select([socket_], [], [], TICK_S)[0]:
                 with contextlib.suppress(ConnectionRefusedError):
-                    _serve_datagram(radio, bus, rng, loss)
+                    _serve_datagram(socket_, radio, bus, rng, loss)
             bus.advance()
 
 
 def _serve_datagram(
-    radio: socket.socket, bus: VirtualBus[Any], rng: np.random.Generator, loss: float
+    socket_: socket.socket,
+    radio: VirtualRadio,
+    bus: VirtualBus[Any],
+    rng: np.random.Generator,
+    loss: float,
 ) -> None:
-    datagram, sender = radio.recvfrom(LARGEST)
+    datagram, sender = socket_.recvfrom(LARGEST)
     clock = time.monotonic()
     if rng.random() < loss:
         return
-    datagram_read = read_request(datagram)
-    replies = b"".join(bus.receive(datagram_read.data))
+    packets = radio.receive(datagram, sender, clock)
+    if packets is None:
+        return
+    reply = radio.answer(clock, b"".join(bus.receive(packets)))
     if rng.random() >= loss:
-        reply = (
-            replies
-            if datagram_read.number is None
-            else answer(datagram_read.number, clock, replies)
-        )
-        radio.sendto(reply, sender)
+        socket_.sendto(reply, sender)

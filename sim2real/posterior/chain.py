@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import autocorrelation_times
@@ -173,9 +173,8 @@ def read_chain(file: Path) -> Chain:
     Raises:
         InputError: If the file is not a chain.
     """
+    arrays = read_arrays(file, "a chain, or no such file", what="chain")
     try:
-        with np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
         if str(arrays["format"]) != FORMAT:
             raise InputError(file, "format", str(arrays["format"]), FORMAT)
         position, has_gauss, gauss = arrays["random_numbers"]
@@ -191,7 +190,7 @@ def read_chain(file: Path) -> Chain:
             },
             fingerprint=str(arrays["fingerprint"]),
         )
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise InputError(file, "", f"no chain ({reason})", "a chain, or no such file") from None
 

@@ -6,12 +6,11 @@ import io
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile
 
 import numpy as np
 
+from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
@@ -151,11 +150,11 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
     Raises:
         InputError: If it is not such a file.
     """
+    content = read_arrays(path, "a posterior.npz", what="sample")
     try:
-        with np.load(Path(path), allow_pickle=False) as content:
-            if str(content["format"]) != FORMAT:
-                raise InputError(path, "format", str(content["format"]), FORMAT)
-            names, units = (tuple(str(x) for x in content[n]) for n in ("names", "units"))
-            return JointSample(names, units, content["sample"].astype(np.float64))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        if str(content["format"]) != FORMAT:
+            raise InputError(path, "format", str(content["format"]), FORMAT)
+        names, units = (tuple(str(x) for x in content[n]) for n in ("names", "units"))
+        return JointSample(names, units, content["sample"].astype(np.float64))
+    except (TypeError, ValueError, KeyError) as error:
         raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None

@@ -68,7 +68,7 @@ class Served:
     """Virtual servos 1 to ``count`` behind a port, until it is pulled."""
 
     def __init__(self, count, udp=False, echo=False, bus="lx", noise=0.0, loss=0.0, **servo):
-        now = time.monotonic()
+        now, key = time.monotonic(), servo.pop("key", None)
         self.servos = [virtual(bus, k + 1, now, **servo) for k in range(count)]
         self._pulled, announced = threading.Event(), threading.Event()
 
@@ -82,7 +82,7 @@ class Served:
         stop = self._pulled.is_set
         if udp:
             where = ("127.0.0.1", 0)
-            given = {"rng": np.random.default_rng(1)}
+            given = {"rng": np.random.default_rng(1), "key": key}
             arguments = (bus, where, announce, stop)
         else:
             given, arguments = {}, (bus, announce, stop)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,12 @@ import rl.forecast.swims
 from rl.commands.ablate import make_testbeds
 from rl.deploy.export import read_zip
 from rl.experiments.ablation import ablate, bootstrap
-from rl.experiments.ablation_report import markdown, write_report
+from rl.experiments.ablation_report import (
+    difference_figure,
+    loss_text,
+    markdown,
+    write_report,
+)
 from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.experiments.differences import differences, paired, seeds_needed
 from rl.experiments.evaluate import Episodes
@@ -194,7 +200,41 @@ def test_the_report_is_written(run, tmp_path):
     table = json.loads((tmp_path / "run" / "ablation.json").read_text())["table"]
     assert [row["arm"] for row in table] == ["all", "no-servo"]
     assert markdown(found).count("\n") == 7
-    assert set(differences(found)) == {"no-servo"}
+    loss = differences(found)["no-servo"]
+    assert json.loads((tmp_path / "run" / "ablation.json").read_text())["losses"] == {
+        "no-servo": pytest.approx(asdict(loss))
+    }
+    assert loss_text("no-servo", loss) in page
+
+
+def test_a_loss_has_one_sign_in_sentence_table_figure_and_json(tmp_path):
+    """Whatever is drawn: all techniques minus the arm, the lower end first, the mean between."""
+    rng, number = np.random.default_rng(), r"([+-]\d+\.\d+)"
+    ends = re.compile(rf"{number} \({number} to {number}\)")
+    for _ in range(50):
+        shift, spread = rng.normal(0, 3), rng.uniform(0.1, 5)
+        outcomes = {"all": rng.normal(10, 1, 6), "no-servo": rng.normal(10 - shift, spread, 6)}
+        agents = [
+            {"arm": arm, "seed": seed, "folder": f"{arm}-{seed}"}
+            | {testbed: {**TURN, "return": [float(x)]} for testbed in ("simulation", "reality")}
+            for arm, returns in outcomes.items()
+            for seed, x in enumerate(returns)
+        ]
+        found = {"agents": agents, "testbeds": ["simulation", "reality"]}
+        loss = differences(found)["no-servo"]
+        mean = float(np.mean(outcomes["all"] - outcomes["no-servo"]))
+        expected = [f"{x:+.2f}" for x in (mean, loss.low, loss.high)]
+        assert loss.low <= mean <= loss.high
+        assert list(ends.findall(loss_text("no-servo", loss))) == [tuple(expected)]
+        assert ends.findall(markdown(found))[0] == tuple(expected)
+        (axes,) = difference_figure({"no-servo": loss}).axes
+        drawn = axes.collections[0].get_segments()[0][:, 0]
+        assert drawn == pytest.approx([loss.low, loss.high])
+        assert axes.lines[-2].get_xdata() == pytest.approx([mean])
+        assert ("not significant" in loss_text("no-servo", loss)) == (not loss.significant)
+
+
+TURN = {"reward": [1.0], "success": [True], "time_s": [1.0], "energy": [1.0]}
 
 
 def test_no_technique_is_the_old_simulator(robot, model):

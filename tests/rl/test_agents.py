@@ -87,7 +87,7 @@ def test_an_update_is_stable_baselines3s(world_of, monkeypatch, norm):
     assert moved > 1e-3, "twenty updates must have moved the parameters"
 
 
-def test_saved_models_are_ordinary_ones(world_of, tmp_path):
+def test_saved_models_are_read_again(world_of, tmp_path):
     world = world_of(1)
     models = [make_sac(world, SETTINGS, seed, view=PAPER) for seed in (0, 1)]
     agents = Agents(models, SETTINGS, world.device)
@@ -96,7 +96,7 @@ def test_saved_models_are_ordinary_ones(world_of, tmp_path):
     expected = agents.act(seen)
     for a, model in enumerate(agents.models):
         model.save(tmp_path / f"{a}.zip")
-        loaded = SAC.load(tmp_path / f"{a}.zip", device="cpu")
+        loaded = read_agent(tmp_path / f"{a}.zip")
         action, _ = loaded.predict(seen[a].numpy(), deterministic=True)
         assert np.allclose(action, expected[a].numpy(), atol=1e-6)
         assert np.allclose(loaded.joint_high, 0.8)

@@ -74,6 +74,16 @@ def radio():
         yield end, "udp://{}:{}".format(*end.getsockname())
 
 
+def begun(robot: VirtualRobot, key: bytes | None = None, sender: object = None) -> str:
+    """Begin a session with a robot; its identifier."""
+    assert robot.receive(
+        set_point_bytes(SetPoints(0, np.empty(0), "0123456789abcdef"), key), sender
+    )
+    seen = read_telemetry(robot.telemetry(), 3, key)
+    assert seen is not None
+    return seen.session
+
+
 class TestDatagrams:
     def test_come_back_as_they_were_sent(self) -> None:
         seen = Telemetry(12.34, np.array([0.5, np.nan, -3.0]), np.array([0.1, 0.2, np.nan]))
@@ -127,7 +137,7 @@ class TestMeasurements:
         world.task = replace(world.task, place=lambda *_: (place, np.zeros((1, 3)), target[None]))
         expected = world.reset()
         twin.reset(pose=place)
-        moved = []
+        moved, session = [], begun(robot)
         for k in range(150):
             seen = read_telemetry(robot.telemetry(), 3)
             assert seen is not None
@@ -135,7 +145,7 @@ class TestMeasurements:
             observation = observer.observation(target)
             assert observation == pytest.approx(expected[0].numpy(), abs=2e-3), k
             (sent,) = steers.act(observation[None])
-            assert robot.receive(set_point_bytes(SetPoints(k + 1, sent)))
+            assert robot.receive(set_point_bytes(SetPoints(k + 1, sent, session)))
             robot.advance()
             action = reference.act(expected.numpy())
             expected = world.step(world._tensor(action)).observation
@@ -176,18 +186,20 @@ class TestMeasurements:
 class TestVirtualRobot:
     def test_passes_over_what_comes_late(self, twin) -> None:
         robot, angles = VirtualRobot(twin), np.array([0.3, 0.2, 0.1])
-        assert robot.receive(set_point_bytes(SetPoints(5, angles)))
-        assert not robot.receive(set_point_bytes(SetPoints(4, -angles)))
+        session = begun(robot)
+        assert robot._desired == pytest.approx(np.zeros(3)), "nothing moves yet"
+        assert robot.receive(set_point_bytes(SetPoints(5, angles, session)))
+        for number in (5, 4, 1, 0):
+            joint = -angles if number else np.empty(0)
+            assert not robot.receive(set_point_bytes(SetPoints(number, joint, session)))
         assert not robot.receive(b"fish")
         assert robot._desired == pytest.approx(angles)
-        assert robot.receive(set_point_bytes(SetPoints(0, np.empty(0)))), "a new swim begins"
-        assert robot._desired == pytest.approx(angles), "and nothing moves yet"
-        assert robot.receive(set_point_bytes(SetPoints(1, -angles)))
+        assert robot.receive(set_point_bytes(SetPoints(6, -angles, session)))
         assert robot._desired == pytest.approx(-angles)
 
     def test_goes_to_rest_in_silence(self, twin) -> None:
         robot = VirtualRobot(twin)
-        robot.receive(set_point_bytes(SetPoints(1, np.array([0.4, 0.4, 0.4]))))
+        robot.receive(set_point_bytes(SetPoints(1, np.array([0.4, 0.4, 0.4]), begun(robot))))
         bent = []
         for _ in range(80):
             robot.advance()
@@ -200,7 +212,7 @@ class TestVirtualRobot:
 
 def options_of(policy, **changes: object) -> argparse.Namespace:
     options = {"target": "1.5,0.4", "port": None, "virtual": True, "seconds": 1.0, "out": None}
-    options |= {"bus": None}
+    options |= {"bus": None, "key_file": None}
     options |= {"robot": POOL / "robot.toml", "model": POOL / "model.json", "seed": 0}
     return argparse.Namespace(policy=policy, **{**options, **changes})
 
@@ -233,6 +245,15 @@ class TestCommand:
         assert (recording.command <= high + 1e-6).all()
         assert recording.metadata["swim"]["target_m"] == [1.5, 0.4]
         assert np.isfinite(swim_of(recording, robot).signals).all(), "fit for 'calibrate'"
+
+    def test_a_key_is_used_and_not_written(self, policy_file, tmp_path) -> None:
+        out, key = tmp_path / "swim.csv", tmp_path / "key"
+        key.write_text("a key of the swimming pool\n")
+        assert run(options_of(policy_file, out=out, seconds=0.2, key_file=key)) == 0
+        assert "swimming" not in out.with_suffix(".json").read_text()
+        key.write_text("short")
+        with pytest.raises(InputError, match="5 characters"):
+            run(options_of(policy_file, key_file=key))
 
     def test_it_stops_at_the_target(self, policy_file, tmp_path, capsys) -> None:
         twin_starts_at = 0.26 - 0.1  # half its length ahead of the middle, the head's centre behind

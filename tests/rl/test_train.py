@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from contextlib import nullcontext
 from dataclasses import replace
@@ -10,7 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import SAC
 
 import rl.sac.train
 from rl.deploy.controller import PolicyController
@@ -47,7 +47,7 @@ def arms(model):
 
 
 def parameters(folders):
-    loaded = [SAC.load(folder / "policy.zip", device="cpu") for folder in folders]
+    loaded = [read_agent(folder / "policy.zip") for folder in folders]
     return [torch.cat([v.ravel() for v in one.policy.state_dict().values()]) for one in loaded]
 
 
@@ -218,12 +218,12 @@ def test_a_training_goes_on_from_policies(robot, model, tmp_path):
     still = replace(PLAN, settings=replace(PLAN.settings, warm_up=10**9), segment=1920)
     swum = train(tmp_path / "b", robot, arms(model)[:1], still, first=first)
     for path, folder in zip(first, swum, strict=True):
-        one, other = (SAC.load(p, device="cpu") for p in (path, folder / "policy.zip"))
+        one, other = (read_agent(p) for p in (path, folder / "policy.zip"))
         for x, y in zip(one.policy.parameters(), other.policy.parameters(), strict=True):
             assert torch.equal(x, y)
     assert (swum[0] / "progress.csv").read_text() != (first[0].parent / "progress.csv").read_text()
     both = train(tmp_path / "f", robot, arms(model), still, first=first[:1])
-    kept = [SAC.load(one / "policy.zip", device="cpu").actor.mu.weight for one in both]
+    kept = [read_agent(one / "policy.zip").actor.mu.weight for one in both]
     assert all(torch.equal(one, kept[0]) for one in kept), "of both arms and seeds"
     with pytest.raises(InputError, match="one a seed"):
         train(tmp_path / "c", robot, arms(model), PLAN, first=[*first, *first])
@@ -234,6 +234,49 @@ def test_a_training_goes_on_from_policies(robot, model, tmp_path):
     wide = replace(PLAN, settings=replace(PLAN.settings, hidden=(8, 8)))
     with pytest.raises(InputError, match="networks"):
         train(tmp_path / "e", robot, arms(model)[:1], wide, first=first)
+
+
+def damaged_checkpoints(file):
+    """By what is wrong, contents of a checkpoint that cannot be resumed from."""
+    whole = file.read_bytes()
+    with np.load(file) as stored:
+        arrays = dict(stored)
+
+    def other(**changes):
+        stream = io.BytesIO()
+        np.savez(stream, **{k: v for k, v in {**arrays, **changes}.items() if v is not None})
+        return stream.getvalue()
+
+    text = np.frombuffer(b"[[[1]], [0], [0]]", np.uint8)
+    return {
+        "empty": b"",
+        "cut": whole[: len(whole) // 2],
+        "text": b"a fish",
+        "one missing": other(actor=None),
+        "another shape": other(actor=arrays["actor"][:-1]),
+        "not finite": other(critic=arrays["critic"] * np.nan),
+        "objects": other(actor=np.array({"a": 1}, dtype=object)),
+        "counts": other(counts=np.array([-1, 0, 0])),
+        "larger memory": other(counts=np.array([640, 10**9, 10**9])),
+        "progress": other(progress=text),
+        "no progress": other(progress=text[:5]),
+    }
+
+
+def test_a_damaged_checkpoint_is_told_in_a_line(robot, model, tmp_path):
+    once = replace(PLAN, segment=PLAN.steps, seeds=(0,))
+    train(tmp_path, robot, arms(model)[:1], once)
+    file = tmp_path / "checkpoint.npz"
+    for name, content in damaged_checkpoints(file).items():
+        file.write_bytes(content)
+        with pytest.raises(InputError, match=r"checkpoint\.npz.*starts anew") as told:
+            train(tmp_path, robot, arms(model)[:1], once)
+        assert "\n" not in str(told.value), name
+    file.unlink()
+    for content in (b"", b"[]", b"{", b"\xff"):
+        (tmp_path / "run.json").write_bytes(content)
+        with pytest.raises(InputError, match=r"run\.json"):
+            train(tmp_path, robot, arms(model)[:1], once)
 
 
 def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatch):

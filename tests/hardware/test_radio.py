@@ -1,0 +1,131 @@
+"""The radio with strangers on the air: one sender, increasing numbers, a key. Real sockets."""
+
+import math
+import socket
+import time
+from contextlib import closing
+
+import pytest
+from virtual_bench import served
+
+from sim2real.hardware.datagram import AHEAD, HALF, SILENCE_S, answer, read_answer, request
+from sim2real.hardware.lx import BusCommand, Packet, encode
+from sim2real.hardware.lx_bus import LxBus
+from sim2real.hardware.transport import open_transport
+from sim2real.hardware.transport_udp import PATIENCE, UdpTransport
+from sim2real.hardware.virtual_radio import VirtualRadio
+
+KEY = b"a key of the swimming pool"
+MINE, OTHER = ("127.0.0.1", 1), ("127.0.0.1", 2)
+ASK = encode(Packet(1, BusCommand.POS_READ, b""))
+SESSION = bytes(2 * HALF)
+
+
+def opened(bench, key):
+    return LxBus(UdpTransport(bench.port, key))
+
+
+@pytest.mark.parametrize("key", [None, KEY])
+def test_a_stranger_is_not_heard(key):
+    with served(1, udp=True, key=key) as bench, closing(opened(bench, key)) as bus:
+        assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+        host, port = bench.port.removeprefix("udp://").split(":")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.settimeout(0.1)
+            for number in (0, 1, 2, 500, 60_000):
+                stranger.sendto(request(number, ASK, SESSION, key), (host, int(port)))
+                stranger.sendto(ASK, (host, int(port)))
+                assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+            with pytest.raises(TimeoutError):
+                stranger.recv(2048)
+
+
+def test_a_computer_that_is_done_leaves_the_radio_to_the_next():
+    for key in (None, KEY):
+        with served(1, udp=True, key=key) as bench:
+            for _ in range(3):
+                with closing(opened(bench, key)) as bus:
+                    assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+
+
+@pytest.mark.parametrize(("radios", "computers"), [(KEY, None), (None, KEY), (KEY, KEY[::-1])])
+def test_another_key_is_no_key(radios, computers):
+    with served(1, udp=True, key=radios) as bench, closing(opened(bench, computers)) as bus:
+        assert bus.ask(1, BusCommand.POS_READ, 0.1) is None
+
+
+def test_the_key_comes_from_the_environment(monkeypatch):
+    monkeypatch.setenv("SIM2REAL_KEY", KEY.decode())
+    with served(1, udp=True, key=KEY) as bench, closing(LxBus(open_transport(bench.port))) as bus:
+        assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+
+
+def test_a_radio_that_was_switched_off_is_found_again():
+    """It has forgotten the session, and does not answer until another is begun."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end,
+        closing(UdpTransport(bound(end), KEY)) as transport,
+    ):
+        for _ in range(2):
+            radio = VirtualRadio(KEY)
+            assert any(exchanged(end, radio, transport) == b"angle" for _ in range(2 * PATIENCE))
+            assert exchanged(end, radio, transport) == b"angle"
+
+
+def bound(end):
+    end.bind(("127.0.0.1", 0))
+    return "udp://{}:{}".format(*end.getsockname())
+
+
+def exchanged(end, radio, transport):
+    """What the transport reads after a request, which may be sent after a first datagram."""
+    transport.write(ASK)
+    for _ in range(2):
+        datagram, sender = end.recvfrom(2048)
+        packets = radio.receive(datagram, sender, time.monotonic())
+        if packets is None:
+            return b""
+        end.sendto(radio.answer(0.0, b"angle" if packets else b""), sender)
+        if found := transport.read(time.monotonic() + 0.1):
+            return found
+    return b""
+
+
+def test_numbers_advance_by_bounded_steps():
+    radio = VirtualRadio()
+    assert radio.receive(request(65_000, ASK), MINE, 0.0) == ASK
+    for number in (65_000, 64_999, 0, 1, (65_001 + AHEAD) % 65_536):
+        step = (number - 65_000) % 65_536
+        expected = ASK if 0 < step <= AHEAD else None
+        assert VirtualRadio.receive(radio, request(number, ASK), MINE, 0.1) == expected, number
+        if expected is not None:
+            radio._number = 65_000
+    assert radio.receive(request(65_001, ASK), OTHER, 0.2) is None
+    assert radio.receive(request(65_001, ASK), MINE, 0.2) == ASK
+    assert radio.receive(request(7, ASK), OTHER, 0.2 + SILENCE_S + 0.01) == ASK, "after silence"
+    assert radio.receive(request(65_002, ASK), MINE, 0.8) is None
+    assert radio.receive(request(8, b""), OTHER, 0.8) == b"", "released"
+    assert radio.receive(request(65_003, ASK), MINE, 0.81) == ASK
+
+
+def test_a_session_with_a_key_cannot_be_replayed():
+    radio, sent = VirtualRadio(KEY), []
+
+    def receive(number, data, session, sender, now):
+        sent.append(request(number, data, session, KEY))
+        return radio.receive(sent[-1], sender, now)
+
+    assert receive(1, ASK, SESSION, MINE, 0.0) is None, "it has to begin"
+    assert receive(0, b"", SESSION, MINE, 0.1) == b""
+    reply = read_answer(radio.answer(1.0, b""), KEY)
+    assert reply is not None
+    assert reply.session is not None
+    assert reply.session != SESSION
+    assert receive(1, ASK, reply.session, MINE, 0.2) == ASK
+    assert receive(0, b"", SESSION, OTHER, 0.3) is None
+    for now, sender in ((0.3, MINE), (0.3, OTHER), (9.0, OTHER), (20.0, MINE)):
+        heard = [radio.receive(datagram, sender, now) for datagram in list(sent)]
+        assert ASK not in heard
+    assert read_answer(answer(1, 1.0, b"", reply.session, KEY)[:-1], KEY) is None
+    assert radio.receive(request(2, ASK, reply.session, None), MINE, 20.0) is None
+    assert math.isfinite(radio._heard)
