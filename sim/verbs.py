@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.errors import InputError, check_choice, check_whole
+from sim2real.errors import InputError, check_choice, check_effort, check_whole
 from sim2real.verbs import model_of, recordings_or_commands, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def diagnose(
     negligible: float = 0.05,
     in_water: File | None = None,
     device: str = "cpu",
+    effort: float = 1.0,
     seed: int = 0,
 ) -> Diagnosis:
     """Find the physics that a fitted servo leaves out, or, from swims, that the body does.
@@ -53,12 +54,15 @@ def diagnose(
             the result is kept in this file (.npz), or read from it, and the twin predicts only the
             differences.
         device: Device that simulates the fluid, cpu or cuda:0.
+        effort: Servos only. Multiple of the simulation budget of the search for combinations of
+            effects; the diagnosis states which joints have spent it.
         seed: Seed of the bootstraps.
 
     Raises:
         InputError: If recordings, robot and model do not agree.
     """
     check_whole("diagnose", "seed", seed)
+    check_effort("diagnose", effort)
     read, machine = recordings_to_fit(recordings), robot_of(robot)
     earlier = recordings_to_fit(references) if references else []
     start = None if model is None else model_of(model)
@@ -80,6 +84,7 @@ def diagnose(
                 model=start,
                 references=earlier,
                 negligible=negligible,
+                effort=effort,
                 seed=seed,
                 progress=progress,
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
 from numbers import Integral
 from os import PathLike
@@ -59,6 +60,17 @@ def check_whole(call: str, argument: str, value: object, least: int = 0) -> None
     whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
     if not whole:
         raise InputError(call, argument, shown(value), f"a whole number of at least {least}")
+
+
+def check_effort(call: str, value: object) -> None:
+    """Check that the multiple of a search's budget is a finite number above 0.
+
+    Raises:
+        InputError: If it is not.
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (number and 0 < value < math.inf):
+        raise InputError(call, "effort", shown(value), "a number above 0")
 
 
 def names_of(call: str, argument: str, value: str | Sequence[str]) -> list[str]:

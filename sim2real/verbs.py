@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.errors import InputError, check_whole, shown
+from sim2real.errors import InputError, check_effort, check_whole, shown
 
 if TYPE_CHECKING:
     from sim2real.density import Density
@@ -40,6 +40,7 @@ def identify(
     effects: Sequence[str] | str = (),
     law: Literal["pd", "motor"] | None = None,
     together: bool = False,
+    effort: float = 1.0,
     seed: int = 0,
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
@@ -59,6 +60,8 @@ def identify(
             line of its data sheet, a flat limit, or both; or a linear servo (pd). By default motor,
             and pd where effects are given or the data sheet states neither torque nor speed.
         together: Assume that joints with the same servo in robot.toml have motors of one make.
+        effort: Multiple of the largest number of evaluations of a search; a note states which fits
+            have spent theirs.
         seed: Seed of the search for a starting point.
 
     Returns:
@@ -73,12 +76,14 @@ def identify(
     from sim2real.arm.identify_arm import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
+    check_effort("identify", effort)
     description, listed = robot_of(robot), recordings_to_fit(recordings)
     settings: dict[str, Any] = {
         "held_out": held_out,
         "effects": (effects,) if isinstance(effects, str) else effects,
         "law": law,
         "together": together,
+        "effort": effort,
         "seed": seed,
         "progress": lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     }

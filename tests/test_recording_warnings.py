@@ -201,3 +201,17 @@ def test_import_prints_what_fits_will_refuse(tmp_path, capsys):
     assert "! error: j1 jumps by 6." in capsys.readouterr().out
     assert main(["check", str(out)]) == 2
     assert "! error: j1 jumps by 6." in capsys.readouterr().out
+
+
+def test_a_search_that_its_budget_ends_says_so():
+    cut = identify([GOOD], ROBOT, law="pd", effort=0.05).joints["j1"]
+    assert any("did not converge" in note and "--effort" in note for note in cut.notes)
+    whole = identify([GOOD], ROBOT, law="pd").joints["j1"]
+    assert not any("did not converge" in note for note in whole.notes)
+
+
+@pytest.mark.parametrize("effort", [0, -1.0, np.inf, np.nan, "2"])
+@pytest.mark.parametrize("verb", ["identify", "diagnose"])
+def test_an_effort_is_above_0(verb, effort):
+    with pytest.raises(InputError, match="effort"):
+        getattr(s2r, verb)([GOOD], ROBOT, effort=effort)

@@ -27,12 +27,14 @@ class Case:
         model: A model to start from; its effects stay part of the plain servo.
         references: Recordings of the same robot from before. With these the question is what has
             changed since, not what a servo lacks.
+        effort: Multiple of the simulation budget of the search for combinations of effects.
     """
 
     recordings: Sequence[Recording]
     robot: Robot
     model: Model | None = None
     references: Sequence[Recording] = ()
+    effort: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class JointCase:
         references: Its recordings from before, see ``Case``.
         servo: Its data sheet, or None.
         stated: Sets of effects that recordings were designed to distinguish; all are tried.
+        effort: As of ``Case``.
     """
 
     name: str
@@ -58,6 +61,7 @@ class JointCase:
     references: Sequence[Trace] = ()
     servo: Servo | None = None
     stated: Sequence[StatedSet] = ()
+    effort: float = 1.0
 
     @property
     def stall_Nm(self) -> float | None:
@@ -92,9 +96,8 @@ def prepared(case: Case) -> list[JointCase]:
             model = case.model.joints.get(joint.name) if case.model else None
             references = traces(case.references, joint.name)
             stated = stated_sets(case.recordings, joint.name)
-            joints.append(
-                JointCase(joint.name, data, noise, step, model, references, joint.servo, stated)
-            )
+            given = (model, references, joint.servo, stated, case.effort)
+            joints.append(JointCase(joint.name, data, noise, step, *given))
     if not joints:
         file = case.recordings[0].file
         raise InputError(file, "", "no motion", "commands and angles that change")

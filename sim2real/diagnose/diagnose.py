@@ -52,6 +52,7 @@ def diagnose(
     model: Model | None = None,
     references: Sequence[Recording] = (),
     negligible: float = DECISION.negligible,
+    effort: float = 1.0,
     seed: int = 0,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
@@ -64,6 +65,7 @@ def diagnose(
         references: Recordings of the robot from before: then only what has changed since is named.
         negligible: An effect that changes the held-out error by less than this share is listed, and
             makes no verdict.
+        effort: Multiple of the simulation budget of the search for combinations of effects.
         seed: Seed of the bootstraps.
         progress: Called with the share that is done.
 
@@ -77,7 +79,7 @@ def diagnose(
     everything = at_one_gain([*references, *recordings], gain)
     loaded = with_arm_loads(everything, robot, model)
     references, recordings = loaded[: len(references)], loaded[len(references) :]
-    case = Case(recordings, robot, model, references)
+    case = Case(recordings, robot, model, references, effort)
     (result,) = diagnose_all(
         [case],
         negligible=negligible,
@@ -88,7 +90,7 @@ def diagnose(
     if model is None:
         gain = next(filter(None, map(firmware_gain, everything)), None)
     result = replace(result, model=replace(result.model, firmware_p_gain=gain))
-    return predicting(result, recordings, seed, progress)
+    return predicting(result, recordings, seed, progress, effort)
 
 
 def diagnose_all(

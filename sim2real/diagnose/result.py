@@ -294,14 +294,14 @@ class Diagnosis(NotebookDisplay):
     def search_ended(self) -> str:
         """Statement on joints whose search was ended by its budget; empty if there are none.
 
-        The budget is ``search_substeps`` of ``decision.json``.
+        The budget is ``search_substeps`` of ``decision.json``, times ``effort`` of ``diagnose``.
         """
         if not self.unfinished:
             return ""
         return (
             f"The search for combinations of effects on {', '.join(self.unfinished)} was ended by"
             " its simulation budget: every effect was tested alone, but not every promising"
-            " combination."
+            " combination; --effort multiplies the budget."
         )
 
     def plot(self) -> Figure:

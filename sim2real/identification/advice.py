@@ -10,9 +10,7 @@ from sim2real.arrays import Array
 from sim2real.identification.control_loop import undetected_loop
 from sim2real.identification.fit import (
     Fit,
-    fastest_visible_rad_s,
     residuals,
-    ringing_rad_s,
 )
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.play import play_between_pulls
@@ -21,6 +19,7 @@ from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
+from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace, firmware_gain
 from sim2real.units import readable_name
@@ -120,7 +119,10 @@ def on_fit(
             end = p.low if above < below else p.high
             notes.append(f"{readable_name(p.name)} is at its bound of {end:g}")
     if not best.converged:
-        notes.append("the search did not converge; do not use these values")
+        notes.append(
+            "the search did not converge in its number of evaluations; do not use these values "
+            "(--effort multiplies that number)"
+        )
     return notes + _misfit(figures, warned)
 
 

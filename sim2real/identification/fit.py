@@ -195,25 +195,6 @@ def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
     )
 
 
-def ringing_rad_s(traces: Sequence[Trace], row: Array) -> float:
-    """Frequency of the damped oscillation of a servo (P,) in rad/s, the largest of its recordings.
-
-    0 where it does not oscillate. With kp, kd and the inertia I it is sqrt(kp/I - (kd/2I)^2), the
-    imaginary part of the poles of I s^2 + kd s + kp.
-    """
-    largest = 0.0
-    for trace in traces:
-        inertia = trace.load.inertia_kgm2 + float(row[INERTIA_LEFT_OUT] + row[ROTOR_INERTIA])
-        kp, kd = float(row[0]) * trace.gain_factor, float(row[1])
-        largest = max(largest, kp / inertia - (kd / (2 * inertia)) ** 2)
-    return float(np.sqrt(largest))
-
-
-def fastest_visible_rad_s(traces: Sequence[Trace]) -> float:
-    """Half the sampling rate in rad/s, the largest of the recordings: pi / period."""
-    return float(np.pi / min(trace.period_s for trace in traces))
-
-
 def inertia_left_out(row: Array, inertia: float) -> Parameter:
     """Inertia missing from the stated load; negative if the stated inertia is too large."""
     size = inertia + float(row[INERTIA_LEFT_OUT])
@@ -375,7 +356,13 @@ def plain_row(kp: float, kd: float, latency: float) -> Array:
 
 
 def best_of(
-    fitted: Sequence[Trace], starts: Sequence[Array], names: Sequence[str] = BASE[:3]
+    fitted: Sequence[Trace],
+    starts: Sequence[Array],
+    names: Sequence[str] = BASE[:3],
+    effort: float = 1.0,
+    *,
+    first: int = 60,
+    further: int = 20,
 ) -> tuple[Fit, list[Fit]]:
     """The best fit of all starts (P,), and the other fits, sorted by loss.
 
@@ -383,12 +370,15 @@ def best_of(
         fitted: The joint's recordings.
         starts: Starting points; the first has more evaluations than the others.
         names: Those of ``plain_parameters`` to fit.
+        effort: Multiple of the numbers of evaluations.
+        first: Largest number of evaluations in one round, from the first start.
+        further: The same from each other start, in two rounds.
     """
     fits: list[Fit] = []
     for start in starts:
         free = [p for p in plain_parameters(fitted, start) if p.name in names]
-        limits = {"rounds": 1, "evaluations": 20} if fits else {}
-        fits.append(fit(fitted, start, free, **limits))
+        rounds, most = (1, further) if fits else (3, first)
+        fits.append(fit(fitted, start, free, rounds=rounds, evaluations=round(most * effort)))
     scale = min(candidate.scale_rad for candidate in fits)
     fits.sort(key=lambda candidate: candidate.loss(scale))
     return fits[0], fits[1:]

@@ -17,14 +17,12 @@ from sim2real.identification.effect_fit import fit_effects
 from sim2real.identification.fit import (
     Fit,
     best_of,
-    fastest_visible_rad_s,
     first_guess,
     fit,
     gains,
     inertia_left_out,
     plain_parameters,
     residuals,
-    ringing_rad_s,
 )
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
@@ -48,6 +46,7 @@ from sim2real.output import provenance
 from sim2real.plausible import recording_warnings
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
+from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import INERTIA_LEFT_OUT, motor_of, stated
 from sim2real.servo.trace import (
     Trace,
@@ -84,6 +83,7 @@ def identify(
     effects: str | Sequence[str] = (),
     law: Law | None = None,
     together: bool = False,
+    effort: float = 1.0,
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
@@ -102,6 +102,7 @@ def identify(
             with a note in the latter case.
         together: Whether joints with the same servo in the robot's file have motors of one type:
             each is then fitted again with a prior from the others (``servo_type``).
+        effort: Multiple of the largest number of evaluations of a search.
         seed: Seed of the search for a starting point.
         progress: Function that wraps the sequence of joints, to show progress.
 
@@ -136,7 +137,7 @@ def identify(
         if law is None and not extra and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
         options = (held_out, extra, streams[joint], servos[joint], prior, notes, bool(warnings))
-        return _identify_joint(data, *options)
+        return _identify_joint(data, *options, effort)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
         running = {joint: pool.submit(identify_joint, joint, types.get(joint)) for joint in moving}
@@ -238,11 +239,12 @@ def _identify_joint(
     prior: ServoType | None,
     notes: list[str],
     warned: bool,
+    effort: float,
 ) -> JointFit:
     fitted, scored, held_out_name = split(data, held_out)
     load = data[0].load
     noise = sensor_noise(fitted)
-    best, rivals, without_influence = _fit_plain(fitted, noise, rng, servo)
+    best, rivals, without_influence = _fit_plain(fitted, noise, rng, servo, effort)
     motor = None
     if servo is not None and not without_influence:
         losses = not extra or fitted[0].varying is None
@@ -296,7 +298,11 @@ def _identify_joint(
 
 
 def _fit_plain(
-    fitted: list[Trace], noise: float, rng: np.random.Generator, servo: Servo | None = None
+    fitted: list[Trace],
+    noise: float,
+    rng: np.random.Generator,
+    servo: Servo | None = None,
+    effort: float = 1.0,
 ) -> tuple[Fit, list[Fit], list[str]]:
     """The best fit of gains and latency, its rivals, and parameters without visible influence.
 
@@ -310,12 +316,12 @@ def _fit_plain(
     if not names:
         found = f"no motion above the noise of {1e3 * noise:.2g} mrad"
         raise InputError(fitted[0].file, "", found, "a joint that moves visibly")
-    best, rivals = best_of(fitted, [start, *others], names)
+    best, rivals = best_of(fitted, [start, *others], names, effort)
     visible = fastest_visible_rad_s(fitted)
     if ringing_rad_s(fitted, best.row) > visible:  # may be an alias of a slower servo
         rotor = _assumed_rotor(fitted, servo)
         start, others = first_guess(fitted, rng, rotor_kgm2=rotor, fastest_rad_s=visible)
-        again, more = best_of(fitted, [start, *others], names)
+        again, more = best_of(fitted, [start, *others], names, effort)
         pool = sorted([best, *rivals, again, *more], key=lambda f: f.loss(again.scale_rad))
         best, rivals = pool[0], pool[1:]
     return best, rivals, [p.name for p in free if p.name not in names]

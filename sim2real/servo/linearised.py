@@ -5,6 +5,7 @@ I q'' + kd q' + (kp + gravity) q = kp u + torque, the pendulum linearised about 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from sim2real.arrays import Array
+from sim2real.servo.parameters import INERTIA_LEFT_OUT, ROTOR_INERTIA
 from sim2real.servo.trace import Trace
 
 _SETTLED, _LONGEST = 0.003, 80
@@ -163,3 +165,22 @@ def servo_modes(residual: Residual) -> Modes:
     if abs(root) < _APART * half:
         root = complex(_APART * half)
     return Modes(-half - root, -half + root, kp / load.inertia_kgm2)
+
+
+def ringing_rad_s(traces: Sequence[Trace], row: Array) -> float:
+    """Frequency of the damped oscillation of a servo (P,) in rad/s, the largest of its recordings.
+
+    0 where it does not oscillate. With kp, kd and the inertia I it is sqrt(kp/I - (kd/2I)^2), the
+    imaginary part of the poles of I s^2 + kd s + kp.
+    """
+    largest = 0.0
+    for trace in traces:
+        inertia = trace.load.inertia_kgm2 + float(row[INERTIA_LEFT_OUT] + row[ROTOR_INERTIA])
+        kp, kd = float(row[0]) * trace.gain_factor, float(row[1])
+        largest = max(largest, kp / inertia - (kd / (2 * inertia)) ** 2)
+    return float(np.sqrt(largest))
+
+
+def fastest_visible_rad_s(traces: Sequence[Trace]) -> float:
+    """Half the sampling rate in rad/s, the largest of the recordings: pi / period."""
+    return float(np.pi / min(trace.period_s for trace in traces))

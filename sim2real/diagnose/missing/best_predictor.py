@@ -39,6 +39,7 @@ def predicting(
     recordings: Sequence[Recording],
     seed: int,
     progress: Progress = lambda share: None,
+    effort: float = 1.0,
 ) -> Diagnosis:
     """A diagnosis whose model predicts best; what it names, and how surely, stays.
 
@@ -48,6 +49,7 @@ def predicting(
         recordings: The recordings that it is of.
         seed: Seed of the bootstraps of the search.
         progress: Called with the share that is done, the diagnosis included.
+        effort: Multiple of the search's simulation budget.
     """
     plain = diagnosis.baseline.joints.values() if diagnosis.baseline else ()
     had_effects = any(e.effect != ROUNDING for joint in plain for e in joint.effects)
@@ -63,6 +65,7 @@ def predicting(
         baselines(batch),
         level=DECISION.predictor.search_level,
         rng=np.random.default_rng(seed),
+        effort=effort,
         progress=lambda share: progress(BEFORE + 0.8 * (1 - BEFORE) * share),
     )
     joints, fit, unfinished = (

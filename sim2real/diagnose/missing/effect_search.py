@@ -9,7 +9,7 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.missing.nuisances import first_look, with_nuisances, with_rivals
 from sim2real.diagnose.missing.screening import FITTED
-from sim2real.diagnose.missing.servo_search import Job, ServoSearch, ledgers_of
+from sim2real.diagnose.missing.servo_search import Job, SearchLimits, ServoSearch, ledgers_of
 from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.effects import named
 from sim2real.identification.servo_problem import Fits, Hypothesis, Set, Tried
@@ -29,6 +29,7 @@ def search(
     best: Sequence[Hypothesis] | None = None,
     needed: bool = True,
     stated: Sequence[Sequence[StatedSet]] | None = None,
+    effort: float = 1.0,
     progress: Progress = lambda share: None,
 ) -> tuple[list[Tried], ServoSearch]:
     """Try sets of effects on every joint until none is better.
@@ -44,13 +45,14 @@ def search(
         best: What explained each joint best before; looked for where None.
         needed: Whether to search at all; joints that are compared with references need no search.
         stated: Sets that are tried in any case, one sequence a joint, with where to start.
+        effort: Multiple of the simulation budget.
         progress: Called with the share that is done.
 
     Returns:
         What was tried, one a joint, and what may be asked of it further.
     """
     ledgers = ledgers_of(plain, bases)
-    problem = ServoSearch(batch, level, rng)
+    problem = ServoSearch(batch, level, rng, limits=SearchLimits(effort=effort))
     if not needed:
         return ledgers, problem
     large = [DECISION.nuisance_finding_size * sd for sd in noise or ()]

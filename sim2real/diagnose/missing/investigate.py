@@ -194,6 +194,7 @@ def _pass(
         best=[ledger.best for ledger in known],
         needed=not all(joint.references for joint in joints),
         stated=[joint.stated for joint in joints],
+        effort=max(joint.effort for joint in joints),
         progress=lambda share: progress(0.1 + 0.8 * share),
     )
     data = [joint.traces for joint in joints]

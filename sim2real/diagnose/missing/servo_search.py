@@ -41,6 +41,7 @@ class SearchLimits:
         hopeless_gain: Gain at first sight below which the best start of an effect is not followed.
         least_visible: Score of an effect, were it there, from which it would be seen.
         promise: Times the gain that a fit's quadratic model promises, which it may still make.
+        effort: Multiple of the budget ``DECISION.search_substeps``.
     """
 
     min_rebase_gain: float = 1.0
@@ -49,6 +50,7 @@ class SearchLimits:
     hopeless_gain: float = 1.0
     least_visible: float = 3.0
     promise: float = 6.0
+    effort: float = 1.0
 
 
 SEARCH_LIMITS = SearchLimits()
@@ -269,7 +271,7 @@ class ServoSearch:
         The budget is counted in sub-steps of rollouts, so that no answer depends on the machine.
         """
         spent = self.batch.substeps[ledger.case] - self._spent_before[ledger.case]
-        if spent > DECISION.search_substeps:
+        if spent > self.limits.effort * DECISION.search_substeps:
             self.unfinished.add(ledger.case)
         return ledger.case in self.unfinished
 
