@@ -68,8 +68,8 @@ def check_effort(call: str, value: object) -> None:
     Raises:
         InputError: If it is not.
     """
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and 0 < value < math.inf):
+    number = value if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
+    if not 0 < number < math.inf:
         raise InputError(call, "effort", shown(value), "a number above 0")
 
 

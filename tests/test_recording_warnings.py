@@ -204,7 +204,7 @@ def test_import_prints_what_fits_will_refuse(tmp_path, capsys):
 
 
 def test_a_search_that_its_budget_ends_says_so():
-    cut = identify([GOOD], ROBOT, law="pd", effort=0.05).joints["j1"]
+    cut = identify([GOOD], ROBOT, law="pd", effort=0.02).joints["j1"]
     assert any("did not converge" in note and "--effort" in note for note in cut.notes)
     whole = identify([GOOD], ROBOT, law="pd").joints["j1"]
     assert not any("did not converge" in note for note in whole.notes)
