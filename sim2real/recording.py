@@ -17,7 +17,7 @@ from sim2real.arrays import Array
 from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
-from sim2real.output import write_json, write_whole
+from sim2real.output import beside, write_json, write_whole
 from sim2real.structured import Fields, read_json
 from sim2real.varying_load import VaryingLoad
 
@@ -270,7 +270,7 @@ def write_recording(
         **recording.metadata,
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
-    write_json(csv.with_suffix(".json"), sidecar)
+    write_json(beside(csv, f"{csv.stem}.json"), sidecar)
 
 
 def _joint_names(top: Fields) -> tuple[str, ...]:

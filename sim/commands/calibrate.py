@@ -7,7 +7,7 @@ import argparse
 from sim import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.model import write_model
-from sim2real.output import check_writable
+from sim2real.output import beside, check_writable
 from sim2real.report.drawing import save_png
 
 
@@ -15,11 +15,11 @@ def run(options: argparse.Namespace) -> int:
     """Calibrate, print the parameters and errors, write the model and a plot of each swim."""
     out = check_writable(options.out)
     calibration = verbs.calibrate(**arguments_of(verbs.calibrate, options))
-    print(calibration)
     write_model(calibration.model, out)
+    print(calibration)
     print(f"\nmodel: {out}")
     if not options.no_plots:
         for k, swim in enumerate(calibration.swims):
-            plot = save_png(calibration.plot(k), out.with_name(f"{out.stem}.{swim.name}.png"))
+            plot = save_png(calibration.plot(k), beside(out, f"{out.stem}.{swim.name}.png"))
             print(f"plot: {plot}")
     return 0

@@ -10,7 +10,7 @@ from sim2real.commands.verb import arguments_of
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
 from sim2real.errors import InputError
-from sim2real.output import check_writable
+from sim2real.output import beside, check_writable
 from sim2real.recording import write_recording
 from sim2real.verbs import robot_of
 
@@ -42,7 +42,7 @@ def _write_page(design: Design | RivalDesign, options: argparse.Namespace) -> No
     except ModuleNotFoundError as error:
         print(f"no page: {error}", file=sys.stderr)
         return
-    page = options.out.with_suffix(".html")
+    page = beside(options.out, f"{options.out.stem}.html")
     if isinstance(design, RivalDesign):
         sections = [rivals_section(design)]
     else:

@@ -12,7 +12,7 @@ from sim2real import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
 from sim2real.model import Model, write_model
-from sim2real.output import check_writable
+from sim2real.output import beside, check_writable
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import Replay, replay
 from sim2real.viewers.scenes import with_prediction
@@ -28,8 +28,8 @@ def run(options: argparse.Namespace) -> int:
     model = verbs.identify(
         **arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
     )
-    print(model)
     write_model(model, options.out)
+    print(model)
     replays = cache(lambda: replay(model, recordings, options.held_out))
     if not options.no_plots:
         _plot(model, replays, options.out)
@@ -56,7 +56,7 @@ def _plot(model: Model, replays: Callable[[], Sequence[Replay]], out: Path) -> N
         figure = fit_figure(
             shown.recording, joint, shown.predicted, heldout=shown.held_out, noise_rad=noise
         )
-        save_png(figure, out.with_name(f"{out.stem}.{joint}.png"))
+        save_png(figure, beside(out, f"{out.stem}.{joint}.png"))
 
 
 def most_held_out(replays: Sequence[Replay]) -> dict[str, Replay]:

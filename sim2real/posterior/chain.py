@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import autocorrelation_times
-from sim2real.output import write_whole
+from sim2real.output import beside, is_stream, write_whole
 
 LogDensity = Callable[[Array], Array]
 
@@ -28,9 +28,9 @@ BURN_IN_TIMES = 5
 """Number of initial steps to discard, in autocorrelation times."""
 
 
-def chain_file(out: Path, joint: str) -> Path:
-    """File of the chain of a joint, next to the result ``out``."""
-    return out.with_name(f"{out.stem}.chain.{joint}.npz")
+def chain_file(out: Path, joint: str) -> Path | None:
+    """File of the chain of a joint, next to the result ``out``; None next to a device or a pipe."""
+    return None if is_stream(out) else beside(out, f"{out.stem}.chain.{joint}.npz")
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def run_chain(
 
     W, F = chain.coordinates.shape[1:]
     sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
+    sampler.log_prob_fn = log_density  # the wrapper of emcee prints a traceback of every interrupt
     accepted = chain.accepted.copy()
     if chain.steps:
         state = State(chain.coordinates[-1], chain.log_density[-1], random_state=chain.random)
