@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +13,7 @@ from sim2real.errors import InputError
 _LIBRARIES = {
     "matplotlib": ("Matplotlib", "report"),
     "jinja2": ("Jinja", "report"),
+    "markupsafe": ("Jinja", "report"),
     "rosbags": ("rosbags", "ros"),
     "PIL": ("Pillow", "sim"),
     "av": ("PyAV", "sim"),
@@ -24,7 +26,7 @@ _LIBRARIES = {
     "cv2": ("OpenCV", "hardware"),
     "arviz": ("ArviZ", "arviz"),
     "shtab": ("shtab", "completion"),
-    "onnx": ("ONNX", "onnx"),
+    "onnx": ("package onnx", "onnx"),
     "mujoco": ("MuJoCo", "mujoco"),
     "pyarrow": ("pyarrow", "lerobot"),
     "pinocchio": ("Pinocchio", "arm"),
@@ -84,6 +86,22 @@ def optional(place: str) -> Iterator[None]:
         if missing is None:
             raise
         raise missing from None
+
+
+@contextmanager
+def if_installed(what: str) -> Iterator[None]:
+    """Context that makes ``what``, or prints in one line which optional library it needs.
+
+    Args:
+        what: What is made besides the result of a command, as ``"plots"``.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_library(error)
+        if missing is None:
+            raise
+        print(f"no {what}: {missing.found}; {missing.expected}", file=sys.stderr)
 
 
 def library(module: str, place: str) -> Any:  # noqa: ANN401 - a module

@@ -19,12 +19,10 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from sim2real.errors import InputError
-from sim2real.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "warp-lang")
 _DESCRIPTOR = re.compile(r"(?:/proc/(\d+)|/dev)/fd/(\d+)")
@@ -306,6 +304,8 @@ def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
         inputs: Files, or objects read from files (with a ``path``); others are ignored.
         seed: The seed, if anything was random.
     """
+    from sim2real.version import __version__
+
     files = (
         source if isinstance(source, str | os.PathLike) else getattr(source, "path", None)
         for source in inputs
@@ -321,6 +321,8 @@ def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
 
 
 def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(name)
     except PackageNotFoundError:

@@ -30,6 +30,7 @@ from sim2real.model import read_model
 from sim2real.output import provenance, write_json, write_whole
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
+from sim2real.structured import read_json
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
 ROWS = 50
@@ -143,11 +144,11 @@ def _is_done(directory: Path, description: dict[str, Any], note: dict[str, Any])
     path = directory / "run.json"
     if not path.exists():
         write_json(path, {**description, "provenance": note})
-    existing = json.loads(path.read_text())
+    existing = read_json(path)
     expected_content = json.loads(json.dumps(description))
-    if {k: existing.get(k) for k in expected_content} != expected_content or existing["provenance"][
-        "inputs"
-    ] != note["inputs"]:
+    if {k: existing.get(k) for k in expected_content} != expected_content or existing.get(
+        "provenance", {}
+    ).get("inputs") != note["inputs"]:
         expected = "the same options and files, or a new folder"
         raise InputError(directory, "run.json", "another run", expected)
     return (directory / "policy.zip").exists()

@@ -7,7 +7,6 @@ resumes from its checkpoint.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -30,6 +29,7 @@ from rl.task import TASKS, Task
 from sim2real.arrays import Array
 from sim2real.output import write_json
 from sim2real.robot import Robot
+from sim2real.structured import read_json
 
 
 def ablate(
@@ -83,7 +83,7 @@ def ablate(
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
         digest = inputs_digest(agents, robot, testbed, task, (repeats, seed, sampled, discount))
-        result = json.loads(path.read_text()) if path.exists() else {}
+        result = read_json(path) if path.exists() else {}
         if result.get("key") != digest:
             policies = [controller(k) for k in range(len(agents))]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -24,9 +24,11 @@ from rl.task import Task
 from rl.world import Draws, World
 from sim.view.video import Video
 from sim2real.arrays import Array, Mask
+from sim2real.errors import InputError
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
 
 
 @dataclass(frozen=True)
@@ -227,10 +229,8 @@ def _kept(file: Path | None, digest: str) -> dict[str, Array] | None:
     """The results in a file, if they are those of the same forecast."""
     if file is None or not file.exists():
         return None
-    try:
-        with np.load(file, allow_pickle=False) as content:
-            if str(content["digest"]) == digest:
-                return {name: content[name] for name in content.files if name != "digest"}
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        pass
+    with contextlib.suppress(InputError):  # a damaged file is simulated again
+        content = read_arrays(file, "trials", "the trials of a forecast")
+        if str(content.pop("digest", None)) == digest:
+            return content
     return None

@@ -11,6 +11,7 @@ from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
 from sim2real.diagnose.page.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
+from sim2real.extras import if_installed
 from sim2real.model import read_model, write_model
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording
@@ -40,9 +41,11 @@ def run(options: argparse.Namespace) -> int:
         page, count = beside(out, f"{out.stem}.html"), len(recordings)
         counted = "1 recording" if count == 1 else f"{count} recordings"
         subtitle = f"{counted}, verdict: {diagnosis.verdict.replace('_', ' ')}"
-        section = _section(diagnosis, read, robot)
-        write_page(page, f"Diagnosis of {robot.name}", subtitle, [section], diagnosis.provenance)
-        print(f"\npage: {page}")
+        with if_installed("page"):
+            section = _section(diagnosis, read, robot)
+            title = f"Diagnosis of {robot.name}"
+            write_page(page, title, subtitle, [section], diagnosis.provenance)
+            print(f"\npage: {page}")
     write_views(options, lambda: _scene(diagnosis, recordings, read, robot))
     return 0
 

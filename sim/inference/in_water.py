@@ -11,6 +11,7 @@ share of each change is fitted (``water.viscosity`` and so on), as a gain is.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,7 +32,9 @@ from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.output import write_whole
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
 from sim2real.velocity import body_velocity
 
 CELL_M = 0.012
@@ -285,7 +288,6 @@ def robot_in_water(
 
 def write_water(path: Path, water: InWater) -> None:
     """Write simulations in the fluid to a file, in half precision."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {
         "names": np.array(water.names), "law_names": np.array(list(water.law)),
         "law": np.array(list(water.law.values())),
@@ -293,7 +295,9 @@ def write_water(path: Path, water: InWater) -> None:
     for k, (identifier, steps) in enumerate(water.steps.items()):
         arrays[f"steps_{k}"] = steps.astype(np.float16)
         arrays[f"key_{k}"] = np.frombuffer(identifier, np.float32)
-    np.savez_compressed(path, **arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    write_whole(path, stream.getvalue())
 
 
 def read_water_swims(*paths: Path) -> InWater:
@@ -308,17 +312,17 @@ def read_water_swims(*paths: Path) -> InWater:
 
 def _read_water(path: Path) -> InWater:
     """Read one file."""
+    content = read_arrays(path, "swims in water", "a file by --in-water")
     try:
-        content = np.load(path)
         names = tuple(content["names"].tolist())
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        count = sum(name.startswith("key_") for name in content)
+        steps = {
+            content[f"key_{k}"].tobytes(): content[f"steps_{k}"].astype(np.float64)
+            for k in range(count)
+        }
+        law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, "content", "no swims in water", "a file by --in-water") from error
-    count = sum(name.startswith("key_") for name in content.files)
-    steps = {
-        content[f"key_{k}"].tobytes(): content[f"steps_{k}"].astype(np.float64)
-        for k in range(count)
-    }
-    law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
     return InWater(names, steps, law)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
+from sim2real.extras import if_installed
 from sim2real.output import beside, check_writable, is_stream
 from sim2real.posterior.posteriors import joint_sample, write_sample
 from sim2real.ranges.entry import write_ranges
@@ -30,7 +31,8 @@ def run(options: argparse.Namespace) -> int:
     write_ranges(gathered.ranges, out)
     print(gathered)
     if not options.no_page:
-        _write_page(gathered, read_robot(options.robot).name, beside(out, f"{out.stem}.html"))
+        with if_installed("page"):
+            _write_page(gathered, read_robot(options.robot).name, beside(out, f"{out.stem}.html"))
     return 0
 
 

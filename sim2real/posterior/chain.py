@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import autocorrelation_times
 from sim2real.output import beside, is_stream, write_whole
+from sim2real.structured import read_arrays
 
 LogDensity = Callable[[Array], Array]
 
@@ -172,15 +172,14 @@ def read_chain(file: Path) -> Chain:
     """Read a chain.
 
     Raises:
-        InputError: If the file is not a chain.
+        InputError: If the file is not a chain, or is damaged.
     """
+    arrays = read_arrays(file, "chain", "a chain, or no such file")
     try:
-        with np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
         if str(arrays["format"]) != FORMAT:
             raise InputError(file, "format", str(arrays["format"]), FORMAT)
         position, has_gauss, gauss = arrays["random_numbers"]
-        return Chain(
+        chain = Chain(
             coordinates=arrays["coordinates"],
             log_density=arrays["log_density"],
             accepted=arrays["accepted"],
@@ -192,9 +191,36 @@ def read_chain(file: Path) -> Chain:
             },
             fingerprint=str(arrays["fingerprint"]),
         )
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(file, "", f"no chain ({reason})", "a chain, or no such file") from None
+        _check(chain)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        found = f"no chain ({type(error).__name__}: {error})"
+        raise InputError(file, "", found, "a chain, or no such file") from None
+    return chain
+
+
+def _check(chain: Chain) -> None:
+    """Check that the arrays of a chain fit together, are finite and can be continued.
+
+    Raises:
+        ValueError: If not.
+    """
+    W, F = chain.origin["start"].shape
+    N = len(chain.coordinates)
+    log_density = chain.log_density[chain.log_density != -np.inf]  # of walkers outside the prior
+    shapes = [
+        ("coordinates", chain.coordinates.shape, (N, W, F)),
+        ("log_density", chain.log_density.shape, (N, W)),
+        ("accepted", chain.accepted.shape, (W,)),
+    ]
+    sizes = {"centre": (F,), "factor": (F, F), "noise_sd": ()}
+    shapes += [(k, v.shape, sizes[k]) for k, v in chain.origin.items() if k in sizes]
+    for name, found, expected in shapes:
+        if found != expected:
+            raise ValueError(f"{name} of shape {found} and not {expected}")
+    for values in (chain.coordinates, log_density, chain.accepted, *chain.origin.values()):
+        if values.dtype.kind not in "fi" or not np.isfinite(values).all():
+            raise ValueError("values that are no finite numbers")
+    np.random.RandomState(0).set_state(chain.random)  # noqa: NPY002 - the generator of emcee
 
 
 def moves(
