@@ -20,7 +20,7 @@ from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors
 from sim2real.errors import InputError
 from sim2real.extras import missing_library
-from sim2real.output import is_standard_output, results
+from sim2real.output import Results, is_standard_output, results
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
 _EXCHANGE = "sim2real.commands.exchange"
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _reported(typed: Sequence[str], program: str) -> int:
     """Run one command; report whatever stops it, in one line."""
-    options = argparse.Namespace(resumes=False)
+    options = argparse.Namespace(resumes=False, files=Results())
     try:
         parser(only=typed[:1]).parse_args(typed, namespace=options)
         return _run(options)
@@ -114,7 +114,8 @@ def _reported(typed: Sequence[str], program: str) -> int:
         print(f"{program}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        state = "the same call resumes" if options.resumes else "nothing written"
+        state = "files written so far are whole" if options.files.written else "nothing written"
+        state = "the same call resumes" if options.resumes else state
         print(f"{program}: interrupted; {state}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
@@ -141,11 +142,14 @@ def _run(options: argparse.Namespace) -> int:
     with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
         warnings.showwarning = partial(_show_warning, options.command)
         check_files(options, files)
+        options.files = files
         if is_standard_output(getattr(options, "out", None)):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-        status: int = run(options)
-    for sentence in files.kept:
-        print(f"sim2real {options.command}: {sentence}", file=sys.stderr)
+        try:
+            status: int = run(options)
+        finally:
+            for sentence in files.kept:
+                print(f"sim2real {options.command}: {sentence}", file=sys.stderr)
     return 1 if files.kept else status
 
 

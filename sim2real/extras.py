@@ -101,7 +101,8 @@ def if_installed(what: str) -> Iterator[None]:
         missing = missing_library(error)
         if missing is None:
             raise
-        print(f"no {what}: {missing.found}; {missing.expected}", file=sys.stderr)
+        title, extra = _LIBRARIES[str(missing.name)]
+        print(f"no {what}: {title} is not installed; {install_command(extra)}", file=sys.stderr)
 
 
 def library(module: str, place: str) -> Any:  # noqa: ANN401 - a module

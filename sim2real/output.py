@@ -38,12 +38,16 @@ class Results:
         inputs: Input files by device and number, which no result may replace.
         folders: Folders of results that were checked before the computation.
         kept: One sentence for each result that could not be written to its place.
+        moved: Where these are instead; None for one that was printed or lost.
+        written: Number of results in their places.
     """
 
     def __init__(self) -> None:
         self.inputs: dict[tuple[int, int], str] = {}
         self.folders: set[Path] = set()
         self.kept: list[str] = []
+        self.moved: dict[Path, Path | None] = {}
+        self.written = 0
         self._folder: Path | None = None
 
     def protect(self, path: str | os.PathLike[str]) -> None:
@@ -62,7 +66,8 @@ class Results:
         return self.inputs.get((found.st_dev, found.st_ino))
 
     def keep(self, target: Path, data: bytes, reason: str) -> None:
-        """Keep a result in the temporary folder or, if that is full, on standard output."""
+        """Keep a result in the temporary folder or, if that is full, print it."""
+        self.moved[target] = None
         try:
             self._folder = self._folder or Path(tempfile.mkdtemp(prefix="sim2real-"))
             kept = self._folder / target.name
@@ -73,8 +78,9 @@ class Results:
                 self.kept.append(f"{target}: {reason}; lost, no room in {tempfile.gettempdir()}")
                 return
             print(data.decode(errors="replace"))
-            self.kept.append(f"{target}: {reason}; printed on standard output")
+            self.kept.append(f"{target}: {reason}; the result is printed above")
         else:
+            self.moved[target] = kept
             self.kept.append(f"{target}: {reason}; the result is in {kept}")
 
 
@@ -94,6 +100,11 @@ def results() -> Iterator[Results]:
         yield _results
     finally:
         _results = before
+
+
+def place_of(path: Path) -> Path | None:
+    """The file of a result that was written: ``path``, or where it was kept; None if nowhere."""
+    return path if _results is None else _results.moved.get(path, path)
 
 
 def protect(path: str | os.PathLike[str]) -> None:
@@ -179,6 +190,9 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
             raise
         else:
             raise InputError(target, "", found, "a folder to write in") from error
+    else:
+        if _results is not None:
+            _results.written += 1
     return target
 
 

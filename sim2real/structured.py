@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LARGEST_FILE_BYTES = 16 * 2**20
+LARGEST_STREAM_BYTES = 2**40
+"""Largest video or bag, which is not read as a whole."""
 LARGEST_ARRAYS_BYTES = 2**31
 """Largest NumPy archive, and largest size of its content once unpacked."""
 _DEEP_KEY = re.compile(

@@ -33,9 +33,9 @@ def check_files(options: argparse.Namespace, files: Results) -> None:
     for name in writes:
         for path in _paths(getattr(options, name, None)):
             check_not_read(path)
-            place = _real(path)
-            if place in named and not is_stream(path):
-                raise InputError(path, f"--{name}", "a file that is named twice", "another file")
+        if isinstance(out := getattr(options, name, None), Path) and not is_stream(out):
+            if (place := _real(out)) in named:
+                raise InputError(out, f"--{name}", "a file that is named twice", "another file")
             named.add(place)
 
 

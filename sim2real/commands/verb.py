@@ -8,6 +8,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 Verb = Callable[..., Any]
@@ -71,7 +72,7 @@ def described_arguments(verb: Verb) -> dict[str, str]:
 
 def _docstring(verb: Verb) -> str:
     """The docstring in the source, which ``python -OO`` leaves out of the function."""
-    (definition,) = ast.parse(inspect.getsource(verb)).body
+    (definition,) = ast.parse(dedent(inspect.getsource(verb))).body
     return ast.get_docstring(definition) or "" if isinstance(definition, ast.FunctionDef) else ""
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from sim2real.errors import InputError
 from sim2real.extras import optional
+from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -63,6 +64,8 @@ def read_messages(
         from rosbags.typesys import Stores, get_typestore
     if not Path(path).exists():
         raise InputError(path, "", "no such file", "a ROS 1 or ROS 2 bag")
+    if not Path(path).is_dir():
+        check_size(Path(path), LARGEST_STREAM_BYTES)
     messages: dict[str, list[Message]] = {topic: [] for topic in allowed_types}
     try:
         # Older ROS 2 bags do not contain the definitions of their messages.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,9 +15,11 @@ import numpy as np
 import pandas as pd
 
 from sim2real.arrays import Array
+from sim2real.csv_columns import LARGEST_FILE_BYTES
 from sim2real.errors import InputError, shown
 from sim2real.importers.units import SECONDS_PER, Conversion
 from sim2real.recording import Recording
+from sim2real.structured import check_size, read_arrays
 
 ANGLES = ("command", "position")
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")
@@ -123,10 +124,9 @@ def _joints(columns: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _csv(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+    check_size(file, LARGEST_FILE_BYTES, "; cut the log into pieces")
     try:
         table = pd.read_csv(file, skipinitialspace=True, compression=None, low_memory=False)
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", "a CSV") from None
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(file, "", f"no table ({reason})", "comma-separated rows") from None
@@ -150,14 +150,11 @@ def _csv(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
 
 
 def _npz(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+    stored = read_arrays(file, "arrays of numbers", "an .npz archive")
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {name: np.asarray(archive[name], dtype=np.float64) for name in archive.files}
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", "an .npz archive") from None
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(file, "", f"no arrays of numbers ({reason})", "an .npz archive") from None
+        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in stored.items()}
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "", f"no arrays of numbers ({error})", "an .npz archive") from None
     read = {ours: _array(file, arrays, theirs) for ours, theirs in columns.items()}
     rows = {values.size for values in read.values()}
     if len(rows) > 1 or rows.pop() < 2:

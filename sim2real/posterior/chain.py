@@ -192,7 +192,7 @@ def read_chain(file: Path) -> Chain:
             fingerprint=str(arrays["fingerprint"]),
         )
         _check(chain)
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
+    except (ValueError, LookupError, TypeError, OverflowError) as error:
         found = f"no chain ({type(error).__name__}: {error})"
         raise InputError(file, "", found, "a chain, or no such file") from None
     return chain
