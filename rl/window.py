@@ -8,6 +8,7 @@ import numpy as np
 
 from sim2real.arrays import Picture
 from sim2real.errors import InputError
+from sim2real.extras import library
 
 _WHERE = "render_mode 'human'"
 
@@ -32,11 +33,7 @@ class Window:
         Raises:
             InputError: If pygame is not installed, or there is no screen to draw on.
         """
-        try:
-            import pygame
-        except ImportError:
-            expected = "the extra 'render': pip install 'sim2real[render]'"
-            raise InputError("sim2real/Fish-v0", _WHERE, "no pygame", expected) from None
+        pygame = library("pygame", "sim2real/Fish-v0")
         self._pygame: Any = pygame
         self.frames_per_s, self._title = frames_per_s, title
         self._surface: Any = None

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim2real.errors import InputError
+from sim2real.structured import check_size
 
 LARGEST_BYTES = 2**30
 """Largest unpacked archive of arrays that is read."""
@@ -27,15 +28,15 @@ def read_members(
         path: The archive.
         expected: What it should be, for errors.
         what: What it then does not contain, for errors.
-        largest: Largest number of bytes of all members together, checked before any is unpacked.
+        largest: Largest number of bytes of the archive, and of all members together, checked before
+            any is unpacked.
 
     Raises:
         InputError: If it is no regular file, no archive, damaged or too large, or if two members
             have the same name.
     """
     file = Path(path)
-    if not file.is_file():
-        raise InputError(file, "", "no file", expected)
+    check_size(file, largest)
     try:
         with zipfile.ZipFile(file) as archive:
             entries = archive.infolist()

@@ -7,6 +7,7 @@ command; its code is imported only when it runs, so that help is fast.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
@@ -15,7 +16,11 @@ from collections.abc import Sequence
 from functools import partial
 
 from sim2real.commands.command import Command
+from sim2real.commands.files import check_files
+from sim2real.commands.streams import Lenient, occupy_standard_descriptors
 from sim2real.errors import InputError
+from sim2real.extras import missing_library
+from sim2real.output import Results, is_standard_output, results
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
 _EXCHANGE = "sim2real.commands.exchange"
@@ -87,31 +92,65 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 if it is done, 2 for wrong input (reported in one line), 1 for anything else.
     """
+    occupy_standard_descriptors()
+    out, err = Lenient(sys.stdout), Lenient(sys.stderr)
     typed = list(sys.argv[1:] if arguments is None else arguments)
-    options = parser(only=typed[:1]).parse_args(typed)
-    if options.command in _SMALL_MATRICES:
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
-    try:
-        run = importlib.import_module(options.module).run
-        if options.json:
-            from sim2real.commands.as_json import run_as_json
+    name = typed[0] if typed[:1] and typed[0] in COMMANDS else ""
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):  # type: ignore[type-var]
+        status = _reported(typed, f"sim2real {name}".strip())
+        out.flush()
+        if out.error is not None and not isinstance(out.error, BrokenPipeError):
+            print(f"sim2real {name}: standard output: {out.error.strerror}", file=err)
+    return status if out.error is None else status or 1
 
-            run = run_as_json(run)
-        with warnings.catch_warnings():
-            warnings.showwarning = partial(_show_warning, options.command)
-            status: int = run(options)
-        sys.stdout.flush()
-        return status
+
+def _reported(typed: Sequence[str], program: str) -> int:
+    """Run one command; report whatever stops it, in one line."""
+    options = argparse.Namespace(resumes=False, files=Results())
+    try:
+        parser(only=typed[:1]).parse_args(typed, namespace=options)
+        return _run(options)
     except InputError as error:
-        print(f"sim2real {options.command}: {error}", file=sys.stderr)
+        print(f"{program}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        state = "the same call resumes" if options.resumes else "nothing written"
-        print(f"sim2real {options.command}: interrupted; {state}", file=sys.stderr)
+        state = "files written so far are whole" if options.files.written else "nothing written"
+        state = "the same call resumes" if options.resumes else state
+        print(f"{program}: interrupted; {state}", file=sys.stderr)
         return 1
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except ModuleNotFoundError as error:
+        if (missing := missing_library(error)) is None:
+            raise
+        print(f"{program}: {missing}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        about = f"{error.filename}: " if error.filename else ""
+        reason = " ".join(str(error.strerror or error).split())
+        print(f"{program}: {about}{reason}", file=sys.stderr)
         return 1
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Run the command of these options, with results that replace none of its inputs."""
+    if options.command in _SMALL_MATRICES:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
+    run = importlib.import_module(options.module).run
+    if options.json:
+        from sim2real.commands.as_json import run_as_json
+
+        run = run_as_json(run)
+    with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
+        warnings.showwarning = partial(_show_warning, options.command)
+        check_files(options, files)
+        options.files = files
+        if is_standard_output(getattr(options, "out", None)):
+            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        try:
+            status: int = run(options)
+        finally:
+            for sentence in files.kept:
+                print(f"sim2real {options.command}: {sentence}", file=sys.stderr)
+    return 1 if files.kept else status
 
 
 def _show_warning(command: str, message: Warning | str, *_: object, **__: object) -> None:

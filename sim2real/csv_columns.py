@@ -11,7 +11,8 @@ import pandas as pd
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError, nearest, shown
-from sim2real.structured import check_size
+from sim2real.structured import check_label, check_size
+from sim2real.units import plausible
 
 LARGEST_FILE_BYTES = 256 * 2**20
 LARGEST_ANGLE_RAD = 4 * np.pi
@@ -44,6 +45,8 @@ def read_table(csv: Path) -> pd.DataFrame:
         cells = table.index.nlevels + len(table.columns)
         raise InputError(csv, "row 2", f"{cells} cells", f"{len(table.columns)}, as in the header")
     names = header.iloc[0].dropna()
+    for name in names:
+        check_label(csv, "header", str(name))
     if names.duplicated().any():
         found = f"{names[names.duplicated()].iloc[0]} twice"
         raise InputError(csv, "header", found, "each column once")
@@ -66,7 +69,8 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     """A column as numbers, NaN where a cell is empty, shape (T,).
 
     Raises:
-        InputError: If there is no such column, or a cell is not a number.
+        InputError: If there is no such column, or a cell is not a number that is plausible for the
+            unit in the column's name.
     """
     if name not in table:
         columns = [str(column) for column in table.columns]
@@ -83,6 +87,13 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     if wrong.size:
         found = shown(str(table[name].iloc[wrong[0]]))
         raise InputError(csv, cell(csv, int(wrong[0]), name), found, "a number or an empty cell")
+    _, largest, unit = plausible(name)
+    if name != "t_s" and unit == "s":  # times of other clocks
+        return values
+    huge = np.flatnonzero(np.abs(values) > largest)
+    if huge.size:
+        place, found = cell(csv, int(huge[0]), name), f"{values[huge[0]]:g}"
+        raise InputError(csv, place, found, f"at most {largest:g} {unit} in size")
     return values
 
 

@@ -131,7 +131,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")
     return Model(
-        joints={name: _read_joint(joints.table(name)) for name in joints.content},
+        joints={name: _read_joint(joints.table(name)) for name in joints.labels()},
         body=top.table("body").content,
         effects=_read_effects(top),
         fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},

@@ -1,69 +1,295 @@
-"""Result files: written atomically, with their provenance."""
+"""Result files: written whole, never over an input of the command, with their provenance.
+
+A result that is a link is written to the file behind the link. A result that is a device or a pipe
+(``/dev/stdout``, ``/dev/null``, a FIFO) is written through to it.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
 import os
 import platform
+import re
+import secrets
+import stat
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from sim2real.errors import InputError
-from sim2real.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "warp-lang")
+_DESCRIPTOR = re.compile(r"(?:/proc/(\d+)|/dev)/fd/(\d+)")
+"""What ``/dev/stdout`` and ``/dev/fd/N`` stand for: process and number of an open file."""
+_MOST_LINKS = 40
+_MOST_PRINTED_BYTES = 2**20
+
+
+class Results:
+    """The files of one call of the command line: what it reads, and results that were kept.
+
+    Attributes:
+        inputs: Input files by device and number, which no result may replace.
+        folders: Folders of results that were checked before the computation.
+        kept: One sentence for each result that could not be written to its place.
+        moved: Where these are instead; None for one that was printed or lost.
+        written: Number of results in their places.
+    """
+
+    def __init__(self) -> None:
+        self.inputs: dict[tuple[int, int], str] = {}
+        self.folders: set[Path] = set()
+        self.kept: list[str] = []
+        self.moved: dict[Path, Path | None] = {}
+        self.written = 0
+        self._folder: Path | None = None
+
+    def protect(self, path: str | os.PathLike[str]) -> None:
+        """Declare an input; anything but an existing regular file is ignored."""
+        with contextlib.suppress(OSError, ValueError):
+            found = os.stat(path)
+            if stat.S_ISREG(found.st_mode):
+                self.inputs.setdefault((found.st_dev, found.st_ino), str(path))
+
+    def input_at(self, place: Path) -> str | None:
+        """The input that is this file, by whatever name or link."""
+        try:
+            found = place.stat()
+        except OSError:
+            return None
+        return self.inputs.get((found.st_dev, found.st_ino))
+
+    def keep(self, target: Path, data: bytes, reason: str) -> None:
+        """Keep a result in the temporary folder or, if that is full, print it."""
+        self.moved[target] = None
+        try:
+            self._folder = self._folder or Path(tempfile.mkdtemp(prefix="sim2real-"))
+            kept = self._folder / target.name
+            kept.write_bytes(data)
+        except OSError:
+            shown = target.suffix != ".html" and b"\0" not in data
+            if not shown or len(data) > _MOST_PRINTED_BYTES:
+                self.kept.append(f"{target}: {reason}; lost, no room in {tempfile.gettempdir()}")
+                return
+            print(data.decode(errors="replace"))
+            self.kept.append(f"{target}: {reason}; the result is printed above")
+        else:
+            self.moved[target] = kept
+            self.kept.append(f"{target}: {reason}; the result is in {kept}")
+
+
+_results: Results | None = None
+
+
+@contextlib.contextmanager
+def results() -> Iterator[Results]:
+    """Context of one call of the command line.
+
+    Inside it, a result that can't be written after its folder was checked is kept elsewhere, so
+    that no finished computation is lost, and the computation goes on.
+    """
+    global _results
+    before, _results = _results, Results()
+    try:
+        yield _results
+    finally:
+        _results = before
+
+
+def place_of(path: Path) -> Path | None:
+    """The file of a result that was written: ``path``, or where it was kept; None if nowhere."""
+    return path if _results is None else _results.moved.get(path, path)
+
+
+def protect(path: str | os.PathLike[str]) -> None:
+    """Declare a file as an input of this call of the command line, which no result replaces."""
+    if _results is not None:
+        _results.protect(path)
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
     """Check, before any computation, that a result can be written to ``path``.
 
     Raises:
-        InputError: If ``path`` is a folder, or its folder cannot be created or written.
+        InputError: If ``path`` is a folder, a disk, a socket or an input of the command, or its
+            folder cannot be created or written.
     """
-    target = Path(path)
-    folder = target.absolute().parent
+    _place(path)
+    if _results is not None:
+        _results.folders.add(Path(path).parent)
+    return Path(path)
+
+
+def check_not_read(place: Path, target: Path | None = None) -> None:
+    """Check that ``place`` is no input of this call of the command line.
+
+    Args:
+        place: The file.
+        target: Its name in the message.
+
+    Raises:
+        InputError: If it is one.
+    """
+    read = None if _results is None else _results.input_at(place)
+    if read is not None:
+        raise InputError(target or place, "", f"{read}, which the command reads", "another file")
+
+
+def is_standard_output(path: str | os.PathLike[str] | None) -> bool:
+    """Whether ``path`` is the standard output of this process."""
     try:
-        if target.is_dir():
-            raise InputError(target, "", "a folder", "the name of a file to write")
-        while not folder.exists() and folder != folder.parent:
-            folder = folder.parent
-    except OSError as error:  # a name too long, a folder that may not be searched
-        raise InputError(target, "", str(error.strerror), "the name of a file to write") from None
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(target, "", f"{folder}, which can't be written", "a folder to write in")
-    return target
+        return path is not None and _descriptor(_followed(Path(path))) == 1
+    except OSError:
+        return False
+
+
+def is_stream(path: str | os.PathLike[str]) -> bool:
+    """Whether ``path`` is a device or a pipe, next to which no other file can be written."""
+    try:
+        return _streams(_followed(Path(path)))
+    except OSError:
+        return False
+
+
+def beside(out: Path, name: str) -> Path:
+    """A further file of the result ``out``: ``name`` in its folder.
+
+    A ``/`` in the name, as in the names of joints of ROS, is written as ``%2F``. If ``out`` is a
+    device or a pipe, this is the null device.
+    """
+    return Path(os.devnull) if is_stream(out) else out.with_name(name.replace("/", "%2F"))
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
-    """Write ``content`` to a temporary file in the same folder and rename it to ``path``.
+    """Write ``content`` to a temporary file in the same folder, sync it and rename it to ``path``.
+
+    A new file has the permissions that the umask leaves, an existing one keeps its own.
 
     Raises:
-        InputError: If the folder cannot be created or written.
+        InputError: If it cannot be written, unless that is handled by the command (``results``).
     """
-    target = check_writable(path)
-    data = content.encode() if isinstance(content, str) else content
+    target = Path(path)
+    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    except OSError as error:
-        raise InputError(target, "", str(error.strerror), "a folder to write in") from error
+        place = _place(target)
+        if _streams(place):
+            _write_through(place, data)
+        else:
+            _replace(place, data)
+    except (OSError, InputError) as error:
+        found = error.found if isinstance(error, InputError) else error.strerror or str(error)
+        if _results is not None and target.parent in _results.folders:
+            _results.keep(target, data, found)
+        elif isinstance(error, InputError):
+            raise
+        else:
+            raise InputError(target, "", found, "a folder to write in") from error
+    else:
+        if _results is not None:
+            _results.written += 1
+    return target
+
+
+def _place(path: str | os.PathLike[str]) -> Path:
+    """The file behind the links of ``path``, to which a result may be written."""
+    target = Path(path)
+    try:
+        place = _followed(target)
+        if place.is_dir():
+            raise InputError(target, "", "a folder", "the name of a file to write")
+        if _streams(place):
+            return place
+        if place.exists() and not place.is_file():
+            raise InputError(target, "", "a disk or a socket", "the name of a file to write")
+        check_not_read(place, target)
+        folder = place.parent
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+    except OSError as error:  # a name too long, a loop of links, a folder that can't be searched
+        found = "a working directory that was removed" if _homeless(target) else error.strerror
+        raise InputError(target, "", str(found), "the name of a file to write") from None
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(target, "", f"{folder}, which can't be written", "a folder to write in")
+    return place
+
+
+def _homeless(target: Path) -> bool:
+    """Whether a path is relative to a working directory that no longer exists."""
+    try:
+        return not target.is_absolute() and not os.getcwd()
+    except OSError:
+        return True
+
+
+def _followed(target: Path) -> Path:
+    """The path behind links, absolute; of an open descriptor its entry in ``/dev/fd``."""
+    place = target.absolute()
+    for _ in range(_MOST_LINKS):
+        place = Path(os.path.realpath(place.parent)) / place.name
+        if _descriptor(place) is not None or not place.is_symlink():
+            return place
+        place = place.parent / place.readlink()
+    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(target))
+
+
+def _descriptor(place: Path) -> int | None:
+    """The number of a file that this process has open, if ``place`` stands for one."""
+    parts = _DESCRIPTOR.fullmatch(str(place))
+    return int(parts[2]) if parts and parts[1] in (None, str(os.getpid())) else None
+
+
+def _streams(place: Path) -> bool:
+    """Whether a result is written through, to a device or a pipe, instead of replacing a file."""
+    if _descriptor(place) is not None:
+        return True
+    try:
+        mode = place.stat().st_mode
+    except OSError:
+        return False
+    return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
+
+
+def _write_through(place: Path, data: bytes) -> None:
+    """Write to a device, a pipe or an open descriptor; a pipe that nobody reads is an error."""
+    number = _descriptor(place)
+    if number is None:
+        try:
+            opened = os.open(place, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        except OSError as error:
+            nobody = error.errno == errno.ENXIO
+            reason = "a pipe that no program reads" if nobody else error.strerror
+            raise OSError(error.errno, reason, str(place)) from None
+        os.set_blocking(opened, True)
+    else:
+        sys.stdout.flush()
+        opened = os.dup(number)
+    with os.fdopen(opened, "wb") as stream:
+        stream.write(data)
+
+
+def _replace(place: Path, data: bytes) -> None:
+    """Write a temporary file and rename it to ``place``."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    temporary = place.with_name(f".{place.name}.{secrets.token_hex(4)}")
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, target)
+            stream.flush()
+            if place.exists():
+                os.fchmod(handle, stat.S_IMODE(place.stat().st_mode))
+            os.fsync(handle)
+        os.replace(temporary, place)
     except BaseException:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
         raise
-    return target
 
 
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
@@ -92,6 +318,8 @@ def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
         inputs: Files, or objects read from files (with a ``path``); others are ignored.
         seed: The seed, if anything was random.
     """
+    from sim2real.version import __version__
+
     files = (
         source if isinstance(source, str | os.PathLike) else getattr(source, "path", None)
         for source in inputs
@@ -107,6 +335,8 @@ def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
 
 
 def _version(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(name)
     except PackageNotFoundError:
@@ -114,5 +344,9 @@ def _version(name: str) -> str:
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    """The digest; a file that is gone by the end of a computation doesn't cost the result."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        return f"not readable ({error.strerror})"

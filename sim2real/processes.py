@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -22,4 +24,19 @@ def shared(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result
     if len(items) < MANY:
         return [work(item) for item in items]
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(work, items, chunksize=4))
+        with _deaf_to_interrupts():
+            results = pool.map(work, items, chunksize=4)
+        return list(results)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Context in which processes start that leave Ctrl-C to this one, which then ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

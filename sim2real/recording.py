@@ -23,8 +23,8 @@ from sim2real.clock import (
 )
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
-from sim2real.output import write_json, write_whole
-from sim2real.structured import Fields, read_json
+from sim2real.output import beside, write_json, write_whole
+from sim2real.structured import Fields, check_label, read_json
 from sim2real.varying_load import VaryingLoad
 
 SCHEMA = "sim2real.recording/1"
@@ -268,9 +268,11 @@ def write_recording(
         measured: Whether to write the measured angles; without them ``read_commands`` reads it.
 
     Raises:
-        InputError: If the folder cannot be written.
+        InputError: If the folder cannot be written, or the name of a joint has control characters.
     """
     csv = Path(path)
+    for joint in recording.joints:
+        check_label(csv, "joints", joint)
     table: dict[str, Array] = {"t_s": recording.t}
     for j, joint in enumerate(recording.joints):
         if np.isfinite(recording.command[:, j]).any():
@@ -288,7 +290,7 @@ def write_recording(
         **recording.metadata,
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
-    write_json(csv.with_suffix(".json"), sidecar)
+    write_json(beside(csv, f"{csv.stem}.json"), sidecar)
 
 
 def _joint_names(top: Fields) -> tuple[str, ...]:
@@ -297,7 +299,7 @@ def _joint_names(top: Fields) -> tuple[str, ...]:
         raise top.error("joints", "a list of joint names")
     if len(set(names)) != len(names):
         raise top.error("joints", "each name once")
-    return tuple(names)
+    return tuple(check_label(top.file, "joints", name) for name in names)
 
 
 def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:

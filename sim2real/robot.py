@@ -5,6 +5,7 @@ A file needs only the values that are used: a missing value is an error where it
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -200,6 +201,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     }
     joints = tuple(_joint(fields, servos) for fields in top.tables("joints"))
     unknown = (Link(f"link{k}", where=(str(path), f"links[{k}]")) for k in range(len(joints) + 1))
+    top.table("servos").labels()
     links = (
         tuple(_link(fields) for fields in top.tables("links")) if "links" in top else (*unknown,)
     )
@@ -210,7 +212,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     if len(set(names)) != len(names):
         raise InputError(path, "joints", f"the names {', '.join(names)}", "each name once")
     arm = read_arm(top.table("arm"), names) if "arm" in top else None
-    return Robot(top.text("name", "robot"), links, joints, Path(path), arm)
+    return Robot(top.label("name", "robot"), links, joints, Path(path), arm)
 
 
 def _keys(sheet: type) -> list[str]:
@@ -236,12 +238,17 @@ def _link(fields: Fields) -> Link:
     tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
     length = number("length_m", above=0)
+    com, ends = fields.optional_number("com_m", low=0), [length or math.inf]
+    appendages = tuple(read_appendage(table, length) for table in tables)
+    ends += [one.at_m[0] + one.size_m[0] / 2 for one in appendages]
+    if com is not None and com > max(ends):
+        raise fields.error("com_m", f"a place on the link, at most {max(ends):g} m from its front")
     measures = ("mass_kg", "length_m", "width_m", "height_m")
     optional = ("com_m", "inertia_kgm2", "mass_sd_kg", "length_sd_m")
     return Link(
-        name=fields.text("name"),
+        name=fields.label("name"),
         material=fields.text("material") if "material" in fields else None,
-        appendages=tuple(read_appendage(table, length) for table in tables),
+        appendages=appendages,
         where=(str(fields.file), fields.where),
         **{name: number(name, above=0) for name in measures},
         **{name: number(name, low=0) for name in optional},
@@ -255,7 +262,7 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
         raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
     place = (str(fields.file), fields.where)
     if "limits_rad" not in fields:
-        return Joint(fields.text("name"), servos[servo], where=place)
+        return Joint(fields.label("name"), servos[servo], where=place)
     limits = fields.content["limits_rad"]
     ends = [finite_number(end) for end in limits] if isinstance(limits, list) else []
     if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
@@ -263,4 +270,4 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
     if max(abs(ends[0]), abs(ends[1])) > LARGEST_ANGLE_RAD:
         expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
         raise fields.error("limits_rad", expected)
-    return Joint(fields.text("name"), servos[servo], (ends[0], ends[1]), place)
+    return Joint(fields.label("name"), servos[servo], (ends[0], ends[1]), place)

@@ -1,36 +1,51 @@
-"""Read JSON and TOML files and their fields, with error messages of one line."""
+"""Read JSON and TOML files and their fields, with error messages of one line.
+
+Only regular files are read: a pipe or a device may have no end.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import re
+import stat
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from sim2real.errors import InputError, nearest, one_of, shown
+from sim2real.units import plausible
 
 LARGEST_FILE_BYTES = 16 * 2**20
+LARGEST_STREAM_BYTES = 2**40
+"""Largest video or bag, which is not read as a whole."""
+_DEEP_KEY = re.compile(
+    r"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16,}"""
+)
+"""A dotted key of more than 16 parts: tables so deep take the parser the square of their depth."""
 _MISSPELT = 0.8
 """Similarity above which an unknown key counts as a misspelling of a known one."""
 
 
 def check_size(path: Path, largest: int, advice: str = "") -> None:
-    """Check, without reading it, that ``path`` is a file of at most ``largest`` bytes.
+    """Check, without reading it, that ``path`` is a regular file of at most ``largest`` bytes.
 
     Raises:
-        InputError: If it is missing, a folder, inaccessible or too large.
+        InputError: If it is missing, a folder, a pipe, a device, inaccessible or too large.
     """
     try:
-        if path.is_dir():
-            raise InputError(path, "", "a folder", "a file")
-        size = path.stat().st_size
+        found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(path, "", "no such file", "a file") from None
     except OSError as error:
         raise InputError(path, "", str(error.strerror), "a readable file") from None
+    if not stat.S_ISREG(found.st_mode):
+        pipe, folder = stat.S_ISFIFO(found.st_mode), stat.S_ISDIR(found.st_mode)
+        kind = "a folder" if folder else "a pipe" if pipe else "a device or a socket"
+        raise InputError(path, "", kind, "a file")
+    size = found.st_size
     if size > largest:
         expected = f"at most {largest // 2**20} MiB{advice}"
         raise InputError(path, "", f"{size // 2**20} MiB", expected)
@@ -58,8 +73,13 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
     Raises:
         InputError: If it does not parse, is not an object or has a different schema.
     """
+    text = read_text(path)
     try:
-        content = json.loads(read_text(path))
+        content = json.loads(text)
+        if "\\u" in text:
+            json.dumps(content, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise InputError(path, "", "half of a surrogate pair (\\ud800)", "characters") from None
     except json.JSONDecodeError as error:
         place = f"line {error.lineno}, column {error.colno}"
         raise InputError(path, place, f"no JSON ({error.msg})", "JSON") from None
@@ -76,13 +96,30 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML document.
 
     Raises:
-        InputError: If it does not parse.
+        InputError: If it does not parse, or has dotted keys of more than 16 parts.
     """
+    text = read_text(path)
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        expected = "keys of a few parts"
+        raise InputError(path, f"line {line}", f"a key of {shown(deep[0][:40])}...", expected)
     try:
-        return tomllib.loads(read_text(path))
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         reason, _, place = _reason(error).partition(" (at ")
         raise InputError(path, place.rstrip(")"), f"no TOML ({reason})", "TOML") from None
+
+
+def check_label(file: str | os.PathLike[str], where: str, label: str) -> str:
+    """Check that a name, as of a joint, has no control characters or line breaks; return it.
+
+    Raises:
+        InputError: If it has.
+    """
+    if not label.isprintable():
+        expected = "a name without control characters and line breaks"
+        raise InputError(file, where, shown(label), expected)
+    return label
 
 
 def _reason(error: ValueError | RecursionError) -> str:
@@ -171,7 +208,8 @@ class Fields:
     ) -> float:
         """Read a number, ``>= low`` and ``> above``; ``default`` if it is absent.
 
-        The number must be finite unless ``infinite``, which also permits ``"inf"`` and ``"-inf"``.
+        The number must be finite and plausible for the unit in its name (``units.plausible``)
+        unless ``infinite``, which also permits ``"inf"`` and ``"-inf"``.
         """
         if name not in self.content and default is not None:
             return default
@@ -183,6 +221,10 @@ class Fields:
         convert = number_or_infinity if infinite else finite_number
         value = convert(self.content.get(name))
         if value is None or value < low or value <= above:
+            raise self.error(name, expected)
+        smallest, largest, unit = (0.0, math.inf, "") if infinite else plausible(name)
+        if abs(value) > largest or (above == 0 and value < smallest):
+            expected += f", from {smallest:g} to {largest:g} {unit}"
             raise self.error(name, expected)
         return value
 
@@ -198,6 +240,14 @@ class Fields:
         if not isinstance(value, str):
             raise self.error(name, "text")
         return value
+
+    def label(self, name: str, default: str | None = None) -> str:
+        """Read a name; ``default`` if it is absent."""
+        return check_label(self.file, self.path(name), self.text(name, default))
+
+    def labels(self) -> tuple[str, ...]:
+        """The keys of the table, which are names."""
+        return tuple(check_label(self.file, self.where, name) for name in self.content)
 
     def sentences(self, name: str) -> tuple[str, ...]:
         """Read a list of sentences; none if it is absent."""

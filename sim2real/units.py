@@ -49,6 +49,36 @@ _WRITTEN_OUT = 1e6
 """Value below which numbers are written without exponent."""
 
 
+_PLAUSIBLE = (
+    ("sample_delay_s", 0.0, 1.0),
+    ("_kgm2", 1e-12, 1e9),
+    ("_kg", 1e-9, 1e6),
+    ("_per_s", 0.0, 1e6),
+    ("_rad_s", 0.0, 1e6),
+    ("_m_s", 0.0, 1e6),
+    ("t_s", 0.0, 1e10),
+    ("_s", 0.0, 1e4),
+    *((ending, 0.0, 1e9) for ending in ("_Nm_per_rad", "_Nms_per_rad", "_rad_s2", "_N", "_Nm")),
+    *((ending, 0.0, 1e6) for ending in ("_rad", "_m", "_m2", "_m_s2", "_V", "_A", "_C", "_hz")),
+)
+"""Ending of the name, and the smallest and largest size of a value, SI, that is no mistake."""
+
+
+def plausible(name: str) -> tuple[float, float, str]:
+    """Smallest size above 0 and largest size that a value in a file may have, and its unit.
+
+    Robots from a gram to a thousand tonnes are meant: what lies outside is a mistake, and would
+    overflow or vanish in a simulation. Pure numbers have no limits.
+
+    Args:
+        name: The value's name, which ends with its unit.
+    """
+    for ending, smallest, largest in _PLAUSIBLE:
+        if name.endswith(ending):
+            return smallest, largest, _unit(name)[1] or ending[1:]
+    return 0.0, math.inf, ""
+
+
 def unit_of(name: str, *, per_inertia: bool = False) -> str:
     """SI unit of a parameter; empty for a pure number.
 

@@ -5,16 +5,23 @@ from __future__ import annotations
 import io
 import json
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
 
+from sim2real.archives import read_arrays
+from sim2real.design.contexts import read_contexts
+from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.model import read_model
 from sim2real.output import check_writable, write_json, write_whole
-from sim2real.recording import read_commands, read_recording, write_recording
+from sim2real.posterior.chain import read_chain
+from sim2real.posterior.posteriors import read_sample
+from sim2real.recording import Recording, read_commands, read_recording, write_recording
 from sim2real.robot import read_robot
 
 
@@ -45,6 +52,7 @@ def test_the_good_files_are_read(tmp_path: Path) -> None:
         (with_row(4, "0.04,0.1,True"), ("row 4, j1.position_rad", "'True'", "a number")),
         (with_row(4, "0.04,0.1,inf"), ("row 4, j1.position_rad", "inf", "a number")),
         (with_row(4, "-1e999,0.1,0"), ("row 4, t_s", "inf", "a number")),
+        (with_row(4, "1e308,0.1,0"), ("row 4, t_s", "found 1e+308", "at most 1e+10 s")),
         (with_row(4, "\n\n0.04,fast,0.1"), ("row 6, j1.command_rad", "'fast'", "a number")),
         (with_row(4, f"{'9' * 400},0.1,0"), ("row 4, t_s", "inf", "a number")),
         (with_row(4, "0.04,0.1,0.1,7"), ("row 4", "4 cells", "3, as in the header")),
@@ -85,6 +93,12 @@ def test_text_in_a_further_column(tmp_path: Path) -> None:
     message(lambda: read_recording(path), "row 2, supply_V", "'high'", "a number")
 
 
+def test_a_huge_value_in_a_further_column(tmp_path: Path) -> None:
+    rows = tuple(f"{row},1e300" for row in ROWS)
+    path = csv_file(tmp_path, rows, HEADER + ",body.x_m")
+    message(lambda: read_recording(path), "row 2, body.x_m", "1e+300", "at most")
+
+
 def test_commands_alone(tmp_path: Path) -> None:
     path = csv_file(tmp_path, header="t_s,a,b")
     message(lambda: read_commands(path), str(path), "header", "no J.command_rad column")
@@ -103,6 +117,14 @@ def test_files_that_are_none(tmp_path: Path, read: Callable[[Path], object]) -> 
     regular = tmp_path / "regular"
     regular.write_text("")
     message(lambda: read(regular / "below.csv"), "below.csv", "file")
+
+
+@pytest.mark.parametrize("read", [*READERS, read_sample, read_chain, read_picture, open_video])
+def test_files_without_an_end(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    """Refused at once: a pipe would wait for a writer, and /dev/zero fill the memory."""
+    os.mkfifo(tmp_path / "pipe.csv")
+    message(lambda: read(tmp_path / "pipe.csv"), "pipe.csv", "found a pipe", "a file")
+    message(lambda: read(Path("/dev/zero")), "/dev/zero", "found a device", "a file")
 
 
 @pytest.mark.parametrize("read", READERS)
@@ -159,12 +181,78 @@ def test_huge_files_are_refused_unread(
         ),
         ({"loads": ["j" * 5000]}, ("loads", "jjj", "a table")),
         ({"medium": 3}, ("medium", "3", "text")),
+        ({"loads": {"j1": {"inertia_kgm2": 1e300}}}, ("loads.j1.inertia_kgm2", "1e+300", "kg m²")),
+        ({"loads": {"j1": {"inertia_kgm2": 1e-300}}}, ("loads.j1.inertia_kgm2", "1e-300")),
+        (
+            {"loads": {"j1": {"inertia_kgm2": 1, "pendulum_mass_kg": 1e300}}},
+            ("loads.j1.pendulum_mass_kg", "1e+300", "kg"),
+        ),
+        (
+            {"loads": {"j1": {"inertia_kgm2": 1, "pendulum_length_m": 1e200}}},
+            ("loads.j1.pendulum_length_m", "1e+200", "m"),
+        ),
     ],
 )
 def test_sidecar_fields(tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]) -> None:
     path = csv_file(tmp_path)
     path.with_suffix(".json").write_text(json.dumps(SIDECAR | change))
     message(lambda: read_recording(path), str(tmp_path), *parts)
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31m", "a\u2028b", "a\u202eb"])
+def test_control_characters_in_names(tmp_path: Path, name: str) -> None:
+    path = csv_file(tmp_path)
+    path.with_suffix(".json").write_text(json.dumps(SIDECAR | {"joints": [name]}))
+    message(lambda: read_recording(path), "bench.json: joints", "control characters")
+    path = csv_file(tmp_path, header=f't_s,"{name}.command_rad",j1.position_rad')
+    message(lambda: read_commands(path), "bench.csv: header", "control characters")
+    (tmp_path / "model.json").write_text(json.dumps(MODEL).replace('"j1"', json.dumps(name)))
+    message(lambda: read_model(tmp_path / "model.json"), "joints", "control characters")
+    for old in ("fish", "tail", "j1"):
+        (tmp_path / "robot.toml").write_text(ROBOT.replace(f'"{old}"', json.dumps(name)))
+        message(lambda: read_robot(tmp_path / "robot.toml"), "name", "control characters")
+    recording = Recording("r", "servo", (name,), np.zeros(2), np.zeros((2, 1)), np.zeros((2, 1)))
+    message(lambda: write_recording(recording, tmp_path / "new.csv"), "control characters")
+    assert not (tmp_path / "new.csv").exists()
+
+
+def test_half_of_a_surrogate_pair(tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text(json.dumps(MODEL | {"notes": ["\ud800"]}))
+    message(lambda: read_model(tmp_path / "model.json"), "surrogate")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a" + ".a" * 40_000 + " = 1",
+        "[" + "a." * 40_000 + "a]",
+        '"a"' + '."a"' * 40_000 + " = 1",
+        "x = {" + "'a' . " * 40_000 + "a = 1}",
+        'a.b.c = 1\nname = "x"',
+        '"__class__" = 1',
+        'joints.__class__.x = "1"',
+        "[servos.x.__class__]\ny = 1",
+    ],
+)
+def test_nested_keys(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(text)
+    message(lambda: read_robot(path), str(path))
+    message(lambda: read_contexts(path), str(path))
+
+
+def test_archives_that_unpack_to_more_than_the_memory(tmp_path: Path) -> None:
+    """Zeros compress a thousandfold; headers that promise what the file does not have."""
+    bomb = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("sample.npy", bytes(40 * 2**20))
+    message(lambda: read_arrays(bomb, "y", largest=2**24), "40 MiB", "at most 16 MiB")
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000000000,), }"
+    header += b" " * (117 - len(header)) + b"\n"
+    with zipfile.ZipFile(bomb, "w") as archive:
+        archive.writestr("sample.npy", b"\x93NUMPY\x01\x00" + bytes([118, 0]) + header)
+    message(lambda: read_arrays(bomb, "y", what="sample"), "no sample")
+    message(lambda: read_sample(bomb), "no sample")
 
 
 @pytest.mark.parametrize(

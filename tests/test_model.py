@@ -35,7 +35,7 @@ JOINTS = st.builds(
 )
 MODELS = st.builds(
     Model,
-    joints=st.dictionaries(NAMES, JOINTS, max_size=3),
+    joints=st.dictionaries(NAMES.filter(str.isprintable), JOINTS, max_size=3),
     body=st.dictionaries(NAMES, st.lists(NUMBERS, max_size=3), max_size=2),
     effects=EFFECTS,
     fit=st.dictionaries(NAMES, st.dictionaries(NAMES, NUMBERS | st.none()), max_size=2),

@@ -100,6 +100,7 @@ def draw(swims: dict[str, Episodes], picture: Path) -> None:
     """Trajectories over the pool, a panel for each policy."""
     from rl.experiments.trajectories import Path as Way
     from rl.experiments.trajectories import draw as draw_ways
+    from sim2real.report.drawing import save_png
 
     ways: dict[str, Way | list[Way]] = {}
     for name, episodes in swims.items():
@@ -108,5 +109,4 @@ def draw(swims: dict[str, Episodes], picture: Path) -> None:
         drawn = range(min(5, len(time)))
         ways[shown(name)] = [Way(episodes.pose[:, e, :2], outcome) for e in drawn]
     figure = draw_ways(ways, next(iter(swims.values())).targets[0])
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(picture, dpi=144)
+    save_png(figure, picture)

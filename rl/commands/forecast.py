@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from rl import verbs
 from sim2real.commands.verb import arguments_of
-from sim2real.output import check_writable, write_json
+from sim2real.extras import if_installed
+from sim2real.output import beside, check_writable, is_stream, write_json
 
 
 def run(options: argparse.Namespace) -> int:
@@ -16,18 +16,16 @@ def run(options: argparse.Namespace) -> int:
 
     torch.set_num_threads(1)
     out = check_writable(options.out)
-    kept = out.with_suffix(".trials.npz")
+    kept = None if is_stream(out) else beside(out, f"{out.stem}.trials.npz")
     forecast = verbs.forecast(**arguments_of(verbs.forecast, options, kept=kept))
-    print(forecast)
     options.result = forecast.content()
     write_json(out, options.result)
+    print(forecast)
     if not options.no_page:
-        try:
+        page = beside(out, f"{out.stem}.html")
+        with if_installed("page"):
             from rl.forecast.page import write_forecast_page
 
-            write_forecast_page(forecast, out.with_suffix(".html"), film=options.film)
-        except ModuleNotFoundError as error:
-            print(f"no page: {error}", file=sys.stderr)
-        else:
-            print(f"\npage: {out.with_suffix('.html')}")
+            write_forecast_page(forecast, page, film=options.film)
+            print(f"\npage: {page}")
     return 0

@@ -19,6 +19,7 @@ from rl.sac.recipes import RECIPES
 from sim2real.commands.placement import where_jobs_run
 from sim2real.errors import InputError
 from sim2real.executor import map_jobs
+from sim2real.extras import library
 from sim2real.model import read_model
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
@@ -137,12 +138,9 @@ def write_tensorboard(folders: list[Path]) -> None:
     Raises:
         InputError: If TensorBoard is not installed.
     """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        raise InputError(
-            "train", "--tensorboard", "no TensorBoard", "pip install tensorboard"
-        ) from (None)
+    library("tensorboard", "--tensorboard")
+    from torch.utils.tensorboard import SummaryWriter
+
     for folder in folders:
         progress = read_progress(folder)
         steps = progress.pop("steps")

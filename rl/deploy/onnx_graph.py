@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import numpy as np
 
 from rl import observer
 from rl.deploy.forward import Policy
-from sim2real.errors import InputError
+from sim2real.extras import library
 
 _DOC = """One decision. observation (N, O): {columns}. begin (N, 1): 1 where a swim starts, else 0.
 memory (N, M): result of the last call; arbitrary where a swim starts. set_points (N, {period}, J):
@@ -55,11 +54,7 @@ def onnx_model(policy: Policy) -> bytes:
     Raises:
         InputError: If the package ``onnx`` is not installed.
     """
-    try:
-        onnx: Any = importlib.import_module("onnx")
-    except ModuleNotFoundError:
-        expected = "it installed: pip install 'sim2real[onnx]'"
-        raise InputError("--format", "onnx", "no package onnx", expected) from None
+    onnx = library("onnx", "--format")
     g, J, O = _Graph(onnx), len(policy.joints), len(policy.observation)  # noqa: E741
     M = max(policy.view.memory, 2) * J + 2
     _decision(g, policy, J, O)

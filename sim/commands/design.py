@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from sim import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
 from sim2real.errors import InputError
-from sim2real.output import check_writable
+from sim2real.extras import if_installed
+from sim2real.output import beside, check_writable
 from sim2real.recording import write_recording
 from sim2real.verbs import robot_of
 
@@ -30,19 +30,17 @@ def run(options: argparse.Namespace) -> int:
     print(f"{out}: {design.t.size} set-points in {design.t[-1]:.1f} s; play it by")
     print(f"  sim2real record {out} --robot {options.robot} --port PORT --ids IDS --out RECORDING")
     if not options.no_page:
-        _write_page(design, options)
+        with if_installed("page"):
+            _write_page(design, options)
     return 0
 
 
 def _write_page(design: Design | RivalDesign, options: argparse.Namespace) -> None:
-    try:
-        from sim2real.report.design_plot import design_section
-        from sim2real.report.page import write_page
-        from sim2real.report.rival_plots import rivals_section
-    except ModuleNotFoundError as error:
-        print(f"no page: {error}", file=sys.stderr)
-        return
-    page = options.out.with_suffix(".html")
+    from sim2real.report.design_plot import design_section
+    from sim2real.report.page import write_page
+    from sim2real.report.rival_plots import rivals_section
+
+    page = beside(options.out, f"{options.out.stem}.html")
     if isinstance(design, RivalDesign):
         sections = [rivals_section(design)]
     else:

@@ -11,8 +11,9 @@ from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
 from sim2real.diagnose.page.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
+from sim2real.extras import if_installed
 from sim2real.model import read_model, write_model
-from sim2real.output import check_writable
+from sim2real.output import beside, check_writable
 from sim2real.recording import Recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Section, write_page
@@ -33,23 +34,25 @@ def run(options: argparse.Namespace) -> int:
     robot, recordings = read_robot(options.robot), recordings_of(options.recordings)
     parsed = {"recordings": recordings, "robot": robot, "in_water": options.in_water}
     diagnosis = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))
-    print(diagnosis)
     write_all(diagnosis, out)
+    print(diagnosis)
     read = _read_swims(recordings, robot, options)
     if not options.no_page:
-        page, count = out.with_suffix(".html"), len(recordings)
+        page, count = beside(out, f"{out.stem}.html"), len(recordings)
         counted = "1 recording" if count == 1 else f"{count} recordings"
         subtitle = f"{counted}, verdict: {diagnosis.verdict.replace('_', ' ')}"
-        section = _section(diagnosis, read, robot)
-        write_page(page, f"Diagnosis of {robot.name}", subtitle, [section], diagnosis.provenance)
-        print(f"\npage: {page}")
+        with if_installed("page"):
+            section = _section(diagnosis, read, robot)
+            title = f"Diagnosis of {robot.name}"
+            write_page(page, title, subtitle, [section], diagnosis.provenance)
+            print(f"\npage: {page}")
     write_views(options, lambda: _scene(diagnosis, recordings, read, robot))
     return 0
 
 
 def write_all(diagnosis: Diagnosis, out: Path) -> None:
     """Write the diagnosis, the enriched model and the commands of the next experiment."""
-    enriched = out.with_name(f"{out.stem}.enriched.json")
+    enriched = beside(out, f"{out.stem}.enriched.json")
     write_model(diagnosis.model, enriched)
     write_diagnosis(write_commands(diagnosis, out), out, enriched.name)
 

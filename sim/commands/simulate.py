@@ -10,8 +10,7 @@ from sim.robot.swimmer import CONTROL_S
 from sim.simulation import SupersonicFlow
 from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
-from sim2real.errors import InputError
-from sim2real.output import check_writable, write_json
+from sim2real.output import beside, check_writable, write_json
 from sim2real.recording import write_recording
 from sim2real.robot import read_robot
 from sim2real.viewers.scenes import recorded
@@ -21,13 +20,10 @@ def run(options: argparse.Namespace) -> int:
     """Simulate, and write the measurements of a camera and the servos as a recording."""
     check_writable(options.out)
     check_views(options)
-    inputs = (options.recordings, options.model, options.robot, options.plot, options.video)
-    if options.out.resolve() in {path.resolve() for path in inputs if path}:
-        raise InputError(options.out, "--out", "a file that is named twice", "a file of its own")
     try:
         (swim,) = verbs.simulate(**arguments_of(verbs.simulate, options)).swims
     except SupersonicFlow as error:
-        states = options.out.with_suffix(".stopped.json")
+        states = beside(options.out, f"{options.out.stem}.stopped.json")
         _write_states(error, states)
         print(f"sim2real simulate: {error}; last states in {states}")
         return 1

@@ -11,6 +11,7 @@ share of each change is fitted (``water.viscosity`` and so on), as a gain is.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
+from sim2real.output import write_whole
 from sim2real.robot import Robot
 from sim2real.velocity import body_velocity
 
@@ -286,7 +288,6 @@ def robot_in_water(
 
 def write_water(path: Path, water: InWater) -> None:
     """Write simulations in the fluid to a file, in half precision."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {
         "names": np.array(water.names), "law_names": np.array(list(water.law)),
         "law": np.array(list(water.law.values())),
@@ -294,7 +295,9 @@ def write_water(path: Path, water: InWater) -> None:
     for k, (identifier, steps) in enumerate(water.steps.items()):
         arrays[f"steps_{k}"] = steps.astype(np.float16)
         arrays[f"key_{k}"] = np.frombuffer(identifier, np.float32)
-    np.savez_compressed(path, **arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    write_whole(path, stream.getvalue())
 
 
 def read_water_swims(*paths: Path) -> InWater:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 from pathlib import Path
@@ -15,6 +14,7 @@ from sim.view.legend import RULE, colours, lettered
 from sim.view.plane import plane_of
 from sim2real.arrays import Picture
 from sim2real.errors import InputError
+from sim2real.extras import library
 from sim2real.output import check_writable, write_whole
 
 VORTICITY = 10.0
@@ -35,7 +35,7 @@ def picture(
     Raises:
         InputError: If Pillow is not installed.
     """
-    need("PIL", "Pillow")
+    library("PIL", "pictures")
     plane = plane_of(swimmer, environment)
     pixels = width / plane.size[0]
     height = 2 * round(plane.size[1] * pixels / 2)
@@ -55,7 +55,7 @@ def check_picture(path: str | os.PathLike[str]) -> Path:
     """
     if Path(path).suffix.lower() != ".png":
         raise InputError(path, "", repr(Path(path).suffix), "a name that ends in .png")
-    need("PIL", "Pillow")
+    library("PIL", "pictures")
     return check_writable(path)
 
 
@@ -70,16 +70,3 @@ def save_picture(image: Picture, path: str | os.PathLike[str]) -> Path:
     stream = io.BytesIO()
     Pillow.fromarray(image).save(stream, format="png", optimize=True)
     return write_whole(path, stream.getvalue())
-
-
-def need(module: str, name: str) -> None:
-    """Check that a library of the extra ``sim`` is installed.
-
-    Raises:
-        InputError: If it is not installed.
-    """
-    try:
-        importlib.import_module(module)
-    except ModuleNotFoundError:
-        expected = "pip install 'sim2real[sim]'"
-        raise InputError("pictures", "library", f"no {name}", expected) from None

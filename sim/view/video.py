@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from sim.view.legend import BODY, INK, colours
-from sim.view.render import need
 from sim2real.arrays import Picture
 from sim2real.errors import InputError
-from sim2real.output import check_writable
+from sim2real.extras import library
+from sim2real.output import check_writable, write_whole
 
 FRAMES_PER_S = 25
 
@@ -50,8 +50,8 @@ def check_video(path: str | os.PathLike[str]) -> Path:
         raise InputError(
             path, "", repr(Path(path).suffix), f"a name that ends in {' or '.join(_FORMATS)}"
         )
-    need("av", "PyAV")
-    need("PIL", "Pillow")
+    library("av", "pictures")
+    library("PIL", "pictures")
     return check_writable(path)
 
 
@@ -82,14 +82,10 @@ class Video:
         ending = self.path.suffix.lower()
         self._format = _FORMATS[ending]
         self.width = self._format.width
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=self.path.parent, prefix=f".{self.path.name}.", suffix=ending
-        )
-        os.close(handle)
-        self._temporary = Path(name)
+        self._folder = tempfile.TemporaryDirectory()
+        self._temporary = Path(self._folder.name) / f"video{ending}"
         faststart = {"movflags": "faststart"} if ending == ".mp4" else {}
-        self._file = av.open(name, "w", options=faststart)
+        self._file = av.open(str(self._temporary), "w", options=faststart)
         add: Any = self._file.add_stream
         self._stream = add(self._format.codec, rate=frames_per_s, options=self._format.options)
         self._stream.pix_fmt = self._format.pixels
@@ -112,18 +108,16 @@ class Video:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file, and rename it to ``path`` if there was no error."""
+        """Close the file, and write it to ``path`` if there was no error."""
         try:
             if kind is None and self.frames:
                 self._file.mux(self._stream.encode(None))
                 self._file.close()
-                os.chmod(self._temporary, 0o644)
-                os.replace(self._temporary, self.path)
+                write_whole(self.path, self._temporary.read_bytes())
         finally:
             with contextlib.suppress(Exception):
                 self._file.close()
-            with contextlib.suppress(FileNotFoundError):
-                self._temporary.unlink()
+            self._folder.cleanup()
 
 
 def _in_all(image: Picture) -> Any:  # noqa: ANN401 - PyAV is optional

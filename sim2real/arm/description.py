@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from sim2real.errors import InputError, one_of
+from sim2real.output import protect
 from sim2real.structured import Fields, finite_number, read_text
 
 _PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit")}
@@ -77,6 +78,7 @@ def read_arm(fields: Fields, names: Sequence[str]) -> Arm:
             place = f"{fields.where}.joints.{joint.name}.urdf_joint"
             found, expected = repr(joint.urdf_joint), f"a hinge of {file.name}: "
             raise InputError(fields.file, place, found, expected + one_of(joint.urdf_joint, hinges))
+    protect(file)
     return Arm(_dynamics_only(read_text(file)), joints, _gravity(fields), str(file))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from sim2real.arm.description import Arm
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.extras import library
 
 
 class Multibody:
@@ -27,12 +28,7 @@ class Multibody:
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
-        try:
-            import pinocchio  # type: ignore[import-untyped]
-        except ImportError:
-            expected = "Pinocchio: pip install 'sim2real[arm]'"
-            raise InputError(arm.file, "", "no package for the dynamics", expected) from None
-        self._library: Any = pinocchio
+        self._library = library("pinocchio", arm.file)
         self._model = self._reduced()
         self._data = self._model.createData()
         order = [self._model.getJointId(joint.urdf_joint) for joint in arm.joints]

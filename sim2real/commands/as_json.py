@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sim2real.output import finite_json
+from sim2real.output import finite_json, place_of
 
 Run = Callable[[argparse.Namespace], int]
 
@@ -37,9 +37,10 @@ def _result(options: argparse.Namespace) -> Any:  # noqa: ANN401 - any JSON
     out: Path | None = getattr(options, "out", None)
     if options.result is not None or out is None:
         return options.result
-    if out.suffix == ".json":
-        return json.loads(out.read_text(encoding="utf-8"))
-    return {"out": str(out)}
+    place = place_of(out)
+    if out.suffix == ".json" and place is not None:
+        return json.loads(place.read_text(encoding="utf-8"))
+    return {"out": str(place)}
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON

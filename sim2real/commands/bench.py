@@ -12,6 +12,7 @@ import numpy as np
 from sim2real import verbs
 from sim2real.check import check
 from sim2real.errors import InputError
+from sim2real.extras import if_installed
 from sim2real.hardware.bench import Weight, loads, robot_text
 from sim2real.hardware.buses import Connection, bus_class, connection
 from sim2real.hardware.mounting import check_ids
@@ -65,8 +66,8 @@ def run(options: argparse.Namespace) -> int:
         return status
     recording = read_recording(folder / "steps.csv")
     model = verbs.identify([recording], robot, seed=options.seed)
-    print(model)
     write_model(model, folder / "model.json")
+    print(model)
     _write_page(options, recording, robot, model)
     return 0
 
@@ -110,7 +111,7 @@ def _write_page(
     options: argparse.Namespace, recording: Recording, robot: Robot, model: Model
 ) -> None:
     """The page, if the extra for reports is installed."""
-    try:
+    with if_installed("page"):
         from sim2real.report.identification import identification_section
         from sim2real.report.page import write_page
         from sim2real.report.recordings import recordings_section
@@ -123,10 +124,7 @@ def _write_page(
         ]
         page = options.out / "index.html"
         write_page(page, robot.name, f"{options.bus} servos", sections, model.provenance)
-    except ModuleNotFoundError as error:
-        print(f"no page: {error}", file=sys.stderr)
-        return
-    print(f"\npage: {page}")
+        print(f"\npage: {page}")
 
 
 def _found(link: Connection, ids: Sequence[int]) -> list[Found]:
@@ -145,7 +143,7 @@ def _check(options: argparse.Namespace) -> None:
     if not 0 < options.max_temperature <= HOTTEST_POSSIBLE_C:
         found, most = f"{options.max_temperature:g} C", f"at most {HOTTEST_POSSIBLE_C:g} C"
         raise InputError("--max-temperature", "", found, most)
-    for name in FILES:
+    for name in FILES[options.robot is not None :]:
         path = check_writable(options.out / name)
         if path.exists() and not options.overwrite:
             raise InputError(path, "", "a file already", "another --out, or --overwrite")

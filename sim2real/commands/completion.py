@@ -6,16 +6,12 @@ import argparse
 from pathlib import Path
 
 from sim2real.cli import parser
-from sim2real.errors import InputError
+from sim2real.extras import library
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the completion script of a shell, with file names for options that take files."""
-    try:
-        import shtab
-    except ModuleNotFoundError:
-        found, expected = "no module shtab", "pip install sim2real[completion]"
-        raise InputError("completion", "", found, expected) from None
+    shtab = library("shtab", "completion")
     root = parser()
     for command in _commands(root):
         for action in command._actions:

@@ -22,10 +22,10 @@ def run(options: argparse.Namespace) -> int:
     density = verbs.density(options.robot)
     if options.out is not None:
         write_model(with_density(read_model(options.model), density), options.out)
+    options.result = density
+    print(density)
     if options.plot is not None:
         from sim2real.report.drawing import save_png
 
         save_png(density.plot(), options.plot)
-    options.result = density
-    print(density)
     return 0

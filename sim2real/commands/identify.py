@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
@@ -11,8 +10,9 @@ from pathlib import Path
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
+from sim2real.extras import if_installed
 from sim2real.model import Model, write_model
-from sim2real.output import check_writable
+from sim2real.output import beside, check_writable
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import Replay, replay
 from sim2real.viewers.scenes import with_prediction
@@ -28,11 +28,12 @@ def run(options: argparse.Namespace) -> int:
     model = verbs.identify(
         **arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
     )
-    print(model)
     write_model(model, options.out)
+    print(model)
     replays = cache(lambda: replay(model, recordings, options.held_out))
     if not options.no_plots:
-        _plot(model, replays, options.out)
+        with if_installed("plots"):
+            _plot(model, replays, options.out)
     write_views(options, lambda: _scene(replays()))
     return 0
 
@@ -45,18 +46,15 @@ def _scene(replays: Sequence[Replay]) -> Scene:
 
 def _plot(model: Model, replays: Callable[[], Sequence[Replay]], out: Path) -> None:
     """One figure per joint: of the held-out recording, or of the first."""
-    try:
-        from sim2real.report.drawing import save_png
-        from sim2real.report.fit_plot import fit_figure
-    except ModuleNotFoundError as error:
-        print(f"no plots: {error}", file=sys.stderr)
-        return
+    from sim2real.report.drawing import save_png
+    from sim2real.report.fit_plot import fit_figure
+
     for joint, shown in most_held_out(replays()).items():
         noise = model.fit[f"{joint}.position_rad"].get("noise")
         figure = fit_figure(
             shown.recording, joint, shown.predicted, heldout=shown.held_out, noise_rad=noise
         )
-        save_png(figure, out.with_name(f"{out.stem}.{joint}.png"))
+        save_png(figure, beside(out, f"{out.stem}.{joint}.png"))
 
 
 def most_held_out(replays: Sequence[Replay]) -> dict[str, Replay]:

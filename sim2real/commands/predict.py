@@ -7,7 +7,6 @@ from pathlib import Path
 
 from sim2real import verbs
 from sim2real.commands.views import check_views, write_views
-from sim2real.errors import InputError
 from sim2real.output import check_writable
 from sim2real.recording import read_commands, write_recording
 from sim2real.servo.prediction import Prediction
@@ -19,8 +18,6 @@ def run(options: argparse.Namespace) -> int:
     """Write the commands with the predicted angles as a recording."""
     check_writable(options.out)
     check_views(options)
-    if options.out.resolve() == options.commands.resolve():
-        raise InputError(options.out, "--out", "the file of the commands", "another file")
     model = verbs.model_of(options.model)
     commands = read_commands(options.commands)
     prediction = verbs.predict(commands, None, model)

@@ -10,7 +10,8 @@ import numpy as np
 
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
-from sim2real.output import check_writable
+from sim2real.extras import if_installed
+from sim2real.output import beside, check_writable, is_stream
 from sim2real.posterior.posteriors import joint_sample, write_sample
 from sim2real.ranges.entry import write_ranges
 from sim2real.ranges.gather import Gathered
@@ -23,14 +24,15 @@ def run(options: argparse.Namespace) -> int:
     """Generate ranges; print them; write them, the posterior sample and a page."""
     out = check_writable(options.out)
     gathered = verbs.ranges(**arguments_of(verbs.ranges, options, chains=out))
-    if gathered.posteriors:
+    if gathered.posteriors and not is_stream(out):
         gathered = replace(gathered, ranges=replace(gathered.ranges, posterior=POSTERIOR))
         sample = joint_sample(gathered.posteriors, np.random.default_rng(options.seed))
         write_sample(sample, out.with_name(POSTERIOR))
     write_ranges(gathered.ranges, out)
     print(gathered)
     if not options.no_page:
-        _write_page(gathered, read_robot(options.robot).name, out.with_suffix(".html"))
+        with if_installed("page"):
+            _write_page(gathered, read_robot(options.robot).name, beside(out, f"{out.stem}.html"))
     return 0
 
 

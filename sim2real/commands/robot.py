@@ -18,8 +18,6 @@ READERS = {"from-urdf": read_urdf, "from-mjcf": read_mjcf}
 def run(options: argparse.Namespace) -> int:
     """Write a robot file; print the fields to be filled in, which the file lists too."""
     out = check_writable(options.out)
-    if out.resolve() == options.source.resolve():
-        raise InputError(out, "--out", "the file to read", "another file")
     text, notes = robot_toml(READERS[options.action](options.source), options.joints)
     head = f"# From {' '.join(options.source.name.splitlines())}."
     lines = [" ".join(note.splitlines()) for note in notes]

@@ -14,7 +14,7 @@ from sim2real.hardware.camera_file import read_camera
 from sim2real.hardware.plots import track_figure
 from sim2real.hardware.sync import correlated, flash, joined
 from sim2real.hardware.tracker import Track, frame_count, track
-from sim2real.output import check_writable
+from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, read_recording, write_recording
 from sim2real.report.drawing import save_png
 from sim2real.velocity import body_velocity
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     )
     source = f"sim2real track {options.video}"
     write_recording(replace(recording, name=out.stem, source=recording.source or source), out)
-    picture = out.with_suffix(".png")
+    picture = beside(out, f"{out.stem}.png")
     save_png(track_figure(body_track, camera.corners_m), picture)
     print(f"seen in {int(body_track.seen.sum())} of {body_track.t.size} frames")
     print(

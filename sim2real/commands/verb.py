@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import inspect
 import re
 from collections.abc import Callable, Collection
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 Verb = Callable[..., Any]
@@ -58,7 +60,7 @@ def arguments_of(verb: Verb, options: argparse.Namespace, **other: Any) -> dict[
 
 def described_arguments(verb: Verb) -> dict[str, str]:
     """The text of each argument in a docstring in Google's style, on one line."""
-    text = inspect.getdoc(verb) or ""
+    text = inspect.getdoc(verb) or _docstring(verb)
     _, _, block = text.partition("Args:\n")
     block = re.split(r"\n\n?\S", block, maxsplit=1)[0]
     entries = re.split(r"^ {4}(\w+): ", block, flags=re.M)[1:]
@@ -66,6 +68,12 @@ def described_arguments(verb: Verb) -> dict[str, str]:
         name: " ".join(entry.split()).replace("``", "")
         for name, entry in zip(entries[::2], entries[1::2], strict=True)
     }
+
+
+def _docstring(verb: Verb) -> str:
+    """The docstring in the source, which ``python -OO`` leaves out of the function."""
+    (definition,) = ast.parse(dedent(inspect.getsource(verb))).body
+    return ast.get_docstring(definition) or "" if isinstance(definition, ast.FunctionDef) else ""
 
 
 def _options(annotation: str, default: object) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import socket
 import time
@@ -14,6 +13,7 @@ from typing import Any
 from sim2real.errors import InputError
 from sim2real.executor.job import Job, JobOutcome, write_job
 from sim2real.executor.process import Died, failure, start, stop
+from sim2real.extras import library
 
 _LOOK_EVERY_S = 1.0
 
@@ -108,11 +108,7 @@ def _failure(ray: Any, answer: Any, retries: int) -> str | None:  # noqa: ANN401
 
 
 def _library() -> Any:  # noqa: ANN401 - a module
-    try:
-        return importlib.import_module("ray")
-    except ModuleNotFoundError:
-        expected = "it installed: pip install 'sim2real[cluster]'"
-        raise InputError("--executor", "ray", "no Ray", expected) from None
+    return library("ray", "--executor")
 
 
 def _join(ray: Any, address: str | None) -> None:  # noqa: ANN401 - a module

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.extras import library
 
 
 def simulate(
@@ -34,11 +35,7 @@ def simulate(
     Raises:
         InputError: If MuJoCo is not installed or the model lacks a joint.
     """
-    try:
-        import mujoco as mj
-    except ImportError:
-        expected = "MuJoCo: pip install 'sim2real[mujoco]'"
-        raise InputError("mujoco", "", "no such package", expected) from None
+    mj = library("mujoco", "mujoco")
     model = mj.MjModel.from_xml_string(xml)
     data = mj.MjData(model)
     joints = [model.sensor(k).name.removesuffix("_position") for k in range(model.nsensor)]

@@ -9,8 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from sim2real.errors import InputError
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.output import check_writable, write_json
+from sim2real.output import check_writable, is_stream, write_json
 
 FEWEST_ROWS = 2  # of a valid recording
 
@@ -31,6 +32,8 @@ class RowStream:
 
     def __init__(self, path: Path, columns: Sequence[str], sidecar: dict[str, Any]) -> None:
         self._path = check_writable(path)
+        if is_stream(path):
+            raise InputError(path, "", "a device or a pipe", "a file, to write row by row")
         self._sidecar = sidecar
         self.rows = 0
         write_json(path.with_suffix(".json"), sidecar)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from sim2real.archives import LARGEST_BYTES
 from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.blob import ahead, find_blob
@@ -20,6 +22,7 @@ from sim2real.hardware.camera_file import Camera
 from sim2real.hardware.marker import Marker, ink
 from sim2real.hardware.plane import Plane
 from sim2real.hardware.registration import Print, Sighting, register
+from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 
 LIKENESS = 0.85
 """Smallest correlation with the print of a valid sighting."""
@@ -167,6 +170,7 @@ def open_video(
     """
     import cv2
 
+    check_size(Path(video), LARGEST_STREAM_BYTES)
     source = cv2.VideoCapture(os.fspath(video))
     if not source.isOpened():
         raise InputError(video, "", "no video that can be read", "an AVI, MP4 or MKV file")
@@ -197,6 +201,7 @@ def frame_count(video: str | os.PathLike[str]) -> int | None:
     """Number of frames stated in the file, for a progress bar."""
     import cv2
 
+    check_size(Path(video), LARGEST_STREAM_BYTES)
     source = cv2.VideoCapture(os.fspath(video))
     count = int(source.get(cv2.CAP_PROP_FRAME_COUNT))
     source.release()
@@ -211,6 +216,7 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     """
     import cv2
 
+    check_size(Path(path), LARGEST_BYTES)
     picture = cv2.imread(os.fspath(path))
     if picture is None:
         raise InputError(path, "", "no picture that can be read", "a PNG or JPEG")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from sim2real.errors import InputError
+from sim2real.extras import optional
 from sim2real.hardware.port import EXPECTED
 
 
@@ -51,9 +52,6 @@ def open_transport(url: str, *, baud: int = 115_200) -> Transport:
         return UdpTransport(url, shared_key())
     if "://" not in url and os.name == "posix" and not Path(url).exists():
         raise InputError("--port", "", f"no port {url!r}", EXPECTED)
-    try:
+    with optional("--port"):
         from sim2real.hardware.transport_serial import SerialTransport
-    except ModuleNotFoundError:
-        expected = "it installed: pip install 'sim2real[hardware]'"
-        raise InputError("--port", "", "no pyserial", expected) from None
     return SerialTransport(url, baud)

@@ -10,6 +10,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.structured import check_label
+from sim2real.units import plausible
 
 PLACEHOLDER = {"max_torque_Nm": 1000.0, "no_load_speed_rad_s": 100.0}
 """Smallest limits that no servo has: files of robots state them where a number is required."""
@@ -56,6 +58,21 @@ class Tree:
     bodies: dict[str, Body]
     hinges: list[Hinge]
     left_out: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in (self.name, *self.bodies, *(hinge.name for hinge in self.hinges)):
+            check_label(self.file, "name", name)
+        for body in self.bodies.values():
+            for name, values in (
+                ("mass_kg", body.mass),
+                ("com_m", body.com),
+                ("inertia_kgm2", body.inertia),
+            ):
+                _, largest, unit = plausible(name)
+                found = float(np.abs(values).max())
+                if not found <= largest:
+                    expected = f"at most {largest:g} {unit} in size"
+                    raise InputError(self.file, f"{body.name}: {name}", f"{found:g}", expected)
 
 
 def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, list[str]]:

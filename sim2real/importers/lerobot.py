@@ -15,6 +15,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.extras import optional
 from sim2real.importers.missing import import_warnings
 from sim2real.importers.units import Conversion
 from sim2real.recording import Recording
@@ -175,12 +176,9 @@ def _frames(file: Path, episode: int) -> dict[str, Array]:
 
 def _read(file: Path, columns: list[str]) -> dict[str, Any]:
     """Columns of a Parquet file, numbers of shape (rows,) and lists of shape (rows, length)."""
-    try:
+    with optional(str(file)):
         import pyarrow
         from pyarrow import parquet
-    except ImportError:
-        expected = "pyarrow: pip install 'sim2real[lerobot]'"
-        raise InputError(file, "", "no package that reads Parquet", expected) from None
     if not file.is_file():
         raise InputError(file, "", "no such file", "a Parquet file")
     try:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sim2real.errors import InputError
+from sim2real.extras import library
 from sim2real.importers.chain import Body, Hinge, Tree
 from sim2real.structured import read_text
 
@@ -28,11 +29,7 @@ def read_mjcf(path: str | os.PathLike[str]) -> Tree:
     """
     file = Path(path)
     read_text(file)
-    try:
-        import mujoco as mj
-    except ImportError:
-        expected = "MuJoCo: pip install 'sim2real[mujoco]'"
-        raise InputError(file, "", "no package that reads MJCF", expected) from None
+    mj = library("mujoco", str(file))
     try:
         model = mj.MjModel.from_xml_path(str(file))
     except (ValueError, mj.FatalError) as error:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from sim2real.errors import InputError
+from sim2real.extras import optional
+from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -57,14 +59,13 @@ def read_messages(
     Raises:
         InputError: If the bag can't be read or a topic is missing, empty or of another type.
     """
-    try:
+    with optional(str(path)):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        expected = "the package rosbags (pip install 'sim2real[ros]')"
-        raise InputError(path, "", "a ROS bag and nothing to read it with", expected) from None
     if not Path(path).exists():
         raise InputError(path, "", "no such file", "a ROS 1 or ROS 2 bag")
+    if not Path(path).is_dir():
+        check_size(Path(path), LARGEST_STREAM_BYTES)
     messages: dict[str, list[Message]] = {topic: [] for topic in allowed_types}
     try:
         # Older ROS 2 bags do not contain the definitions of their messages.

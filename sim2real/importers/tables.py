@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import os
 import re
-import zipfile
 from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.csv_columns import LARGEST_FILE_BYTES
@@ -250,14 +250,11 @@ def _numbers(file: Path, theirs: str, cells: pd.Series, comma: bool) -> Array:
 
 def _npz(file: Path, columns: Mapping[str, str]) -> tuple[dict[str, Array], str]:
     """The columns of an archive; there is nothing to say about its format."""
+    stored = read_arrays(file, "an .npz archive", what="arrays of numbers")
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {name: np.asarray(archive[name], dtype=np.float64) for name in archive.files}
-    except FileNotFoundError:
-        raise InputError(file, "", "no such file", "an .npz archive") from None
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(file, "", f"no arrays of numbers ({reason})", "an .npz archive") from None
+        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in stored.items()}
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "", f"no arrays of numbers ({error})", "an .npz archive") from None
     read = {ours: _array(file, arrays, theirs) for ours, theirs in columns.items()}
     rows = {values.size for values in read.values()}
     if len(rows) > 1 or rows.pop() < 2:

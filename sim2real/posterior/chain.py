@@ -17,7 +17,7 @@ from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import autocorrelation_times
-from sim2real.output import write_whole
+from sim2real.output import beside, is_stream, write_whole
 
 LogDensity = Callable[[Array], Array]
 
@@ -28,9 +28,9 @@ BURN_IN_TIMES = 5
 """Number of initial steps to discard, in autocorrelation times."""
 
 
-def chain_file(out: Path, joint: str) -> Path:
-    """File of the chain of a joint, next to the result ``out``."""
-    return out.with_name(f"{out.stem}.chain.{joint}.npz")
+def chain_file(out: Path, joint: str) -> Path | None:
+    """File of the chain of a joint, next to the result ``out``; None next to a device or a pipe."""
+    return None if is_stream(out) else beside(out, f"{out.stem}.chain.{joint}.npz")
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def run_chain(
 
     W, F = chain.coordinates.shape[1:]
     sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
+    sampler.log_prob_fn = log_density  # the wrapper of emcee prints a traceback of every interrupt
     accepted = chain.accepted.copy()
     if chain.steps:
         state = State(chain.coordinates[-1], chain.log_density[-1], random_state=chain.random)
@@ -171,14 +172,14 @@ def read_chain(file: Path) -> Chain:
     """Read a chain.
 
     Raises:
-        InputError: If the file is not a chain.
+        InputError: If the file is not a chain, or is damaged.
     """
     arrays = read_arrays(file, "a chain, or no such file", what="chain")
     try:
         if str(arrays["format"]) != FORMAT:
             raise InputError(file, "format", str(arrays["format"]), FORMAT)
         position, has_gauss, gauss = arrays["random_numbers"]
-        return Chain(
+        chain = Chain(
             coordinates=arrays["coordinates"],
             log_density=arrays["log_density"],
             accepted=arrays["accepted"],
@@ -190,9 +191,36 @@ def read_chain(file: Path) -> Chain:
             },
             fingerprint=str(arrays["fingerprint"]),
         )
-    except (TypeError, ValueError, KeyError, OverflowError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(file, "", f"no chain ({reason})", "a chain, or no such file") from None
+        _check(chain)
+    except (ValueError, LookupError, TypeError, OverflowError) as error:
+        found = f"no chain ({type(error).__name__}: {error})"
+        raise InputError(file, "", found, "a chain, or no such file") from None
+    return chain
+
+
+def _check(chain: Chain) -> None:
+    """Check that the arrays of a chain fit together, are finite and can be continued.
+
+    Raises:
+        ValueError: If not.
+    """
+    W, F = chain.origin["start"].shape
+    N = len(chain.coordinates)
+    log_density = chain.log_density[chain.log_density != -np.inf]  # of walkers outside the prior
+    shapes = [
+        ("coordinates", chain.coordinates.shape, (N, W, F)),
+        ("log_density", chain.log_density.shape, (N, W)),
+        ("accepted", chain.accepted.shape, (W,)),
+    ]
+    sizes = {"centre": (F,), "factor": (F, F), "noise_sd": ()}
+    shapes += [(k, v.shape, sizes[k]) for k, v in chain.origin.items() if k in sizes]
+    for name, found, expected in shapes:
+        if found != expected:
+            raise ValueError(f"{name} of shape {found} and not {expected}")
+    for values in (chain.coordinates, log_density, chain.accepted, *chain.origin.values()):
+        if values.dtype.kind not in "fi" or not np.isfinite(values).all():
+            raise ValueError("values that are no finite numbers")
+    np.random.RandomState(0).set_state(chain.random)  # noqa: NPY002 - the generator of emcee
 
 
 def moves(

@@ -14,6 +14,7 @@ from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
+from sim2real.extras import library
 from sim2real.output import write_whole
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
@@ -65,10 +66,10 @@ class Posteriors(NotebookDisplay):
         shortest chain has.
 
         Raises:
-            ModuleNotFoundError: If the extra ``arviz`` is not installed.
+            MissingLibrary: If the extra ``arviz`` is not installed.
             ValueError: If the joints were sampled with different numbers of walkers.
         """
-        import arviz  # an extra: pip install sim2real[arviz]
+        arviz = library("arviz", "to_arviz")
 
         columns, units = {}, {}
         for joint, servo in self.joints.items():
@@ -151,10 +152,15 @@ def read_sample(path: str | os.PathLike[str]) -> JointSample:
         InputError: If it is not such a file.
     """
     content = read_arrays(path, "a posterior.npz", what="sample")
-    try:
-        if str(content["format"]) != FORMAT:
-            raise InputError(path, "format", str(content["format"]), FORMAT)
-        names, units = (tuple(str(x) for x in content[n]) for n in ("names", "units"))
-        return JointSample(names, units, content["sample"].astype(np.float64))
-    except (TypeError, ValueError, KeyError) as error:
-        raise InputError(path, "", f"no sample ({error})", "a posterior.npz") from None
+    for name in ("format", "names", "units", "sample"):
+        if name not in content:
+            raise InputError(path, name, "nothing", "a posterior.npz, which has it")
+    if str(content["format"]) != FORMAT:
+        raise InputError(path, "format", str(content["format"]), FORMAT)
+    names, units = (tuple(str(x) for x in content[n].ravel()) for n in ("names", "units"))
+    values = content["sample"]
+    shaped = values.ndim == 2 and len(values) and values.shape[1] == len(names) == len(units)
+    if not shaped or values.dtype.kind != "f" or not np.isfinite(values).all():
+        found = f"{values.dtype} of shape {values.shape}, {len(names)} names, {len(units)} units"
+        raise InputError(path, "sample", found, "rows of finite numbers, one for each name")
+    return JointSample(names, units, values.astype(np.float64))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 
 import numpy as np
@@ -169,6 +170,10 @@ def _resumed_or_new(data: ServoData, seed: int, walkers: int, file: Path | None)
         if chain.fingerprint != fingerprint:
             found = "the chain of other recordings, another model or seed"
             raise InputError(file, "", found, "that of this call; remove the file to start again")
+        for field in dataclass_fields(Laplace):
+            if field.name not in chain.origin:
+                expected = "it, in a chain; remove the file to start again"
+                raise InputError(file, f"origin.{field.name}", "nothing", expected)
         return chain
     start = laplace(data)
     start = sharpened(start, Likelihood(data, start.autoregression).log_posterior)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sim2real.report.extra import report_libraries
+from sim2real.extras import optional
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -56,7 +56,7 @@ def prose(text: str) -> str:
 
 def breakable(text: str) -> Markup:
     """``text`` as HTML in which long names may break between parts, and digests anywhere."""
-    with report_libraries():
+    with optional("plots and pages"):
         from markupsafe import Markup, escape
     words = [
         Markup("<wbr>").join(escape(piece) for piece in _pieces(word))

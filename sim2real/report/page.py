@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from sim2real.extras import optional
 from sim2real.output import write_whole
 from sim2real.report.cell import breakable, is_number, letters, prose
-from sim2real.report.extra import report_libraries
 from sim2real.report.live_plot import Live, live_script, live_style, script_hash
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def write_page(
 
     Raises:
         InputError: If the file cannot be written.
-        ModuleNotFoundError: If Jinja is not installed.
+        MissingLibrary: If Jinja is not installed.
     """
     return write_whole(path, render_page(title, subtitle, sections, provenance, stages=stages))
 
@@ -187,7 +187,7 @@ def render_fragment(sections: Sequence[Section]) -> str:
     """Sections as HTML for another page, such as a notebook, including their style.
 
     Raises:
-        ModuleNotFoundError: If Jinja is not installed.
+        MissingLibrary: If Jinja is not installed.
     """
     template = _template()
     blocks = template.blocks["sections"](template.new_context({"sections": sections, "script": ""}))
@@ -196,7 +196,7 @@ def render_fragment(sections: Sequence[Section]) -> str:
 
 
 def _template() -> Template:
-    with report_libraries():
+    with optional("plots and pages"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
         loader=FileSystemLoader(_FOLDER),

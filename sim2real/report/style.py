@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from sim2real.report.extra import report_libraries
+from sim2real.extras import optional
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,7 +78,7 @@ STYLE: dict[Any, Any] = {
 @contextmanager
 def house_style() -> Iterator[None]:
     """Context manager that sets Matplotlib's style to that of the report."""
-    with report_libraries():
+    with optional("plots and pages"):
         from matplotlib import rc_context
     with rc_context(STYLE):
         yield
@@ -96,7 +96,7 @@ def new_figure(height: float, label: str) -> Figure:
 @cache
 def _notebook_figure() -> type[Figure]:
     """Matplotlib's figure, which notebooks also show where pyplot is not imported."""
-    with report_libraries():
+    with optional("plots and pages"):
         from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.extras import library
 from sim2real.output import write_whole
 from sim2real.version import __version__
 from sim2real.viewers.signal_group import (
@@ -20,7 +21,6 @@ from sim2real.viewers.signal_group import (
     MovingLine,
     Scene,
     SignalGroup,
-    viewer_library,
 )
 
 FRAME = "world"
@@ -36,7 +36,7 @@ def mcap_library() -> Any:  # noqa: ANN401 - a module
     Raises:
         InputError: If it is not installed.
     """
-    return viewer_library("--mcap", "mcap.writer", "mcap")
+    return library("mcap.writer", "--mcap")
 
 
 def write_mcap(scene: Scene, path: str | os.PathLike[str]) -> Path:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sim2real.extras import library
 from sim2real.output import write_whole
 from sim2real.viewers.signal_group import (
     COMMAND,
@@ -17,7 +18,6 @@ from sim2real.viewers.signal_group import (
     MovingLine,
     Scene,
     SignalGroup,
-    viewer_library,
 )
 
 TIMELINE = "time"
@@ -29,7 +29,7 @@ def rerun_library() -> Any:  # noqa: ANN401 - a module
     Raises:
         InputError: If it is not installed.
     """
-    return viewer_library("--rerun", "rerun", "rerun-sdk")
+    return library("rerun", "--rerun")
 
 
 def write_rerun(scene: Scene, path: str | os.PathLike[str]) -> Path:

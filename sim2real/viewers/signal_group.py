@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.errors import InputError
 
 COMMAND, MEASURED, PREDICTED = "command", "measured", "predicted"
 """Names of signals; a command holds until the next one."""
@@ -80,21 +77,3 @@ class Scene:
                 group = SignalGroup(known.path, known.unit, known.t, signals)
             groups[group.path] = group
         return Scene(tuple(groups.values()), self.tracks + other.tracks)
-
-
-def viewer_library(option: str, module: str, distribution: str) -> Any:  # noqa: ANN401 - a module
-    """The library that writes a viewer's files.
-
-    Args:
-        option: The option that needs it, for the message.
-        module: Its name in Python.
-        distribution: Its name for pip.
-
-    Raises:
-        InputError: If it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError:
-        expected = "it installed: pip install 'sim2real[view]'"
-        raise InputError(option, "", f"no {distribution}", expected) from None

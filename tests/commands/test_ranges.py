@@ -1,6 +1,12 @@
 """``sim2real ranges``: what it writes, what it refuses, and that it goes on where it was."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +97,73 @@ def test_too_short_says_what_to_do(command, tmp_path, capsys):
     message = capsys.readouterr().err
     assert "run again with --steps" in message and message.count("\n") == 1
     assert not (tmp_path / "ranges.json").exists()
+
+
+def test_an_interrupt_is_one_line(command, tmp_path):
+    """In the likelihood, where emcee prints a traceback of every exception."""
+    out = tmp_path / "ranges.json"
+    call = [sys.executable, "-m", "sim2real.cli", *command(out, "--no-page", steps=100_000)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    search = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(call, env=search, start_new_session=True, **pipes)
+    while not list(tmp_path.glob("ranges.chain.*.npz")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    printed, said = process.communicate()
+    assert (process.returncode, printed) == (1, "")
+    assert said == "sim2real ranges: interrupted; the same call resumes\n"
+    assert read_chain(next(tmp_path.glob("*.npz"))).steps >= 100
+
+
+def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
+    """In every name of a file and on every page."""
+    monkeypatch.chdir(tmp_path)
+    name = "left/<b>pan"
+    steps = read_recording(DATA / "steps.csv").between(0, 400)
+    one = replace(steps, joints=(name,), command=steps.command[:, :1], columns={},
+                  position=steps.position[:, :1], loads={name: steps.loads["j1"]})  # fmt: skip
+    write_recording(one, tmp_path / "steps.csv")
+    robot = (DATA / "robot.toml").read_text().replace('"j1"', f'"{name}"')
+    (tmp_path / "robot.toml").write_text(robot)
+    known = ["steps.csv", "--robot", "robot.toml"]
+    assert main(["identify", *known, "--law", "pd", "--out", "m.json"]) == 0
+    fit = ["--model", "m.json", "--steps", str(STEPS), "--walkers", "16"]
+    assert main(["ranges", *known, *fit, "--out", "r.json"]) == 0
+    written = {path.name for path in tmp_path.iterdir()}
+    assert {"m.left%2F<b>pan.png", "r.chain.left%2F<b>pan.npz", "r.html"} <= written
+    assert not any(path.is_dir() for path in tmp_path.iterdir())
+    page = (tmp_path / "r.html").read_text()
+    assert "&lt;b&gt;pan" in page and "<b>pan" not in page
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda a: a.pop("random_keys"),
+        lambda a: a.pop("origin.centre"),
+        lambda a: a.update(coordinates=a["coordinates"][..., :1]),
+        lambda a: a.update(coordinates=a["coordinates"] * np.nan),
+        lambda a: a.update(coordinates=a["coordinates"].astype(str)),
+        lambda a: a.update(log_density=a["log_density"][:-1]),
+        lambda a: a.update(accepted=a["accepted"][:-1]),
+        lambda a: a.update(random_keys=a["random_keys"][:5]),
+        lambda a: a.update(random_numbers=np.full(3, np.nan)),
+        lambda a: a.update({"origin.factor": np.zeros(2)}),
+        lambda a: a.update({"origin.noise_sd": np.zeros(2)}),
+    ],
+)
+def test_a_damaged_chain_is_one_line(damage, command, written, tmp_path, capsys):
+    out = tmp_path / "ranges.json"
+    file = chain_file(out, "j1")
+    with np.load(chain_file(written / "ranges.json", "j1")) as content:
+        arrays = dict(content)
+    damage(arrays)
+    np.savez(file, **arrays)
+    assert main(command(out, "--no-page")) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ranges.chain.j1.npz" in line
+    assert not out.exists()
 
 
 def test_a_chain_of_something_else_is_refused(command, written, tmp_path, capsys):

@@ -44,7 +44,11 @@ def test_a_missing_library_is_said_in_one_line(library, monkeypatch, bench, tmp_
     with pytest.raises(ModuleNotFoundError) as raised:
         timing_figure(bench.recording)
         write_page(tmp_path / "page.html", "", "", [], {})
-    assert str(raised.value) == f"the report needs {library}: pip install sim2real[report]"
+    name = {"matplotlib": "Matplotlib", "jinja2": "Jinja"}[library]
+    assert str(raised.value) == (
+        f"plots and pages: found no {name}, expected it installed: pip install 'sim2real[report]' "
+        "(in a clone: pip install -e '.[report]')"
+    )
 
 
 def test_drawing_changes_no_global_setting(bench):

@@ -15,6 +15,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.result import Diagnosis, Experiment
 from sim2real.effects import named
 from sim2real.identification.servo_problem import Hypothesis, Servos, minimise, residual_angles
+from sim2real.output import beside
 from sim2real.recording import Load, Recording, write_recording
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.trace import Trace
@@ -114,7 +115,7 @@ def write_commands(found: Diagnosis, out: Path) -> Diagnosis:
         return found
     if plan.component not in found.model.joints:  # a swim
         return found
-    path = out.with_name(f"{out.stem}.next.csv")
+    path = beside(out, f"{out.stem}.next.csv")
     load = found.model.joints[plan.component].load
     recording = Recording(
         name=path.stem,

@@ -1,0 +1,57 @@
+"""The files that a command reads and writes, from its options."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from sim2real.errors import InputError
+from sim2real.output import Results, check_not_read, is_stream
+
+WRITTEN = ("out", "plot", "video", "film", "rerun", "mcap")
+"""Options whose file a command writes."""
+_READ = {"track": ("video",)}
+"""Of these, what a command reads."""
+
+
+def check_files(options: argparse.Namespace, files: Results) -> None:
+    """Declare all files that a command reads, and check that it writes none of them.
+
+    A recording or table ``NAME.csv`` is read and written with its ``NAME.json``.
+
+    Raises:
+        InputError: If an output is an input, or is named twice.
+    """
+    writes = [name for name in WRITTEN if name not in _READ.get(options.command, ())]
+    for name, value in vars(options).items():
+        if name not in writes:
+            for path in _paths(value):
+                files.protect(path)
+    named: set[str] = set()
+    for name in writes:
+        for path in _paths(getattr(options, name, None)):
+            check_not_read(path)
+        if isinstance(out := getattr(options, name, None), Path) and not is_stream(out):
+            if (place := _real(out)) in named:
+                raise InputError(out, f"--{name}", "a file that is named twice", "another file")
+            named.add(place)
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """The files that the value of an option names."""
+    for entry in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(entry, str | Path) and "\0" not in str(entry):
+            path = Path(entry)
+            yield path
+            if path.suffix == ".csv":
+                yield path.with_suffix(".json")
+
+
+def _real(path: Path) -> str:
+    """The path behind links; as it is where the working directory was removed."""
+    try:
+        return os.path.realpath(path)
+    except OSError:
+        return str(path)
