@@ -41,9 +41,10 @@ def check_size(path: Path, largest: int, advice: str = "") -> None:
         raise InputError(path, "", "no such file", "a file") from None
     except OSError as error:
         raise InputError(path, "", str(error.strerror), "a readable file") from None
+    if stat.S_ISDIR(found.st_mode):
+        raise InputError(path, "", "a folder", "a file")
     if not stat.S_ISREG(found.st_mode):
-        pipe, folder = stat.S_ISFIFO(found.st_mode), stat.S_ISDIR(found.st_mode)
-        kind = "a folder" if folder else "a pipe" if pipe else "a device or a socket"
+        kind = "a pipe" if stat.S_ISFIFO(found.st_mode) else "a device or a socket"
         raise InputError(path, "", kind, "a file")
     size = found.st_size
     if size > largest:

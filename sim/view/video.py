@@ -19,7 +19,7 @@ from sim.view.legend import BODY, INK, colours
 from sim2real.arrays import Picture
 from sim2real.errors import InputError
 from sim2real.extras import library
-from sim2real.output import check_writable, write_whole
+from sim2real.output import check_writable, is_stream, write_whole
 
 FRAMES_PER_S = 25
 
@@ -82,10 +82,13 @@ class Video:
         ending = self.path.suffix.lower()
         self._format = _FORMATS[ending]
         self.width = self._format.width
-        self._folder = tempfile.TemporaryDirectory()
-        self._temporary = Path(self._folder.name) / f"video{ending}"
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        folder = None if is_stream(self.path) else self.path.parent
+        handle, name = tempfile.mkstemp(dir=folder, prefix=f".{self.path.name}.", suffix=ending)
+        os.close(handle)
+        self._temporary = Path(name)
         faststart = {"movflags": "faststart"} if ending == ".mp4" else {}
-        self._file = av.open(str(self._temporary), "w", options=faststart)
+        self._file = av.open(name, "w", options=faststart)
         add: Any = self._file.add_stream
         self._stream = add(self._format.codec, rate=frames_per_s, options=self._format.options)
         self._stream.pix_fmt = self._format.pixels
@@ -117,7 +120,8 @@ class Video:
         finally:
             with contextlib.suppress(Exception):
                 self._file.close()
-            self._folder.cleanup()
+            with contextlib.suppress(FileNotFoundError):
+                self._temporary.unlink()
 
 
 def _in_all(image: Picture) -> Any:  # noqa: ANN401 - PyAV is optional

@@ -22,12 +22,15 @@ def check_files(options: argparse.Namespace, files: Results) -> None:
     A recording or table ``NAME.csv`` is read and written with its ``NAME.json``.
 
     Raises:
-        InputError: If an output is an input, or is named twice.
+        InputError: If an input is a pipe or a device, or an output is an input or is named twice.
     """
     writes = [name for name in WRITTEN if name not in _READ.get(options.command, ())]
     for name, value in vars(options).items():
         if name not in writes:
             for path in _paths(value):
+                if path.is_fifo() or (isinstance(value, Path) and path.is_char_device()):
+                    kind = "a pipe" if path.is_fifo() else "a device"
+                    raise InputError(path, "", kind, "a file")
                 files.protect(path)
     named: set[str] = set()
     for name in writes:

@@ -170,8 +170,7 @@ def open_video(
     """
     import cv2
 
-    check_size(Path(video), LARGEST_STREAM_BYTES)
-    source = cv2.VideoCapture(os.fspath(video))
+    source = cv2.VideoCapture(_checked(video))
     if not source.isOpened():
         raise InputError(video, "", "no video that can be read", "an AVI, MP4 or MKV file")
     rate = float(source.get(cv2.CAP_PROP_FPS))
@@ -201,11 +200,17 @@ def frame_count(video: str | os.PathLike[str]) -> int | None:
     """Number of frames stated in the file, for a progress bar."""
     import cv2
 
-    check_size(Path(video), LARGEST_STREAM_BYTES)
-    source = cv2.VideoCapture(os.fspath(video))
+    source = cv2.VideoCapture(_checked(video))
     count = int(source.get(cv2.CAP_PROP_FRAME_COUNT))
     source.release()
     return count if count > 0 else None
+
+
+def _checked(path: str | os.PathLike[str]) -> str:
+    """The path, unless it is a pipe or a device; OpenCV finds out whether there is such a file."""
+    if Path(path).exists():
+        check_size(Path(path), LARGEST_STREAM_BYTES)
+    return os.fspath(path)
 
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
@@ -216,8 +221,7 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     """
     import cv2
 
-    check_size(Path(path), LARGEST_BYTES)
-    picture = cv2.imread(os.fspath(path))
+    picture = cv2.imread(_checked(path))
     if picture is None:
         raise InputError(path, "", "no picture that can be read", "a PNG or JPEG")
     return picture  # type: ignore[return-value]

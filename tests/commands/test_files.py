@@ -109,6 +109,23 @@ def test_every_option_that_is_written_is_known():
                 assert action.dest in WRITTEN, f"{name} {action.option_strings}"
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        "identify steps.csv --robot {} --out m.json",
+        "check {}",
+        "export {} --out p.npz",
+        "swim {} --target 1,1 --virtual",
+        "evaluate {} --robot robot.toml --model model.json",
+        "import {} --out a.csv",
+    ],
+)
+def test_an_input_without_an_end_is_refused(call, bench, capsys):
+    os.mkfifo("pipe")
+    assert main(call.format("pipe").split()) == 2
+    assert "pipe: found a pipe, expected a file" in one_line(capsys.readouterr().err)
+
+
 def test_a_link_is_followed(tmp_path):
     (tmp_path / "real.json").write_text("old")
     (tmp_path / "folder").mkdir()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from sim2real.cli import main
 from sim2real.posterior.chain import chain_file, read_chain, write_chain
 from sim2real.posterior.posteriors import read_sample
+from sim2real.processes import MANY, shared
 from sim2real.ranges.entry import read_ranges
 from sim2real.recording import read_recording, write_recording
 
@@ -114,6 +116,13 @@ def test_an_interrupt_is_one_line(command, tmp_path):
     assert (process.returncode, printed) == (1, "")
     assert said == "sim2real ranges: interrupted; the same call resumes\n"
     assert read_chain(next(tmp_path.glob("*.npz"))).steps >= 100
+
+
+def test_processes_leave_interrupts_to_the_first():
+    """Which ends them: each would print a traceback of its own."""
+    blocked = shared(partial(signal.pthread_sigmask, signal.SIG_BLOCK), [()] * MANY)
+    assert all(signal.SIGINT in signals for signals in blocked)
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
