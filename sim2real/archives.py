@@ -28,15 +28,16 @@ def read_members(
         path: The archive.
         expected: What it should be, for errors.
         what: What it then does not contain, for errors.
-        largest: Largest number of bytes of the archive, and of all members together, checked before
-            any is unpacked.
+        largest: Largest number of bytes of all members together, checked before any is unpacked.
 
     Raises:
         InputError: If it is no regular file, no archive, damaged or too large, or if two members
             have the same name.
     """
     file = Path(path)
-    check_size(file, largest)
+    if file.is_dir() or not file.exists():
+        raise InputError(file, "", "no file", expected)
+    check_size(file, LARGEST_BYTES)
     try:
         with zipfile.ZipFile(file) as archive:
             entries = archive.infolist()

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.archives import LARGEST_BYTES
 from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.blob import ahead, find_blob
