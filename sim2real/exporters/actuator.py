@@ -59,6 +59,14 @@ class Actuator:
         return max(self.value("unmodelled_inertia", "inertia_kgm2"), 0.0)
 
     @property
+    def passive_damping(self) -> float:
+        """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole.
+
+        The share of the controller is then not negative below the limit of the drive.
+        """
+        return max(min(self.back_emf, self.kd + self.back_emf), 0.0)
+
+    @property
     def stopping_times(self) -> tuple[float, float]:
         """Times in which dry friction stops the shaft, s: ``soft_friction.constraint``."""
         return self.motor.get("stick_time_s", 0.0), self.motor.get("creep_time_s", 0.0)

@@ -142,7 +142,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
     if armature > 0:
         attributes["armature"] = _text(armature)
     train = _train(servo)
-    attributes |= _output_losses(servo) if train else _losses(servo) | _drag(servo)
+    attributes |= _output_losses(servo) if train else _friction(servo) | _damping(servo)
     if offset := _offset(servo):
         attributes["ref"] = _text(offset)
     if servo.sheet is not None:
@@ -158,7 +158,14 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         SubElement(motor, "joint", {"name": lead, "type": "hinge", "axis": "0 1 0"} | train)
         _inertial(motor, rotor, 0.0)
         sides = _add_tendon(tendons, f"{servo.joint}_motor", {servo.joint: 1.0, lead: 1.0})
-        sides.attrib.update(_losses(servo))
+        sides.attrib.update(_friction(servo))
+        if servo.back_emf > 0:
+            sides.set("damping", _text(servo.back_emf))
+    elif servo.back_emf > servo.passive_damping:
+        # Euler's method treats damping of joints implicitly and that of tendons explicitly, as it
+        # does the actuator's, whose negative velocity gain this cancels at every time step.
+        excess = _add_tendon(tendons, f"{servo.joint}_back_emf", {servo.joint: 1.0})
+        excess.set("damping", _text(servo.back_emf - servo.passive_damping))
     if train or gain != 1:
         chain = {servo.joint: gain}
         on_output = servo.value("compliance", "sensor_on_output")
@@ -181,30 +188,28 @@ def _train(servo: Actuator) -> dict[str, str]:
     return {}
 
 
-def _losses(servo: Actuator) -> dict[str, str]:
-    """Attributes of dry friction and damping of the motor's side: of a joint or a tendon."""
+def _friction(servo: Actuator) -> dict[str, str]:
+    """Attributes of dry friction of the motor's side: of a joint or a tendon."""
     friction = servo.value("coulomb_friction", "torque_Nm")
     friction += servo.value("asymmetric_friction", "torque_Nm")
-    attributes = {}
-    if friction > 0:
-        attributes["frictionloss"] = _text(friction)
-        attributes |= _softness(*servo.stopping_times)
-    if servo.back_emf > 0:
-        attributes["damping"] = _text(servo.back_emf)
-    return attributes
+    if friction <= 0:
+        return {}
+    return {"frictionloss": _text(friction)} | _softness(*servo.stopping_times)
 
 
-def _drag(servo: Actuator, back_emf: float | None = None) -> dict[str, str]:
-    """Attribute of quadratic drag of a joint, with its back-EMF."""
+def _damping(servo: Actuator, linear: float | None = None) -> dict[str, str]:
+    """Attribute of the damping of a joint: the passive damping by default, and quadratic drag."""
     square = servo.value("quadratic_drag", "coefficient_Nms2")
-    linear = servo.back_emf if back_emf is None else back_emf
-    return {"damping": _text(linear, square, 0)} if square > 0 else {}
+    linear = servo.passive_damping if linear is None else linear
+    if square > 0:
+        return {"damping": _text(linear, square, 0)}
+    return {"damping": _text(linear)} if linear > 0 else {}
 
 
 def _output_losses(servo: Actuator) -> dict[str, str]:
     """Attributes of dry friction and drag of the output's side of a gear train."""
     friction = servo.value("backlash", "output_friction_Nm")
-    attributes = _drag(servo, 0.0)
+    attributes = _damping(servo, 0.0)
     if friction > 0:
         attributes |= {"frictionloss": _text(friction)} | _softness(0.0, 0.0)
     return attributes
