@@ -14,7 +14,13 @@ from sim2real.errors import InputError
 
 
 def simulate(
-    xml: str, t: Array, command: Mapping[str, Array], start: Mapping[str, float] | None = None
+    xml: str,
+    t: Array,
+    command: Mapping[str, Array],
+    start: Mapping[str, float] | None = None,
+    *,
+    integrator: str | None = None,
+    timestep_s: float | None = None,
 ) -> dict[str, Array]:
     """Simulated sensor angles of an exported model for given commands.
 
@@ -27,6 +33,8 @@ def simulate(
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad by joint, each of shape (T,), without NaN.
         start: Initial angle in rad by joint; default: the first set-point.
+        integrator: ``"Euler"``, ``"implicitfast"``, ...; default: that of the model.
+        timestep_s: Time step in s; default: that of the model.
 
     Returns:
         Angles in rad by joint, each of shape (T,).
@@ -40,6 +48,10 @@ def simulate(
         expected = "MuJoCo: pip install 'sim2real[mujoco]'"
         raise InputError("mujoco", "", "no such package", expected) from None
     model = mj.MjModel.from_xml_string(xml)
+    if integrator is not None:
+        model.opt.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    if timestep_s is not None:
+        model.opt.timestep = timestep_s
     data = mj.MjData(model)
     joints = [model.sensor(k).name.removesuffix("_position") for k in range(model.nsensor)]
     for joint in command:
