@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
-from sim2real.exporters.mujoco import HAS, mujoco
+from sim2real.exporters.mujoco import HAS, INTEGRATOR, TIMESTEP_S, mujoco
 from sim2real.exporters.mujoco_bench import simulate
+from sim2real.exporters.mujoco_refit import CASES
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.servo.prediction import predict
@@ -126,14 +128,25 @@ def parts(latency_s: float = 0.05) -> dict[str, Model]:
     }
 
 
-def bench(model: Model, times: Array, command: Array, start: float) -> Array:
+def bench(
+    model: Model,
+    times: Array,
+    command: Array,
+    start: float,
+    integrator: str = INTEGRATOR,
+    timestep_s: float = TIMESTEP_S,
+) -> Array:
     """Angles in rad at ``times``, shape (T,), of the exported servo in MuJoCo."""
-    return simulate(mujoco(model).text, times, {"j1": command}, {"j1": start})["j1"]
+    options = {"integrator": integrator, "timestep_s": timestep_s}
+    return simulate(mujoco(model).text, times, {"j1": command}, {"j1": start}, **options)["j1"]
 
 
 def main() -> None:
     """Print tables of RMS differences in mrad: parts of a servo, and each effect."""
     print_agreement(parts(), bench)
+    for integrator, timestep_s in CASES:
+        print(f"{integrator}, {1e3 * timestep_s:g} ms")
+        print_agreement(parts(), partial(bench, integrator=integrator, timestep_s=timestep_s))
     t, sent = signals()
     print(f"{'servo':<22}{'steps':>8}{'sine':>8}   effect itself, steps  (mrad RMS)")
     rows = [("plain", Load(0.002)), ("pendulum", Load(0.004, 0.1, 0.1))]

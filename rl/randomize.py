@@ -13,7 +13,7 @@ from sim2real.body import values
 from sim2real.density import normalised_density
 from sim2real.effects import named
 from sim2real.errors import InputError
-from sim2real.model import FittedEffect, Model
+from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Range, Ranges
 from sim2real.robot import Robot
@@ -106,10 +106,8 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
                 raise InputError("ranges", name, "no such link", f"one of {', '.join(links)}")
             density[link] = value
         elif head in joints and "." in tail:
-            effect, parameter = tail.split(".", 1)
-            joints[head] = replace(
-                joints[head], effects=_changed(joints[head].effects, effect, parameter, value)
-            )
+            group, parameter = tail.split(".", 1)
+            joints[head] = _with_servo(joints[head], group, parameter, value)
         elif head in joints and tail in ("kp_Nm_per_rad", "kd_Nms_per_rad"):
             scalars[name] = value
         elif head == "body":
@@ -124,6 +122,14 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
             joints[joint] = replace(joints[joint], latency_s=max(0.0, delay))
     body = {**model.body, "normalised_density": list(density.values())}
     return with_values(replace(model, joints=joints, body=body), scalars)
+
+
+def _with_servo(joint: JointModel, group: str, parameter: str, value: float) -> JointModel:
+    """The joint with another value of an effect's parameter, or of the motor's."""
+    if group != "motor":
+        return replace(joint, effects=_changed(joint.effects, group, parameter, value))
+    law: Law = "motor" if joint.law == "pd" else joint.law
+    return replace(joint, law=law, motor={**joint.motor, parameter: value})
 
 
 def _changed(

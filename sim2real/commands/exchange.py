@@ -26,8 +26,15 @@ def _export_servo(command: argparse.ArgumentParser) -> None:
         type=Path,
         default=(),
         metavar="CSV",
-        help="recordings to refit to if the simulator lacks an effect of the model; the last is "
-        "held out (default: the model's own predictions)",
+        help="recordings to refit to if the simulator lacks an effect of the model, and to compare "
+        "with; the last is held out (default: the model's own predictions)",
+    )
+    command.add_argument(
+        "--which",
+        choices=("nearest", "effects", "plain"),
+        default="nearest",
+        help="export the effects of the model, a plain servo without them, or whichever of both is "
+        "nearer to the recordings (default)",
     )
 
 

@@ -10,7 +10,7 @@ from sim2real.commands.write_export import write_export
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
 from sim2real.exporters import actuators_json, genesis, isaaclab, mjlab, mujoco, newton, urdf
-from sim2real.exporters.actuator import Export, LeftOut, limit_effects
+from sim2real.exporters.actuator import SATURATION, Export, LeftOut, limit_effects
 from sim2real.model import JointModel, Model, read_model
 from sim2real.output import check_writable
 from sim2real.recording import read_recording
@@ -40,9 +40,9 @@ def _always(*effects: str) -> Callable[[JointModel], Collection[str]]:
 
 TARGETS = {
     "mujoco": Target(mujoco.mujoco, mujoco.expressed),
-    "isaaclab": Target(isaaclab.isaaclab, _always(*isaaclab.HAS)),
+    "isaaclab": Target(isaaclab.isaaclab, _always(*isaaclab.HAS, SATURATION)),
     "mjlab": Target(mjlab.mjlab, _always(*mjlab.HAS, *SOFT)),
-    "newton": Target(newton.newton, _always(*newton.HAS, *SOFT)),
+    "newton": Target(newton.newton, _always(*newton.HAS, *SOFT, SATURATION)),
     "genesis": Target(genesis.genesis, _always(*genesis.HAS)),
     "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
     "json": Target(actuators_json.actuators_json, _always(*(effect.name for effect in CATALOGUE))),
@@ -65,13 +65,13 @@ def run(options: argparse.Namespace) -> int:
     if options.to == "mujoco":
         from sim2real.exporters.mujoco_refit import mujoco_refit
 
-        checked = mujoco_refit(model, recordings, robot)
-        return write_export(checked.export, options, checked.expressible.refits, checked.agreement)
+        checked = mujoco_refit(model, recordings, robot, options.which)
+        return write_export(checked.export, options, checked.expressible, checked.agreement)
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
         return write_export(target.write(model, robot), options)
     from sim2real.exporters.expressible import expressible
 
-    nearest = expressible(model, target.expressed, recordings, robot)
+    nearest = expressible(model, target.expressed, recordings, robot, which=options.which)
     export = target.write(nearest.model, robot, nearest.dropped)
-    return write_export(export, options, nearest.refits)
+    return write_export(export, options, nearest)

@@ -12,14 +12,14 @@ from sim2real.exporters.actuator import Export
 from sim2real.output import write_whole
 
 if TYPE_CHECKING:
+    from sim2real.exporters.expressible import Expressible
     from sim2real.exporters.mujoco_refit import Agreement
-    from sim2real.exporters.refit import Refit
 
 
 def write_export(
     export: Export,
     options: argparse.Namespace,
-    refits: Sequence[Refit] = (),
+    nearest: Expressible | None = None,
     agreement: Sequence[Agreement] = (),
 ) -> int:
     """Write the text to ``options.out``; print the tool and what is not expressed.
@@ -27,20 +27,22 @@ def write_export(
     Args:
         export: The file for the other tool, and what that tool lacks.
         options: ``out``: the file to write; ``to``: the tool. ``result`` is set.
-        refits: Joints that were refitted for the tool, with the errors.
+        nearest: The model that the tool expresses, with errors of refits and of the plain servo.
         agreement: Differences of the tool's simulation from the model or a recording.
     """
     write_whole(options.out, export.text)
+    refits, compared = (nearest.refits, nearest.compared) if nearest else ((), ())
     options.result = {
         "file": str(options.out),
         "not_expressed": [*map(str, export.left_out)],
         "refitted": [asdict(refit) for refit in refits],
-        "agreement": [asdict(entry) for entry in agreement],
+        "compared": [asdict(entry) for entry in compared],
+        "agreement": [entry.content() for entry in agreement],
     }
     print(f"{options.out}: for {options.to}")
     if export.left_out:
         print("not expressed there (the file says so too):")
         sys.stdout.writelines(f"  {line}\n" for line in export.left_out)
-    for cost in (*refits, *agreement):
+    for cost in (*compared, *refits, *agreement):
         print(cost)
     return 0

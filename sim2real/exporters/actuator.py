@@ -31,7 +31,8 @@ class Actuator:
         inertia: Inertia of the load on the output shaft, kg m2.
         gravity: Torque of the horizontal pendulum of the load, N m; it hangs down at position 0.
         per_inertia: The load was not known: gains are per kg m2 and ``inertia`` is 1.
-        effects: Parameters of the other effects by name, in the catalogue's units.
+        effects: Parameters of the other effects by name, in the catalogue's units; with a limit
+            that is the motor's own also ``torque_saturation``.
         motor: Remaining parameters of the law ``motor``.
         sheet: Limits and data sheet of the joint, if a robot was given.
     """
@@ -57,6 +58,39 @@ class Actuator:
     def armature(self) -> float:
         """Inertia that the stated load leaves out, kg m2; 0 where it is negative."""
         return max(self.value("unmodelled_inertia", "inertia_kgm2"), 0.0)
+
+    @property
+    def current_limit(self) -> float | None:
+        """Limit of the torque at any speed in N m, below that of the drive; None without."""
+        return self.effects.get(SATURATION, {}).get("limit_Nm")
+
+    @property
+    def largest_torque(self) -> float:
+        """Largest torque of a motor with a torque-speed line, at any speed, N m.
+
+        Braking adds the back-EMF to the stall torque, up to twice the latter at the no-load speed.
+        """
+        braking = 2 * (self.limit or 0.0)
+        return braking if self.current_limit is None else min(self.current_limit, braking)
+
+    @property
+    def damping_beyond(self) -> float:
+        """Damping beyond the limit of the torque at any speed, N m s/rad."""
+        return self.value(SATURATION, "free_damping") * (self.kd + self.back_emf)
+
+    @property
+    def constant_torque(self) -> float:
+        """Torque in N m that makes symmetric dry friction asymmetric."""
+        torque = self.value("asymmetric_friction", "torque_Nm")
+        return -torque * self.value("asymmetric_friction", "asymmetry")
+
+    @property
+    def passive_damping(self) -> float:
+        """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole.
+
+        The share of the controller is then not negative below the limit of the drive.
+        """
+        return max(min(self.back_emf, self.kd + self.back_emf), 0.0)
 
     @property
     def stopping_times(self) -> tuple[float, float]:
@@ -108,9 +142,14 @@ def rotor_inertia(servo: Actuator) -> float:
     return min(max(rotor, 0.02 * total), 0.98 * total)
 
 
+SATURATION = "torque_saturation"
+BEYOND_LIMIT = f"{SATURATION}.free_damping"
+"""Damping that acts beyond a limit of the current."""
+
+
 def limit_effects(joint: JointModel) -> set[str]:
     """The effect that every target expresses as the limit of the drive, if the motor has none."""
-    return set() if joint.motor.get("stall_torque_Nm") else {"torque_saturation"}
+    return set() if joint.motor.get("stall_torque_Nm") else {SATURATION, BEYOND_LIMIT}
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
@@ -164,7 +203,7 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
     if limit is not None:
         back_emf = limit / speed if speed else joint.kd_Nms_per_rad
     else:
-        saturation = effects.pop("torque_saturation", {})
+        saturation = effects.pop(SATURATION, {})
         limit = saturation.get("limit_Nm")
         back_emf = saturation.get("free_damping", 0.0) * joint.kd_Nms_per_rad
     load = None if joint.per_inertia else joint.load
@@ -254,6 +293,15 @@ def link_left_out(servo: Actuator) -> list[LeftOut]:
     return [*lines, LeftOut(servo.joint, load, "it belongs to the link")]
 
 
+def beyond_left_out(servo: Actuator) -> list[LeftOut]:
+    """What a limit of the whole torque lacks of one that damping exceeds."""
+    if servo.current_limit is None or not servo.damping_beyond:
+        return []
+    why = "the limit at any speed is that of the whole torque"
+    what = f"damping beyond {SATURATION} ({servo.damping_beyond:.6g} N m s/rad)"
+    return [LeftOut(servo.joint, what, why)]
+
+
 def delay_left_out(servo: Actuator) -> list[LeftOut]:
     """What a delay of whole physics steps lacks of the latency."""
     why = "a delay is a whole number of physics steps"
@@ -303,9 +351,11 @@ def head(lines: Sequence[LeftOut], what: str = "Actuators identified") -> list[s
     return [title, "Not expressed here:", *(f"  {line}" for line in lines)]
 
 
-def xml_text(root: ElementTree.Element, lines: Sequence[LeftOut]) -> str:
-    """An XML file with its head as a comment."""
+def xml_text(
+    root: ElementTree.Element, lines: Sequence[LeftOut], remarks: Sequence[str] = ()
+) -> str:
+    """An XML file with its head, and further remarks, as a comment."""
     ElementTree.indent(root)
-    comments = (f"  {line.replace('--', '- -')}" for line in head(lines))
+    comments = (f"  {line.replace('--', '- -')}" for line in (*head(lines), *remarks))
     body = ElementTree.tostring(root, encoding="unicode")
     return "\n".join(["<!--", *comments, "-->", body, ""])

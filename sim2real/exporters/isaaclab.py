@@ -10,16 +10,17 @@ import re
 from collections.abc import Sequence
 
 from sim2real.exporters.actuator import (
+    SATURATION,
     Actuator,
     Export,
     LeftOut,
     actuators,
+    beyond_left_out,
     comment,
     delay_left_out,
     head,
     left_out,
     link_left_out,
-    quantity,
     shared_left_out,
 )
 from sim2real.model import Model
@@ -28,12 +29,33 @@ from sim2real.robot import Robot
 HAS = ("coulomb_friction", "latency_jitter", "stribeck_friction", "unmodelled_inertia")
 """Effects of the catalogue that a configuration expresses, some of them in part."""
 
+PLAIN, MOTOR = "DelayedPDActuatorCfg", "DelayedDCMotorCfg"
+"""Classes of configurations; both have ``min_delay`` and ``max_delay``."""
+
+DELAYED_MOTOR = f'''from isaaclab.actuators import DCMotor, DCMotorCfg, DelayedPDActuator, {PLAIN}
+from isaaclab.utils import configclass
+
+
+class DelayedDCMotor(DelayedPDActuator, DCMotor):
+    """A motor on its torque-speed line whose set-points are delayed."""
+
+
+@configclass
+class DelayedDCMotorCfg(DCMotorCfg):
+    """A DCMotorCfg with the delay of a DelayedPDActuatorCfg, in physics steps."""
+
+    class_type: type = DelayedDCMotor
+    min_delay: int = 0
+    max_delay: int = 0
+'''
+
 
 def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
     """Python text that defines ``actuators(physics_dt)``, a dictionary of configurations.
 
-    A joint whose drive clips before the back-EMF (a torque-speed line) becomes a ``DCMotorCfg``,
-    any other a ``DelayedPDActuatorCfg``, whose delay is in whole physics steps.
+    A joint whose drive clips before the back-EMF (a torque-speed line) becomes a
+    ``DelayedDCMotorCfg``, Isaac Lab's ``DCMotorCfg`` with the delay of its
+    ``DelayedPDActuatorCfg``, which any other joint becomes. Delays are in whole physics steps.
 
     Args:
         model: The fitted model.
@@ -46,9 +68,13 @@ def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut
     servos = actuators(model, robot)
     lines = [line for actuator in servos for line in _left_out(actuator)]
     lines += [*dropped, *shared_left_out(model)]
-    kinds = sorted({_kind(actuator) for actuator in servos})
-    text = comment(head(lines)) + f"from isaaclab.actuators import {', '.join(kinds)}\n\n\n"
-    text += "def actuators(physics_dt):\n"
+    kinds = {_kind(actuator) for actuator in servos}
+    text = comment(head(lines))
+    if kinds == {PLAIN}:
+        text += f"from isaaclab.actuators import {PLAIN}\n"
+    else:
+        text += DELAYED_MOTOR
+    text += "\n\ndef actuators(physics_dt):\n"
     text += '    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s."""\n'
     text += "    return {\n"
     text += "".join(_entry(actuator) for actuator in servos)
@@ -56,26 +82,25 @@ def isaaclab(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut
 
 
 def _kind(servo: Actuator) -> str:
-    return "DCMotorCfg" if servo.back_emf > 0 and servo.limit else "DelayedPDActuatorCfg"
+    return MOTOR if servo.back_emf > 0 and servo.limit else PLAIN
 
 
 def _entry(servo: Actuator) -> str:
     fields: dict[str, str] = {"joint_names_expr": repr([re.escape(servo.joint)])}
     fields["stiffness"] = f"{servo.kp:.9g}"
     fields["damping"] = f"{servo.kd + servo.back_emf:.9g}"
-    if _kind(servo) == "DCMotorCfg":
+    if _kind(servo) == MOTOR:
         fields["saturation_effort"] = f"{servo.limit:.9g}"
-        # Braking adds the back-EMF: up to twice the stall torque, which effort_limit must not clip.
-        fields["effort_limit"] = f"{2 * (servo.limit or 0):.9g}"
+        fields["effort_limit"] = f"{servo.largest_torque:.9g}"
         fields["velocity_limit"] = f"{servo.no_load_speed:.9g}"
     else:
         if servo.stall_torque is not None:
             fields["effort_limit"] = f"{servo.stall_torque:.9g}"
         if servo.no_load_speed is not None:
             fields["velocity_limit"] = f"{servo.no_load_speed:.9g}"
-        spread = servo.value("latency_jitter", "halfwidth_s")
-        ends = max(servo.latency - spread, 0.0), servo.latency + spread
-        fields["min_delay"], fields["max_delay"] = (f"round({x:.9g} / physics_dt)" for x in ends)
+    spread = servo.value("latency_jitter", "halfwidth_s")
+    ends = max(servo.latency - spread, 0.0), servo.latency + spread
+    fields["min_delay"], fields["max_delay"] = (f"round({x:.9g} / physics_dt)" for x in ends)
     if servo.armature > 0:
         fields["armature"] = f"{servo.armature:.9g}"
     sliding = servo.value("coulomb_friction", "torque_Nm")
@@ -88,20 +113,13 @@ def _entry(servo: Actuator) -> str:
 
 
 def _left_out(servo: Actuator) -> list[LeftOut]:
-    lines = left_out(servo, "Isaac Lab", HAS)
+    lines = [*left_out(servo, "Isaac Lab", (*HAS, SATURATION)), *delay_left_out(servo)]
 
     def add(what: str, why: str) -> None:
         lines.append(LeftOut(servo.joint, what, why))
 
-    if _kind(servo) == "DCMotorCfg":
-        why = "DCMotorCfg has no delay; delay the actions"
-        lines += quantity(servo.joint, "latency", servo.latency, "s", why)
-        if "latency_jitter" in servo.effects:
-            add("latency_jitter", "DCMotorCfg has no delay")
-    else:
-        lines += delay_left_out(servo)
-        if "latency_jitter" in servo.effects:
-            add("part of latency_jitter", "the delay is drawn at a reset, not for each set-point")
+    if "latency_jitter" in servo.effects:
+        add("part of latency_jitter", "the delay is drawn at a reset, not for each set-point")
     if "stribeck_friction" in servo.effects:
         add("velocity_rad_s of stribeck_friction", "friction drops as soon as the joint moves")
-    return lines + link_left_out(servo)
+    return lines + beyond_left_out(servo) + link_left_out(servo)

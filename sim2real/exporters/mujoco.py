@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from xml.etree.ElementTree import Element, SubElement
 
 from sim2real.exporters.actuator import (
+    BEYOND_LIMIT,
+    SATURATION,
     Actuator,
     Export,
     LeftOut,
@@ -31,6 +34,11 @@ from sim2real.servo.gear_train import SPRING_DAMPING
 from sim2real.servo.parameters import SOFT
 
 TIMESTEP_S = 0.00025
+INTEGRATOR = "implicitfast"
+STEP = (
+    f"Integrator and time step of this file: {INTEGRATOR}, {1e3 * TIMESTEP_S:g} ms (<option>); "
+    "set them in your model too, or expect the errors of your own."
+)
 CONTACT = {"solreflimit": f"{2 * TIMESTEP_S} 1", "solimplimit": "0.999 0.9999 0.0001"}
 """The flanks of a gear train with play, as rigid as the time step allows."""
 
@@ -56,6 +64,9 @@ HAS = (
 PID = {"integral_action", "rate_limit"}
 """Effects whose drive is a ``pid``."""
 
+PASSIVE = {"cogging", "presliding_friction", "stribeck_friction"}
+"""Effects that are motors without inputs, which a limit of all motors of a joint would limit."""
+
 LACKS = {
     "torque_asymmetry": "an actuator has one gain for both directions",
     "sensor_eccentricity": "add a sine of the angle to the observation",
@@ -77,10 +88,17 @@ def expressed(joint: JointModel) -> set[str]:
     """Effects of a joint that an MJCF file expresses; a ``pid`` cannot filter its commands."""
     has = {*HAS, *limit_effects(joint), *SOFT}
     names = {fitted.effect for fitted in joint.effects}
+    if SATURATION in names and _two_limits(actuators(Model({"joint": joint}))[0]):
+        has |= {SATURATION, BEYOND_LIMIT}
     return has - {"command_filter"} if names & PID else has
 
 
-def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+def mujoco(
+    model: Model,
+    robot: Robot | None = None,
+    dropped: Sequence[LeftOut] = (),
+    remarks: Sequence[str] = (),
+) -> Export:
     """An MJCF model of a fitted model's actuators.
 
     ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5. If an
@@ -91,6 +109,7 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
         model: The fitted model.
         robot: Source of the limits of the joints (``range``).
         dropped: Parts that were dropped from the model, to be listed, see `expressible`.
+        remarks: Further lines for the head of the file.
 
     Raises:
         InputError: See `actuators`.
@@ -102,7 +121,7 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
         root,
         "option",
         timestep=_text(TIMESTEP_S),
-        integrator="implicitfast",
+        integrator=INTEGRATOR,
         gravity=_text(0, 0, -GRAVITY_M_S2),
     )
     parts = {name: Element(name) for name in ("worldbody", "tendon", "actuator", "sensor")}
@@ -119,13 +138,26 @@ def mujoco(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
         lines += _delay(actuator, parts["actuator"][-1])
         lines += _passive(actuator, parts["actuator"])
         _sensor(actuator, parts["sensor"])
-        lines += left_out(actuator, "MuJoCo", (*HAS, *SOFT), LACKS)
+        both = {SATURATION} if _two_limits(actuator) else set()
+        lines += left_out(actuator, "MuJoCo", (*HAS, *SOFT, *both), LACKS)
         if actuator.effects.keys() >= {"backlash", "compliance"}:
             why = "the stops of a joint with play are rigid"
             lines.append(LeftOut(actuator.joint, "compliance with backlash", why))
     root.extend(part for part in parts.values() if len(part))
     lines += [*dropped, *shared_left_out(model)]
-    return Export(xml_text(root, lines), tuple(lines))
+    return Export(xml_text(root, lines, [STEP, *remarks]), tuple(lines))
+
+
+def _two_limits(servo: Actuator) -> bool:
+    """Whether a limit of the current, below that of the drive, can limit all motors of the joint.
+
+    The back-EMF within this limit is then a motor too.
+    """
+    others = any(servo.value(name, "torque_Nm") for name in PASSIVE)
+    others |= bool(servo.effects.keys() & PID or _train(servo))
+    if servo.current_limit is None or others:
+        return False
+    return servo.damping_beyond <= servo.back_emf
 
 
 def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
@@ -142,7 +174,11 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
     if armature > 0:
         attributes["armature"] = _text(armature)
     train = _train(servo)
-    attributes |= _output_losses(servo) if train else _losses(servo) | _drag(servo)
+    if _two_limits(servo):
+        attributes["actuatorfrcrange"] = _range(servo, servo.current_limit or 0.0)
+        beyond = servo.damping_beyond
+        servo = replace(servo, kd=servo.kd + servo.back_emf - beyond, back_emf=beyond)
+    attributes |= _output_losses(servo) if train else _friction(servo) | _damping(servo)
     if offset := _offset(servo):
         attributes["ref"] = _text(offset)
     if servo.sheet is not None:
@@ -158,7 +194,14 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         SubElement(motor, "joint", {"name": lead, "type": "hinge", "axis": "0 1 0"} | train)
         _inertial(motor, rotor, 0.0)
         sides = _add_tendon(tendons, f"{servo.joint}_motor", {servo.joint: 1.0, lead: 1.0})
-        sides.attrib.update(_losses(servo))
+        sides.attrib.update(_friction(servo))
+        if servo.back_emf > 0:
+            sides.set("damping", _text(servo.back_emf))
+    elif servo.back_emf > servo.passive_damping:
+        # Euler's method treats damping of joints implicitly and that of tendons explicitly, as it
+        # does the actuator's, whose negative velocity gain this cancels at every time step.
+        excess = _add_tendon(tendons, f"{servo.joint}_back_emf", {servo.joint: 1.0})
+        excess.set("damping", _text(servo.back_emf - servo.passive_damping))
     if train or gain != 1:
         chain = {servo.joint: gain}
         on_output = servo.value("compliance", "sensor_on_output")
@@ -181,30 +224,28 @@ def _train(servo: Actuator) -> dict[str, str]:
     return {}
 
 
-def _losses(servo: Actuator) -> dict[str, str]:
-    """Attributes of dry friction and damping of the motor's side: of a joint or a tendon."""
+def _friction(servo: Actuator) -> dict[str, str]:
+    """Attributes of dry friction of the motor's side: of a joint or a tendon."""
     friction = servo.value("coulomb_friction", "torque_Nm")
     friction += servo.value("asymmetric_friction", "torque_Nm")
-    attributes = {}
-    if friction > 0:
-        attributes["frictionloss"] = _text(friction)
-        attributes |= _softness(*servo.stopping_times)
-    if servo.back_emf > 0:
-        attributes["damping"] = _text(servo.back_emf)
-    return attributes
+    if friction <= 0:
+        return {}
+    return {"frictionloss": _text(friction)} | _softness(*servo.stopping_times)
 
 
-def _drag(servo: Actuator, back_emf: float | None = None) -> dict[str, str]:
-    """Attribute of quadratic drag of a joint, with its back-EMF."""
+def _damping(servo: Actuator, linear: float | None = None) -> dict[str, str]:
+    """Attribute of the damping of a joint: the passive damping by default, and quadratic drag."""
     square = servo.value("quadratic_drag", "coefficient_Nms2")
-    linear = servo.back_emf if back_emf is None else back_emf
-    return {"damping": _text(linear, square, 0)} if square > 0 else {}
+    linear = servo.passive_damping if linear is None else linear
+    if square > 0:
+        return {"damping": _text(linear, square, 0)}
+    return {"damping": _text(linear)} if linear > 0 else {}
 
 
 def _output_losses(servo: Actuator) -> dict[str, str]:
     """Attributes of dry friction and drag of the output's side of a gear train."""
     friction = servo.value("backlash", "output_friction_Nm")
-    attributes = _drag(servo, 0.0)
+    attributes = _damping(servo, 0.0)
     if friction > 0:
         attributes |= {"frictionloss": _text(friction)} | _softness(0.0, 0.0)
     return attributes
@@ -223,17 +264,12 @@ def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
         attributes["tendon"] = f"{servo.joint}_motor"
     else:
         attributes["joint"] = servo.joint
-    # Asymmetric dry friction is symmetric friction plus a constant torque.
-    torque, asymmetry = (
-        servo.value("asymmetric_friction", name) for name in ("torque_Nm", "asymmetry")
-    )
-    constant = -torque * asymmetry
     if servo.limit is not None:
-        attributes["forcerange"] = _text(constant - servo.limit, constant + servo.limit)
+        attributes["forcerange"] = _range(servo, servo.limit)
     ki = servo.value("integral_action", "ki_Nm_per_rad_s")
     slew = servo.value("rate_limit", "limit_rad_s")
     smooth = servo.value("command_filter", "time_constant_s")
-    bias = constant + servo.kp * _offset(servo)
+    bias = servo.constant_torque + servo.kp * _offset(servo)
     if not servo.effects.keys() & PID:
         attributes |= {"gaintype": "fixed", "gainprm": _text(servo.kp), "biastype": "affine"}
         # With equal kp in gain and bias, MuJoCo reads a positive biasprm[2] as a damping ratio.
@@ -256,6 +292,11 @@ def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
     return lines
 
 
+def _range(servo: Actuator, limit: float) -> str:
+    """Ends of a torque that is limited, in N m, with the constant torque."""
+    return _text(servo.constant_torque - limit, servo.constant_torque + limit)
+
+
 def _delay(servo: Actuator, motor: Element) -> list[LeftOut]:
     """Delay the commands of a motor, if this version of MuJoCo supports it."""
     if servo.latency <= 0:
@@ -275,7 +316,7 @@ def _delay(servo: Actuator, motor: Element) -> list[LeftOut]:
 
 
 def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
-    """Cogging and bristle friction, which are motors without inputs in MuJoCo."""
+    """Cogging, bristle friction and back-EMF, which are motors without inputs in MuJoCo."""
 
     def motor(name: str, **terms: str) -> None:
         attributes = {"name": f"{servo.joint}_{name}", "joint": servo.joint, "input": "none"}
@@ -283,6 +324,9 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
             section, "dcmotor", attributes | {"resistance": "1", "motorconst": "0 0"} | terms
         )
 
+    if _two_limits(servo):
+        constant = math.sqrt(servo.back_emf - servo.damping_beyond)
+        motor("back_emf", motorconst=_text(constant, constant))
     ripple = servo.effects.get("cogging", {})
     if ripple.get("torque_Nm") and ripple.get("period_rad"):
         turns = 2 * math.pi / ripple["period_rad"]

@@ -15,7 +15,13 @@ from sim2real.extras import library
 
 
 def simulate(
-    xml: str, t: Array, command: Mapping[str, Array], start: Mapping[str, float] | None = None
+    xml: str,
+    t: Array,
+    command: Mapping[str, Array],
+    start: Mapping[str, float] | None = None,
+    *,
+    integrator: str | None = None,
+    timestep_s: float | None = None,
 ) -> dict[str, Array]:
     """Simulated sensor angles of an exported model for given commands.
 
@@ -28,6 +34,8 @@ def simulate(
         t: Times in s, shape (T,), increasing.
         command: Set-points in rad by joint, each of shape (T,), without NaN.
         start: Initial angle in rad by joint; default: the first set-point.
+        integrator: ``"Euler"``, ``"implicitfast"``, ...; default: that of the model.
+        timestep_s: Time step in s; default: that of the model.
 
     Returns:
         Angles in rad by joint, each of shape (T,).
@@ -37,6 +45,10 @@ def simulate(
     """
     mj = library("mujoco", "mujoco")
     model = mj.MjModel.from_xml_string(xml)
+    if integrator is not None:
+        model.opt.integrator = getattr(mj.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    if timestep_s is not None:
+        model.opt.timestep = timestep_s
     data = mj.MjData(model)
     joints = [model.sensor(k).name.removesuffix("_position") for k in range(model.nsensor)]
     for joint in command:

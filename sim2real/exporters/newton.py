@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim2real.exporters.actuator import (
+    SATURATION,
     Actuator,
     Export,
     LeftOut,
     actuators,
+    beyond_left_out,
     comment,
     delay_left_out,
     head,
@@ -72,7 +74,8 @@ def newton(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] 
     """Python text that defines ``add_actuators(builder, physics_dt)``.
 
     A drive that clips before the back-EMF is a PD drive whose torque is within the torque-speed
-    line: both clip ``kp e - kd v`` to ``[-K - b v, K - b v]``.
+    line: both clip ``kp e - kd v`` to ``[-K - b v, K - b v]``. A limit of the current is the
+    largest torque at any speed.
 
     Args:
         model: The fitted model.
@@ -97,9 +100,8 @@ def _clamping(servo: Actuator) -> tuple[str, str] | tuple[()]:
     if limit is None:
         return ()
     if servo.limit is not None and servo.back_emf > 0:
-        # Braking adds the back-EMF: up to twice the stall torque, which the limit must not clip.
         line = {"saturation_effort": limit, "velocity_limit": limit / servo.back_emf}
-        values = line | {"max_motor_effort": 2 * limit}
+        values = line | {"max_motor_effort": servo.largest_torque}
         return "ClampingDCMotor", _dictionary(values)
     return "ClampingMaxEffort", _dictionary({"max_effort": limit})
 
@@ -127,5 +129,5 @@ def _entry(servo: Actuator) -> str:
 
 
 def _left_out(servo: Actuator) -> list[LeftOut]:
-    lines = left_out(servo, "Newton", (*HAS, *SOFT), LACKS)
-    return [*lines, *delay_left_out(servo), *link_left_out(servo)]
+    lines = left_out(servo, "Newton", (*HAS, *SOFT, SATURATION), LACKS)
+    return [*lines, *beyond_left_out(servo), *delay_left_out(servo), *link_left_out(servo)]

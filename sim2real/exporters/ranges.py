@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sim2real.effects import CATALOGUE
-from sim2real.exporters.actuator import LeftOut
+from sim2real.exporters.actuator import MOTOR_TERMS, LeftOut
 from sim2real.ranges.entry import Range, Ranges
 
 _EFFECTS = {effect.name for effect in CATALOGUE}
@@ -15,6 +15,8 @@ SHARED = "robot"
 """Used instead of a joint for ranges of all joints, the supply or the link."""
 
 REASONS = {
+    "motor": "nothing there draws limits or losses of a motor; set them when the actuator is made",
+    "torque_saturation": "nothing there draws the limit of an actuator; set it when it is made",
     "normalised_density": "relative to the robot's mean density: scale the masses of its links",
     "position_noise_m": "noise of a camera: add it to the observation of the body's position",
     "yaw_noise_rad": "noise of a camera: add it to the observation of the heading",
@@ -49,8 +51,19 @@ class Term:
 
 
 def terms(ranges: Ranges) -> list[Term]:
-    """The entries of the ranges, each with its joint and quantity."""
-    return [_term(entry) for entry in ranges.entries]
+    """The entries of the ranges, each with its joint and quantity.
+
+    Friction and rotor of a motor are those of the effects, unless the joint has these as well.
+    """
+    found = [_term(entry) for entry in ranges.entries]
+    taken = {(term.joint, term.quantity) for term in found}
+    names = {f"motor.{key}": f"{effect}.{name}" for key, effect, name in MOTOR_TERMS}
+    return [
+        replace(term, quantity=names[term.quantity])
+        if term.quantity in names and (term.joint, names[term.quantity]) not in taken
+        else term
+        for term in found
+    ]
 
 
 def _term(entry: Range) -> Term:
@@ -59,7 +72,7 @@ def _term(entry: Range) -> Term:
         return Term(SHARED, entry.parameter, entry)
     before, _, parameter = entry.parameter.rpartition(".")
     joint, _, effect = before.rpartition(".")
-    if head != "body" and effect in _EFFECTS:
+    if head != "body" and effect in {*_EFFECTS, "motor"}:
         return Term(joint, f"{effect}.{parameter}", entry)
     if head == "body":
         return Term(head, tail, entry)

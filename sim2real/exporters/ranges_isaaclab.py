@@ -28,7 +28,7 @@ from isaaclab.utils import configclass
 """
 DELAY_STEPS = '''
 def delay_steps(joint, physics_dt):
-    """min_delay and max_delay of a joint's DelayedPDActuatorCfg, in physics steps."""
+    """min_delay and max_delay of the joint's exported actuator, in physics steps."""
     return tuple(round(delay / physics_dt) for delay in DELAY_S[joint])
 
 '''

@@ -17,13 +17,25 @@ FIELDS = {
 }
 """Fields of ``mjx.Model`` that each quantity is written to."""
 
+KD = "kd_Nms_per_rad"
+
+PASSIVE = '''    def passive(joint):
+        """Damping outside the drive, of the joint and its back-EMF: part of its kd."""
+        tendons = {mj_model.tendon(k).name: k for k in range(mj_model.ntendon)}
+        back_emf = tendons.get(joint + "_back_emf")
+        tendon = 0.0 if back_emf is None else mj_model.tendon_damping[back_emf]
+        return mj_model.dof_damping[dof(joint)] + tendon
+
+'''
+
 SET = {
     "kp_Nm_per_rad": (
         "actuator_gainprm = actuator_gainprm.at[actuator({joint!r}), 0].set(value)",
         "actuator_biasprm = actuator_biasprm.at[actuator({joint!r}), 1].set(-value)",
     ),
     "kd_Nms_per_rad": (
-        "actuator_biasprm = actuator_biasprm.at[actuator({joint!r}), 2].set(-value)",
+        "damping = value - passive({joint!r})",
+        "actuator_biasprm = actuator_biasprm.at[actuator({joint!r}), 2].set(-damping)",
     ),
     "coulomb_friction.torque_Nm": (
         "dof_frictionloss = dof_frictionloss.at[dof({joint!r})].set(jp.maximum(value, 0))",
@@ -55,6 +67,7 @@ def playground_ranges(ranges: Ranges) -> Export:
     text += '    """For a model whose actuators are named after their joints."""\n\n'
     text += "    def actuator(joint):\n        return mj_model.actuator(joint).id\n\n"
     text += "    def dof(joint):\n        return mj_model.joint(joint).dofadr[0]\n\n"
+    text += PASSIVE if any(term.quantity == KD for term in mapped) else ""
     text += "    def domain_randomize(model, rng):\n"
     text += "        @jax.vmap\n        def draw(rng):\n"
     text += "".join(f"            {field} = model.{field}\n" for field in fields)

@@ -8,21 +8,31 @@ from dataclasses import dataclass, replace
 from sim2real.arrays import Array
 from sim2real.effects import named
 from sim2real.effects.effect import scaled
+from sim2real.exporters.actuator import BEYOND_LIMIT
 from sim2real.identification.fit import Fit, fit, gains, of_effects, residuals
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import Parameter
 from sim2real.model import FittedEffect, JointModel, Law
 from sim2real.recording import PER_INERTIA
-from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, SOFT, joint_row, stated
+from sim2real.servo.parameters import (
+    COLUMNS,
+    CURRENT_LIMIT,
+    FIRST_COLUMN,
+    LINE,
+    SOFT,
+    joint_row,
+    stated,
+)
 from sim2real.servo.trace import Trace
 
-STICKS = SOFT[0]
-"""Time in which dry friction stops the shaft, a parameter of the motor."""
+STICKS, CREEPS = SOFT
+"""Times in which dry friction stops the shaft, and of its creep: parameters of the motor."""
 _STICK_TIME = STICKS.removeprefix("motor.")
 _LONGEST_STICK_S = 1.0
 _WORTH = 0.99
 """Largest relative error of a model with added friction for it to be preferred."""
 _DRY = "coulomb_friction"
+_LIMITS = {*LINE, CURRENT_LIMIT, BEYOND_LIMIT}
 _STRENGTHS = (0.3, 1.0, 3.0)
 """Start values of dry friction, relative to its typical size."""
 
@@ -80,26 +90,43 @@ class FittingData:
 
 
 def without(joint: JointModel, lost: Collection[str]) -> JointModel:
-    """A joint without some effects, and losses ``motor.NAME`` of its motor."""
+    """A joint without some effects, with 0 for parameters of some, and without ``motor.NAME``."""
     motor = {key: x for key, x in joint.motor.items() if f"motor.{key}" not in lost}
-    effects = tuple(fitted for fitted in joint.effects if fitted.effect not in lost)
-    return replace(joint, motor=motor, effects=effects)
+    effects = tuple(
+        replace(
+            fitted,
+            parameters={
+                key: 0.0 if f"{fitted.effect}.{key}" in lost else value
+                for key, value in fitted.parameters.items()
+            },
+        )
+        for fitted in joint.effects
+        if fitted.effect not in lost
+    )
+    return replace(joint, law=joint.law if motor else "pd", motor=motor, effects=effects)
 
 
 def refitted(
-    name: str, joint: JointModel, lost: Sequence[str], data: FittingData, *, soft: bool = False
+    name: str,
+    joint: JointModel,
+    lost: Sequence[str],
+    data: FittingData,
+    *,
+    dry: bool = True,
+    soft: bool = False,
 ) -> tuple[JointModel, Refit]:
     """The joint refitted without some effects, and the errors.
 
-    Dry friction is added if the joint has none and it reduces the error; with ``soft`` also
-    friction that stops the shaft within a finite time, which resembles the damping of a dead band
-    without its spring.
+    With ``dry``, dry friction is added if the joint has none and it reduces the error; with
+    ``soft`` also friction that stops the shaft within a finite time, which resembles the damping of
+    a dead band without its spring.
 
     Args:
         name: Name of the joint.
         joint: The full joint.
         lost: Effects, and losses ``motor.NAME``, to drop.
         data: Data for the fit and the errors.
+        dry: Whether friction may be added.
         soft: Whether friction may be soft.
     """
     predicted, fitted, scored = data.own, data.fitted, data.scored
@@ -110,13 +137,16 @@ def refitted(
     free = [*gains(start, load.inertia_kgm2)]
     free += of_effects(effects_kept, start, load.inertia_kgm2)
     free += _motor(start, reduced)
+    if scored:  # the recordings may not reach the limits, as those of the full model may have
+        free = [parameter for parameter in free if parameter.name not in _LIMITS]
     best = fit(fitted, start, free)
-    best = _with_friction(fitted, best, reduced, soft=soft)
+    if dry:
+        best = _with_friction(fitted, best, reduced, soft=soft)
     effects = _valued(best.row, reduced.effects)
     if best.row[FIRST_COLUMN[_DRY]] > 0 and not any(e.effect == _DRY for e in effects):
         effects += _valued(best.row, [FittedEffect(_DRY, {})])
     refit = stated(best.row, PER_INERTIA if joint.per_inertia else load, effects)
-    law: Law = "motor" if refit.motor and joint.law == "pd" else joint.law
+    law: Law = reduced.law if reduced.motor or not refit.motor else "motor"
     refit = replace(refit, law=law, load=joint.load, inertia_kgm2=joint.inertia_kgm2)
     recorded = None
     if scored:
@@ -157,7 +187,9 @@ def _with_friction(fitted: list[Trace], best: Fit, reduced: JointModel, *, soft:
     if soft and not reduced.motor.get(_STICK_TIME):
         settles = inertia / max(float(best.row[1]), 1e-9)
         sticks = Parameter(STICKS, 0.0, _LONGEST_STICK_S, 0.5 * settles)
-        candidates.append(_from_several(fitted, stiff, sticks, [0.3 * settles, settles]))
+        softer = _from_several(fitted, stiff, sticks, [0.3 * settles, settles])
+        creeps = Parameter(CREEPS, 0.0, _LONGEST_STICK_S, 0.5 * settles)
+        candidates += [softer, _from_several(fitted, softer, creeps, [0.1 * settles, settles])]
     chosen = best
     for candidate in candidates[1:]:
         if rms(candidate.residuals) < _WORTH * rms(chosen.residuals):

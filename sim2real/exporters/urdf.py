@@ -62,7 +62,7 @@ def _joint(servo: Actuator, root: Element) -> None:
     SubElement(joint, "child", link=f"{servo.joint}_link")
     SubElement(joint, "axis", xyz="0 1 0")
     friction = servo.value("coulomb_friction", "torque_Nm")
-    damping = f"{_damping(servo):.9g}"
+    damping = f"{servo.passive_damping:.9g}"
     SubElement(joint, "dynamics", damping=damping, friction=f"{friction:.9g}")
     if servo.sheet is not None:
         low, high = servo.sheet.limits_rad
@@ -76,14 +76,9 @@ def _joint(servo: Actuator, root: Element) -> None:
     SubElement(inertial, "inertia", terms)
 
 
-def _damping(servo: Actuator) -> float:
-    """The share of the identified damping in the joint, N m s/rad: that of the back-EMF."""
-    return max(min(servo.back_emf, servo.kd + servo.back_emf), 0.0)
-
-
 def _left_out(servo: Actuator) -> list[LeftOut]:
     lines = []
-    damping = _damping(servo)
+    damping = servo.passive_damping
     controller_kd = servo.kd + servo.back_emf - damping
     for name, value, unit in (
         ("kp", servo.kp, "N m/rad"),

@@ -288,6 +288,20 @@ class Convergence:
         return self.spans >= LEAST_TIMES
 
     @property
+    def needed(self) -> int:
+        """Number of steps that is enough in nearly all cases.
+
+        The autocorrelation time of a short chain is estimated too small, by a factor of at most
+        ``1.2 + 700 / spans**2`` in 98 % of autoregressive chains of 8 to 32 walkers; it is taken to
+        be no longer than the chain.
+        """
+        if self.reached:
+            return self.steps
+        margin = 1.2 + 700 / self.spans**2
+        least = LEAST_TIMES * min(margin * float(self.times.max()), 1.2 * self.steps)
+        return max(math.ceil(least), self.steps + 1)
+
+    @property
     def burn_in(self) -> int:
         """Number of initial steps to discard."""
         return min(math.ceil(BURN_IN_TIMES * float(self.times.max())), self.steps // 2)
@@ -316,14 +330,12 @@ def require(
     """
     if convergence.reached:
         return
-    slowest = names[int(convergence.times.argmax())]
-    needed = math.ceil(1.2 * LEAST_TIMES * convergence.times.max() / multiple) * multiple
-    needed = max(needed, convergence.steps + multiple)
+    steps = math.ceil(convergence.needed / multiple) * multiple
     raise InputError(
         what,
-        slowest,
+        names[int(convergence.times.argmax())],
         f"{convergence.steps} steps, {convergence.spans:.0f} of its autocorrelation times",
-        f"at least {LEAST_TIMES}; run again with --steps {needed}: the chain continues",
+        f"at least {LEAST_TIMES}; run again with --steps {steps}: the chain continues",
     )
 
 

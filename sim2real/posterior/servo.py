@@ -49,6 +49,8 @@ class ServoPosterior:
         data: The recordings and the fixed parameters.
         exact: Whether the servo was solved in closed form, without sub-steps.
         chain: The chain, with all steps.
+        undetermined: Parameters of effects that the recordings do not determine, which are held at
+            the model's values.
     """
 
     priors: Priors
@@ -60,6 +62,7 @@ class ServoPosterior:
     data: ServoData
     exact: bool
     chain: Chain
+    undetermined: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -121,7 +124,7 @@ def sample_servo(
         seed: Seed of the chain.
         steps: Total steps of each walker, including those in ``file``.
         walkers: Number of walkers, at least twice the number of parameters.
-        priors: Priors; ``servo_priors`` by default.
+        priors: Priors; by default ``servo_priors`` of the parameters that are not `undetermined`.
         file: File of the chain, which is continued if it exists; None keeps it in memory.
         progress: Called with the number of completed steps.
 
@@ -132,7 +135,12 @@ def sample_servo(
         InputError: If ``file`` is the chain of another problem, or there are too few walkers.
     """
     with_loads = [loaded(trace, joint) for trace in traces]
-    data = servo_data(with_loads, joint, priors or servo_priors(joint))
+    held: tuple[str, ...] = ()
+    if priors is None:
+        priors = servo_priors(joint)
+        held = undetermined(servo_data(with_loads, joint, priors))
+        priors = Priors(tuple(prior for prior in priors.each if prior.name not in held))
+    data = servo_data(with_loads, joint, priors)
     F = len(data.priors.each)
     if walkers < 2 * F:
         raise InputError("--walkers", "", str(walkers), f"at least {2 * F} for {F} parameters")
@@ -157,7 +165,37 @@ def sample_servo(
         data=data,
         exact=likelihood.exact,
         chain=chain,
+        undetermined=held,
     )
+
+
+def undetermined(
+    data: ServoData, *, points: int = 21, worse: float = 1.35, most: float = 0.5
+) -> tuple[str, ...]:
+    """Parameters of effects that hardly change the fit over most of their prior range.
+
+    Each is varied alone, with the others at the model's values; noise is taken to be white, which
+    overstates what the recordings tell.
+
+    Args:
+        data: The joint, with the priors of all parameters.
+        points: Number of equal shares of each prior range, at whose centres the fit is compared.
+        worse: Largest decrease of the log-likelihood that is compatible with the recordings: that
+            of a 90 % interval.
+        most: Compatible share of the range from which the parameter is undetermined.
+    """
+    varied = [k for k, prior in enumerate(data.priors.each) if "." in prior.name]
+    if not varied:
+        return ()
+    share = (np.arange(points) + 0.5) / points
+    anywhere = data.priors.values(np.log(share / (1 - share))[:, None])
+    values = np.tile(data.row[data.columns], (len(varied), points + 1, 1))
+    for n, k in enumerate(varied):
+        values[n, 1:, k] = anywhere[:, k]
+    level = Likelihood(data, np.zeros(0))(values.reshape(-1, values.shape[2]))
+    level = level.reshape(len(varied), points + 1)
+    compatible = (level[:, 1:] > level[:, :1] - worse).mean(axis=1)
+    return tuple(data.priors.names[k] for k, s in zip(varied, compatible, strict=True) if s >= most)
 
 
 def _resumed_or_new(data: ServoData, seed: int, walkers: int, file: Path | None) -> Chain:

@@ -23,7 +23,7 @@ class Range:
     """Randomization range of one parameter.
 
     Names: ``command_latency_s`` (all joints), ``J.latency_offset_s`` (deviation of joint J),
-    ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER``, ``J.position_noise_rad``,
+    ``J.kp_Nm_per_rad``, ``J.motor.PARAMETER``, ``J.EFFECT.PARAMETER``, ``J.position_noise_rad``,
     ``body.position_noise_m``, ``body.yaw_noise_rad``, ``body.normalised_density.LINK``,
     ``body.EFFECT.PARAMETER``, ``EFFECT.PARAMETER`` (supply and link).
 

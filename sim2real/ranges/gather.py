@@ -22,6 +22,7 @@ from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_serv
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
 from sim2real.ranges.latency import Latencies, Spread, latencies, spread
 from sim2real.ranges.sources import (
+    absent,
     body_ranges,
     camera_noise,
     density_ranges,
@@ -131,17 +132,22 @@ def gather(
     entries += camera_noise(recordings)
     noise = {joint: joint_noise(recordings, joint) for joint in model.joints}
     entries += [noise_range for noise_range in noise.values() if noise_range is not None]
+    without_range: list[str] = []
     for joint, servo in model.joints.items():
         sampled: list[Range] = []
         if joint in posteriors:
             fitted = [labels[trace.file] for trace in posteriors[joint].data.traces]
             sampled = from_posterior(joint, posteriors[joint], listed(fitted))
         entries += sampled + from_model(joint, servo, [entry.parameter for entry in sampled])
+        without_range += absent(joint, servo)
     entries += density_ranges(density) if density is not None else []
     entries += body_ranges(model) + shared_ranges(model)
-    notes = _notes(recordings, posteriors, checks, fits, scatter, noise)
-    ranges = Ranges(tuple(entries), notes=(*warnings, *notes))
-    return Gathered(ranges, posteriors, checks, fits, scatter, density)
+    notes = (
+        *warnings,
+        *_notes(recordings, posteriors, checks, fits, scatter, noise),
+        *without_range,
+    )
+    return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, fits, scatter, density)
 
 
 def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> tuple[str, ...]:
@@ -186,8 +192,9 @@ def sample_joints(
         if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
             checks[joint] = predictive_check(posteriors[joint], servo, scored[0], rng)
-    for joint, posterior in posteriors.items():
-        require(posterior.convergence, f"posterior of {joint}", posterior.names)
+    mixing = {joint: posterior.convergence for joint, posterior in posteriors.items()}
+    for joint in sorted(mixing, key=lambda name: (mixing[name].reached, -mixing[name].needed)):
+        require(mixing[joint], f"posterior of {joint}", posteriors[joint].names)
     return posteriors, checks
 
 
@@ -232,6 +239,13 @@ def _notes(
     missing = [joint for joint in noise if joint not in posteriors]
     if missing:
         notes.append(f"no bench recording moves {', '.join(missing)}: gains are those of the model")
+    for joint, posterior in posteriors.items():
+        if posterior.undetermined:
+            names = ", ".join(posterior.undetermined)
+            notes.append(
+                f"{joint}: these recordings do not determine {names}: not sampled, the model's "
+                "interval or value is its range"
+            )
     for joint, check in checks.items():
         where, of_joint = f"{joint}: {check.recording}, held out,", noise[joint]
         if not check.holds:

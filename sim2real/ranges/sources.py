@@ -21,6 +21,10 @@ from sim2real.units import unit_of
 LOW, HIGH = 0.05, 0.95
 """Quantiles between which a parameter is randomized."""
 _GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
+_NOTHING = 0.01
+"""Largest value, relative to the end of its 90 % interval, of a loss that is not distinguished from
+0."""
+_STRIBECK_SPEED = "motor.stribeck_speed_rad_s"
 _FEWEST = 60
 """Smallest number of samples for an estimate of the noise."""
 _METHOD = "difference-based noise of each, root mean square"
@@ -60,17 +64,16 @@ def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> li
 def from_model(joint: str, model: JointModel, existing: Sequence[str] = ()) -> list[Range]:
     """Ranges from the model: its 90 % intervals, or its values where it has none.
 
+    Losses that it does not distinguish from 0 have none, see `absent`.
+
     Args:
         joint: The joint's name.
         model: The joint.
         existing: Parameters that already have a range.
     """
-    values = {name: getattr(model, name) for name in _GAINS}
-    for effect in model.effects:
-        values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
     out = []
-    for name, value in values.items():
-        if f"{joint}.{name}" in existing:
+    for name, value in _values(model).items():
+        if f"{joint}.{name}" in existing or _is_absent(name, model):
             continue
         low, high = model.interval.get(name, (value, value))
         source = "the model: its 90 % interval"
@@ -82,6 +85,40 @@ def from_model(joint: str, model: JointModel, existing: Sequence[str] = ()) -> l
         unit = unit_of(name, per_inertia=model.per_inertia)
         out.append(uniform(f"{joint}.{name}", low, high, unit, source))
     return out
+
+
+def absent(joint: str, model: JointModel) -> list[str]:
+    """A note on losses of the motor without a range, as they are not distinguished from 0."""
+    names = {*_values(model), *model.interval} - {_STRIBECK_SPEED}
+    shown = [
+        f"{name} (to {model.interval[name][1]:.2g})"
+        for name in sorted(names)
+        if _is_absent(name, model)
+    ]
+    if not shown:
+        return []
+    return [f"{joint}: no range, as the 90 % interval begins at 0: {', '.join(shown)}"]
+
+
+def _values(model: JointModel) -> dict[str, float]:
+    """All parameters of a joint that have ranges, except the latency."""
+    values = {name: getattr(model, name) for name in _GAINS}
+    values |= {f"motor.{name}": value for name, value in model.motor.items()}
+    for effect in model.effects:
+        values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
+    return values
+
+
+def _is_absent(name: str, model: JointModel) -> bool:
+    """Whether a loss of the motor is next to 0, where its interval begins."""
+    if name == _STRIBECK_SPEED:  # it has a meaning only with one of the losses
+        return all(
+            model.motor.get(key, 0.0) == 0 or _is_absent(f"motor.{key}", model)
+            for key in ("stribeck_motor_friction", "stribeck_load_friction")
+        )
+    low, high = model.interval.get(name, (math.nan, math.nan))
+    value = model.motor.get(name.removeprefix("motor."), 0.0)
+    return name.startswith("motor.") and low <= 0 and value <= _NOTHING * high
 
 
 def density_ranges(density: Density) -> list[Range]:

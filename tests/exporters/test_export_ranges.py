@@ -224,8 +224,11 @@ class Tree(SimpleNamespace):
         return Tree(**(vars(self) | fields))
 
 
-def test_playground_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the mean of each distribution in place of a draw."""
+@pytest.mark.parametrize("passive", [0.0, 0.02], ids=["all in the drive", "partly in the joint"])
+def test_playground_draws_into_the_right_places(
+    passive: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the mean of each distribution in place of a draw; kd is the damping of all parts."""
     jax, numpy = ModuleType("jax"), ModuleType("jax.numpy")
     numpy.maximum = np.maximum  # type: ignore[attr-defined]
     jax.numpy = numpy  # type: ignore[attr-defined]
@@ -250,6 +253,10 @@ def test_playground_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch)
     mj_model = SimpleNamespace(
         actuator=lambda name: SimpleNamespace(id=number[name]),
         joint=lambda name: SimpleNamespace(dofadr=[number[name]]),
+        tendon=lambda k: SimpleNamespace(name="j1_back_emf"),
+        dof_damping=np.array([0.0, passive]),
+        tendon_damping=np.array([passive]),
+        ntendon=1,
     )
     model = Tree(
         actuator_gainprm=np.zeros((2, 3)).view(Values),
@@ -261,10 +268,30 @@ def test_playground_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch)
     drawn, axes = space["randomizer"](mj_model)(model, [0, 1, 2])
     assert drawn.actuator_gainprm.shape == (3, 2, 3)
     assert drawn.actuator_gainprm[0, :, 0] == pytest.approx([1.85, 2.1])
-    assert drawn.actuator_biasprm[0, 1] == pytest.approx([0, -2.1, -0.06])
+    assert drawn.actuator_biasprm[0, 1] == pytest.approx([0, -2.1, -0.06 + 2 * passive])
     assert drawn.dof_frictionloss[0] == pytest.approx([0, 0.03])
     assert drawn.dof_armature[0] == pytest.approx([0.0015, 0])
     assert (axes.actuator_gainprm, axes.opt) == (0, None)
+
+
+@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
+def test_ranges_of_a_motor_are_drawn_or_listed(export: Any) -> None:
+    entries = (
+        uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
+        uniform("j1.motor.coulomb_Nm", 0.025, 0.035, "N m", "model"),
+        uniform("j1.motor.rotor_inertia_kgm2", 0.0011, 0.0012, "kg m2", "model"),
+        uniform("j1.motor.stall_torque_Nm", 1.3, 1.7, "N m", "model"),
+    )
+    made = export(Ranges(entries))
+    (line,) = made.left_out
+    assert line.component == "j1"
+    assert "motor.stall_torque_Nm (uniform 1.3, 1.7 N m)" in str(line)
+    assert str(line) in made.text
+    for number in ("0.025", "0.035", "0.0011", "0.0012"):
+        assert number in made.text
+    assert "j1.motor" not in made.text  # as the name of a joint
+    both = (*entries, uniform("j1.coulomb_friction.torque_Nm", 0.01, 0.02, "N m", "posterior"))
+    assert any("motor.coulomb_Nm" in line.what for line in export(Ranges(both)).left_out)
 
 
 @pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)

@@ -16,7 +16,8 @@ from sim2real.commands.export_servo import TARGETS
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.expressible import expressible
-from sim2real.exporters.mujoco_refit import mujoco_error, mujoco_refit
+from sim2real.exporters.mujoco_refit import CASES, mujoco_error, mujoco_refit
+from sim2real.exporters.refit import without
 from sim2real.exporters.urdf import urdf
 from sim2real.identification.fit import residuals
 from sim2real.inference.least_squares import rms
@@ -226,3 +227,87 @@ def test_bristles_that_mujoco_steps_well_stay() -> None:
     found = mujoco_refit(model)
     assert found.expressible.model.joints == model.joints
     assert found.agreement[0].error_rad < 1e-3
+
+
+LINE = {"stall_torque_Nm": 1.5, "no_load_speed_rad_s": 8.0}
+
+
+@pytest.mark.parametrize("target", ["mujoco", "genesis"])
+def test_the_plain_servo_is_exported_where_it_is_nearer(
+    target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model with friction that the recordings do not have, and one with what they have."""
+    if target == "mujoco":
+        pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    paths = [tmp_path / f"{name}.csv" for name in ("a", "b")]
+    out = tmp_path / "servo.txt"
+    for torque_Nm, plain in ((0.0, True), (0.12, False)):
+        friction = {"coulomb_friction": {"torque_Nm": torque_Nm}} if torque_Nm else {}
+        for seed, path in enumerate(paths):
+            write_recording(simulated.recording(seed, path.stem, **friction), path)
+        write_model(servo(coulomb_friction={"torque_Nm": 0.12}), tmp_path / "model.json")
+        call = ["export-servo", str(tmp_path / "model.json"), "--to", target, "--out", str(out)]
+        call += ["--recordings", *map(str, paths)]
+        expected = "plain servo" if plain else "servo with effects"
+        errors = {}
+        for which in ("nearest", "plain", "effects"):
+            assert main([*call, "--which", which]) == 0
+            said = capsys.readouterr().out
+            found = re.search(
+                r"(\S+) mrad RMS from the recordings .* (\S+) mrad .* plain servo", said
+            )
+            if which == "effects":
+                assert "0.12" in out.read_text()
+                continue
+            assert found is not None
+            errors[which] = [float(x) for x in found.groups()]
+            assert which == "plain" or f"the {expected} is exported" in said
+        assert errors["nearest"] == errors["plain"]
+        assert (errors["nearest"][0] > errors["nearest"][1]) == plain
+
+
+def test_a_target_with_one_limit_has_the_one_that_matters() -> None:
+    """A limit of the current far below the stall torque replaces the torque-speed line."""
+    limit = {"torque_saturation": {"limit_Nm": 0.2, "free_damping": 0.0}}
+    recordings = [simulated.recording(k, f"{k}", 6.0, **limit) for k in (0, 1)]
+    found = expressible(servo(LINE, **limit), TARGETS["mjlab"].expressed, recordings)
+    (refit,) = found.refits
+    assert refit.recorded_rad is not None
+    assert refit.recorded_rad[1] < 1.2 * simulated.NOISE
+    assert "effort_limit=0.2," in TARGETS["mjlab"].write(found.model).text
+
+
+def test_damping_beyond_a_limit_is_refitted_where_it_is_lacking() -> None:
+    joint = servo(LINE, torque_saturation={"limit_Nm": 0.2, "free_damping": 0.4}).joints["j1"]
+    has = TARGETS["isaaclab"].expressed(joint)
+    assert "torque_saturation" in has and "torque_saturation.free_damping" not in has
+    (effect,) = without(joint, {"torque_saturation.free_damping"}).effects
+    assert effect.parameters == {"limit_Nm": 0.2, "free_damping": 0.0}
+
+
+def test_a_refit_to_recordings_keeps_the_limits_of_the_motor() -> None:
+    """They are what other recordings told, and these may reach them hardly or not at all."""
+    recordings = [simulated.recording(k, f"{k}", 6.0, deadband=DEADBAND) for k in (0, 1)]
+    model = servo(LINE, deadband=DEADBAND)
+    (joint,) = expressible(model, TARGETS["genesis"].expressed, recordings).model.joints.values()
+    assert {name: joint.motor[name] for name in LINE} == LINE
+
+
+def test_a_limit_that_nothing_reaches_is_said() -> None:
+    model = servo(LINE, torque_saturation={"limit_Nm": 1.49, "free_damping": 0.0})
+    (line,) = expressible(model, TARGETS["mjlab"].expressed).dropped
+    assert "no motion" in line.why
+    (line,) = mujoco_refit(model).export.left_out
+    assert "no motion" in line.why
+    kept = expressible(model, TARGETS["isaaclab"].expressed).model
+    assert kept.joints == model.joints
+
+
+def test_errors_at_the_time_steps_of_users_are_printed_and_written() -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    found = mujoco_refit(servo(LINE))
+    (agreement,) = found.agreement
+    assert set(agreement.coarse_rad) == set(CASES)
+    assert max(agreement.coarse_rad.values()) < 0.02
+    assert "Euler, 2 ms: " in str(agreement)
+    assert str(agreement) in found.export.text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from simulated import steps
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
 from sim2real.exporters.actuator import LACKS as ACTUATOR_LACKS
-from sim2real.exporters.mujoco import HAS, LACKS, mujoco
+from sim2real.exporters.mujoco import HAS, LACKS, expressed, mujoco
 from sim2real.exporters.mujoco_bench import simulate
 from sim2real.identification.identify import identify
 from sim2real.model import FittedEffect, JointModel, Model
@@ -247,6 +248,45 @@ def test_a_drive_that_clips_before_the_back_emf() -> None:
     linear = simulate(mujoco(servo()).text, t, {"j1": signals["steps"]})["j1"]
     seen = simulate(export.text, t, {"j1": signals["steps"]})["j1"]
     assert np.sqrt(np.mean((seen - linear) ** 2)) > 10 * WITHIN_RAD
+
+
+@pytest.mark.parametrize("timestep_s", [0.002, 0.005])
+def test_damping_below_the_lines_is_as_near_with_eulers_method(timestep_s: float) -> None:
+    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
+    t, signals = commands()
+    model = motor(stall_torque_Nm=3.0, no_load_speed_rad_s=12.0, coulomb_Nm=0.05)
+    text, errors = mujoco(model).text, {}
+    for integrator in ("implicitfast", "Euler"):
+        seen = simulate(
+            text, t, {"j1": signals["steps"]}, integrator=integrator, timestep_s=timestep_s
+        )["j1"]
+        expected = predict(model, t, {"j1": signals["steps"]})["j1"]
+        errors[integrator] = np.sqrt(np.mean((seen - expected) ** 2))
+    assert errors["Euler"] < 1.05 * errors["implicitfast"] < 4 * timestep_s
+
+
+@pytest.mark.parametrize("free_damping", [0.0, 0.3])
+def test_a_current_limit_below_the_torque_speed_line(free_damping: float) -> None:
+    model = motor(stall_torque_Nm=0.6, no_load_speed_rad_s=4.0)
+    limit = {"limit_Nm": 0.2, "free_damping": free_damping}
+    effects = (FittedEffect("torque_saturation", limit),)
+    object.__setattr__(model.joints["j1"], "effects", effects)
+    assert not mujoco(model).left_out
+    assert "torque_saturation" in expressed(model.joints["j1"])
+    assert moved_by(model) > 3 * WITHIN_RAD
+    assert apart(model) < WITHIN_RAD
+    effects += (FittedEffect("compliance", TYPICAL["compliance"]),)
+    object.__setattr__(model.joints["j1"], "effects", effects)
+    assert "torque_saturation" in str(*mujoco(model).left_out)
+    assert "torque_saturation" not in expressed(model.joints["j1"])
+
+
+def test_the_file_states_integrator_and_time_step() -> None:
+    root = ElementTree.fromstring(mujoco(servo()).text)
+    option = root.find("option")
+    assert option is not None
+    assert (option.get("integrator"), option.get("timestep")) == ("implicitfast", "0.00025")
+    assert "implicitfast, 0.25 ms" in mujoco(servo()).text.split("-->")[0]
 
 
 @pytest.mark.parametrize("creep_time_s", [0.0, 0.01])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +22,10 @@ from sim2real.exporters.isaaclab import _entry, isaaclab
 from sim2real.exporters.mjlab import mjlab
 from sim2real.exporters.mujoco import mujoco
 from sim2real.exporters.newton import newton
+from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
 from sim2real.exporters.urdf import urdf
 from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.ranges.entry import Ranges, uniform
 from sim2real.recording import Load
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import predict
@@ -95,9 +98,71 @@ def test_a_drive_that_clips_before_the_back_emf_is_a_dc_motor() -> None:
     motor = Actuator("j1", kp=2.0, kd=0.0, latency=0.02, inertia=0.002, back_emf=0.1, limit=0.8)
     text = _entry(motor)
     fields = ("damping=0.1", "saturation_effort=0.8", "effort_limit=1.6", "velocity_limit=8")
-    for field in ("DCMotorCfg", *fields):
+    delays = ("min_delay=round(0.02 / physics_dt)", "max_delay=round(0.02 / physics_dt)")
+    for field in ("DelayedDCMotorCfg", *fields, *delays):
         assert field in text
-    assert "delay" not in text
+
+
+def test_a_current_limit_is_the_largest_torque_at_any_speed() -> None:
+    joint = replace(
+        motor().joints["j1"], effects=(FittedEffect("torque_saturation", {"limit_Nm": 0.3}),)
+    )
+    model = Model({"j1": joint})
+    text = isaaclab(model).text
+    assert "saturation_effort=0.5,\n            effort_limit=0.3," in text
+    line = '"saturation_effort": 0.5, "velocity_limit": 6.25, "max_motor_effort": 0.3'
+    assert line in newton(model).text
+    for export in (isaaclab, newton):
+        assert not any("torque_saturation" in str(line) for line in export(model).left_out)
+    beyond = {"limit_Nm": 0.3, "free_damping": 0.5}
+    joint = replace(joint, effects=(FittedEffect("torque_saturation", beyond),))
+    for export in (isaaclab, newton):
+        listed = [*map(str, export(Model({"j1": joint})).left_out)]
+        assert any("damping beyond torque_saturation (0.045 N m s/rad)" in line for line in listed)
+
+
+def test_the_delays_of_isaaclab_are_those_of_its_ranges(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The motor's class delays set-points, and both texts say how long in the same way."""
+
+    class IdealPD:
+        def compute(self, target: float) -> float:
+            return target
+
+    class Delayed(IdealPD):
+        def compute(self, target: float) -> float:
+            return super().compute(target - 1)
+
+    class Motor(IdealPD):
+        def compute(self, target: float) -> float:
+            return min(super().compute(target), 5)
+
+    actuators_, utils = ModuleType("isaaclab.actuators"), ModuleType("isaaclab.utils")
+    vars(actuators_).update(DCMotor=Motor, DelayedPDActuator=Delayed, DelayedPDActuatorCfg=None)
+    actuators_.DCMotorCfg = type("DCMotorCfg", (Recorded,), {})  # type: ignore[attr-defined]
+    utils.configclass = lambda cls: cls  # type: ignore[attr-defined]
+    for module in (ModuleType("isaaclab"), actuators_, utils):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    space: dict[str, Any] = {}
+    exec(compile(isaaclab(motor()).text, "exported.py", "exec"), space)
+    found = space["actuators"](0.005)["j1"]
+    assert [found.class_type().compute(x) for x in (3, 9)] == [2, 5]
+    entries = (
+        uniform("command_latency_s", 0.05, 0.05, "s", ""),
+        uniform("j1.kp_Nm_per_rad", 2.0, 2.4, "N m/rad", ""),
+    )
+    text = isaaclab_ranges(Ranges(entries)).text
+    functions = text[text.index("DELAY_S") : text.index("@configclass")]
+    exec(compile(functions, "ranges.py", "exec"), space)
+    delays = found.fields["min_delay"], found.fields["max_delay"]
+    assert space["delay_steps"]("j1", 0.005) == delays == (10, 10)
+
+
+@pytest.mark.parametrize("export", TEXTS, ids=lambda f: f.__name__)
+def test_no_armature_is_negative(export: Any) -> None:
+    effect = FittedEffect("unmodelled_inertia", {"inertia_kgm2": -0.0005})
+    joint = replace(motor().joints["j1"], effects=(effect,))
+    text = export(Model({"j1": joint})).text
+    assert not re.search(r"armature\W{1,4}\s*-", text)
 
 
 def test_genesis() -> None:

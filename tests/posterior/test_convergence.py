@@ -48,3 +48,15 @@ def test_what_is_kept():
     draws = sample(chain, result)
     assert draws.shape == (len(range(result.burn_in, 4000, result.thin)) * 12, 2)
     assert np.array_equal(draws[:12], chain.coordinates[result.burn_in])
+
+
+@pytest.mark.parametrize("phi", [0.9, 0.98])
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
+def test_the_steps_that_a_message_names_are_enough(phi, share):
+    """Chains that stop at a share of what they need, and the same chains after those steps."""
+    time = (1 + phi) / (1 - phi)
+    for seed in range(5):
+        short = convergence(correlated(int(share * 50 * time), phi, seed))
+        needed = short.needed
+        assert needed <= 12 * 50 * time
+        assert convergence(correlated(needed, phi, seed)).reached

@@ -106,6 +106,58 @@ def test_every_effect_of_the_model_has_a_range():
     assert sag.first == 0.2 and sag.unit == ""
 
 
+MOTOR = {
+    "stall_torque_Nm": 1.5,
+    "no_load_speed_rad_s": 8.0,
+    "coulomb_Nm": 0.02,
+    "load_friction": 1e-9,
+    "rotor_inertia_kgm2": 1e-4,
+}
+
+
+def test_every_parameter_of_a_motor_has_a_range_or_a_line(bench):
+    interval = {
+        "motor.stall_torque_Nm": (1.3, 1.7),
+        "motor.coulomb_Nm": (0.01, 0.03),
+        "motor.no_load_speed_rad_s": (7.0, np.inf),
+        "motor.load_friction": (0.0, 0.7),
+        "motor.resistance_rise": (0.0, 0.005),
+    }
+    joint = replace(JOINT, law="motor", motor=MOTOR, interval=interval)
+    swum = [replace(r, kind="pool", loads={}) for r in bench]
+    ranges = gather(swum, ROBOT, Model({"j1": joint})).ranges
+    stall, coulomb, speed, rotor = (
+        ranges.named(f"j1.motor.{name}")
+        for name in ("stall_torque_Nm", "coulomb_Nm", "no_load_speed_rad_s", "rotor_inertia_kgm2")
+    )
+    assert (stall.first, stall.second, stall.unit) == (1.3, 1.7, "N m")
+    assert (coulomb.first, coulomb.second) == (0.01, 0.03) and "90 % interval" in coulomb.source
+    assert (speed.first, speed.second) == (7.0, 8.0) and "open end" in speed.source
+    assert rotor.constant and "no interval" in rotor.source
+    assert ranges.named("j1.motor.load_friction") is None
+    (note,) = [note for note in ranges.notes if "no range" in note and note.startswith("j1")]
+    assert "motor.load_friction (to 0.7)" in note and "motor.resistance_rise (to 0.005)" in note
+
+
+def test_what_recordings_do_not_determine_does_not_stop_it():
+    """A limit of the torque that no recording reaches is not sampled."""
+    limit = FittedEffect("torque_saturation", {"limit_Nm": 15.0, "free_damping": 1.0})
+    friction = FittedEffect("coulomb_friction", {"torque_Nm": 0.04})
+    interval = {"torque_saturation.limit_Nm": (12.0, 18.0)}
+    joint = replace(JOINT, effects=(limit, friction), interval=interval)
+    rubbing = [simulated.recording(coulomb_friction={"torque_Nm": 0.05})]
+    found = gather(rubbing, ROBOT, Model({"j1": joint}), Sampling(steps=500))
+    posterior = found.posteriors["j1"]
+    assert posterior.undetermined == (
+        "torque_saturation.limit_Nm",
+        "torque_saturation.free_damping",
+    )
+    assert "coulomb_friction.torque_Nm" in posterior.names
+    entry = found.ranges.named("j1.torque_saturation.limit_Nm")
+    assert (entry.first, entry.second) == (12.0, 18.0) and "model" in entry.source
+    assert any("do not determine torque_saturation.limit_Nm" in x for x in found.ranges.notes)
+
+
 def test_missing_physics_is_said():
     loose = [
         simulated.recording(k, f"r{k}", backlash={"gap_rad": 0.06}, noise=5e-4) for k in range(2)

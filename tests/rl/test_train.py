@@ -132,6 +132,7 @@ def test_ranges_become_robots(robot, model):
             normal("j2.latency_offset_s", 0.01, 0.0, "s", ""),
             uniform("j1.kp_Nm_per_rad", 1.0, 2.0, "N m/rad", ""),
             uniform("j3.coulomb_friction.torque_Nm", 0.1, 0.2, "N m", ""),
+            uniform("j1.motor.stall_torque_Nm", 1.3, 1.7, "N m", ""),
             normal("body.normalised_density.head", 1.2, 0.05, "", ""),
             uniform("body.form_drag.coefficient", 0.1, 0.3, "", ""),
             uniform("packet_loss.probability", 0.01, 0.05, "", ""),
@@ -146,6 +147,8 @@ def test_ranges_become_robots(robot, model):
     kp = np.array([m.joints["j1"].kp_Nm_per_rad for m in drawn])
     assert abs(kp.mean() - 1.5) < 0.05
     assert {m.joints["j2"].kp_Nm_per_rad for m in drawn} == {model.joints["j2"].kp_Nm_per_rad}
+    stall = [m.joints["j1"].motor["stall_torque_Nm"] for m in drawn]
+    assert 1.3 <= min(stall) < max(stall) <= 1.7 and drawn[0].joints["j1"].law == "motor"
     friction = {e.effect: e.parameters for e in drawn[0].joints["j3"].effects}
     assert 0.1 <= friction["coulomb_friction"]["torque_Nm"] <= 0.2
     assert 0.01 <= friction["packet_loss"]["probability"] <= 0.05
