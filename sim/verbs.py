@@ -100,9 +100,9 @@ def diagnose(
     from dataclasses import replace
 
     from sim.inference.recorded_swims import diagnose_recorded_swims
-    from sim2real.plausible import recording_warnings
+    from sim2real.plausible import admitted
 
-    warnings = recording_warnings([*swims, *earlier], machine)
+    _, warnings = admitted([*swims, *earlier], machine)
     water_file = None if in_water is None else Path(in_water)
     diagnosed = diagnose_recorded_swims(
         swims, start, machine, references=earlier, in_water=water_file, device=device
@@ -145,12 +145,12 @@ def calibrate(
     from sim.calibration.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance
-    from sim2real.plausible import recording_warnings
+    from sim2real.plausible import admitted
 
     machine, start = robot_of(robot), model_of(model)
     check_joints(start, machine)
     read = recordings_to_fit(recordings)
-    notes = recording_warnings(read, machine)
+    _, notes = admitted(read, machine)
     calibration = calibrate_body(
         [swim_of(recording, machine) for recording in read],
         start,

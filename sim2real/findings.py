@@ -29,6 +29,9 @@ STUCK_S = 0.5
 BEYOND_LIMITS_RAD = 0.1
 """Distance beyond a joint's limits from which a reading cannot be right."""
 _REPEATED_SHARE, _FEWEST_REPEATED = 0.03, 5
+_LARGEST_DEPARTURE = 1 / 3
+"""Share of a recording away from its command above which nothing is fitted: drives and sensors that
+fail for a time were away for at most 0.23 (``benchmarks/recording_findings.py``)."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +77,17 @@ def all_findings(recording: Recording, robot: Robot | None = None) -> list[Findi
         recording: The recording.
         robot: The robot that was recorded, with its limits and data sheets.
     """
-    rows = []
+    return [*recording_findings(recording), *merged(joint_rows(recording, robot))]
+
+
+def joint_rows(recording: Recording, robot: Robot | None = None) -> Iterator[tuple[str, Finding]]:
+    """The name of each joint of a recording with each finding about it."""
     for j, joint in enumerate(recording.joints):
         position = recording.position[:, j]
         noise = noise_floor(recording.t, recording.command[:, j], position)
         sheet = robot.joint(joint) if robot else None
-        found = joint_findings(recording, j, noise, quantization_step(position), sheet)
-        rows += [(joint, finding) for finding in found]
-    return [*recording_findings(recording), *merged(rows)]
+        for finding in joint_findings(recording, j, noise, quantization_step(position), sheet):
+            yield joint, finding
 
 
 def merged(rows: Iterable[tuple[str, Finding]]) -> list[Finding]:
@@ -131,7 +137,10 @@ def joint_findings(
     missing = lost / (lost + int(finite.sum()))
     if missing > 0.01:
         yield Finding(f"{data.joint} lacks {100 * missing:.2g} % of its positions.")
-    yield from _readings(data)
+    readings = list(_readings(data))
+    yield from readings
+    if any(finding.severity == "error" for finding in readings):
+        return  # nothing else is known of its motion
     span, least = float(np.ptp(data.command)), max(2 * data.step_rad, 9 * data.noise_rad)
     if span <= max(2 * data.step_rad, 1e-4):
         yield Finding(f"{data.joint} is never commanded to move: nothing can be fitted to it.")
@@ -202,8 +211,8 @@ def _readings(data: _PoweredJoint) -> Iterator[Finding]:
     repeated, turning = repeated_readings(data.position, data.step_rad, data.noise_rad)
     if repeated >= max(_FEWEST_REPEATED, _REPEATED_SHARE * turning):
         yield Finding(
-            f"{data.joint} repeats the previous reading in {100 * repeated / turning:.0f} % of the "
-            "samples in which it turns steadily: stale readings, which look like missing physics.",
+            f"{data.joint} has stale readings: {100 * repeated / turning:.0f} % of the samples in "
+            "which it turns steadily repeat the previous one. They look like missing physics.",
             "warning",
         )
 
@@ -250,11 +259,17 @@ def _motion(data: _PoweredJoint, finite: Mask, *, gravity: bool) -> Iterator[Fin
         first, last = apart.windows_s[0]
         total = sum(end - start for start, end in apart.windows_s)
         where = "" if apart.held_rad is None else f", and stays near {apart.held_rad:.3g} rad"
+        away = (
+            f"for {total:.3g} s in all, first from {first:.4g} to {last:.4g} s, it is up to "
+            f"{apart.largest_rad:.2g} rad away{where}"
+        )
+        why = "stopped or pulled, its torque may be off, or commands may be increments"
         yield Finding(
-            f"{data.joint} does not follow its command: for {total:.3g} s in all, first from "
-            f"{first:.4g} to {last:.4g} s, it is up to {apart.largest_rad:.2g} rad away{where}. "
-            "It may be stopped or pulled, its torque may be off, or commands may be increments.",
-            "warning",
+            f"{data.joint} does not follow its command: {away}. It may be {why}.",
+            "error" if total > _LARGEST_DEPARTURE * np.ptp(data.t) else "warning",
+            f"{data.joint}.position_rad",
+            f"an angle that does not follow its command: {away}",
+            f"one that does (it may be {why})",
         )
 
 

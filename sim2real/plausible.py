@@ -14,7 +14,8 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.errors import InputError
-from sim2real.findings import all_findings
+from sim2real.finding import Finding
+from sim2real.findings import joint_rows, merged, recording_findings
 from sim2real.readings import wrong_readings
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Joint, Robot, match_joints
@@ -29,31 +30,44 @@ one. It is at most 2.0 for the joints of shipped, real and generated recordings,
 99 % of them with command and position swapped (``benchmarks/recording_findings.py``)."""
 
 
-def recording_warnings(
+def admitted(
     recordings: Iterable[Recording], robot: Robot | None = None
-) -> tuple[str, ...]:
-    """Warnings about recordings before a fit, one sentence each, with the recordings' names.
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """What of recordings may be fitted, and warnings about them, with the recordings' names.
 
-    Whatever is fitted to the recordings shows them: identified models, diagnoses, calibrations and
-    ranges.
+    Joints with errors are left out of a recording on a bench where others remain that move. All
+    that is fitted to the recordings shows the warnings: models, diagnoses, calibrations, ranges.
 
     Args:
         recordings: The recordings.
         robot: The robot that was recorded; without it units of angles and loads are not checked.
 
+    Returns:
+        The recordings, and the warnings, one sentence each.
+
     Raises:
         InputError: If a recording can only be a mistake (``validate_recording``), or a finding
-            about it is an error.
+            about it is an error and no other joint of it moves.
     """
-    where: dict[str, list[str]] = {}
+    kept, where = [], dict[str, list[str]]()
     for recording in recordings:
         validate_recording(recording, robot)
-        for finding in all_findings(recording, robot):
+        rows = [*joint_rows(recording, robot)]
+        wrong: dict[str, Finding] = {}
+        for joint, finding in rows:
             if finding.severity == "error":
-                raise InputError(recording.file, finding.where, finding.found, finding.expected)
-            if finding.severity == "warning":
-                where.setdefault(finding.text, []).append(recording.name)
-    return tuple(f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in where.items())
+                wrong.setdefault(joint, finding)
+        others = [j for j in recording.joints if j not in wrong and recording.moves(j)]
+        if wrong and (not others or recording.kind != "servo"):
+            first = next(iter(wrong.values()))
+            raise InputError(recording.file, first.where, first.found, first.expected)
+        kept.append(recording.without(wrong))
+        for finding in (*recording_findings(recording), *merged(rows)):
+            if finding.severity != "note":
+                left_out = " It is left out." if finding.severity == "error" else ""
+                where.setdefault(finding.text + left_out, []).append(recording.name)
+    texts = (f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in where.items())
+    return kept, tuple(texts)
 
 
 def validate_recording(recording: Recording, robot: Robot | None = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
@@ -122,6 +122,26 @@ class Recording(NotebookDisplay):
     def is_swim(self) -> bool:
         """Whether this is a swim whose body was tracked, not a recording of a bench."""
         return self.kind == "pool" and self.has_poses
+
+    def moves(self, joint: str) -> bool:
+        """Whether the command and the measured angle of a joint change."""
+        j = self.joints.index(joint)
+        columns = (self.command[: self.powered(j), j], self.position[: self.powered(j), j])
+        return all(np.unique(x[np.isfinite(x)]).size > 1 for x in columns)
+
+    def without(self, joints: Collection[str]) -> Recording:
+        """The recording without some of its joints."""
+        if not joints:
+            return self
+        kept = [j for j, joint in enumerate(self.joints) if joint not in joints]
+        names = tuple(self.joints[j] for j in kept)
+        return replace(
+            self,
+            joints=names,
+            command=self.command[:, kept],
+            position=self.position[:, kept],
+            loads={name: load for name, load in self.loads.items() if name in names},
+        )
 
     def missing(self, joint: int) -> int:
         """Number of missing positions of joint ``joint``; rows of set-points only lack none."""

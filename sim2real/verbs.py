@@ -131,14 +131,15 @@ def posterior(
     import warnings
 
     from sim2real.arm.arm_loads import with_arm_loads
-    from sim2real.plausible import recording_warnings
+    from sim2real.plausible import admitted
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Sampling, sample_joints
     from sim2real.servo.trace import at_one_gain
 
     _check_sampling("posterior", steps, walkers, seed)
     loaded, description = recordings_to_fit(recordings), robot_of(robot)
-    for sentence in recording_warnings(loaded, description):
+    loaded, sentences = admitted(loaded, description)
+    for sentence in sentences:
         warnings.warn(sentence, stacklevel=2)
     fitted = model_of(model)
     bench = [recording for recording in loaded if recording.kind == "servo"]

@@ -11,7 +11,7 @@ import sim2real as s2r
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
-from sim2real.plausible import recording_warnings
+from sim2real.plausible import admitted
 from sim2real.recording import Load, Recording
 from sim2real.servo.rollout import rollout
 
@@ -82,7 +82,7 @@ def test_errors_are_refused(verb):
 
 
 def test_good_recordings_have_no_warning():
-    assert recording_warnings([GOOD, GOOD], ROBOT) == ()
+    assert admitted([GOOD, GOOD], ROBOT)[1] == ()
 
 
 def at_gain(gain, seed):
@@ -215,3 +215,26 @@ def test_a_search_that_its_budget_ends_says_so():
 def test_an_effort_is_above_0(verb, effort):
     with pytest.raises(InputError, match="effort"):
         getattr(s2r, verb)([GOOD], ROBOT, effort=effort)
+
+
+def with_gripper(recording, stop_rad):
+    """The recording with a second joint of the same motion, which is stopped."""
+    noise = np.random.default_rng(1).normal(0, 1e-4, recording.position.shape)
+    return replace(
+        recording,
+        joints=("j1", "gripper"),
+        command=np.hstack([recording.command, recording.command]),
+        position=np.hstack([recording.position, np.minimum(recording.position, stop_rad) + noise]),
+        loads={"j1": Load(simulated.INERTIA), "gripper": Load(simulated.INERTIA)},
+    )
+
+
+def test_a_joint_that_is_stopped_most_of_the_time_is_left_out():
+    both = [with_gripper(recording, -0.3) for recording in (GOOD, simulated.recording(6, "next"))]
+    robot = simulated.robot("j1", "gripper")
+    model = identify(both, robot)
+    assert set(model.joints) == {"j1"}
+    assert model.joints == identify(both, robot).joints
+    assert any("gripper does not follow its command" in x and "left out" in x for x in model.notes)
+    with pytest.raises(InputError, match="found an angle that does not follow its command: for"):
+        identify([recording.without({"j1"}) for recording in both], simulated.robot("gripper"))

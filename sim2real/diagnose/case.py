@@ -28,6 +28,7 @@ class Case:
         references: Recordings of the same robot from before. With these the question is what has
             changed since, not what a servo lacks.
         effort: Multiple of the simulation budget of the search for combinations of effects.
+        warnings: Findings about the recordings by which the result may be wrong.
     """
 
     recordings: Sequence[Recording]
@@ -35,6 +36,7 @@ class Case:
     model: Model | None = None
     references: Sequence[Recording] = ()
     effort: float = 1.0
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

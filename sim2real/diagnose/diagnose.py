@@ -31,7 +31,7 @@ from sim2real.effects import named
 from sim2real.identification.fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import Model
-from sim2real.plausible import recording_warnings
+from sim2real.plausible import admitted
 from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
@@ -90,7 +90,8 @@ def diagnose(
     if model is None:
         gain = next(filter(None, map(firmware_gain, everything)), None)
     result = replace(result, model=replace(result.model, firmware_p_gain=gain))
-    return predicting(result, recordings, seed, progress, effort)
+    kept, _ = admitted(recordings, robot)
+    return predicting(result, kept, seed, progress, effort)
 
 
 def diagnose_all(
@@ -132,8 +133,7 @@ def examined(
     Returns:
         For each robot the case with the servos that were taken for granted, and its joints.
     """
-    for case in cases:
-        recording_warnings((*case.recordings, *case.references), case.robot)
+    cases = [_admitted(case) for case in cases]
     results: dict[int, tuple[Case, list[JointFindings]]] = {}
     for group, step in sampled_alike([case.recordings for case in cases], progress):
         rng = np.random.default_rng(seed)
@@ -143,6 +143,13 @@ def examined(
         results.update(zip(group, zip(some, joints, strict=True), strict=True))
         step(1.0)
     return [results[k] for k in range(len(cases))]
+
+
+def _admitted(case: Case) -> Case:
+    """The case with what of its recordings may be fitted, and warnings about them."""
+    kept, warnings = admitted((*case.recordings, *case.references), case.robot)
+    count = len(case.recordings)
+    return replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
 
 
 def sampled_alike(

@@ -227,7 +227,7 @@ class Diagnosis(NotebookDisplay):
         detection_limits: Sizes of effects that the recordings could have shown.
         next_experiment: Recommended recording, if a group has several members.
         gate: Findings about timing, gaps and units of the data, one sentence each.
-        warnings: Those by which the result may be wrong, as of ``plausible.recording_warnings``.
+        warnings: Those by which the result may be wrong, as of ``plausible.admitted``.
         model: The enriched model: with the reported effects, or with the whole most probable set
             of effects if that predicts held-out recordings better.
         baseline: The model without effects.

@@ -43,7 +43,7 @@ from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.output import provenance
-from sim2real.plausible import recording_warnings
+from sim2real.plausible import admitted
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo, match_recordings
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
@@ -117,8 +117,8 @@ def identify(
         check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
-    recordings = at_one_gain(recordings)
-    warnings = _check_inputs(recordings, robot, held_out)
+    _check_inputs(recordings, robot, held_out)
+    recordings, warnings = admitted(at_one_gain(recordings), robot)
     recorded = [j.name for j in robot.joints if any(j.name in r.joints for r in recordings)]
     moving = [joint for joint in recorded if traces(recordings, joint)]
     if not moving:
@@ -168,6 +168,7 @@ def fitted_motors(
     are omitted.
     """
     _check_inputs(recordings, robot, None)
+    recordings, _ = admitted(recordings, robot)
     rng = np.random.default_rng(seed)
     motors = {}
     for joint in robot.joints:
@@ -209,12 +210,9 @@ def _type_from_others(
     return learn(servo.name, motors, ", ".join(others), per_inertia=per_inertia)
 
 
-def _check_inputs(
-    recordings: Sequence[Recording], robot: Robot, held_out: str | None
-) -> tuple[str, ...]:
-    """Check that recordings, robot and held-out name agree; warnings about the recordings."""
+def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
+    """Check that recordings, robot and the held-out name agree."""
     match_recordings(recordings, robot)
-    warnings = recording_warnings(recordings, robot)
     for recording in recordings:
         if np.isnan(recording.command).all():
             found, expected = "no J.command_rad column", "the set-points that were sent"
@@ -227,7 +225,6 @@ def _check_inputs(
     names = [recording.name for recording in recordings]
     if held_out is not None and held_out not in names:
         raise InputError("--held-out", "", repr(held_out), f"one of {', '.join(names)}")
-    return warnings
 
 
 def _identify_joint(

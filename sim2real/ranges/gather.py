@@ -15,7 +15,7 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
-from sim2real.plausible import recording_warnings
+from sim2real.plausible import admitted
 from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check
 from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_servo
@@ -120,8 +120,8 @@ def gather(
         InputError: If recordings, robot and model do not agree, or a chain has not converged.
     """
     sampling = sampling or Sampling()
-    warnings = _check(recordings, robot, model)
-    recordings = at_one_gain(recordings, model.firmware_p_gain)
+    _check(recordings, robot, model)
+    recordings, warnings = admitted(at_one_gain(recordings, model.firmware_p_gain), robot)
     bench = [recording for recording in recordings if recording.kind == "servo"]
     posteriors, checks = sample_joints(bench, model, sampling)
     fits = latencies(recordings, model)
@@ -150,15 +150,13 @@ def gather(
     return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, fits, scatter, density)
 
 
-def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> tuple[str, ...]:
-    """Check that recordings, robot and model agree; warnings about the recordings."""
+def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
+    """Check that recordings, robot and model agree."""
     match_recordings(recordings, robot)
-    warnings = recording_warnings(recordings, robot)
     for joint in model.joints:
         if robot.joint(joint) is None:
             names = ", ".join(known.name for known in robot.joints)
             raise InputError("model", f"joints.{joint}", "a joint not of the robot", names)
-    return warnings
 
 
 def sample_joints(

@@ -21,7 +21,6 @@ from sim2real.diagnose.rival_sets import design_of
 from sim2real.diagnose.separation import separations
 from sim2real.findings import all_findings
 from sim2real.inference.normal import NINE_IN_TEN
-from sim2real.plausible import recording_warnings
 from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
 
@@ -42,7 +41,7 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
     return replace(
         found,
         gate=tuple(dict.fromkeys(checks)),
-        warnings=recording_warnings((*case.recordings, *case.references), case.robot),
+        warnings=case.warnings,
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
