@@ -52,8 +52,12 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise InputError(file, "", str(error.strerror), "a readable file") from None
 
 
-def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[str, Any]:
+def read_json(
+    path: str | os.PathLike[str], schema: str | None = None, *older: str
+) -> dict[str, Any]:
     """Read a JSON object, and check its ``schema`` field if ``schema`` is given.
+
+    Schemas that are ``older`` will do as well.
 
     Raises:
         InputError: If it does not parse, is not an object or has a different schema.
@@ -67,8 +71,9 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
         raise InputError(path, "", f"no JSON ({_reason(error)})", "JSON") from None
     if not isinstance(content, dict):
         raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
-    if schema is not None and content.get("schema") != schema:
-        raise InputError(path, "schema", shown(content.get("schema")), repr(schema))
+    if schema is not None and content.get("schema") not in (schema, *older):
+        expected = " or ".join(map(repr, (schema, *older)))
+        raise InputError(path, "schema", shown(content.get("schema")), expected)
     return content
 
 
