@@ -11,7 +11,7 @@ from sim2real.effects.effect import scaled
 from sim2real.identification.fit import Fit, fit, gains, of_effects, residuals
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import Parameter
-from sim2real.model import FittedEffect, JointModel, Law
+from sim2real.model import FittedEffect, JointModel, Law, train_rotor, with_inertia
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import COLUMNS, FIRST_COLUMN, SOFT, joint_row, stated
 from sim2real.servo.trace import Trace
@@ -80,9 +80,15 @@ class FittingData:
 
 
 def without(joint: JointModel, lost: Collection[str]) -> JointModel:
-    """A joint without some effects, and losses ``motor.NAME`` of its motor."""
+    """A joint without some effects, and losses ``motor.NAME`` of its motor.
+
+    The rotor of a gear train that is lost stays: it turns with the load.
+    """
     motor = {key: x for key, x in joint.motor.items() if f"motor.{key}" not in lost}
     effects = tuple(fitted for fitted in joint.effects if fitted.effect not in lost)
+    rotor = train_rotor(joint.effects) - train_rotor(effects)
+    if rotor > 0:
+        effects = with_inertia(effects, rotor)
     return replace(joint, motor=motor, effects=effects)
 
 

@@ -17,6 +17,7 @@ from sim2real.effects import CATALOGUE
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.expressible import expressible
 from sim2real.exporters.mujoco_refit import mujoco_error, mujoco_refit
+from sim2real.exporters.refit import without
 from sim2real.exporters.urdf import urdf
 from sim2real.identification.fit import residuals
 from sim2real.inference.least_squares import rms
@@ -63,6 +64,20 @@ def test_a_refit_is_nearer_than_dropping(target: str, effect: str) -> None:
     assert any(effect in line.what for line in found.dropped)
     text = TARGETS[target].write(found.model, None, found.dropped).text.replace("- -", "--")
     assert all(str(line) in text for line in found.dropped)
+
+
+@pytest.mark.parametrize("effect", ["backlash", "compliance"])
+def test_the_rotor_of_a_gear_train_that_a_target_lacks_still_turns_with_the_load(
+    effect: str,
+) -> None:
+    rotor, beside = 0.0015, 0.0004
+    train = TYPICAL[effect] | {"rotor_inertia_kgm2": rotor}
+    (whole,) = servo(unmodelled_inertia={"inertia_kgm2": beside}, **{effect: train}).joints.values()
+    for joint in (whole, without(whole, {effect})):
+        text = urdf(Model({"j1": joint})).text
+        inertia = ElementTree.fromstring(text).findall(".//inertial/inertia")[-1]
+        total = LOAD.inertia_kgm2 + rotor + beside
+        assert float(inertia.attrib["iyy"]) == pytest.approx(total)
 
 
 def test_what_a_target_expresses_stays_to_the_last_digit() -> None:
