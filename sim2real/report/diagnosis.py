@@ -100,6 +100,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     if diagnosis.gate:
         text = "Remarks of the check of the recordings; they may affect the diagnosis."
         blocks += [Text(text, heading="Data"), *(Note("info", x) for x in diagnosis.gate)]
+    blocks += [Note("info", note) for note in diagnosis.notes]
     return Section("Diagnosis", _LEAD, blocks)
 
 
