@@ -75,7 +75,7 @@ def draw(rng: np.random.Generator) -> dict[str, float]:
     kp = log(1.0, 6.0)
     train = {
         "kp": kp, "kd": float(2 * rng.uniform(0.3, 1.1) * np.sqrt(kp * inertia)),
-        "inertia": inertia, "rotor": share * inertia,
+        "load": (1 - share) * inertia, "rotor": share * inertia,
         "weight": float(rng.choice([0.0, rng.uniform(0.0, 0.3)])),
         "gap": 0.0, "compliance": 0.0,
         "dry": float(rng.choice([0.0, log(0.01, 0.1)])),
@@ -111,8 +111,8 @@ def law(train: dict[str, float]) -> tuple[Array, Array]:
     if train["dry"]:
         effects.append(FittedEffect("coulomb_friction", {"torque_Nm": train["dry"]}))
     arm = 0.1
-    load = Load(train["inertia"], train["weight"] / (9.80665 * arm), arm)
-    gains = (train["kp"], train["kd"], 0.0, train["inertia"])
+    load = Load(train["load"], train["weight"] / (9.80665 * arm), arm)
+    gains = (train["kp"], train["kd"], 0.0, train["load"])
     rigid, joint = JointModel(*gains), JointModel(*gains, effects=tuple(effects))
     return joint_row(joint, load), joint_row(rigid, load)
 
@@ -123,13 +123,13 @@ def answer(job: tuple[int, int]) -> tuple[dict[str, float], Array, Array]:
 
     rng = np.random.default_rng(job)
     train, command = draw(rng), commands(rng)
-    output = train["inertia"] - train["rotor"]
     spring = 1 / train["compliance"] if train["compliance"] else 0.0
-    damper = 2 * SPRING_DAMPING * np.sqrt(spring * train["rotor"] * output / train["inertia"])
+    reduced = train["rotor"] * train["load"] / (train["rotor"] + train["load"])
+    damper = 2 * SPRING_DAMPING * np.sqrt(spring * reduced)
     angles = [
         reference(
-            command, step, train["kp"], train["kd"], train["weight"], train["rotor"], output,
-            train["gap"] / 2, spring, damper, train["dry"], train["rub"],
+            command, step, train["kp"], train["kd"], train["weight"], train["rotor"],
+            train["load"], train["gap"] / 2, spring, damper, train["dry"], train["rub"],
         )[:, 1]
         for step in STEPS_S
     ]  # fmt: skip

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.arm.description import Arm, arm_content, arm_from
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.model/1"
+_ROTOR_IN_LOAD = "rotor_in_load"
+"""False in files. In earlier ones, which lack it, the load includes the rotor of a gear train."""
+_ROTOR, _LEFT_OUT = "rotor_inertia_kgm2", "unmodelled_inertia"
 
 Law = Literal["pd", "motor", "current_limited"]
 LAWS: tuple[Law, ...] = get_args(Law)
@@ -46,7 +49,7 @@ class JointModel:
         kp_Nm_per_rad: Proportional gain; in 1/s2, per kg m2, if ``per_inertia``.
         kd_Nms_per_rad: Derivative gain; in 1/s, per kg m2, if ``per_inertia``.
         latency_s: Time from sending a set-point to its effect.
-        inertia_kgm2: Moment of inertia on the output shaft; 1 if ``per_inertia``.
+        inertia_kgm2: Moment of inertia of the load, without the rotor; 1 if ``per_inertia``.
         per_inertia: Whether gains are per unit of inertia, because the load is not known.
         load: The load stated by the recordings, if any.
         interval: 90 % interval by parameter; an end is infinite where the data do not constrain it.
@@ -104,13 +107,26 @@ class Model(NotebookDisplay):
         return figure
 
 
+def train_rotor(effects: Sequence[FittedEffect]) -> float:
+    """Inertia of the rotor in kg m2 that a gear train among the effects states, or 0."""
+    values = {e.effect: e.parameters.get(_ROTOR, 0.0) for e in effects}
+    return values.get("backlash", 0.0) or values.get("compliance", 0.0)
+
+
+def with_inertia(effects: Sequence[FittedEffect], added: float) -> tuple[FittedEffect, ...]:
+    """The effects, with so much more inertia in kg m2 that the stated load leaves out."""
+    others = tuple(e for e in effects if e.effect != _LEFT_OUT)
+    before = sum(e.parameters.get("inertia_kgm2", 0.0) for e in effects if e.effect == _LEFT_OUT)
+    return (*others, FittedEffect(_LEFT_OUT, {"inertia_kgm2": before + added}))
+
+
 def write_model(model: Model, path: str | os.PathLike[str]) -> None:
     """Write ``MODEL.json``; an infinite end of an interval is written as null.
 
     Raises:
         InputError: If the folder cannot be written.
     """
-    content = {"schema": SCHEMA, **vars(model)}
+    content = {"schema": SCHEMA, _ROTOR_IN_LOAD: False, **vars(model)}
     content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
     content["effects"] = [vars(effect) for effect in model.effects]
     if model.firmware_p_gain is None:
@@ -125,13 +141,18 @@ def write_model(model: Model, path: str | os.PathLike[str]) -> None:
 def read_model(path: str | os.PathLike[str]) -> Model:
     """Read ``MODEL.json``.
 
+    Files of earlier versions are read with the same motion: see ``docs/reference/files.md``.
+
     Raises:
         InputError: If the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")
+    servos = {name: _read_joint(joints.table(name)) for name in joints.labels()}
+    if top.content.get(_ROTOR_IN_LOAD, True):
+        servos = {name: _with_added_rotor(joint) for name, joint in servos.items()}
     return Model(
-        joints={name: _read_joint(joints.table(name)) for name in joints.labels()},
+        joints=servos,
         body=top.table("body").content,
         effects=_read_effects(top),
         fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},
@@ -184,6 +205,16 @@ def _read_joint(fields: Fields) -> JointModel:
         effects=_read_effects(fields),
         notes=fields.sentences("notes"),
     )
+
+
+def _with_added_rotor(joint: JointModel) -> JointModel:
+    """The same motion, where the rotor of a gear train adds to the inertia of the stated load."""
+    rotor = train_rotor(joint.effects)
+    if not rotor:
+        return joint
+    effects = with_inertia(joint.effects, joint.motor.get(_ROTOR, 0.0) - rotor)
+    motor = {name: value for name, value in joint.motor.items() if name != _ROTOR}
+    return replace(joint, motor=motor, effects=effects)
 
 
 def _read_interval(fields: Fields, name: str) -> tuple[float, float]:

@@ -2,13 +2,18 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sim2real.model import FittedEffect, JointModel, Model, read_model, write_model
 from sim2real.recording import Load
+from sim2real.servo.parameters import joint_row
+from sim2real.servo.rollout import rollout
 
 NAMES = st.text(min_size=1, max_size=8)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
@@ -86,3 +91,38 @@ def test_a_model_by_hand_may_be_short(tmp_path: Path) -> None:
     assert model.joints["j1"].interval == {}
     assert model.fit == {"j1.position_rad": {"train": 0.004, "heldout": None}}
     assert (model.body, model.effects) == ({}, ())
+
+
+@pytest.mark.parametrize("effect", ["backlash", "compliance"])
+def test_a_file_whose_load_includes_the_rotor_moves_as_it_did(tmp_path: Path, effect: str) -> None:
+    """Before schema 2 a gear train's rotor was taken out of the stated inertia."""
+    path, load, rotor, of_law = tmp_path / "model.json", Load(0.003, 0.1, 0.1), 0.0008, 0.0003
+    size = {"gap_rad": 0.03} if effect == "backlash" else {"compliance_rad_per_Nm": 0.05}
+    train = {"effect": effect, "parameters": size | {"rotor_inertia_kgm2": rotor}}
+    joint = {"kp_Nm_per_rad": 2, "kd_Nms_per_rad": 0.1, "latency_s": 0.02, "inertia_kgm2": 0.003}
+    joint |= {"load": vars(load), "law": "motor", "motor": {"rotor_inertia_kgm2": of_law}}
+    content = {"schema": "sim2real.model/1", "joints": {"j1": joint | {"effects": [train]}}}
+    path.write_text(json.dumps(content))
+    (read,) = read_model(path).joints.values()
+    # the motor's side had the rotor of the train, the output's side all that was left
+    output = replace(load, inertia_kgm2=load.inertia_kgm2 + of_law - rotor)
+    now = FittedEffect(effect, train["parameters"])
+    same = JointModel(2.0, 0.1, 0.02, output.inertia_kgm2, load=output, effects=(now,))
+    t = 0.01 * np.arange(200)
+    command = 0.4 * np.sign(np.sin(9 * t))
+    before, after = (
+        rollout(joint_row(one, None)[None], t, command, substep_s=1e-3) for one in (same, read)
+    )
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    write_model(read_model(path), path)
+    assert read_model(path).joints["j1"] == read
+
+
+def test_a_file_without_a_rotor_in_its_gear_train_is_read_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    joint = {"kp_Nm_per_rad": 2, "kd_Nms_per_rad": 0, "latency_s": 0, "inertia_kgm2": 1}
+    effects = [{"effect": "unmodelled_inertia", "parameters": {"inertia_kgm2": 0.001}}]
+    content = {"schema": "sim2real.model/1", "joints": {"j1": joint | {"effects": effects}}}
+    path.write_text(json.dumps(content))
+    (read,) = read_model(path).joints.values()
+    assert read.effects == (FittedEffect("unmodelled_inertia", {"inertia_kgm2": 0.001}),)

@@ -17,7 +17,7 @@ from sim2real.arrays import Array, Index
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
-from sim2real.servo.parameters import COLUMNS, joint_row
+from sim2real.servo.parameters import COLUMNS, TRAIN_ROTORS, beyond_load, joint_row
 from sim2real.servo.rollout import active_effects
 
 
@@ -161,5 +161,7 @@ def servo_rows(robot: Robot, models: Sequence[Model]) -> Array:
                 )  # fmt: skip
             row = joint_row(servo, None, joint.name)
             row[4] = 0.0  # no pendulum in the water
+            if row[list(TRAIN_ROTORS)].any():  # the terms of a gear train know one inertia
+                row[3] += beyond_load(row)
             rows.append(row)
     return np.array(rows).reshape(len(models), len(robot.joints), -1)

@@ -107,7 +107,7 @@ def _import(command: argparse.ArgumentParser) -> None:
         "--inertia",
         nargs="+",
         metavar="J=KGM2",
-        help="load of a joint: inertia of everything on its output shaft, kg m2",
+        help="load of a joint: its inertia without the servo's rotor, kg m2",
     )
     command.add_argument(
         "--pendulum",

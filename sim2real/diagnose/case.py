@@ -10,11 +10,15 @@ import numpy as np
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
+from sim2real.identification.motor_prior import largest_rotor
 from sim2real.identification.servo_problem import Set
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
+
+UNMODELLED_INERTIA = "unmodelled_inertia"
+"""The effect that stands for the rotor of a servo whose model states none."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,19 @@ class JointCase:
         if self.servo is None or self.traces[0].load is PER_INERTIA:
             return None
         return self.servo.max_torque_Nm
+
+    @property
+    def rotor_room_kgm2(self) -> float:
+        """Largest inertia of rotor and gears that its data sheet makes likely, beyond the stated.
+
+        0 where its model states it. Where the load is unknown, so is any inertia beside it.
+        """
+        if self.traces[0].load is PER_INERTIA:
+            return float("inf")
+        known = self.model is not None and self.model.motor.get("rotor_inertia_kgm2", 0.0) > 0
+        if self.servo is None or known or UNMODELLED_INERTIA in self.base:
+            return 0.0
+        return largest_rotor(self.servo)
 
     @property
     def base(self) -> Set:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.exchangeable import distinctness, exchangeable_ends, partner
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
@@ -23,10 +23,21 @@ from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.least_squares import rms
 from sim2real.inference.normal import Z90
 from sim2real.model import FittedEffect, JointModel
-from sim2real.servo.parameters import COLUMNS, motor_of, stated
+from sim2real.servo.parameters import (
+    COLUMNS,
+    INERTIA_LEFT_OUT,
+    ROTOR_INERTIA,
+    TRAIN_ROTORS,
+    motor_of,
+    stated,
+)
 
 _FRICTION = named("coulomb_friction").family
 _OUTPUT_FRICTION = COLUMNS.index("backlash.output_friction_Nm")
+_ROTOR_NOTE = (
+    "{:.3g} kg m² turn in addition to the stated load: rotor and gears of a size that the data "
+    "sheet makes likely, or a load that is stated too small; these recordings cannot tell."
+)
 _DIGIT_RAD = 1e-9
 """To which a sensor's step is read off recorded numbers."""
 
@@ -136,10 +147,18 @@ class JointFindings:
             servo, theta = self.offered, self.offered.fit.servos.theta[0]
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
-        effects = fitted_effects(servo, self.joint.step_rad)
+        effects, notes = fitted_effects(servo, self.joint.step_rad), list[str]()
+        rotor = float(theta[INERTIA_LEFT_OUT])
+        in_base = UNMODELLED_INERTIA in self.finding.tried.base - self.joint.base
+        if in_base and rotor > 0 and not theta[list(TRAIN_ROTORS)].any():
+            theta = theta.copy()
+            theta[[ROTOR_INERTIA, INERTIA_LEFT_OUT]] = rotor, 0.0
+            effects = tuple(e for e in effects if e.effect != UNMODELLED_INERTIA)
+            notes.append(_ROTOR_NOTE.format(rotor))
         given = self.joint.model.law if self.joint.model else "pd"
         law = given if motor_of(theta) and given != "pd" else None
-        return stated(theta, self.joint.traces[0].load, effects, law)
+        model = stated(theta, self.joint.traces[0].load, effects, law)
+        return replace(model, notes=tuple(notes))
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.

@@ -236,6 +236,8 @@ class Diagnosis(NotebookDisplay):
         rival_sets: By joint, the sets of effects that the recordings leave open.
         swim_rivals: Of swims, the sets of effects of body and camera that they leave open.
         separations: Sets of effects that recordings were designed to distinguish, and the outcome.
+        notes: Of what turns in addition to a stated load and is taken for the rotor, one sentence
+            each.
         provenance: As returned by ``sim2real.output.provenance``.
     """
 
@@ -259,6 +261,7 @@ class Diagnosis(NotebookDisplay):
     rival_sets: tuple[JointRivals, ...] = ()
     swim_rivals: SwimRivals | None = None
     separations: tuple[Separation, ...] = ()
+    notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def remaining(self, signal: str) -> float | None:
@@ -283,6 +286,7 @@ class Diagnosis(NotebookDisplay):
             lines.append(f"  {percent(effect.probability):>5}  {effect.statement} (negligible)")
         for entry in self.mismatch:
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
+        lines += [f"  {note}" for note in self.notes]
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")
         lines += [f"design: {separation}" for separation in self.separations]
@@ -348,6 +352,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "swim_rivals": None if diagnosis.swim_rivals is None else diagnosis.swim_rivals.content(),
         "gate": list(diagnosis.gate),
         "warnings": list(diagnosis.warnings),
+        "notes": list(diagnosis.notes),
         "search": {
             "complete": not diagnosis.unfinished,
             "unfinished": list(diagnosis.unfinished),

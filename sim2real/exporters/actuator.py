@@ -11,6 +11,10 @@ from sim2real.errors import InputError
 from sim2real.model import LAWS, JointModel, Model
 from sim2real.robot import Joint, Robot
 
+GEAR_TRAINS = ("backlash", "compliance")
+"""Effects that make two masses of a gear train; the first that states a rotor counts."""
+_ROTOR = "rotor_inertia_kgm2"
+
 
 @dataclass(frozen=True)
 class Actuator:
@@ -55,9 +59,20 @@ class Actuator:
         return self.effects.get(effect, {}).get(parameter, 0.0)
 
     @property
+    def train_rotor(self) -> float:
+        """Inertia of the rotor in kg m2 that a gear train states; 0 where none does."""
+        values = (self.value(effect, _ROTOR) for effect in GEAR_TRAINS)
+        return next((value for value in values if value), 0.0)
+
+    @property
+    def beyond_load(self) -> float:
+        """Inertia in kg m2 beyond that of the stated load: of the rotor, and what is unmodelled."""
+        return self.value("unmodelled_inertia", "inertia_kgm2") + self.train_rotor
+
+    @property
     def armature(self) -> float:
         """Inertia that the stated load leaves out, kg m2; 0 where it is negative."""
-        return max(self.value("unmodelled_inertia", "inertia_kgm2"), 0.0)
+        return max(self.beyond_load, 0.0)
 
     @property
     def current_limit(self) -> float | None:
@@ -134,9 +149,8 @@ class Export:
 
 def rotor_inertia(servo: Actuator) -> float:
     """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
-    rotor = servo.value("backlash", "rotor_inertia_kgm2")
-    rotor = rotor or servo.value("compliance", "rotor_inertia_kgm2") or servo.armature
-    total = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
+    rotor = servo.train_rotor or servo.armature
+    total = servo.inertia + servo.beyond_load
     if rotor == 0 and servo.effects.get("backlash"):
         rotor = total  # an output without inertia
     return min(max(rotor, 0.02 * total), 0.98 * total)
@@ -194,8 +208,11 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
             )
         if any(fitted.parameters.values()):
             effects[fitted.effect] = dict(fitted.parameters)
+    trains = [e for e in GEAR_TRAINS if effects.get(e, {}).get(_ROTOR)]
     for key, effect, parameter in MOTOR_TERMS:
         if key in motor:
+            if key == _ROTOR and trains:  # both are inertia of the rotor
+                effect, parameter = trains[0], _ROTOR
             values = effects.setdefault(effect, {})
             values[parameter] = values.get(parameter, 0.0) + motor.pop(key)
     limit, back_emf = motor.pop("stall_torque_Nm", None), 0.0
@@ -224,7 +241,7 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
 
 
 MOTOR_TERMS = (
-    ("rotor_inertia_kgm2", "unmodelled_inertia", "inertia_kgm2"),
+    (_ROTOR, "unmodelled_inertia", "inertia_kgm2"),
     ("coulomb_Nm", "coulomb_friction", "torque_Nm"),
 )
 """Parameters of the law ``motor`` that an effect of the catalogue also has."""
@@ -286,7 +303,7 @@ def left_out(
 def link_left_out(servo: Actuator) -> list[LeftOut]:
     """What belongs to the link of a robot, not to its actuator: the load, negative armature."""
     lines = []
-    if servo.value("unmodelled_inertia", "inertia_kgm2") < 0:
+    if servo.beyond_load < 0:
         why = "an armature cannot be negative; subtract it from the link's inertia"
         lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
     load = f"inertia of the load ({servo.inertia:.6g} kg m2)"

@@ -166,14 +166,13 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
     The angle of the second joint is the motor's lead over the output, so the motor's angle is the
     sum of both, a tendon, which the drive, its damping and dry friction act on.
     """
-    inertia, armature = servo.inertia, servo.value("unmodelled_inertia", "inertia_kgm2")
-    if armature < 0:
-        inertia, armature = inertia + armature, 0.0
+    train = _train(servo)
+    rotor = rotor_inertia(servo) if train else 0.0
+    armature = 0.0 if train else servo.armature
     body = SubElement(world, "body", name=f"{servo.joint}_link")
     attributes = {"name": servo.joint, "type": "hinge", "axis": "0 1 0"}
     if armature > 0:
         attributes["armature"] = _text(armature)
-    train = _train(servo)
     if _two_limits(servo):
         attributes["actuatorfrcrange"] = _range(servo, servo.current_limit or 0.0)
         beyond = servo.damping_beyond
@@ -185,8 +184,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         attributes["range"] = _text(*servo.sheet.limits_rad)
     SubElement(body, "joint", attributes)
     weight = servo.gravity + servo.value("gravity_load", "torque_Nm")
-    rotor = rotor_inertia(servo) if train else 0.0
-    _inertial(body, inertia - rotor, weight)
+    _inertial(body, servo.inertia + servo.beyond_load - armature - rotor, weight)
     gain = 1 + servo.value("sensor_gain", "gain")
     lead = f"{servo.joint}_lead"
     if train:
@@ -215,7 +213,7 @@ def _train(servo: Actuator) -> dict[str, str]:
     gap = servo.value("backlash", "gap_rad")
     spring = servo.value("compliance", "compliance_rad_per_Nm")
     if spring > 0 and gap == 0:
-        inertia = servo.inertia + servo.value("unmodelled_inertia", "inertia_kgm2")
+        inertia = servo.inertia + servo.beyond_load
         share = rotor_inertia(servo) / inertia
         damping = 2 * SPRING_DAMPING * math.sqrt(share * (1 - share) * inertia / spring)
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}

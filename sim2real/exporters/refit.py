@@ -12,7 +12,7 @@ from sim2real.exporters.actuator import BEYOND_LIMIT
 from sim2real.identification.fit import Fit, fit, gains, of_effects, residuals
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import Parameter
-from sim2real.model import FittedEffect, JointModel, Law
+from sim2real.model import FittedEffect, JointModel, Law, train_rotor, with_inertia
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import (
     COLUMNS,
@@ -90,7 +90,10 @@ class FittingData:
 
 
 def without(joint: JointModel, lost: Collection[str]) -> JointModel:
-    """A joint without some effects, with 0 for parameters of some, and without ``motor.NAME``."""
+    """A joint without some effects, with 0 for parameters of some, and without ``motor.NAME``.
+
+    The rotor of a gear train that is lost stays: it turns with the load.
+    """
     motor = {key: x for key, x in joint.motor.items() if f"motor.{key}" not in lost}
     effects = tuple(
         replace(
@@ -103,6 +106,9 @@ def without(joint: JointModel, lost: Collection[str]) -> JointModel:
         for fitted in joint.effects
         if fitted.effect not in lost
     )
+    rotor = train_rotor(joint.effects) - train_rotor(effects)
+    if rotor > 0:
+        effects = with_inertia(effects, rotor)
     return replace(joint, law=joint.law if motor else "pd", motor=motor, effects=effects)
 
 

@@ -71,7 +71,7 @@ def _joint(servo: Actuator, root: Element) -> None:
         SubElement(joint, "limit", limit)
     inertial = SubElement(SubElement(root, "link", name=f"{servo.joint}_link"), "inertial")
     SubElement(inertial, "mass", value="0.1")
-    moment = f"{servo.inertia + servo.value('unmodelled_inertia', 'inertia_kgm2'):.9g}"
+    moment = f"{servo.inertia + servo.beyond_load:.9g}"
     terms = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
     SubElement(inertial, "inertia", terms)
 
@@ -98,7 +98,7 @@ def _left_out(servo: Actuator) -> list[LeftOut]:
         lines.append(LeftOut(servo.joint, f"damping ({damping:.6g} N m s/rad)", why))
     why = "the link here has inertia only"
     lines += quantity(servo.joint, "pendulum", servo.gravity, "N m", why)
-    inertia = servo.value("unmodelled_inertia", "inertia_kgm2")
+    inertia = servo.beyond_load
     why = "a URDF has no armature: it is added to the inertia of the link here; do so for yours"
     lines += quantity(servo.joint, "unmodelled_inertia", inertia, "kg m2", why)
     return lines + left_out(servo, "URDF", HAS, LACKS)

@@ -20,7 +20,15 @@ from sim2real.inference.least_squares import (
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.parameters import Parameter, column
 from sim2real.servo.motor import MOTOR_BIT
-from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, LINE, ROTOR, ROTOR_INERTIA
+from sim2real.servo.parameters import (
+    BASE,
+    COLUMNS,
+    INERTIA_LEFT_OUT,
+    LINE,
+    ROTOR,
+    ROTOR_INERTIA,
+    beyond_load,
+)
 from sim2real.servo.rollout import (
     LONGEST_SUBSTEP_S,
     Simulator,
@@ -209,7 +217,7 @@ def scale_inertia(traces: Sequence[Trace], row: Array) -> float:
     """
     inertia = traces[0].load.inertia_kgm2
     if traces[0].varying is not None:
-        inertia += float(row[INERTIA_LEFT_OUT] + row[ROTOR_INERTIA])
+        inertia += float(beyond_load(row))
     return inertia
 
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import Parameter, column
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
@@ -18,6 +19,8 @@ from sim2real.servo.trace import Trace
 
 MOTOR_TIME_S = 0.03
 """Time constant of small geared motors: rotor inertia times no-load speed over stall torque."""
+MOTOR_TIME_SD = 0.8
+"""Standard deviation of its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ def motor_prior(
     unknown_stall_sd: float = 1.5,
     speed_sd: float = 0.25,
     motor_time_s: float = MOTOR_TIME_S,
-    motor_time_sd: float = 0.8,
+    motor_time_sd: float = MOTOR_TIME_SD,
     loss_width: float = 1.0,
     reported_sd: float = MotorPrior.reported_sd,
     log_unit: float = 0.3,
@@ -190,6 +193,11 @@ def motor_prior(
 def nominal_rotor(servo: Servo) -> float:
     """Inertia of rotor and gears in kg m2 at the output that is likely for a data sheet."""
     return MOTOR_TIME_S * servo.max_torque_Nm / servo.no_load_speed_rad_s
+
+
+def largest_rotor(servo: Servo) -> float:
+    """Upper end of the 90 % interval of the prior of that inertia, kg m2."""
+    return nominal_rotor(servo) * float(np.exp(Z90 * MOTOR_TIME_SD))
 
 
 def _common_drive(traces: Sequence[Trace]) -> ReportedDrive | None:

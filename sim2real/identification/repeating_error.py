@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from sim2real.arrays import Array
 from sim2real.identification.fit import Fit
 from sim2real.inference.least_squares import OUTLIER_SD
-from sim2real.servo.parameters import INERTIA_LEFT_OUT, ROTOR_INERTIA
+from sim2real.servo.parameters import beyond_load
 from sim2real.servo.trace import Trace
 
 
@@ -142,7 +142,7 @@ def _simulated(trace: Trace, error: Array) -> Array:
 def _through_loop(best: Fit, trace: Trace, torque: Array) -> Array:
     """Angle in rad by torques (T, m), in units of the proportional gain, on a servo at rest."""
     kp, kd = (float(x) for x in best.row[:2])
-    inertia = trace.load.inertia_kgm2 + float(best.row[INERTIA_LEFT_OUT] + best.row[ROTOR_INERTIA])
+    inertia = trace.load.inertia_kgm2 + float(beyond_load(best.row))
     rate = np.zeros((3, 3))  # of angle, speed and the held torque
     rate[0, 1] = 1.0
     rate[1] = np.array([-kp - trace.load.gravity_Nm, -kd, kp]) / inertia

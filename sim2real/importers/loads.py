@@ -21,7 +21,7 @@ def with_loads(
 
     Args:
         recording: The recording.
-        inertia: ``J=KGM2``: total inertia on the output shaft in kg m2, including the pendulum.
+        inertia: ``J=KGM2``: inertia of the load in kg m2, with the pendulum and without the rotor.
         pendulum: ``J=MASS_KG,LENGTH_M``: a point mass in kg that hangs straight down at angle 0,
             and its distance from the shaft in m. Without a stated inertia the load is this mass
             only, ``mass length^2``.

@@ -102,6 +102,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     if remarks:
         text = "Remarks of the check of the recordings; they may affect the diagnosis."
         blocks += [Text(text, heading="Data"), *(Note("info", x) for x in remarks)]
+    blocks += [Note("info", note) for note in diagnosis.notes]
     return Section("Diagnosis", _LEAD, blocks)
 
 

@@ -9,7 +9,7 @@ import warp as wp
 
 from sim2real.effects import CATALOGUE
 from sim2real.servo.motor import Row, read_motor
-from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN
+from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, TRAIN_ROTORS
 
 
 def _at(site: str) -> tuple[list[wp.Function], list[int], list[int], list[int], int]:
@@ -76,8 +76,17 @@ MOTOR_TORQUE_BITS = _at("motor")[-1]
 
 
 @wp.func
+def train_rotor(p: Row) -> wp.float64:
+    """Inertia of the rotor in kg m2 that a gear train of two masses states; 0 where none does."""
+    rotor = p[wp.static(TRAIN_ROTORS[0])]
+    if rotor == wp.float64(0.0):
+        rotor = p[wp.static(TRAIN_ROTORS[1])]
+    return rotor
+
+
+@wp.func
 def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
     """Inertia on the shaft in kg m2: of the load, of the rotor and of effects."""
     zero = wp.float64(0.0)
-    inertia += read_motor(p).rotor
+    inertia += read_motor(p).rotor + train_rotor(p)
     return other_inertia(inertia, zero, zero, zero, zero, zero, p, z, active)

@@ -11,6 +11,11 @@ F = x / c + d x' (Spong, Journal of Dynamic Systems 109 (1987) 310-318), with a 
 ``SPRING_DAMPING``. With both, the spring acts beyond the dead zone. Without either the two move as
 one mass. The controller acts on the motor's angle; the sensor is on either side.
 
+Jm is the inertia of the rotor, reflected through the gears: that of the motor's law, and what the
+effect states in addition. Jo is the stated load, corrected by ``unmodelled_inertia``. Where the
+effect states no rotor, Jm is all that turns beyond the stated load, ``unmodelled_inertia``
+included; if that is 0 with a gap, the output has no inertia.
+
 A sub-step in which a flank is met is divided at the contact, so that contacts are of second order
 like the rest of the law. An output without friction comes to rest on a flank here; real flanks are
 elastic, and without any friction the output rebounds between them.
@@ -26,6 +31,7 @@ from sim2real.servo.effect_chain import (
     friction_bound,
     load_torque,
     motor_torque,
+    train_rotor,
 )
 from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
 from sim2real.servo.parameters import (
@@ -262,8 +268,14 @@ def train_step(
     state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
 ) -> vec4:
     """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
-    if g.stiffness > wp.float64(0.0):
+    zero = wp.float64(0.0)
+    if g.stiffness > zero:
         return through_spring(state, drive, load, dry, h, g)
+    if g.half_gap == zero:
+        damping = drive.damping + wp.float64(0.5) * h * drive.stiffness
+        torque = drive.torque + load
+        end = free_mass(state[0], state[1], torque, damping, g.total, dry + g.friction, h)
+        return vec4(end[0], end[1], zero, zero)
     return across_gap(state, drive, load, dry, h, g)
 
 
@@ -279,10 +291,10 @@ def train_cell(active: wp.int64) -> int:
 def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
     """The gear train of a row, of so much inertia, a share of at least ``least`` on either side."""
     g = Train()
-    rotor = p[wp.static(_GAP + 1)]
-    if rotor == wp.float64(0.0):
-        rotor = p[wp.static(_SPRING + 1)]
-    if rotor == wp.float64(0.0):
+    rotor = train_rotor(p)
+    if rotor > wp.float64(0.0):
+        rotor += p[wp.static(ROTOR_INERTIA)]
+    else:
         rotor = wp.max(p[wp.static(ROTOR_INERTIA)] + p[wp.static(INERTIA_LEFT_OUT)], rotor)
     if rotor == wp.float64(0.0) and p[wp.static(_GAP)] > wp.float64(0.0):
         rotor = inertia  # an output without inertia

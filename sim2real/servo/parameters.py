@@ -82,6 +82,21 @@ INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
 
+TRAIN_ROTORS = tuple(
+    COLUMNS.index(f"{effect}.rotor_inertia_kgm2") for effect in ("backlash", "compliance")
+)
+"""Columns of the same where it moves by itself; the first that is not 0 counts."""
+
+
+def beyond_load(rows: Array) -> Array:
+    """Inertia on the shaft beyond that of the stated load in kg m2, (..., P) to (...).
+
+    That of rotor and gears, and what ``unmodelled_inertia`` adds.
+    """
+    first, second = (rows[..., column] for column in TRAIN_ROTORS)
+    train = np.where(first != 0, first, second)
+    return np.asarray(rows[..., ROTOR_INERTIA] + rows[..., INERTIA_LEFT_OUT] + train)
+
 
 def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Array:
     """The parameter row of a fitted joint, shape (len(COLUMNS),).

@@ -20,8 +20,7 @@ from sim2real.servo.parameters import (
     CELLS,
     FIRST_COLUMN,
     FIRST_MOTOR_COLUMN,
-    INERTIA_LEFT_OUT,
-    ROTOR_INERTIA,
+    beyond_load,
     context_factors,
 )
 from sim2real.servo.trace import Trace
@@ -123,7 +122,7 @@ def longest_substep(
         longest_s: Upper limit in s.
     """
     kp, kd = np.abs(theta[..., 0]), theta[..., 1]
-    total = inertia + theta[..., INERTIA_LEFT_OUT] + theta[..., ROTOR_INERTIA]
+    total = inertia + beyond_load(theta)
     fastest = np.maximum(np.sqrt(kp / total), 0.5 * kd / total)
     steps: Array = 1 / np.maximum(steps_per_radian * fastest, 1e-9)
     return np.minimum(longest_s, steps)

@@ -110,7 +110,7 @@ def predict(model, t, command):
 def test_an_arm_whose_gears_have_play(robot):
     t, sent = commands(4, 3.0)
     command, gap = dict(zip(("hip", "knee"), sent.T, strict=True)), 0.02
-    play = FittedEffect("backlash", {"gap_rad": gap, "rotor_inertia_kgm2": ROTOR})
+    play = FittedEffect("backlash", {"gap_rad": gap})
     loose = {n: replace(s, effects=(*s.effects, play)) for n, s in true_model(robot).joints.items()}
     tight = predict(true_model(robot), t, command)
     for name, angle in predict(Model(loose, arm=robot.arm), t, command).items():

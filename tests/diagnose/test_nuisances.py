@@ -5,18 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated import INERTIA, KD, KP, LATENCY, NOISE, row, traced
+from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
 
 from sim2real.diagnose.case import JointCase
-from sim2real.diagnose.diagnose import _first_look
+from sim2real.diagnose.diagnose import _first_look, diagnose
 from sim2real.diagnose.missing.baseline import as_read, baselines
 from sim2real.diagnose.missing.effect_search import search
 from sim2real.diagnose.missing.nuisances import _best, first_look, size_in_noise, with_nuisances
 from sim2real.diagnose.missing.screening import FITTED, NUISANCES
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.effects import named
+from sim2real.identification.motor_prior import largest_rotor
 from sim2real.identification.servo_problem import Hypothesis
-from sim2real.model import FittedEffect, JointModel
+from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
@@ -178,3 +179,73 @@ def test_friction_does_not_hide_that_the_motor_reaches_its_line():
 
 def test_a_motor_that_stays_below_its_line_shows_none():
     assert lined(3.0) is None
+
+
+LOAD, ROTOR = Load(INERTIA, 0.1, 0.1), 0.6 * INERTIA
+"""A pendulum, which shows the inertia, and the rotor of the servo that turns it."""
+
+
+def diagnosed(loaded=LOAD, stated=LOAD, bench=None, model=None, **effects):
+    """The diagnosis of a servo with a load, of which another is stated."""
+    effects = {"unmodelled_inertia": {"inertia_kgm2": ROTOR}} | effects
+    some = two(load=loaded, **effects)
+    some = [replace(one, loads={"j1": stated}) for one in some]
+    return diagnose(some, bench or robot("j1"), model=model)
+
+
+def known():
+    """The servo as it was identified on another day, with the inertia of its rotor."""
+    motor = {"rotor_inertia_kgm2": ROTOR}
+    joint = JointModel(KP, KD, LATENCY, INERTIA, law="motor", motor=motor, load=LOAD)
+    return Model({"j1": joint})
+
+
+def test_a_rotor_is_part_of_the_plain_servo():
+    found = diagnosed()
+    assert found.verdict == "consistent"
+    assert not (found.effects or found.negligible or found.mismatch)
+    for model in (found.model, found.baseline):
+        joint = model.joints["j1"]
+        assert joint.motor["rotor_inertia_kgm2"] == pytest.approx(ROTOR, rel=0.03)
+        assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
+    assert found.baseline_fit["j1.position_rad"]["heldout"] == pytest.approx(NOISE, rel=0.1)
+    (note,) = found.notes
+    assert "in addition to the stated load" in note
+    assert note in str(found)
+    assert diagnosed(model=known()).verdict == "consistent"
+
+
+def test_a_payload_that_is_not_stated_is_found_where_the_rotor_is_known():
+    heavier = replace(LOAD, inertia_kgm2=1.5 * INERTIA)
+    found = diagnosed(loaded=heavier, model=known())
+    (effect,) = found.effects
+    assert effect.effect == "unmodelled_inertia"
+    assert effect.parameters["inertia_kgm2"].mean == pytest.approx(0.5 * INERTIA, rel=0.05)
+    assert not diagnosed(loaded=heavier).effects, "a rotor of that size is likely"
+
+
+def test_an_inertia_that_no_rotor_has_is_found():
+    """Beyond what the data sheet makes likely, or less than nothing."""
+    small = robot("j1")
+    servo = replace(small.joints[0].servo, max_torque_Nm=3.0, no_load_speed_rad_s=400.0)
+    small = replace(small, joints=(replace(small.joints[0], servo=servo),))
+    assert largest_rotor(servo) < ROTOR
+    assert [one.effect for one in diagnosed(bench=small).effects] == ["unmodelled_inertia"]
+    lighter = {"unmodelled_inertia": {"inertia_kgm2": -0.2 * INERTIA}}
+    assert [one.effect for one in diagnosed(**lighter).effects] == ["unmodelled_inertia"]
+
+
+def test_friction_is_named_beside_a_rotor():
+    found = diagnosed(**FRICTION)
+    assert [one.effect for one in found.effects] == ["coulomb_friction"]
+    assert found.verdict == "explained"
+    rotor = found.model.joints["j1"].motor["rotor_inertia_kgm2"]
+    assert rotor == pytest.approx(ROTOR, rel=0.05)
+
+
+def test_play_is_named_alone_where_its_rotor_is_not_in_the_stated_load():
+    play = {"gap_rad": 0.03, "rotor_inertia_kgm2": ROTOR, "output_friction_Nm": 0.01}
+    found = diagnosed(backlash=play, unmodelled_inertia={"inertia_kgm2": 0.0})
+    assert [one.effect for one in found.effects] == ["backlash"]
+    for name in ("gap_rad", "rotor_inertia_kgm2"):
+        assert found.effects[0].parameters[name].mean == pytest.approx(play[name], rel=0.05)

@@ -416,8 +416,10 @@ def test_backlash_hangs_by_half_its_gap():
 
 def test_backlash_is_never_wider_than_its_gap():
     slow = 0.3 * np.sin(2 * np.pi * 0.5 * T)
-    train = {"gap_rad": 0.1, "rotor_inertia_kgm2": 1e-3, "output_friction_Nm": 0.004}
-    apart = simulate(slow, backlash=train) - simulate(slow, coulomb_friction={"torque_Nm": 0.004})
+    rotor, friction = 1e-3, 0.004
+    train = {"gap_rad": 0.1, "rotor_inertia_kgm2": rotor, "output_friction_Nm": friction}
+    loose = simulate(slow, inertia=INERTIA - rotor, backlash=train)
+    apart = loose - simulate(slow, coulomb_friction={"torque_Nm": friction})
     assert np.abs(apart).max() == pytest.approx(0.05, abs=7e-3)
     touching = np.abs(np.abs(apart) - 0.05) < 7e-3
     assert 0.5 < touching.mean() < 1.0, "most of the time on a flank, seldom between them"

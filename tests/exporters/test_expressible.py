@@ -66,6 +66,20 @@ def test_a_refit_is_nearer_than_dropping(target: str, effect: str) -> None:
     assert all(str(line) in text for line in found.dropped)
 
 
+@pytest.mark.parametrize("effect", ["backlash", "compliance"])
+def test_the_rotor_of_a_gear_train_that_a_target_lacks_still_turns_with_the_load(
+    effect: str,
+) -> None:
+    rotor, beside = 0.0015, 0.0004
+    train = TYPICAL[effect] | {"rotor_inertia_kgm2": rotor}
+    (whole,) = servo(unmodelled_inertia={"inertia_kgm2": beside}, **{effect: train}).joints.values()
+    for joint in (whole, without(whole, {effect})):
+        text = urdf(Model({"j1": joint})).text
+        inertia = ElementTree.fromstring(text).findall(".//inertial/inertia")[-1]
+        total = LOAD.inertia_kgm2 + rotor + beside
+        assert float(inertia.attrib["iyy"]) == pytest.approx(total)
+
+
 def test_what_a_target_expresses_stays_to_the_last_digit() -> None:
     model = servo(coulomb_friction=TYPICAL["coulomb_friction"])
     for target in TARGETS.values():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -110,6 +111,24 @@ def test_a_train_behind_a_drive_that_clips() -> None:
         model = servo(**{name: TYPICAL[name] for name in names})
         assert not mujoco(model).left_out
         assert apart(model) < WITHIN_RAD
+
+
+@pytest.mark.parametrize("effect", ["compliance", "backlash"])
+@pytest.mark.parametrize("of_law", [0.0, 0.0003])
+def test_the_rotor_of_a_train_adds_to_the_load(effect: str, of_law: float) -> None:
+    load, rotor, beside = Load(0.002), 0.0012, -0.0002
+    values = TYPICAL[effect] | {"rotor_inertia_kgm2": rotor}
+    model = servo(load, **{effect: values, "unmodelled_inertia": {"inertia_kgm2": beside}})
+    joint = replace(model.joints["j1"], law="motor", motor={"rotor_inertia_kgm2": of_law})
+    model = Model({"j1": joint})
+    world = ElementTree.fromstring(mujoco(model).text).find("worldbody")
+    about = {
+        body.attrib["name"]: float(body.find("inertial").attrib["diaginertia"].split()[1])
+        for body in world.iter("body")
+    }
+    assert about["j1_link"] == pytest.approx(load.inertia_kgm2 + beside)
+    assert about["j1_motor"] == pytest.approx(rotor + of_law)
+    assert apart(model) < WITHIN_RAD
 
 
 def test_a_sensor_on_either_side_of_a_spring() -> None:

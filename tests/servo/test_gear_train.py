@@ -9,7 +9,7 @@ from sim2real.servo.gear_train import SPRING_DAMPING
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
 
-KP, KD, INERTIA, ROTOR, GAP = 2.6, 0.11, 0.004, 0.0014, 0.02
+KP, KD, LOAD, ROTOR, GAP = 2.6, 0.11, 0.0026, 0.0014, 0.02
 T = 0.02 * np.arange(150)
 COMMAND = 0.4 * np.sign(np.sin(2 * np.pi * 0.7 * T)) * (T > 0.1)
 
@@ -17,20 +17,20 @@ COMMAND = 0.4 * np.sign(np.sin(2 * np.pi * 0.7 * T)) * (T > 0.1)
 def reference(dry, held, compliance=0.0, step=1e-5):
     """Angle of the output, with friction on either side: rigid flanks, or a spring."""
     q = o = v = w = 0.0
-    out, mass = [], INERTIA - ROTOR
+    out = []
     stiffness = 1 / compliance if compliance else 0.0
-    damper = 2 * SPRING_DAMPING * np.sqrt(stiffness * ROTOR * mass / INERTIA)
+    damper = 2 * SPRING_DAMPING * np.sqrt(stiffness * ROTOR * LOAD / (ROTOR + LOAD))
     for u in COMMAND:
         out.append(o)
         for _ in range(round(0.02 / step)):
             through = stiffness * (q - o) + damper * (v - w)
             v += step * (KP * (u - q) - KD * v - through) / ROTOR
             v -= min(max(v, -step * dry / ROTOR), step * dry / ROTOR)
-            w += step * through / mass
-            w -= min(max(w, -step * held / mass), step * held / mass)
+            w += step * through / LOAD
+            w -= min(max(w, -step * held / LOAD), step * held / LOAD)
             lead = q - o + step * (v - w)
             if not compliance and abs(lead) >= GAP / 2 and lead * (v - w) > 0:
-                v = w = (ROTOR * v + mass * w) / INERTIA
+                v = w = (ROTOR * v + LOAD * w) / (ROTOR + LOAD)
             q, o = q + step * v, o + step * w
     return np.array(out)
 
@@ -39,9 +39,12 @@ def simulated(dry, effect, parameters, command=COMMAND, **settings):
     effects = [FittedEffect(effect, {"rotor_inertia_kgm2": ROTOR} | parameters)]
     if dry:
         effects.append(FittedEffect("coulomb_friction", {"torque_Nm": dry}))
-    joint = JointModel(KP, KD, 0.0, INERTIA, effects=tuple(effects))
-    row = joint_row(joint, Load(INERTIA))[None]
-    return rollout(row, T, command, **settings)[0]
+    return with_effects(effects, command=command, **settings)
+
+
+def with_effects(effects, motor=None, load=LOAD, command=COMMAND, **settings):
+    joint = JointModel(KP, KD, 0.0, load, motor=motor or {}, effects=tuple(effects))
+    return rollout(joint_row(joint, Load(load))[None], T, command, **settings)[0]
 
 
 def rms(x):
@@ -60,16 +63,37 @@ def test_a_spring_agrees_with_small_steps(dry):
     assert rms(angle - reference(dry, 0.0, compliance=0.05)) < 1e-4
 
 
-def test_the_rotor_is_what_the_load_leaves_out():
-    effects = (
-        FittedEffect("unmodelled_inertia", {"inertia_kgm2": ROTOR}),
-        FittedEffect("backlash", {"gap_rad": GAP}),
-    )
-    joint = JointModel(KP, KD, 0.0, INERTIA - ROTOR, effects=effects)
-    row = joint_row(joint, Load(INERTIA - ROTOR))
-    seen = rollout(row[None], T, COMMAND, substep_s=0.001)[0]
+def play(rotor):
+    return FittedEffect("backlash", {"gap_rad": GAP, "rotor_inertia_kgm2": rotor})
+
+
+def left_out(inertia):
+    return FittedEffect("unmodelled_inertia", {"inertia_kgm2": inertia})
+
+
+@pytest.mark.parametrize(
+    ("effects", "motor", "load"),
+    [
+        ([play(0.0), left_out(ROTOR)], 0.0, LOAD),  # what the load leaves out is the rotor
+        ([play(0.0)], ROTOR, LOAD),  # the rotor of the motor's law
+        ([play(0.4 * ROTOR)], 0.6 * ROTOR, LOAD),  # the effect's rotor adds to it
+        ([play(ROTOR), left_out(0.3 * LOAD)], 0.0, 0.7 * LOAD),  # a load that is stated too small
+        ([play(ROTOR), left_out(-ROTOR)], 0.0, LOAD + ROTOR),  # one that includes the rotor
+    ],
+)
+def test_the_rotor_adds_to_the_load_by_whatever_name(effects, motor, load):
+    seen = with_effects(effects, {"rotor_inertia_kgm2": motor}, load, substep_s=0.001)
     stated = simulated(0.0, "backlash", {"gap_rad": GAP}, substep_s=0.001)
     np.testing.assert_allclose(seen, stated, atol=1e-9)
+
+
+@pytest.mark.parametrize("effect", ["backlash", "compliance"])
+def test_a_rigid_train_turns_rotor_and_load_together(effect):
+    """Neither gap nor spring: a servo whose load has the inertia of both."""
+    rotor = FittedEffect(effect, {"rotor_inertia_kgm2": ROTOR})
+    seen = with_effects([rotor], substep_s=0.001)
+    rigid = with_effects([], load=LOAD + ROTOR, substep_s=0.001)
+    np.testing.assert_allclose(seen, rigid, atol=1e-4)
 
 
 def test_contacts_are_of_second_order():
@@ -92,8 +116,7 @@ def test_the_motor_is_measured_or_the_load():
     def angle(side):
         spring = {"compliance_rad_per_Nm": 0.05, "rotor_inertia_kgm2": ROTOR}
         effect = FittedEffect("compliance", spring | {"sensor_on_output": side})
-        joint = JointModel(KP, KD, 0.0, INERTIA, effects=(effect,))
-        return rollout(joint_row(joint, Load(INERTIA))[None], T, COMMAND)[0]
+        return with_effects([effect])
 
     between = 0.5 * (angle(0.0) + angle(1.0))
     np.testing.assert_allclose(angle(0.5), between, atol=1e-12)

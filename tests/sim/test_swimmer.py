@@ -65,6 +65,22 @@ def test_each_environment_can_have_its_own_model():
     assert joint[1].max() < 1e-6
 
 
+def test_the_rotor_of_a_gear_train_turns_with_the_joint():
+    """It adds to the links' inertia, as that of the motor's law does."""
+    rotor = 0.004
+    names = [
+        ("backlash", {"gap_rad": 1e-9, "rotor_inertia_kgm2": rotor}),
+        ("unmodelled_inertia", {"inertia_kgm2": rotor}),
+    ]
+    models = [servos(effects=[name]) for name in names] + [servos()]
+    swimmer = small(model=models, n_envs=3)
+    beat(swimmer, 12)
+    of_train, of_law, without = swimmer.state().joint
+    changed = np.abs(of_law - without).max()
+    assert changed > 0.01
+    assert np.abs(of_train - of_law).max() < 0.1 * changed
+
+
 def test_latency_is_what_the_model_says():
     swimmer = small(model=servos(latency=0.05))
     moved = []

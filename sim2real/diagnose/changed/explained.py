@@ -22,7 +22,7 @@ from sim2real.identification.motor_prior import motor_prior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
-from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT, ROTOR_INERTIA
+from sim2real.servo.parameters import BASE, COLUMNS, beyond_load
 from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
@@ -148,7 +148,7 @@ def _law_errors(
     What was sent before the one and in the other is unknown: samples count once the servo has
     forgotten all but e^-12 of it, six of a million.
     """
-    total = traces[0].load.inertia_kgm2 + float(row[ROTOR_INERTIA]) + float(row[INERTIA_LEFT_OUT])
+    total = traces[0].load.inertia_kgm2 + float(beyond_load(row))
     kp, kd, latency = (float(x) for x in row[:3])
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
     memory_s = float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))

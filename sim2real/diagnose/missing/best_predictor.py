@@ -118,7 +118,10 @@ def _weighted(errors: Mapping[str, float | None]) -> float:
 
 
 def _with_servo(joint: JointModel, best: Hypothesis) -> JointModel:
-    """The joint with other gains and effects; the step of its sensor stays."""
+    """The joint with other gains and effects; the step of its sensor stays.
+
+    They were fitted without a rotor, so the joint keeps none.
+    """
     kp, kd, latency = (float(x) for x in best.fit.servos.theta[0, :3])
     steps = tuple(e for e in joint.effects if e.effect == ROUNDING)
     return replace(
@@ -126,6 +129,7 @@ def _with_servo(joint: JointModel, best: Hypothesis) -> JointModel:
         kp_Nm_per_rad=kp,
         kd_Nms_per_rad=kd,
         latency_s=latency,
+        motor={name: x for name, x in joint.motor.items() if name != "rotor_inertia_kgm2"},
         effects=(*fitted_effects(best, None), *steps),
         notes=(*joint.notes, _NOTE),
     )

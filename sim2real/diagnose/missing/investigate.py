@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.link_effect import IrregularTiming, LinkData, links
 from sim2real.diagnose.missing.baseline import plain_again
 from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group, posteriors
 from sim2real.diagnose.missing.effect_search import search, search_again
-from sim2real.diagnose.missing.nuisances import size_in_noise
+from sim2real.diagnose.missing.nuisances import size_in_noise, states_load, with_rotors
 from sim2real.diagnose.missing.servo_search import ServoSearch
 from sim2real.diagnose.missing.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
 from sim2real.effects import CATALOGUE, named
@@ -28,7 +28,6 @@ from sim2real.identification.servo_problem import (
     joined,
     residual_angles,
 )
-from sim2real.inference.normal import Z90
 from sim2real.progress import Progress
 from sim2real.servo.batch import Batch
 from sim2real.servo.linearised import Residual
@@ -40,7 +39,6 @@ _DRY = "coulomb_friction"
 _PRESLIDING = [
     COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
 ]
-_INERTIA = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 
 
 @dataclass(frozen=True)
@@ -201,6 +199,7 @@ def _pass(
     _, excesses = beyond_noise(batch, data, joined([ledger.best.fit for ledger in ledgers]))
     structured = np.flatnonzero(np.array(excesses) > DECISION.structured_excess)
     search_again(problem, [ledgers[j] for j in structured])
+    ledgers = with_rotors(problem, ledgers, joints)
     probable = posteriors(ledgers, robots, rng)
     best = [ledger.tried[p.sets[0]] for ledger, p in zip(ledgers, probable, strict=True)]
     without = unmodelled(batch, data, robots, joined([ledger.plain.fit for ledger in ledgers]))
@@ -247,15 +246,11 @@ def is_no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
     """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
     if named(effect).everywhere:
         return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
-    servos = best.fit.servos
-    theta = servos.theta[0]
-    if effect == "unmodelled_inertia":
-        small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
-        place = servos.columns[0] == _INERTIA
-        sd = float(np.sum(np.sqrt(best.fit.variances[place]) * servos.unit[0, place]))
-        return bool(abs(theta[_INERTIA]) - Z90 * sd < small)
+    if effect == UNMODELLED_INERTIA:
+        return states_load(best, joint)
+    limit = best.fit.servos.theta[0, FLAT_COLUMNS[0]]
     stated = effect == SATURATION and joint.stall_Nm is not None
-    return stated and theta[FLAT_COLUMNS[0]] > DECISION.data_sheet_share * (joint.stall_Nm or 0.0)
+    return bool(stated and limit > DECISION.data_sheet_share * (joint.stall_Nm or 0.0))
 
 
 def _with_links(

@@ -1,8 +1,9 @@
-"""What every servo has a little of: part of the plain servo, before anything is looked for.
+"""What every servo has: part of the plain servo, before anything is looked for.
 
-Cogging and the sensor's eccentricity are common to all recordings, and small ones need no
-action. Left out, their waves pass for any effect. They are fitted together with what explains most,
-so that they do not stand in for it, and kept while they are small relative to the noise.
+A rotor turns with the load that is stated. Cogging and the sensor's eccentricity are common to all
+recordings, and small ones need no action. Left out, their waves pass for any effect. They are
+fitted together with what explains most, so that they do not stand in for it, and kept while they
+are small relative to the noise.
 """
 
 from __future__ import annotations
@@ -13,16 +14,19 @@ from itertools import combinations
 
 import numpy as np
 
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.diagnose.missing.servo_search import Job, ServoSearch
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
-from sim2real.servo.parameters import COLUMNS
+from sim2real.inference.normal import Z90
+from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, TRAIN_ROTORS
 
 NAMES = frozenset(e.name for e in NUISANCES)
 _BENT = "sensor_eccentricity"
+_ROTOR = frozenset({UNMODELLED_INERTIA})
 _CALIBRATED = np.linspace(-RANGE_RAD, RANGE_RAD, 161)
 
 
@@ -115,6 +119,62 @@ def with_nuisances(
         # As part of the base they cost no set their prior.
         evidence = refitted.evidence - len(members - ledger.base) * LOG_PRIOR
         based[k].keep(replace(refitted, evidence=evidence))
+    return based
+
+
+def beyond_likely(best: Hypothesis, joint: JointCase) -> float:
+    """Inertia in kg m2 by which a load is stated too small for any likely rotor, or too large.
+
+    The rotor of a gear train counts. Recordings hardly tell how large it is, and a stated load may
+    include it.
+    """
+    first, second = best.fit.servos.theta[0, list(TRAIN_ROTORS)]
+    rotor, room = float(first or second), joint.rotor_room_kgm2
+    beyond = float(best.fit.servos.theta[0, INERTIA_LEFT_OUT]) + rotor
+    return max(beyond - room, -beyond - (room if rotor else 0.0), 0.0)
+
+
+def states_load(best: Hypothesis, joint: JointCase) -> bool:
+    """Whether the load may be stated right, by what a set says of inertia beside it."""
+    servos = best.fit.servos
+    place = servos.columns[0] == INERTIA_LEFT_OUT
+    sd = float(np.sum(np.sqrt(best.fit.variances[place]) * servos.unit[0, place]))
+    small = DECISION.inertia_tolerance * joint.traces[0].load.inertia_kgm2
+    return beyond_likely(best, joint) - Z90 * sd < small
+
+
+def with_rotors(
+    problem: ServoSearch, ledgers: Sequence[Tried], joints: Sequence[JointCase]
+) -> list[Tried]:
+    """The ledgers, each plain servo with its rotor where the recordings show one.
+
+    Every servo has one, and stated loads leave it out: an inertia that the data sheet makes likely
+    costs no set its prior.
+
+    Args:
+        problem: The search that was.
+        ledgers: What it tried.
+        joints: The joints.
+    """
+    based, jobs, places = list(ledgers), list[Job](), list[int]()
+    for k, (ledger, joint) in enumerate(zip(ledgers, joints, strict=True)):
+        if joint.rotor_room_kgm2 == 0 or ledger.base >= _ROTOR:
+            continue
+        turning = Tried(ledger.case, ledger.base | _ROTOR)
+        others = ledger.plain.evidence + DECISION.nuisance_min_evidence
+        for h in ledger.tried.values():
+            if h.members >= _ROTOR and states_load(h, joint):
+                turning.keep(replace(h, evidence=h.evidence - LOG_PRIOR))
+            else:
+                others = max(others, h.evidence)
+        if turning.tried and turning.best.evidence > others:
+            based[k] = turning
+            jobs.append((ledger, turning.base, turning.best.fit.servos.theta[0]))
+            places.append(k)
+    for k, plain in zip(places, problem.refit(jobs), strict=True):
+        based[k].keep(replace(plain, evidence=plain.evidence - LOG_PRIOR))
+        if not states_load(based[k].plain, joints[k]):
+            based[k] = ledgers[k]  # no rotor by itself
     return based
 
 

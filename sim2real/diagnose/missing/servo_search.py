@@ -11,6 +11,7 @@ from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, as_read, own_parameters, with_effects
 from sim2real.diagnose.missing.screening import Candidate, Screen, candidates, screen
+from sim2real.effects import named
 from sim2real.identification.servo_problem import (
     Fits,
     Hypothesis,
@@ -22,11 +23,17 @@ from sim2real.identification.servo_problem import (
 )
 from sim2real.inference.evidence import occam_factor
 from sim2real.servo.batch import Batch
+from sim2real.servo.parameters import FIRST_COLUMN
 
 Job = tuple[Tried, Set, Array]
 """What was tried on a joint, the set of effects to refit, and the parameters to start from."""
 
 _GAIN = "sensor_gain"
+_TRAINS = {
+    name: (FIRST_COLUMN[name], 1e-3 * named(name).parameters[0].typical)
+    for name in ("backlash", "compliance")
+}
+"""Columns of the sizes of gear trains, and sizes from which on they are there."""
 
 
 @dataclass(frozen=True)
@@ -329,7 +336,14 @@ def _promised(fit: Fits) -> float:
 
 
 def _evidence(fit: Fits, added: Set) -> float:
-    """Laplace's approximation of the evidence of effects, with their prior; -inf if divergent."""
+    """Laplace's approximation of the evidence of effects, with their prior.
+
+    -inf if it diverges, or if a gear train has neither gap nor spring: what then explains the
+    recordings is its rotor or its friction, which have effects of their own.
+    """
+    theta = fit.servos.theta[0]
+    if any(theta[column] < least for name, (column, least) in _TRAINS.items() if name in added):
+        return -np.inf
     information = fit.gram.sum(axis=1)[:, 1:, 1:] / (fit.error2 / fit.count)[:, None, None]
     if not np.isfinite(information).all():
         return -np.inf

@@ -73,6 +73,7 @@ def diagnosis(
     irregular = [joint.finding.link for joint in joints if joint.finding.link is not None]
     links = {link.effect: link.value for link in irregular}
     enriched_fit = {joint.signal: joint.fit(enriched=True) for joint in joints}
+    enriched = {joint.name: joint.model(enriched=True) for joint in joints}
     return Diagnosis(
         verdict=_verdict(joints, large, small, changed=bool(case.references)),
         mismatch=tuple(_mismatch(joint) for joint in joints if joint.finding.mismatch),
@@ -82,9 +83,10 @@ def diagnosis(
         unknown={joint.name: joint.finding.unknown for joint in joints},
         baseline_fit={joint.signal: joint.fit(enriched=False) for joint in joints},
         enriched_fit=enriched_fit,
+        notes=tuple(f"{name}: {note}" for name, one in enriched.items() for note in one.notes),
         unfinished=tuple(joint.name for joint in joints if joint.finding.unfinished),
         model=Model(
-            joints={joint.name: joint.model(enriched=True) for joint in joints},
+            joints=enriched,
             body=case.model.body if case.model else {},
             effects=tuple(
                 FittedEffect(effect, {named(effect).parameters[0].name: value})

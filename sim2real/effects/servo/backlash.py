@@ -3,13 +3,15 @@
 Two masses and a dead zone with rigid flanks, dry friction on either side: ``servo.gear_train``,
 after Nordin, Gutman, Automatica 38 (2002) 1633-1649, Sec. 2. ``output_friction_Nm`` acts on the
 output's side, and holds the output in the gap; the friction of other effects acts on the motor's
-side. The angle is measured from the middle of the gap. Where the effect does not state the rotor's
-inertia, it is what the load leaves out: that of the motor's law and of ``unmodelled_inertia``. If
-that is 0 too, the output has none, and crossing the gap does not change the motor's motion.
+side. The angle is measured from the middle of the gap. ``rotor_inertia_kgm2`` is that of rotor and
+gears, reflected to the output; it adds to the stated load and to the rotor of the motor's law.
+Where it is 0, the motor's side is what turns beyond the stated load: the rotor of the motor's law
+and ``unmodelled_inertia``. If that is 0 too, the output has no inertia, and crossing the gap does
+not change the motor's motion.
 
 The terms below are those of an articulated robot, whose joints are one mass each. With r the
-rotor's share of the total inertia J, T the motor's torque and g the weight of the load, the common
-centre moves as one body, and the motor leads the load by x::
+rotor's share of the total inertia J (``p[3]``, load and rotor), T the motor's torque and g the
+weight of the load, the common centre moves as one body, and the motor leads the load by x::
 
     r (1 - r) J x'' = (1 - r) T - r g      while |x| < gap / 2, and when a flank separates
     motor's angle   = q + (1 - r) x        load's angle = q - r x
@@ -100,7 +102,7 @@ EFFECT = Effect(
     term=cross,
     parameters=(
         Parameter("gap_rad", low=0.0, high=0.3, typical=0.03),
-        Parameter("rotor_inertia_kgm2", low=4e-5, high=0.0018, typical=4e-4, starts=(1.0,)),
+        Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("output_friction_Nm", low=0.0, high=1.0, typical=0.02, starts=(0.0, 1.0)),
     ),
     memory=4,

@@ -3,10 +3,12 @@
 Two masses, a spring and a damper: ``servo.gear_train``, after Spong, Journal of Dynamic Systems 109
 (1987) 310-318. The friction of other effects acts on the motor's side, and that of backlash on the
 load's. ``sensor_on_output`` is 0 where the motor's angle is measured and 1 where the load's is.
+``rotor_inertia_kgm2`` is that of rotor and gears, reflected to the output; it adds to the stated
+load and to the rotor of the motor's law.
 
 The terms below are those of an articulated robot, whose joints are one mass each, below the
-resonance. With r the rotor's share of the total inertia, T the motor's torque and g the weight of
-the load, the spring transmits the torque on the load::
+resonance. With r the rotor's share of the total inertia (``p[3]``, load and rotor), T the motor's
+torque and g the weight of the load, the spring transmits the torque on the load::
 
     F = (1 - r) T - r g                    motor's angle = q + (1 - r) compliance (F - F0)
 
@@ -80,7 +82,7 @@ EFFECT = Effect(
     term=soften,
     parameters=(
         Parameter("compliance_rad_per_Nm", low=0.0, high=0.15, typical=0.02),
-        Parameter("rotor_inertia_kgm2", low=4e-5, high=0.0018, typical=4e-4, starts=(1.0,)),
+        Parameter("rotor_inertia_kgm2", low=4e-5, high=0.02, typical=4e-4, starts=(1.0,)),
         Parameter("sensor_on_output", low=0.0, high=1.0, typical=1.0, starts=(0.0, 1.0)),
     ),
     memory=3,

@@ -1,7 +1,8 @@
-"""Unmodelled inertia: rotor, gears or arm that are missing from the stated load.
+"""Unmodelled inertia: what turns besides the stated load, or what was stated too much.
 
-A rotor behind gears of ratio n adds n squared times its inertia to the shaft, often as much as
-the load itself (any text on drives).
+Loads are stated without the servo's rotor. A rotor behind gears of ratio n adds n squared times its
+inertia to the shaft, often as much as the load itself (any text on drives). Where no law states a
+rotor, this effect stands for it; where one does, for a part of the load that was not stated.
 
 Residual: an error proportional to acceleration. Confused with: latency, tens of milliseconds of it;
 a pendulum distinguishes them, as its weight is known.
@@ -24,7 +25,7 @@ EFFECT = Effect(
     plain="inertia missing from the stated load",
     says=lambda p: (
         "the stated load inertia is {inertia_kgm2} too "
-        + ("small, as when it omits the rotor and the gears" if p["inertia_kgm2"] > 0 else "large")
+        + ("small for the load and its rotor" if p["inertia_kgm2"] > 0 else "large")
     ),
     site="inertia",
     term=rotor,
