@@ -95,7 +95,7 @@ def test_a_model_by_hand_may_be_short(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("effect", ["backlash", "compliance"])
 def test_a_file_whose_load_includes_the_rotor_moves_as_it_did(tmp_path: Path, effect: str) -> None:
-    """Before schema 2 a gear train's rotor was taken out of the stated inertia."""
+    """In files of earlier versions a gear train's rotor was taken out of the stated inertia."""
     path, load, rotor, of_law = tmp_path / "model.json", Load(0.003, 0.1, 0.1), 0.0008, 0.0003
     size = {"gap_rad": 0.03} if effect == "backlash" else {"compliance_rad_per_Nm": 0.05}
     train = {"effect": effect, "parameters": size | {"rotor_inertia_kgm2": rotor}}
