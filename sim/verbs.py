@@ -257,7 +257,7 @@ def design(
         again: With a diagnosis that leaves one set of effects: look for effects that would have
             stayed hidden.
         seconds: Duration of the recording, s.
-        inertia: Load of a joint, J=KGM2: inertia of everything on its output shaft; by default
+        inertia: Load of a joint, J=KGM2: inertia on its output shaft without the rotor; by default
             that of the model, or an unknown one.
         pendulum: Load of a joint, J=KG,M: mass that hangs straight down at angle 0, and its
             distance from the shaft.

@@ -51,7 +51,7 @@ def loads_of(
         if total < pendulum_inertia * (1 - _ROUNDING):
             problem = f"{total:g} kg m2, less than the pendulum's {pendulum_inertia:g}"
             raise InputError(
-                "--inertia", joint, problem, "everything on the shaft, pendulum included"
+                "--inertia", joint, problem, "the load with its pendulum, without the rotor"
             )
         loads[joint] = Load(total, mass, length)
     return loads
