@@ -11,6 +11,8 @@ from scipy.special import chdtri, logsumexp, ndtr
 
 from sim2real.arrays import Array
 
+ABOVE_NOISE = 2.0
+"""Multiple of the noise above which the error of a model is reported."""
 BLOCK = 10  # samples over which a joint at rest may drift along a line
 _FEWEST_BLOCKS = 4  # 32 degrees of freedom: a relative error of the standard deviation of 12 %
 _MOVING_BLOCK = 20  # samples of a block of a moving joint

@@ -162,7 +162,8 @@ def _without_loads(joints: Sequence[str]) -> str:
     return (
         f"load unknown of {names}: identify will fit kp and kd per unit of inertia (1/s2, 1/s), "
         f"not in N m; to state the load, import again with --inertia "
-        f"{joints[0]}=KGM2 (the load without the servo's rotor) or --pendulum {joints[0]}=MASS_KG,LENGTH_M"
+        f"{joints[0]}=KGM2 (the load without the servo's rotor) or --pendulum "
+        f"{joints[0]}=MASS_KG,LENGTH_M"
     )
 
 

@@ -13,6 +13,7 @@ from sim2real.diagnose.separation import Separation
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
+from sim2real.noise import ABOVE_NOISE
 from sim2real.output import write_json
 
 if TYPE_CHECKING:
@@ -286,6 +287,7 @@ class Diagnosis(NotebookDisplay):
             lines.append(f"  {percent(effect.probability):>5}  {effect.statement} (negligible)")
         for entry in self.mismatch:
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
+        lines += [f"  {sentence}" for sentence in self.above_noise.values()]
         lines += [f"  {note}" for note in self.notes]
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")
@@ -293,6 +295,22 @@ class Diagnosis(NotebookDisplay):
         if self.next_experiment is not None:
             lines.append(f"next: {self.next_experiment.statement}")
         return "\n".join(lines)
+
+    @property
+    def above_noise(self) -> dict[str, str]:
+        """Joints without a mismatch whose error is far above their noise, each with a sentence."""
+        differing = {mismatch.component for mismatch in self.mismatch}
+        sentences = {}
+        for signal, errors in self.ladders.items():
+            joint = signal.rpartition(".")[0]
+            if joint not in differing and errors.baseline >= ABOVE_NOISE * errors.noise > 0:
+                sentences[joint] = (
+                    f"{joint}: RMSE {1e3 * errors.baseline:.1f} mrad, "
+                    f"{errors.baseline / errors.noise:.0f} times the noise of "
+                    f"{1e3 * errors.noise:.1f} mrad, although no effect explains it: single "
+                    "readings or times of samples may be wrong."
+                )
+        return sentences
 
     @property
     def search_ended(self) -> str:
@@ -352,7 +370,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         "swim_rivals": None if diagnosis.swim_rivals is None else diagnosis.swim_rivals.content(),
         "gate": list(diagnosis.gate),
         "warnings": list(diagnosis.warnings),
-        "notes": list(diagnosis.notes),
+        "notes": [*diagnosis.above_noise.values(), *diagnosis.notes],
         "search": {
             "complete": not diagnosis.unfinished,
             "unfinished": list(diagnosis.unfinished),

@@ -17,6 +17,7 @@ from sim2real.identification.play import play_between_pulls
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
+from sim2real.noise import ABOVE_NOISE
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
@@ -24,8 +25,6 @@ from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace, firmware_gain
 from sim2real.units import readable_name
 
-ABOVE_NOISE = 2.0
-"""Multiple of the noise above which residuals are reported as a misfit."""
 HELD_OUT_RATIO = 4.0
 """Ratio of the held-out error to that of the fit, or to the noise, above which it is reported."""
 _CORRELATED = 0.5

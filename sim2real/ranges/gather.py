@@ -13,8 +13,8 @@ import numpy as np
 from sim2real.density import Density, normalised_density
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
-from sim2real.identification.advice import ABOVE_NOISE
 from sim2real.model import Model
+from sim2real.noise import ABOVE_NOISE
 from sim2real.plausible import admitted
 from sim2real.posterior.chain import require
 from sim2real.posterior.predictive_check import PredictiveCheck, predictive_check

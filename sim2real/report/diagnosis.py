@@ -205,13 +205,16 @@ def _unit(diagnosis: Diagnosis, joint: str) -> str:
 
 def _sound(diagnosis: Diagnosis) -> list[Block]:
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
-    sound = [name for name in diagnosis.model.joints if name not in differing]
+    above = diagnosis.above_noise
+    sound = [name for name in diagnosis.model.joints if name not in {*differing, *above}]
+    warnings: list[Block] = [Note("warn", sentence) for sentence in above.values()]
     if not sound:
-        return []
+        return warnings
     follow = "follow" if len(sound) > 1 else "follows"
     sentence = f"{listed(sound)} {follow} the plain servo down to the noise"
     errors = [text for name in sound if (text := _error_and_noise(diagnosis, name))]
-    return [Note("good", f"{sentence}: {'; '.join(errors)}." if errors else f"{sentence}.")]
+    text = f"{sentence}: {'; '.join(errors)}." if errors else f"{sentence}."
+    return [*warnings, Note("good", text)]
 
 
 def _error_and_noise(diagnosis: Diagnosis, joint: str) -> str:

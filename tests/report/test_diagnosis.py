@@ -247,6 +247,17 @@ def test_consistent_joints_are_told_with_error_and_noise():
     assert "noise: j3 has an error of 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=fits))[0]
 
 
+def test_an_error_far_above_the_noise_is_no_good_news():
+    far = {"j1.position_rad": Ladder(0.0112, 0.0112, NOISE)}
+    found = replace(CONSISTENT, ladders=far)
+    sentence = "j1: RMSE 11.2 mrad, 7 times the noise of 1.5 mrad, although no effect explains it"
+    text, blocks = said(found)
+    assert sentence in text
+    assert "j2 and j3 follow the plain servo down to the noise" in text
+    assert any(isinstance(b, Note) and b.kind == "warn" and sentence in b.text for b in blocks)
+    assert sentence in str(found)
+
+
 def test_detection_limits_are_one_row_an_effect():
     _, blocks = explained()
     (table,) = [b for b in blocks if isinstance(b, Table) and "j1" in b.header]
