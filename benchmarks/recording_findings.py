@@ -89,8 +89,7 @@ def stopped(joint: Joint, rng: np.random.Generator) -> Array:
 def repeats(joint: Joint, angle: Array) -> bool:
     """Whether stale readings are reported."""
     noise = noise_floor(joint.t, joint.command, angle)
-    repeated, turning = readings.repeated_readings(angle, quantization_step(angle), noise)
-    return repeated >= max(5, 0.03 * turning)
+    return readings.stale_share(angle, quantization_step(angle), noise) > 0
 
 
 FINDINGS: dict[str, tuple[Callable[[Joint, Array], bool], Callable[..., Array]]] = {

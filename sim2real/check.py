@@ -9,7 +9,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import Timing, timing
 from sim2real.display import NotebookDisplay, from_report
-from sim2real.finding import Finding
+from sim2real.finding import RecordingFinding
 from sim2real.findings import joint_findings, merged, moves, recording_findings
 from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
@@ -43,7 +43,7 @@ class JointCheck:
     step_rad: float
     missing: int
     load: str
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordingFinding, ...]
     identifiable: tuple[str, ...] = ()
 
 
@@ -56,10 +56,10 @@ class Check(NotebookDisplay):
     duration_s: float
     timing: Timing
     joints: tuple[JointCheck, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordingFinding, ...]
 
     @property
-    def all_findings(self) -> list[Finding]:
+    def all_findings(self) -> list[RecordingFinding]:
         """All findings; one that several joints share is listed once."""
         rows = ((row.joint, finding) for row in self.joints for finding in row.findings)
         return [*self.findings, *merged(rows)]

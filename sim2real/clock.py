@@ -10,10 +10,9 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.finding import Finding
+from sim2real.finding import RecordingFinding
 
 GAP = 2.5  # median steps
-NEARLY_WHOLE = 0.1  # steps
 SLOWEST_RATE_HZ = 20.0
 SHORTEST_PERIOD_S = 20e-6
 """50 kHz: current loops of motor drives are not faster; servo buses run at a tenth of it."""
@@ -82,7 +81,7 @@ def missing_samples(t: Array, angle: Array) -> int:
         return int(angle.size - rows.size)
     ends = np.r_[t[0], t[rows], t[-1]]
     usual = float(np.median(np.diff(t[rows])))
-    due = np.floor(np.diff(ends) / usual + NEARLY_WHOLE)
+    due = np.floor(np.diff(ends) / usual + 0.1)
     due[1:-1] = np.round(np.diff(t[rows]) / usual) - 1  # its last one is there
     empty = np.diff(np.r_[-1, rows, angle.size]) - 1
     return int(np.minimum(empty, np.maximum(due, 0)).sum())
@@ -94,10 +93,10 @@ def _times(t: Array, angle: Array) -> Array:
     return measured if measured.size > 1 else t
 
 
-def _multiples(steps: Array, usual: float) -> Array:
+def _multiples(steps: Array, usual: float, nearly: float = 0.1) -> Array:
     """Number of usual steps in each step where that is nearly whole, otherwise 1."""
     whole = np.maximum(np.round(steps / usual), 1)
-    return np.where(np.abs(steps / usual - whole) < NEARLY_WHOLE, whole, 1.0)
+    return np.where(np.abs(steps / usual - whole) < nearly, whole, 1.0)
 
 
 def check_sampling(
@@ -138,7 +137,9 @@ def check_sampling(
     raise InputError(file, where, f"samples {usual:.4g} s apart", expected)
 
 
-def recording_clock_findings(joints: Sequence[str], t: Array, position: Array) -> list[Finding]:
+def recording_clock_findings(
+    joints: Sequence[str], t: Array, position: Array
+) -> list[RecordingFinding]:
     """Findings about the times at which the joints of a recording were measured.
 
     Rows that are missing one at a time are a warning: commands between them are not known.
@@ -148,14 +149,14 @@ def recording_clock_findings(joints: Sequence[str], t: Array, position: Array) -
         t: Times in s, shape (T,).
         position: Measured angles, NaN where missing, shape (T, J).
     """
-    concerned: dict[Finding, list[str]] = {}
+    concerned: dict[RecordingFinding, list[str]] = {}
     for joint, angle in zip(joints, position.T, strict=True):
         times = _times(t, angle)
         clock = timing(times, np.zeros((times.size, 1)))
-        even = clock.jitter_s < NEARLY_WHOLE / clock.rate_hz
-        found = [Finding(sentence) for sentence in clock_findings(times, clock)]
+        even = clock.jitter_s < 0.1 / clock.rate_hz
+        found = [RecordingFinding(sentence) for sentence in clock_findings(times, clock)]
         if even:
-            found += [Finding(sentence, "warning") for sentence in _dropped_rows(t, angle)]
+            found += [RecordingFinding(sentence, "warning") for sentence in _dropped_rows(t, angle)]
         for finding in found:
             concerned.setdefault(finding, []).append(joint)
     return [

@@ -9,7 +9,7 @@ Severity = Literal["note", "warning", "error"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class RecordingFinding:
     """A finding about a recording.
 
     Attributes:

@@ -9,12 +9,12 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.clock import missing_samples, recording_clock_findings
-from sim2real.finding import Finding
+from sim2real.finding import RecordingFinding
 from sim2real.noise import noise_floor, quantization_step
 from sim2real.readings import (
     departure,
     interleaved_constant,
-    repeated_readings,
+    stale_share,
     wraps,
     wrong_readings,
 )
@@ -24,11 +24,7 @@ from sim2real.robot import Joint, Robot
 SLOWEST_EXCITATION_HZ = 0.2
 FEWEST_MOVES = 4
 LONGEST_LATENCY_S = 0.15
-_LONGEST_DELAY_S = 1.0
 STUCK_S = 0.5
-BEYOND_LIMITS_RAD = 0.1
-"""Distance beyond a joint's limits from which a reading cannot be right."""
-_REPEATED_SHARE, _FEWEST_REPEATED = 0.03, 5
 _LARGEST_DEPARTURE = 1 / 3
 """Share of a recording away from its command above which nothing is fitted: drives and sensors that
 fail for a time were away for at most 0.23 (``benchmarks/recording_findings.py``)."""
@@ -56,21 +52,21 @@ def moves(t: Array, command: Array) -> int:
     return 1 + int(np.sum(turned | pause))
 
 
-def recording_findings(recording: Recording) -> list[Finding]:
+def recording_findings(recording: Recording) -> list[RecordingFinding]:
     """Findings about a recording as a whole: its clock, and columns that it lacks."""
     findings = recording_clock_findings(recording.joints, recording.t, recording.position)
     imported = recording.metadata.get("import_warnings")
     if isinstance(imported, list):
-        findings += [Finding(str(sentence)) for sentence in imported]
+        findings += [RecordingFinding(str(sentence)) for sentence in imported]
     if np.isnan(recording.command).all():
-        findings.append(Finding("No command was recorded: servos cannot be identified."))
+        findings.append(RecordingFinding("No command was recorded: servos cannot be identified."))
     if recording.kind == "pool" and not recording.has_poses:
         text = "The body was not tracked: body and fluid cannot be calibrated."
-        findings.append(Finding(text))
+        findings.append(RecordingFinding(text))
     return findings
 
 
-def all_findings(recording: Recording, robot: Robot | None = None) -> list[Finding]:
+def all_findings(recording: Recording, robot: Robot | None = None) -> list[RecordingFinding]:
     """All findings about a recording; one that several joints share is listed once.
 
     Args:
@@ -80,7 +76,9 @@ def all_findings(recording: Recording, robot: Robot | None = None) -> list[Findi
     return [*recording_findings(recording), *merged(joint_rows(recording, robot))]
 
 
-def joint_rows(recording: Recording, robot: Robot | None = None) -> Iterator[tuple[str, Finding]]:
+def joint_rows(
+    recording: Recording, robot: Robot | None = None
+) -> Iterator[tuple[str, RecordingFinding]]:
     """The name of each joint of a recording with each finding about it."""
     for j, joint in enumerate(recording.joints):
         position = recording.position[:, j]
@@ -90,14 +88,14 @@ def joint_rows(recording: Recording, robot: Robot | None = None) -> Iterator[tup
             yield joint, finding
 
 
-def merged(rows: Iterable[tuple[str, Finding]]) -> list[Finding]:
+def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFinding]:
     """Findings of joints, of which one that several joints share is listed once.
 
     Args:
         rows: The name of each joint, and a finding about it.
     """
     joints: dict[str, list[str]] = {}
-    findings: dict[str, Finding] = {}
+    findings: dict[str, RecordingFinding] = {}
     for joint, finding in rows:
         about = finding.text.removeprefix(joint).removeprefix("'s").lstrip()
         joints.setdefault(about, []).append(joint)
@@ -112,7 +110,7 @@ def merged(rows: Iterable[tuple[str, Finding]]) -> list[Finding]:
 
 def joint_findings(
     recording: Recording, j: int, noise_rad: float, step_rad: float, sheet: Joint | None
-) -> Iterator[Finding]:
+) -> Iterator[RecordingFinding]:
     """Findings about one joint, including what its load does not allow to identify.
 
     Args:
@@ -131,45 +129,49 @@ def joint_findings(
     load = recording.loads.get(data.joint)
     finite = np.isfinite(data.position)
     if not finite.any():
-        yield Finding(f"{data.joint} has no measured positions.")
+        yield RecordingFinding(f"{data.joint} has no measured positions.")
         return
     lost = missing_samples(data.t, data.position)
     missing = lost / (lost + int(finite.sum()))
     if missing > 0.01:
-        yield Finding(f"{data.joint} lacks {100 * missing:.2g} % of its positions.")
+        yield RecordingFinding(f"{data.joint} lacks {100 * missing:.2g} % of its positions.")
     readings = list(_readings(data))
     yield from readings
     if any(finding.severity == "error" for finding in readings):
         return  # nothing else is known of its motion
     span, least = float(np.ptp(data.command)), max(2 * data.step_rad, 9 * data.noise_rad)
     if span <= max(2 * data.step_rad, 1e-4):
-        yield Finding(f"{data.joint} is never commanded to move: nothing can be fitted to it.")
+        yield RecordingFinding(
+            f"{data.joint} is never commanded to move: nothing can be fitted to it."
+        )
     elif float(np.ptp(data.position[finite])) <= min(least, 0.5 * span):
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} does not move, although its command spans {span:.3g} rad.", "warning"
         )
     elif recording.kind == "servo":
         yield from _motion(data, finite, gravity=load is None or load.gravity_Nm > 0)
     yield from _start(data, finite)
-    yield from (Finding(text) for text in _excitation(data))
+    yield from (RecordingFinding(text) for text in _excitation(data))
     if sheet is not None:
         yield from _data_sheet(data, sheet)
     if powered < recording.t.size:
-        yield Finding(f"{data.joint}'s torque is off from {recording.t[powered]:.4g} s on.")
+        yield RecordingFinding(
+            f"{data.joint}'s torque is off from {recording.t[powered]:.4g} s on."
+        )
     if recording.kind != "servo":
         return
     if load is None:
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} has no stated load: its gains are identified per unit of inertia."
         )
     elif not load.gravity_Nm:
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
             "identifiable, so the stated inertia cannot be checked."
         )
 
 
-def _readings(data: _PoweredJoint) -> Iterator[Finding]:
+def _readings(data: _PoweredJoint) -> Iterator[RecordingFinding]:
     """Readings that are wrong in themselves, whatever the joint does."""
     after, jumps = wraps(data.position)
     if after.size:
@@ -177,7 +179,7 @@ def _readings(data: _PoweredJoint) -> Iterator[Finding]:
         whole = " (one turn)" if abs(size - turn) < 0.1 * turn else ""
         jumping = f"jumps by {size:.3g} rad{whole} between two samples, {_times(after.size)}"
         first = f"first at {data.t[after[0]]:.4g} s"
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} {jumping}, {first}: its angle wraps around and must be unwrapped.",
             "error",
             f"{data.joint}.position_rad",
@@ -190,7 +192,7 @@ def _readings(data: _PoweredJoint) -> Iterator[Finding]:
         value, count = constant
         measured = int(np.isfinite(data.position).sum())
         mixed = f"reads exactly {value:.4g} rad between other angles, {_times(count)}"
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} {mixed} in {measured} samples: another source writes into the column.",
             "error",
             f"{data.joint}.position_rad",
@@ -203,15 +205,15 @@ def _readings(data: _PoweredJoint) -> Iterator[Finding]:
     if wrong.size:
         seconds = ", ".join(f"{data.t[k]:.4g}" for k in wrong[:3])
         more = ", ..." if wrong.size > 3 else ""
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} has {_counted(wrong.size, 'reading')} far from those before and after "
             f"(at {seconds}{more} s): wrong readings of the sensor or the bus.",
             "warning",
         )
-    repeated, turning = repeated_readings(data.position, data.step_rad, data.noise_rad)
-    if repeated >= max(_FEWEST_REPEATED, _REPEATED_SHARE * turning):
-        yield Finding(
-            f"{data.joint} has stale readings: {100 * repeated / turning:.0f} % of the samples in "
+    stale = stale_share(data.position, data.step_rad, data.noise_rad)
+    if stale:
+        yield RecordingFinding(
+            f"{data.joint} has stale readings: {100 * stale:.0f} % of the samples in "
             "which it turns steadily repeat the previous one. They look like missing physics.",
             "warning",
         )
@@ -225,14 +227,16 @@ def _counted(count: int, noun: str) -> str:
     return f"one {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def _motion(data: _PoweredJoint, finite: Mask, *, gravity: bool) -> Iterator[Finding]:
+def _motion(
+    data: _PoweredJoint, finite: Mask, *, gravity: bool, longest_delay_s: float = 1.0
+) -> Iterator[RecordingFinding]:
     t, command, position = data.t[finite], data.command[finite], data.position[finite]
     match = _correlations(t, command, position, LONGEST_LATENCY_S)
     if match.size and match.max() < 0 and match.min() < -0.5:
         against = f"moves against its command (correlation {match.min():.2f})"
         # Half a period of a periodic command looks like a reversed sign.
-        late = _correlations(t, command, position, _LONGEST_DELAY_S).max() > -0.8 * match.min()
-        yield Finding(
+        late = _correlations(t, command, position, longest_delay_s).max() > -0.8 * match.min()
+        yield RecordingFinding(
             f"{data.joint} {against}: the sign of one of them is reversed"
             + (f", or its latency exceeds {LONGEST_LATENCY_S:g} s." if late else "."),
             "warning" if late else "error",
@@ -247,7 +251,7 @@ def _motion(data: _PoweredJoint, finite: Mask, *, gravity: bool) -> Iterator[Fin
         due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
         moved = float(np.ptp(due)) if due.size else 0.0
         if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * data.step_rad):
-            yield Finding(
+            yield RecordingFinding(
                 f"{data.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
                 f"while its command moves by {moved:.2g} rad: friction, gears or sensor may be "
                 "stuck.",
@@ -264,7 +268,7 @@ def _motion(data: _PoweredJoint, finite: Mask, *, gravity: bool) -> Iterator[Fin
             f"{apart.largest_rad:.2g} rad away{where}"
         )
         why = "stopped or pulled, its torque may be off, or commands may be increments"
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} does not follow its command: {away}. It may be {why}.",
             "error" if total > _LARGEST_DEPARTURE * np.ptp(data.t) else "warning",
             f"{data.joint}.position_rad",
@@ -286,7 +290,7 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-def _start(data: _PoweredJoint, finite: Mask) -> Iterator[Finding]:
+def _start(data: _PoweredJoint, finite: Mask) -> Iterator[RecordingFinding]:
     changed = np.flatnonzero(data.command != data.command[0])
     still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
     early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))
@@ -294,17 +298,17 @@ def _start(data: _PoweredJoint, finite: Mask) -> Iterator[Finding]:
         return
     offset = float(np.median(data.position[early] - data.command[0]))
     if float(np.ptp(data.position[early])) > max(5 * data.step_rad, 9 * data.noise_rad, 0.01):
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} is moving at the start of the recording: it should be at rest.",
             "warning",
         )
     elif abs(offset) > 0.1:
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} starts {abs(offset):.2g} rad away from its first command.", "warning"
         )
     elif abs(offset) > max(3 * data.step_rad, 4 * data.noise_rad, 0.005):
         side = "above" if offset > 0 else "below"
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} starts at rest {abs(offset):.2g} rad {side} its command: there may "
             "be an offset, a load or a dead band."
         )
@@ -331,7 +335,7 @@ def _excitation(data: _PoweredJoint) -> Iterator[str]:
         )
 
 
-def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[Finding]:
+def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[RecordingFinding]:
     if sheet.states("limits_rad"):
         yield from _limits(data, *sheet.limits_rad)
     changed = np.flatnonzero(np.diff(data.command)) + 1
@@ -340,33 +344,35 @@ def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[Finding]:
     fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
     servo = sheet.servo
     if servo.states("no_load_speed_rad_s") and fastest > servo.no_load_speed_rad_s:
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
             f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: the response will be limited by it."
         )
     stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
     counts = data.step_rad / stated if stated > 0 else 0.0
     if counts and abs(counts - round(counts)) > 0.05:
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} is measured in steps of {data.step_rad:.3g} rad, but the data sheet "
             f"states {stated:.3g} rad."
         )
 
 
-def _limits(data: _PoweredJoint, low: float, high: float) -> Iterator[Finding]:
+def _limits(
+    data: _PoweredJoint, low: float, high: float, *, beyond_rad: float = 0.1
+) -> Iterator[RecordingFinding]:
     extremes = (float(data.command.min()), float(data.command.max()))
     if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
         beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
             f"{high:.3g} rad."
         )
     angle = np.where(wrong_readings(data.position), np.nan, data.position)
-    outside = np.maximum(low - angle, angle - high) > BEYOND_LIMITS_RAD
-    reached = np.maximum(low - data.command, data.command - high) > BEYOND_LIMITS_RAD
+    outside = np.maximum(low - angle, angle - high) > beyond_rad
+    reached = np.maximum(low - data.command, data.command - high) > beyond_rad
     if outside.any() and not reached.any():
         row = int(np.nanargmax(np.maximum(low - angle, angle - high)))
-        yield Finding(
+        yield RecordingFinding(
             f"{data.joint} reads {angle[row]:.3g} rad at {data.t[row]:.4g} s, outside its limits "
             f"of {low:.3g} to {high:.3g} rad, {_times(int(outside.sum()))}.",
             "warning",

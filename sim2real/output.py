@@ -27,7 +27,6 @@ from sim2real.errors import InputError
 _LIBRARIES = ("numpy", "scipy", "warp-lang")
 _DESCRIPTOR = re.compile(r"(?:/proc/(\d+)|/dev)/fd/(\d+)")
 """What ``/dev/stdout`` and ``/dev/fd/N`` stand for: process and number of an open file."""
-_MOST_LINKS = 40
 _MOST_PRINTED_BYTES = 2**20
 
 
@@ -227,10 +226,10 @@ def _homeless(target: Path) -> bool:
         return True
 
 
-def _followed(target: Path) -> Path:
+def _followed(target: Path, most_links: int = 40) -> Path:
     """The path behind links, absolute; of an open descriptor its entry in ``/dev/fd``."""
     place = target.absolute()
-    for _ in range(_MOST_LINKS):
+    for _ in range(most_links):
         place = Path(os.path.realpath(place.parent)) / place.name
         if _descriptor(place) is not None or not place.is_symlink():
             return place

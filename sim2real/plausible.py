@@ -14,7 +14,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.errors import InputError
-from sim2real.finding import Finding
+from sim2real.finding import RecordingFinding
 from sim2real.findings import joint_rows, merged, recording_findings
 from sim2real.readings import wrong_readings
 from sim2real.recording import PER_INERTIA, Recording
@@ -53,7 +53,7 @@ def admitted(
     for recording in recordings:
         validate_recording(recording, robot)
         rows = [*joint_rows(recording, robot)]
-        wrong: dict[str, Finding] = {}
+        wrong: dict[str, RecordingFinding] = {}
         for joint, finding in rows:
             if finding.severity == "error":
                 wrong.setdefault(joint, finding)

@@ -14,15 +14,6 @@ from sim2real.arrays import Array, Index, Mask
 
 SMALLEST_ERROR_RAD = 0.2
 """Smallest distance of a wrong reading from its neighbours."""
-SMALLEST_WRAP_RAD = 3.0
-"""Smallest jump between two samples that counts as a wrap of the angle."""
-SMALLEST_DEPARTURE_RAD = 0.1
-DEPARTURE_SHARE = 0.25
-"""Share of the smoothed command's range by which an angle that follows it differs at most."""
-_SMOOTHING_S = 1.0
-_LONGEST_LAG_S = 0.3
-_SUSTAINED_S = 0.5
-_STEP_S = 0.02
 
 
 def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
@@ -47,11 +38,12 @@ def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
     return result
 
 
-def wraps(position: Array, *, ratio: float = 4.0) -> tuple[Index, Array]:
+def wraps(position: Array, *, least_rad: float = 3.0, ratio: float = 4.0) -> tuple[Index, Array]:
     """Jumps of an angle by the range of its sensor, between two samples in steady motion.
 
     Args:
         position: Measured angles in rad, shape (T,), NaN where missing.
+        least_rad: Smallest jump.
         ratio: Smallest ratio of a jump to the steps before and after it.
 
     Returns:
@@ -61,7 +53,7 @@ def wraps(position: Array, *, ratio: float = 4.0) -> tuple[Index, Array]:
     jump = np.diff(position[measured])
     size = np.abs(jump)
     around = np.maximum(np.r_[0.0, size[:-1]], np.r_[size[1:], 0.0]) if size.size else size
-    found = (size > SMALLEST_WRAP_RAD) & (size > ratio * around)
+    found = (size > least_rad) & (size > ratio * around)
     return measured[1:][found], jump[found]
 
 
@@ -94,8 +86,17 @@ def interleaved_constant(
     return float(values[most]), count
 
 
-def repeated_readings(position: Array, step_rad: float, noise_rad: float) -> tuple[int, int]:
-    """Readings that equal the previous one although the joint turns, and readings while it turns.
+def stale_share(
+    position: Array,
+    step_rad: float,
+    noise_rad: float,
+    *,
+    least: float = 0.03,
+    fewest: int = 5,
+) -> float:
+    """Share of the readings that repeat the previous one although the joint turns steadily.
+
+    0 where there are too few for stale readings.
 
     A joint turns steadily where the angle changes by more than five steps of the sensor, and by
     five standard deviations of its noise, before and after the pair, to the same side.
@@ -104,12 +105,15 @@ def repeated_readings(position: Array, step_rad: float, noise_rad: float) -> tup
         position: Measured angles in rad, shape (T,), NaN where missing.
         step_rad: Quantization step in rad; 0 if there is none.
         noise_rad: Standard deviation of the noise in rad.
+        least: Smallest share that is not left to chance.
+        fewest: Smallest number of such readings.
     """
     change = np.diff(position[np.isfinite(position)])
-    least = 5 * max(step_rad, noise_rad)
+    turn = 5 * max(step_rad, noise_rad)
     before, pair, after = change[:-2], change[1:-1], change[2:]
-    steady = (np.minimum(np.abs(before), np.abs(after)) > least) & (before * after > 0)
-    return int(np.sum(steady & (pair == 0))), int(np.sum(steady))
+    steady = (np.minimum(np.abs(before), np.abs(after)) > turn) & (before * after > 0)
+    repeated, turning = int(np.sum(steady & (pair == 0))), int(np.sum(steady))
+    return repeated / turning if repeated >= max(fewest, least * turning) else 0.0
 
 
 @dataclass(frozen=True)
@@ -127,33 +131,50 @@ class Departure:
     held_rad: float | None
 
 
-def departure(t: Array, command: Array, position: Array, gravity: bool) -> Departure | None:
+def departure(
+    t: Array,
+    command: Array,
+    position: Array,
+    gravity: bool,
+    *,
+    least_rad: float = 0.1,
+    share: float = 0.25,
+    longest_lag_s: float = 0.3,
+    sustained_s: float = 0.5,
+    smoothing_s: float = 1.0,
+    step_s: float = 0.02,
+) -> Departure | None:
     """Where an angle does not follow its command, if it does not.
 
-    Both are smoothed over a second, the angle is advanced by its latency, and the deflection by a
-    pendulum's weight, which is proportional to the sine of the angle, is left out. What remains of
-    a servo that follows is at most ``DEPARTURE_SHARE`` of the command's range, in intervals of half
-    a second.
+    Both are smoothed, the angle is advanced by its latency, and the deflection by a pendulum's
+    weight, which is proportional to the sine of the angle, is left out. What remains of a servo
+    that follows is a small share of the command's range.
 
     Args:
         t: Times in s, shape (T,).
         command: Set-points in rad, shape (T,), all finite.
         position: Measured angles in rad, shape (T,), NaN where missing.
         gravity: Whether the joint turns a pendulum.
+        least_rad: Largest distance, whatever the command's range.
+        share: Largest distance as a share of the range of the smoothed command.
+        longest_lag_s: Largest latency.
+        sustained_s: Shortest interval that counts.
+        smoothing_s: Time over which both are smoothed.
+        step_s: Period at which both are sampled for that.
     """
     good = np.isfinite(position) & ~wrong_readings(position)
-    grid = np.arange(t[0], t[-1], _STEP_S)
-    sustained = round(_SUSTAINED_S / _STEP_S)
+    grid = np.arange(t[0], t[-1], step_s)
+    sustained, half = round(sustained_s / step_s), round(smoothing_s / step_s) // 2
     if good.sum() < 2 or grid.size < 4 * sustained:
         return None
-    sent = _smoothed(np.interp(grid, t, command))
-    angle = _smoothed(np.interp(grid, t[good], position[good]))
-    lags = range(round(_LONGEST_LAG_S / _STEP_S) + 1)
+    sent = _smoothed(np.interp(grid, t, command), half)
+    angle = _smoothed(np.interp(grid, t[good], position[good]), half)
+    lags = range(round(longest_lag_s / step_s) + 1)
     advanced = [np.append(angle[lag:], np.full(lag, angle[-1])) for lag in lags]
     apart = [_without_deflection(a - sent, a) if gravity else a - sent for a in advanced]
     best = min(range(len(apart)), key=lambda lag: float(apart[lag] @ apart[lag]))
     error = np.abs(apart[best])
-    limit = max(SMALLEST_DEPARTURE_RAD, DEPARTURE_SHARE * float(np.ptp(sent)))
+    limit = max(least_rad, share * float(np.ptp(sent)))
     edges = np.flatnonzero(np.diff(np.r_[False, error > limit, False].astype(int)))
     windows = [(a, b) for a, b in edges.reshape(-1, 2) if b - a >= sustained]
     if not windows:
@@ -168,9 +189,8 @@ def departure(t: Array, command: Array, position: Array, gravity: bool) -> Depar
     )
 
 
-def _smoothed(signal: Array) -> Array:
-    """The signal (N,), averaged twice over half the smoothing time."""
-    size = round(_SMOOTHING_S / _STEP_S) // 2
+def _smoothed(signal: Array, size: int) -> Array:
+    """The signal (N,), averaged twice over ``size`` samples."""
     for _ in range(2):
         padded = np.pad(signal, (size // 2, size - 1 - size // 2), mode="edge")
         total = np.cumsum(np.r_[0.0, padded])

@@ -9,7 +9,7 @@ import pytest
 
 from sim2real.check import Check, check
 from sim2real.errors import InputError
-from sim2real.finding import Finding
+from sim2real.finding import RecordingFinding
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, match_joints, read_robot
 
@@ -241,9 +241,9 @@ def test_real_backlash_stand(realdata) -> None:
 @pytest.mark.usefixtures("without_fits")
 def test_what_joints_share_is_said_once():
     one = check(recording())
-    odd, still = (Finding("a's load is odd."), Finding("a never moves."))
+    odd, still = (RecordingFinding("a's load is odd."), RecordingFinding("a never moves."))
     first = replace(one.joints[0], joint="a", findings=(odd, still))
-    second = replace(one.joints[0], joint="b", findings=(Finding("b's load is odd."),))
-    both = replace(one, joints=(first, second), findings=(Finding("A gap."),))
+    second = replace(one.joints[0], joint="b", findings=(RecordingFinding("b's load is odd."),))
+    both = replace(one, joints=(first, second), findings=(RecordingFinding("A gap."),))
     texts = [finding.text for finding in both.all_findings]
     assert texts == ["A gap.", "a, b: load is odd.", "a never moves."]

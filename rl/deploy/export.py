@@ -16,9 +16,7 @@ from torch import nn
 from rl.deploy.forward import Policy, npz
 from rl.deploy.header import c_header
 from rl.deploy.onnx_graph import onnx_model
-from rl.observer import PAPER, View
-from rl.sac.policy_zip import read_policy_zip
-from rl.sac.sac import SwimSAC, agent_in
+from rl.sac.sac import read_agent, view_of
 from rl.task import observation_bounds, observation_names
 from sim2real.errors import InputError
 from sim2real.output import check_writable, provenance, write_whole
@@ -48,15 +46,6 @@ def read_zip(
     if price is not None:
         set_price(agent, price, where=str(file))
     return policy_of(agent, where=str(file), note={**provenance([file], seed)})
-
-
-def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
-    """Read an SAC agent without replay memory; see ``read_zip``.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
-    return agent_in(read_policy_zip(path, "SAC"))
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
@@ -108,12 +97,6 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
         view=view,
         provenance={**(note or {}), **({"trained_over": spread} if spread else {})},
     )
-
-
-def view_of(agent: SAC) -> View:
-    """View of an agent; that of the paper if it has none."""
-    view = getattr(agent, "view", PAPER)
-    return view if isinstance(view, View) else PAPER
 
 
 def _layers(agent: SAC, where: str) -> list[nn.Linear]:

@@ -10,10 +10,11 @@ import numpy as np
 
 from rl.controllers import Controller
 from rl.deploy.controller import PolicyController
-from rl.deploy.export import policy_of, read_agent, set_price
+from rl.deploy.export import policy_of, set_price
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
+from rl.sac.sac import read_agent
 from rl.task import TASKS
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges

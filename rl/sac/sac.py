@@ -19,8 +19,8 @@ from torch import nn
 
 from rl.deploy.forward import is_spread
 from rl.env import action_space, observation_space
-from rl.observer import View
-from rl.sac.policy_zip import PolicyZip, write_policy_zip
+from rl.observer import PAPER, View
+from rl.sac.policy_zip import PolicyZip, read_policy_zip, write_policy_zip
 from rl.sac.settings import Settings
 from rl.world import World
 from sim2real.arrays import Array32
@@ -51,7 +51,7 @@ class SwimSAC(SAC):
     """SAC whose networks are views of those of ``Agents``, which trains them.
 
     ``predict`` is that of Stable-Baselines3. ``save`` writes the networks and the attributes below
-    without pickled objects (``rl.sac.policy_zip``), which ``rl.deploy.export.read_agent`` reads.
+    without pickled objects (``rl.sac.policy_zip``), which ``read_agent`` reads.
 
     Attributes:
         view: Definition of the observations.
@@ -222,14 +222,27 @@ def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
     return {"prices": prices, "column": column, "share": share}
 
 
+def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
+    """Read an SAC agent without replay memory, of this library or of Stable-Baselines3.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    return agent_in(read_policy_zip(path, "SAC"))
+
+
+def view_of(agent: SAC) -> View:
+    """View of an agent; that of the paper if it has none."""
+    view = getattr(agent, "view", PAPER)
+    return view if isinstance(view, View) else PAPER
+
+
 def start_from(model: SwimSAC, path: Path) -> None:
     """Copy the networks and the entropy coefficient of a saved model.
 
     Raises:
         InputError: If there is no saved model, or its shape or view differs.
     """
-    from rl.deploy.export import read_agent, view_of
-
     saved: Any = read_agent(path)
     if view_of(saved) != model.view:
         raise InputError(path, "view", f"{view_of(saved)}", f"{model.view}, as this training has")

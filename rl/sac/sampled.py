@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from rl.deploy.controller import PolicyController
-from rl.deploy.export import policy_of, read_agent, set_price
+from rl.deploy.export import policy_of, set_price
+from rl.sac.sac import read_agent
 from rl.sac.settings import Settings
 from sim2real.arrays import Array32, Mask
 

@@ -27,13 +27,12 @@ from torch import Tensor
 from tqdm import tqdm
 
 from rl.decisions import Decisions
-from rl.deploy.export import read_agent
 from rl.make import Fidelity, make_world, own_stream
 from rl.observer import View
 from rl.randomize import spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import Progress, load, save
-from rl.sac.sac import make_sac, start_from
+from rl.sac.sac import make_sac, read_agent, start_from
 from rl.sac.settings import Settings
 from rl.task import Task
 from rl.world import Draws, Step

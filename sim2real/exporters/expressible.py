@@ -84,7 +84,7 @@ class Expressible:
 
 
 @dataclass(frozen=True)
-class _Candidate:
+class _Exported:
     """A joint that a target expresses, and what it lacks of the full one."""
 
     joint: JointModel
@@ -163,7 +163,7 @@ def _candidates(
     costly: Collection[str],
     *,
     soft: bool,
-) -> dict[str, Callable[[], _Candidate]]:
+) -> dict[str, Callable[[], _Exported]]:
     """Models that the target expresses: ``plain`` without effects, if that is another one."""
     effects = {fitted.effect for fitted in joint.effects}
     line = {name for name in LINE if joint.motor.get(name.removeprefix("motor."))}
@@ -205,7 +205,7 @@ def _without(
     lost: Collection[str],
     still: Collection[str],
     refit: Callable[[str, JointModel, Sequence[str]], tuple[JointModel, Refit]],
-) -> _Candidate:
+) -> _Exported:
     """A joint without some parts, refitted if other parameters may replace them.
 
     Parts that hardly move it, ``still``, are dropped before a refit, else only those ``lost``.
@@ -215,22 +215,22 @@ def _without(
         why = "no motion of the recordings or the standard excitation reaches it"
         lines.append(LeftOut(name, _shown(joint, SATURATION), why))
     if not (replaced := sorted(part for part in parts if _replaceable(part))):
-        return _Candidate(without(joint, lost), tuple(lines))
+        return _Exported(without(joint, lost), tuple(lines))
     servo, cost = refit(name, without(joint, still), replaced)
     why = "the other parameters were refitted to compensate for it; do not add it"
     lines += [LeftOut(name, _shown(joint, part), why) for part in replaced]
-    return _Candidate(servo, tuple(lines), (cost,))
+    return _Exported(servo, tuple(lines), (cost,))
 
 
 def _best(
     name: str,
-    candidates: Mapping[str, Callable[[], _Candidate]],
+    candidates: Mapping[str, Callable[[], _Exported]],
     data: FittingData,
     error: Callable[[JointModel, str, Sequence[Trace]], float],
     which: Which,
-) -> tuple[_Candidate, list[Compared]]:
+) -> tuple[_Exported, list[Compared]]:
     """The candidate with the smallest error, and the comparison with the plain servo."""
-    made: dict[str, _Candidate] = {}
+    made: dict[str, _Exported] = {}
     errors: dict[str, float] = {}
     for kind, make in candidates.items():
         made[kind] = make()

@@ -25,10 +25,6 @@ from sim2real.servo.parameters import INERTIA_LEFT_OUT
 from sim2real.servo.trace import Trace, firmware_gain
 from sim2real.units import readable_name
 
-HELD_OUT_RATIO = 4.0
-"""Ratio of the held-out error to that of the fit, or to the noise, above which it is reported."""
-_CORRELATED = 0.5
-"""Lag-1 autocorrelation from which a residual counts as correlated."""
 _KEPT = 0.7
 """Ratio of posterior to prior standard deviation above which a parameter counts as undetermined."""
 _MATERIAL = 0.05
@@ -125,14 +121,22 @@ def on_fit(
     return notes + _misfit(figures, warned)
 
 
-def _misfit(figures: Mapping[str, float | None], warned: bool) -> list[str]:
+def _misfit(
+    figures: Mapping[str, float | None],
+    warned: bool,
+    *,
+    from_correlation: float = 0.5,
+    held_out_ratio: float = 4.0,
+) -> list[str]:
     """Notes on errors far above the noise, of the fit and on held-out data."""
     keys = ("train", "heldout", "noise", "whiteness", "correlation_time_s")
     train, held_out, noise, white, time = (figures[key] or 0.0 for key in keys)
     notes = []
     if train > 0 and train >= ABOVE_NOISE * noise:
         times = f"{train / noise:.0f} times the noise" if noise > 0 else "where no noise is visible"
-        correlated = f", and is correlated over {1e3 * time:.0f} ms" if white >= _CORRELATED else ""
+        correlated = (
+            f", and is correlated over {1e3 * time:.0f} ms" if white >= from_correlation else ""
+        )
         why = "physics is missing from this model"
         if warned:
             why = "see the warnings about the recordings before physics that may be missing"
@@ -144,7 +148,7 @@ def _misfit(figures: Mapping[str, float | None], warned: bool) -> list[str]:
             f"the residual of the model is {1e3 * train:.1f} mrad, {times}{correlated}: {why}"
         )
     least = max(train, noise)
-    if held_out > HELD_OUT_RATIO * least > 0:
+    if held_out > held_out_ratio * least > 0:
         notes.append(
             f"the error on held-out data is {1e3 * held_out:.1f} mrad, {held_out / least:.0f} "
             "times that of the fit: these values do not hold for other motions"

@@ -20,8 +20,6 @@ OUTLIER_SD = 3.0
 """Residuals beyond this number of standard deviations are down-weighted."""
 _DAMPING = 1e-6, 1e6
 """Smallest damping, and damping above which a search ends."""
-_DOUBLINGS = 60
-"""Largest number of times that the damping of one step is doubled."""
 _LARGEST_STEP = 3.0
 """Longest step of a parameter, in units."""
 _SAME_SCALE = 0.05
@@ -152,6 +150,7 @@ def _step(
     free: Mask,
     damping: Array,
     rows: Index,
+    doublings: int = 60,
 ) -> tuple[Array, Array]:
     """Next step of each problem, shape (M, F), and its expected gain, shape (M,)."""
     x, low, high = best[rows], box[0][rows], box[1][rows]
@@ -167,7 +166,7 @@ def _step(
     matrix = normal * (moving[:, :, None] & moving[:, None])
     step, gain = np.zeros_like(x), np.zeros(len(x))
     todo = np.arange(len(x))
-    for _ in range(_DOUBLINGS):
+    for _ in range(doublings):
         size = factor[todo] * diagonal[todo]
         np.einsum("nff->nf", matrix)[todo] = np.where(moving[todo], size, 1.0)
         slopes, at = slope[todo], x[todo]

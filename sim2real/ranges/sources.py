@@ -21,9 +21,6 @@ from sim2real.units import unit_of
 LOW, HIGH = 0.05, 0.95
 """Quantiles between which a parameter is randomized."""
 _GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
-_NOTHING = 0.01
-"""Largest value, relative to the end of its 90 % interval, of a loss that is not distinguished from
-0."""
 _STRIBECK_SPEED = "motor.stribeck_speed_rad_s"
 _FEWEST = 60
 """Smallest number of samples for an estimate of the noise."""
@@ -118,7 +115,7 @@ def _is_absent(name: str, model: JointModel) -> bool:
         )
     low, high = model.interval.get(name, (math.nan, math.nan))
     value = model.motor.get(name.removeprefix("motor."), 0.0)
-    return name.startswith("motor.") and low <= 0 and value <= _NOTHING * high
+    return name.startswith("motor.") and low <= 0 and value <= 0.01 * high
 
 
 def density_ranges(density: Density) -> list[Range]:

@@ -41,7 +41,7 @@ from sim2real.servo.parameters import (
     LOAD_CELL,
     ROTOR_INERTIA,
 )
-from sim2real.servo.torques import pendulum_torque, slide
+from sim2real.servo.torques import free_mass, pendulum_torque
 
 vec4 = wp.types.vector(length=4, dtype=wp.float64)
 """Angle and speed of the motor's side; lead of the motor, and its rate."""
@@ -89,28 +89,6 @@ class Drive:
     torque: wp.float64
     stiffness: wp.float64
     damping: wp.float64
-
-
-@wp.func
-def free_mass(
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    damping: wp.float64,
-    inertia: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-) -> wp.vec2d:
-    """Angle and speed of a mass after h, under a torque, damping and dry friction."""
-    half = wp.float64(0.5) * h
-    damp = half * damping
-    per = wp.float64(1.0) / (inertia + damp)
-    free = ((inertia - damp) * v + h * torque) * per
-    if dry > wp.float64(0.0):
-        state = wp.vec4d(q, v, wp.float64(0.0), wp.float64(0.0))
-        after = slide(state, free, h * dry * per, half, torque, wp.float64(0.0))
-        return wp.vec2d(after[0], after[1])
-    return wp.vec2d(q + half * (v + free), free)
 
 
 @wp.func

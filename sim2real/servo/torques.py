@@ -1,4 +1,4 @@
-"""Torques on the shaft: of the PD law, of a pendulum, of dry friction as an impulse."""
+"""Torques on a mass: of the PD law, of a pendulum, of dry friction as an impulse; its motion."""
 
 import warp as wp
 
@@ -46,3 +46,25 @@ def slide(
     return wp.vec4d(
         state[0] + half * (moving * v + resting * after), after, torque, (after - v) * per_h
     )
+
+
+@wp.func
+def free_mass(
+    q: wp.float64,
+    v: wp.float64,
+    torque: wp.float64,
+    damping: wp.float64,
+    inertia: wp.float64,
+    dry: wp.float64,
+    h: wp.float64,
+) -> wp.vec2d:
+    """Angle and speed of a mass after h, under a torque, damping and dry friction."""
+    half = wp.float64(0.5) * h
+    damp = half * damping
+    per = wp.float64(1.0) / (inertia + damp)
+    free = ((inertia - damp) * v + h * torque) * per
+    if dry > wp.float64(0.0):
+        state = wp.vec4d(q, v, wp.float64(0.0), wp.float64(0.0))
+        after = slide(state, free, h * dry * per, half, torque, wp.float64(0.0))
+        return wp.vec2d(after[0], after[1])
+    return wp.vec2d(q + half * (v + free), free)

@@ -11,11 +11,11 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from rl.decisions import Decisions
-from rl.deploy.export import read_agent, set_price
+from rl.deploy.export import set_price
 from rl.observer import PAPER, View
 from rl.sac.agents import Agents, Batch, mirrored
 from rl.sac.checkpoint import Progress, save
-from rl.sac.sac import make_sac
+from rl.sac.sac import make_sac, read_agent
 from rl.sac.settings import PLAIN, Settings
 from rl.task import Task
 from sim2real.errors import InputError
