@@ -193,6 +193,7 @@ VERBS: dict[Callable[[Recording, Path], object], int] = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:bench")  # findings about these recordings
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
 def test_any_recording(verb: Callable[[Recording, Path], object], tmp_path: Path) -> None:
     @settings(
