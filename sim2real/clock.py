@@ -153,10 +153,8 @@ def recording_clock_findings(
     for joint, angle in zip(joints, position.T, strict=True):
         times = _times(t, angle)
         clock = timing(times, np.zeros((times.size, 1)))
-        even = clock.jitter_s < 0.1 / clock.rate_hz
         found = [RecordingFinding(sentence) for sentence in clock_findings(times, clock)]
-        if even:
-            found += [RecordingFinding(sentence, "warning") for sentence in _dropped_rows(t, angle)]
+        found += [RecordingFinding(sentence, "warning") for sentence in dropped_rows(t, angle)]
         for finding in found:
             concerned.setdefault(finding, []).append(joint)
     return [
@@ -167,18 +165,30 @@ def recording_clock_findings(
     ]
 
 
-def _dropped_rows(t: Array, angle: Array, *, least_share: float = 0.01) -> Iterator[str]:
-    """A finding about rows that are missing one at a time, where no other row is in their place."""
+def dropped_rows(
+    t: Array, angle: Array, *, least_share: float = 0.01, even: float = 0.1
+) -> Iterator[str]:
+    """A finding about rows that are missing one at a time, where no other row is in their place.
+
+    Args:
+        t: Times in s, shape (T,).
+        angle: Measured angles of a joint, NaN where missing, shape (T,).
+        least_share: Smallest share of the steps that are twice as long.
+        even: Largest jitter, in steps, with which a step is known to be twice as long.
+    """
     rows = np.flatnonzero(np.isfinite(angle))
     if rows.size < 3:
         return
     steps = np.diff(t[rows])
-    twice = (np.diff(rows) == 1) & (_multiples(steps, float(np.median(steps))) == 2)
-    if twice.sum() > max(1, least_share * steps.size):
+    usual = float(np.median(steps))
+    jitter = timing(t[rows], np.zeros((rows.size, 1))).jitter_s
+    twice = (np.diff(rows) == 1) & (_multiples(steps, usual) == 2)
+    if jitter < even * usual and twice.sum() > max(1, least_share * steps.size):
         first = t[rows[np.flatnonzero(twice)[0]]]
         yield (
             f"{twice.sum()} samples are missing one at a time ({100 * twice.mean():.2g} % of the "
-            f"steps are twice the usual step), the first after {first:.4g} s."
+            f"steps are twice the usual step), the first after {first:.4g} s. When set-points were "
+            "sent in between is not known, which looks like irregular timing."
         )
 
 

@@ -244,3 +244,19 @@ def test_a_joint_that_is_stopped_most_of_the_time_is_left_out():
     assert any("gripper does not follow its command" in x and "left out" in x for x in model.notes)
     with pytest.raises(InputError, match="found an angle that does not follow its command: for"):
         identify([recording.without({"j1"}) for recording in both], simulated.robot("gripper"))
+
+
+def test_missing_rows_are_no_irregular_timing(monkeypatch):
+    monkeypatch.setattr(simulated, "PERIOD", 0.01)
+    rng = np.random.default_rng(0)
+    chirp = lambda t: 0.4 * np.sin(2 * np.pi * (0.3 + 0.2 * t) * t)  # noqa: E731
+    recordings = []
+    for seed, command in ((1, None), (2, chirp)):
+        recording = simulated.recording(seed, f"r{seed}", seconds=6, noise=5e-4, command=command)
+        kept = rng.random(recording.t.size) > 0.08
+        kept[:-1] |= ~kept[1:]  # rows are missing one at a time
+        arrays = {name: getattr(recording, name)[kept] for name in ("t", "command", "position")}
+        recordings.append(replace(recording, **arrays))
+    found = s2r.diagnose(recordings, ROBOT)
+    assert found.effects == ()
+    assert ["samples are missing one at a time" in text for text in found.warnings] == [True] * 2

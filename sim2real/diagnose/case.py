@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
@@ -57,6 +58,8 @@ class JointCase:
         servo: Its data sheet, or None.
         stated: Sets of effects that recordings were designed to distinguish; all are tried.
         effort: As of ``Case``.
+        lacks_rows: Whether rows of its recordings are missing one at a time, so that the times of
+            some set-points are not known.
     """
 
     name: str
@@ -68,6 +71,7 @@ class JointCase:
     servo: Servo | None = None
     stated: Sequence[StatedSet] = ()
     effort: float = 1.0
+    lacks_rows: bool = False
 
     @property
     def stall_Nm(self) -> float | None:
@@ -115,7 +119,8 @@ def prepared(case: Case) -> list[JointCase]:
             model = case.model.joints.get(joint.name) if case.model else None
             references = traces(case.references, joint.name)
             stated = stated_sets(case.recordings, joint.name)
-            given = (model, references, joint.servo, stated, case.effort)
+            lacks_rows = any(any(dropped_rows(x.t, x.position)) for x in data)
+            given = (model, references, joint.servo, stated, case.effort, lacks_rows)
             joints.append(JointCase(joint.name, data, noise, step, *given))
     if not joints:
         file = case.recordings[0].file

@@ -301,14 +301,17 @@ def _with_links(
                 group = Group((link.effect,), DECISION.most_certain, 1.0)
                 remaining = excess(link.unexplained[k], joints[j].traces, batch, _noise(finding))
                 remaining = min(remaining, finding.excess)
+                unexplained = remaining > DECISION.structured_excess
+                groups = () if instead else finding.groups
+                lacks_rows = any(joints[i].lacks_rows for i in robot)  # and so looks irregular
                 explained[j] = replace(
                     finding,
-                    mismatch=True,
-                    unexplained=remaining > DECISION.structured_excess,
+                    mismatch=not lacks_rows or unexplained or bool(groups),
+                    unexplained=unexplained,
                     excess=remaining,
                     best=finding.tried.plain if instead else finding.best,
-                    groups=(group,) if instead else (*finding.groups, group),
-                    link=link,
+                    groups=groups if lacks_rows else (*groups, group),
+                    link=None if lacks_rows else link,
                     place=k,
                 )
     if not alone:
