@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from harness import command_line
 
 import sim2real as s2r
 from rl.commands.ablate import make_testbeds
@@ -38,17 +39,13 @@ POOL = Path("datasets/pool")
 
 def main() -> None:
     """Swim or join, and write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = command_line(
+        __doc__, reality=Path, reality_cell_m=0.01, cell_m=(float, "of each arm's own simulator"),
+        device="cpu", repeats=8, longest=(int, "control periods of a trial (default 1000)"),
+        at_once=(int, "robots in the reality (default: its own word)"), seed=0,
+    )  # fmt: skip
     parser.add_argument("runs", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--reality", type=Path)
-    parser.add_argument("--reality-cell-m", type=float, default=0.01)
-    parser.add_argument("--cell-m", type=float, help="of each arm's own simulator")
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--repeats", type=int, default=8)
-    parser.add_argument("--longest", type=int, help="control periods of a trial (default 1000)")
-    parser.add_argument("--at-once", type=int, help="robots in the reality (default: its own word)")
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     plan, arms, folders = trained(options.runs)

@@ -13,14 +13,13 @@ writes arm.json, arm.md and arm.png.
 
 from __future__ import annotations
 
-import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from harness import command_line, spread
 
 from sim2real import verbs
 from sim2real.arrays import Array
@@ -51,8 +50,9 @@ def recordings(case: str, seconds: float) -> tuple[list[Recording], list[Array]]
     return [recording for recording, _ in played], [true for _, true in played]
 
 
-def result(case: str, method: str, seconds: float) -> dict[str, Any]:
+def result(task: tuple[str, str, float]) -> dict[str, Any]:
     """Errors on the two unseen recordings and the parameters, of every joint."""
+    case, method, seconds = task
     robot = verbs.robot_of(ROBOT)
     recorded, true = recordings(case, seconds)
     model = verbs.identify(
@@ -169,18 +169,15 @@ def plot(results: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Run the cases and write the report."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("reports/arm"))
+    parser = command_line(
+        __doc__, out=Path("reports/arm"), seconds=(30.0, "length of a recording"), processes=2
+    )
     parser.add_argument("--cases", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
-    parser.add_argument("--seconds", type=float, default=30.0, help="length of a recording")
-    parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    tasks = [(case, method) for case in options.cases for method in options.methods]
-    with ProcessPoolExecutor(options.processes) as pool:
-        running = [pool.submit(result, *task, options.seconds) for task in tasks]
-        results = [task.result() for task in running]
+    tasks = [(c, method, options.seconds) for c in options.cases for method in options.methods]
+    results = list(spread(result, tasks, options.processes))
     plot(results, options.out / "arm.png")
     for joints in (found["joints"] for found in results):
         for found in joints.values():

@@ -16,7 +16,6 @@ stay as they are.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.decision_curves import Curve, Sample, curve, least_sure
-from benchmarks.decision_rows import read
 from benchmarks.decision_sensitivity import alike, sensitivity
 from benchmarks.decision_values import of_sensors, values_of
+from benchmarks.harness import command_line, read_lines
 from sim2real.diagnose.decision import Odds
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,17 +44,17 @@ Array = NDArray[np.float64]
 
 def main() -> None:
     """Read off and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    measures = "also write the numbers that rows are measured with; examine the cases anew then"
+    parser = command_line(
+        __doc__, dry=(False, "only say what would be written"), measures=(False, measures),
+        steps=(Path, "how finely sensors read, JSON lines"),
+    )  # fmt: skip
     parser.add_argument("rows", type=Path, nargs="+", metavar="ROWS.jsonl")
-    parser.add_argument("--dry", action="store_true", help="only say what would be written")
-    parser.add_argument("--measures", action="store_true", help="also write the numbers that rows"
-                        " are measured with; examine the cases anew then")  # fmt: skip
-    parser.add_argument("--steps", type=Path, metavar="STEPS.jsonl", help="how finely sensors read")
     options = parser.parse_args()
     rows = []
     for k, path in enumerate(options.rows):
-        rows += [{**row, "case": f"{k}/{row['case']}"} for row in read(path)]
-    steps = read(options.steps) if options.steps else ()
+        rows += [{**row, "case": f"{k}/{row['case']}"} for row in read_lines(path)]
+    steps = read_lines(options.steps) if options.steps else ()
     write(rows, steps, dry=options.dry, measures=options.measures)
 
 

@@ -11,16 +11,13 @@ correlated in time, and how much is not told to the sampler.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from harness import command_line, spread
 from scipy.stats import binom
-from tqdm import tqdm
 
 from sim2real.arrays import Array
 from sim2real.identification.identify import identify
@@ -52,17 +49,12 @@ TITLES = ("kp", "kd", "latency")
 
 def main() -> None:
     """Run the cases, write figures, table and ranks."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=20)
-    parser.add_argument("--out", type=Path, default=Path("reports/coverage"))
-    parser.add_argument("--processes", type=int, default=1)
-    options = parser.parse_args()
+    options = command_line(
+        __doc__, cases=400, seed=20, out=Path("reports/coverage"), processes=1
+    ).parse_args()
     seeds = np.random.SeedSequence(options.seed).spawn(options.cases)
     found = [one_case(seeds[0])]  # alone: it compiles what the others load
-    with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:
-        rest = pool.map(one_case, seeds[1:])
-        found += tqdm(rest, total=options.cases - 1, desc="coverage", unit="servo", disable=None)
+    found += spread(one_case, seeds[1:], options.processes, unit="servo")
     ranks, spans = zip(*found, strict=True)
     write(np.array(ranks), np.array(spans), options.seed, options.out)
 

@@ -21,6 +21,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmarks.harness import read_lines
+
 if TYPE_CHECKING:
     from sim2real.diagnose.case import Case
     from sim2real.diagnose.joint_result import JointFindings
@@ -50,7 +52,7 @@ def main() -> None:
         lines = [json.dumps(row) for one in answers for row in stepped(options.set, one)]
         options.rows.write_text("\n".join(lines) + "\n")
         return
-    known = {row["case"] for row in read(options.rows)}
+    known = {row["case"] for row in read_lines(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
     # The first one compiles the kernels for all: the shortest, as the others wait for it.
     inputs = options.set / "inputs"
@@ -68,13 +70,13 @@ def main() -> None:
         for device in devices
     ]
     workers[0].start()
-    while not read(options.rows) and workers[0].is_alive() and time.perf_counter() < deadline:
+    while not read_lines(options.rows) and workers[0].is_alive() and time.perf_counter() < deadline:
         time.sleep(1.0)
     for worker in workers[1:]:
         worker.start()
     for worker in workers:
         worker.join()
-    print(f"{len({row['case'] for row in read(options.rows)})} of {len(answers)} cases")
+    print(f"{len({row['case'] for row in read_lines(options.rows)})} of {len(answers)} cases")
 
 
 def alike(challenge: Path, answers: Sequence[Row], together: int) -> list[Row]:
@@ -118,17 +120,6 @@ def work(
         with lock, options.rows.open("a") as file:
             file.writelines(json.dumps(row) + "\n" for row in rows)
         print(f"{device}: {', '.join(one['case'] for one in some)}", flush=True)
-
-
-def read(path: Path) -> list[Row]:
-    """The lines of a file; one that was cut off is left out."""
-    rows = []
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
 
 
 def measured(

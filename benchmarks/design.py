@@ -14,31 +14,23 @@ and counted.
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import resource
 import runpy
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the workers share the cores
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
-from multiprocessing import get_context
-
-import numpy as np
-from numpy.typing import NDArray
-from tqdm import tqdm
 
 _HERE = Path(__file__).resolve().parent
 # Without this folder, whose coverage.py numba would import in place of the package of that name.
 sys.path[:] = [folder for folder in sys.path if Path(folder or ".").resolve() != _HERE]
-for _folder in ("concealed", "foreign"):
-    sys.path.insert(0, str(_HERE.parent / "datasets" / _folder))
+for _folder in ("", "datasets/concealed", "datasets/foreign"):
+    sys.path.insert(0, str(_HERE.parent / _folder))
+import numpy as np  # noqa: E402
+from numpy.typing import NDArray  # noqa: E402
+
+from benchmarks.harness import command_line, kept, read_lines, spread  # noqa: E402 - one thread
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -371,6 +363,14 @@ def figure(rows: list[Row]) -> Any:  # noqa: ANN401 - Matplotlib is loaded when 
     return drawn_figure
 
 
+def numbered(job: tuple[int, int, tuple[str, ...], float]) -> Row:
+    """The row of a servo, or the error that it ended in."""
+    try:
+        return {"number": job[1]} | one_servo(job)
+    except Exception as refused:
+        return {"number": job[1], "refused": str(refused)}
+
+
 def write(rows: list[Row], options: argparse.Namespace) -> None:
     """Write every figure, the table and the plot."""
     from sim2real.output import write_whole
@@ -394,36 +394,18 @@ def write(rows: list[Row], options: argparse.Namespace) -> None:
 
 def main() -> None:
     """Run the servos, write every figure, print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--servos", type=int, default=200, metavar="N")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=1, metavar="N")
-    parser.add_argument("--out", type=Path, default=Path("reports/design"), metavar="DIR")
-    parser.add_argument("--quick", action="store_true", help="leave out the usual signals")
-    parser.add_argument(
-        "--nuisances", type=float, default=1.0, metavar="X",
-        help="scale of cogging and eccentricity; 1: up to five times the noise each",
-    )  # fmt: skip
-    options = parser.parse_args()
+    scale = "scale of cogging and eccentricity; 1: up to five times the noise each"
+    options = command_line(
+        __doc__, servos=200, seed=1, processes=1, out=Path("reports/design"),
+        quick=(False, "leave out the usual signals"), nuisances=(1.0, scale),
+    ).parse_args()  # fmt: skip
     signals = () if options.quick else USUAL
     jobs = [(options.seed, k, signals, options.nuisances) for k in range(options.servos)]
-    kept = options.out / "servos.jsonl"
-    options.out.mkdir(parents=True, exist_ok=True)
-    lines = kept.read_text().splitlines() if kept.exists() else []
-    rows = {row["number"]: row for row in map(json.loads, lines)}
+    file = options.out / "servos.jsonl"
+    rows = {row["number"]: row for row in read_lines(file)}
     missing = [job for job in jobs if job[1] not in rows]
-    with (
-        ProcessPoolExecutor(options.processes, get_context("spawn")) as pool,
-        kept.open("a") as file,
-    ):
-        found = {pool.submit(one_servo, job): job[1] for job in missing}
-        ended = as_completed(found)
-        for future in tqdm(ended, total=len(found), desc="design", unit="servo", disable=None):
-            number, refused = found[future], future.exception()
-            row = {"refused": str(refused)} if refused else future.result()
-            rows[number] = {"number": number} | row
-            file.write(json.dumps(rows[number]) + "\n")
-            file.flush()
+    made = spread(numbered, missing, options.processes, unit="servo", in_order=False)
+    rows |= {row["number"]: row for row in kept(file, made)}
     write([rows[k] for k in sorted(rows) if "refused" not in rows[k]], options)
     print(f"{sum('refused' in row for row in rows.values())} servos without a result")
 

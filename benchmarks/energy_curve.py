@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from harness import command_line
 from training_tables import group_of
 
 import sim2real as s2r
@@ -46,24 +47,15 @@ ELSEWHERE = {"pnl": "pnl tuned in the fluid", "adrc": "adrc tuned in the fluid"}
 
 def main() -> None:
     """Train, try, draw."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(
+        __doc__, device="cpu", cell_m=0.02, weights=list(WEIGHTS), seeds=2, seed=500, steps=int,
+        envs=int, segment=int, updates_per_step=float, tasks=["turn", "pentagram"], episodes=30,
+        gains=Path, draw_only=(False, "from the JSON that is there"),
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--device", default="cpu")
     parser.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
-    parser.add_argument("--cell-m", type=float, default=0.02)
-    parser.add_argument("--weights", type=float, nargs="+", default=list(WEIGHTS))
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=500)
-    parser.add_argument("--steps", type=int)
-    parser.add_argument("--envs", type=int)
-    parser.add_argument("--segment", type=int)
-    parser.add_argument("--updates-per-step", type=float)
-    parser.add_argument("--tasks", nargs="+", default=["turn", "pentagram"])
-    parser.add_argument("--episodes", type=int, default=30)
-    parser.add_argument("--gains", type=Path)
     parser.add_argument("--trained", nargs="+", metavar="[NAME=]FOLDER", default=[])
     parser.add_argument("--prices", type=float, nargs="+", help="of those trained, policy.zip each")
-    parser.add_argument("--draw-only", action="store_true", help="from the JSON that is there")
     options = parser.parse_args()
     torch.set_num_threads(1)
     if not options.draw_only:

@@ -8,7 +8,6 @@ control steps a second of batches of swimmers, and memory for each. Writes the s
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from harness import command_line
 
 from sim.fluid.fluid import Fluid, find_device
 from sim.fluid.wall import SLIP, Wall
@@ -45,12 +45,10 @@ WALLS = {"ghost": SLIP, "forcing": replace(SLIP, ghosts=False)}
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--threads", type=int, default=2)
+    parser = command_line(
+        __doc__, device="cpu", threads=2, out=Path, tiny=(False, "seconds only: does it run?")
+    )
     parser.add_argument("--wall", choices=WALLS, default="ghost", help="of the swimmers")
-    parser.add_argument("--tiny", action="store_true", help="seconds only: does it run?")
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     device, wall = find_device(options.device), WALLS[options.wall]
     rows: list[dict[str, Any]] = []

@@ -12,19 +12,16 @@ trials are swum in the reality. What counts is the width of the intervals of mea
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
 
 from benchmarks.forecast_realities import AGENTS, POOL, task_of
+from benchmarks.harness import command_line, spread
 from rl.forecast.causes import group_of, ranked
 from rl.forecast.diagnosed import Diagnosed, Possible
 from rl.forecast.make import named_controllers
@@ -184,21 +181,16 @@ def summary(results: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Judge the ranking in some realities."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--realities", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=42)
-    parser.add_argument("--draws", type=int, default=100)
-    parser.add_argument("--seconds", type=float, default=10.0, help="longest trial")
-    parser.add_argument("--processes", type=int, default=1)
-    options = parser.parse_args(arguments)
+    seconds = (10.0, "longest trial")
+    options = command_line(
+        __doc__, "out", realities=50, seed=42, draws=100, seconds=seconds, processes=1
+    ).parse_args(arguments)
     work = partial(one_reality, draws=options.draws, seconds=options.seconds)
     seeds = range(options.seed, options.seed + options.realities)
     results = []
-    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        for done in pool.map(work, seeds):
-            results.append(done)
-            print(done["seed"], done["effect"], done["narrowed"], flush=True)
+    for done in spread(work, seeds, options.processes, unit="reality"):
+        results.append(done)
+        print(done["seed"], done["effect"], done["narrowed"], flush=True)
     found = summary(results)
     write_json(options.out, {"summary": found, "realities": results})
     for name, value in found.items():

@@ -10,17 +10,15 @@ counted. Needs ``pip install numba``.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numba import njit
-from tqdm import tqdm
 
+from benchmarks.harness import command_line, spread
 from sim2real.arrays import Array
 
 LIMIT_RAD = 1e-4
@@ -166,16 +164,10 @@ def cost(train: dict[str, float], command: Array, *, members: int = 8, repeats: 
 
 def main() -> None:
     """Print the errors and how much slower two masses are than one."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--trains", type=int, default=200, metavar="N")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=2, metavar="N")
-    parser.add_argument("--cache", type=Path, help="folder to keep the reference's angles in")
-    options = parser.parse_args()
+    folder = (Path, "folder to keep the reference's angles in")
+    options = command_line(__doc__, trains=200, seed=1, processes=2, cache=folder).parse_args()
     jobs = [(options.seed, k) for k in range(options.trains)]
-    with ProcessPoolExecutor(options.processes) as pool:
-        answers = pool.map(partial(cached, options.cache), jobs)
-        answers = list(tqdm(answers, total=len(jobs), disable=None))
+    answers = list(spread(partial(cached, options.cache), jobs, options.processes, unit="train"))
     rows = [errors(*values) for values in answers]
     ratios = np.array([cost(train, command) for train, command, _ in answers[:40]])
     for name, kind in (("gap", "play"), ("compliance", "spring")):

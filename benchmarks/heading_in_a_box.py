@@ -8,12 +8,12 @@ swims are diagnosed (``sim.inference.in_water``) and cells of several sizes.
 
 from __future__ import annotations
 
-import argparse
 import json
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from harness import command_line
 from tqdm import tqdm
 
 from sim.inference.in_water import BOX_M, VISCOSITY_M2_S
@@ -51,17 +51,8 @@ def speeds(cell_m: float, wave: tuple[float, float], device: str) -> Array:
 
 def main() -> None:
     """Swim, write, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument(
-        "--cells",
-        type=float,
-        nargs="*",
-        default=[0.01, 0.012, 0.016, 0.02],
-        help="their sides, in m",
-    )
-    options = parser.parse_args()
+    cells = ([0.01, 0.012, 0.016, 0.02], "their sides, in m")
+    options = command_line(__doc__, "out", device="cpu", cells=cells).parse_args()
     found = []
     for cell_m, wave in tqdm(list(product(options.cells, WAVES)), disable=None):
         speed = speeds(cell_m, wave, options.device)

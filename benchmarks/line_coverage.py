@@ -9,16 +9,12 @@ program, which shares nothing with the library. ``identify`` gets half a minute 
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
+from harness import command_line, kept, read_lines, spread
 
 from sim2real.identification.identify import identify
 from sim2real.recording import Load, Recording
@@ -76,24 +72,12 @@ def one_case(seed: np.random.SeedSequence) -> list[tuple[float, float, float, fl
 
 def main() -> None:
     """Run the cases, print and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=2026)
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=ROOT / "reports" / "line_coverage")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    kept = options.out / f"seed-{options.seed}.jsonl"  # a run that was killed goes on from here
-    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    default = ROOT / "reports" / "line_coverage"
+    options = command_line(__doc__, cases=400, seed=2026, processes=1, out=default).parse_args()
+    file = options.out / f"seed-{options.seed}.jsonl"  # a run that was killed goes on from here
+    done = read_lines(file)
     seeds = np.random.SeedSequence(options.seed).spawn(options.cases)[len(done) :]
-    with (
-        ProcessPoolExecutor(options.processes, get_context("spawn")) as pool,
-        kept.open("a") as out,
-    ):
-        for rows in tqdm(pool.map(one_case, seeds), total=len(seeds), unit="servo", disable=None):
-            out.write(json.dumps(rows) + "\n")
-            out.flush()
-            done.append(rows)
+    done += kept(file, spread(one_case, seeds, options.processes, unit="servo"))
     text = report(np.array(done[: options.cases]), options.seed)
     (options.out / "README.md").write_text(text)
     print(text)

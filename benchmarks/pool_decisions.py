@@ -13,10 +13,8 @@ keep their values and reasons.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -25,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.decision_curves import logistic, loss
+from benchmarks.harness import command_line, spread
 from sim.inference.law_error import FILE, IN_WATER, named_decisions
 from sim.inference.swim_decision import BANDS, ROWS, Decided, Terms, decide
 from sim2real.output import write_json
@@ -190,8 +189,7 @@ def choose(
     robots = sorted({truth["robot"] for truth, _ in cases})
     parts = [[c for c in cases if c[0]["robot"] != out] for out in robots]
     tune = partial(tuned, begun=content["decisions"], go_on=go_on)
-    with ProcessPoolExecutor(at_once) as pool:
-        *found, best = pool.map(tune, [*parts, cases])
+    *found, best = spread(tune, [*parts, cases], at_once, unit="choice")
     best |= offering([c for c in cases if c[0]["held_out"]], best, go_on=go_on)
     apart = [
         (t, decide(f, numbers))
@@ -318,11 +316,9 @@ def _weights(
 
 def main() -> None:
     """Fit and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    go_on = (False, "from the odds of earlier cases")
+    parser = command_line(__doc__, in_water=False, go_on=go_on, processes=_AT_ONCE)
     parser.add_argument("sets", type=Path, nargs="+", help="sets, verdicts and results in turns")
-    parser.add_argument("--in-water", action="store_true")
-    parser.add_argument("--go-on", action="store_true", help="from the odds of earlier cases")
-    parser.add_argument("--processes", type=int, default=_AT_ONCE)
     options = parser.parse_args()
     sets, verdicts, graded = (options.sets[k::3] for k in range(3))
     target = IN_WATER if options.in_water else FILE

@@ -12,15 +12,14 @@ gained at the surface of the body. There is no skin friction, whose heat arises 
 water.
 """
 
-import argparse
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 from fluid_speed import MODEL, ROBOT
+from harness import command_line
 from resolution import VISCOSITY_M2_S, beat
 from tqdm import tqdm
 
@@ -132,11 +131,8 @@ class Balance:
 
 def main() -> None:
     """Simulate, write, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cells", type=float, nargs="+", default=[0.02, 0.0133333333, 0.01])
-    options = parser.parse_args()
+    cells = [0.02, 0.0133333333, 0.01]
+    options = command_line(__doc__, "out", device="cpu", cells=cells).parse_args()
     rows = []
     for cell_m in options.cells:
         work, wake, lost = Balance(cell_m, options.device).run()

@@ -10,16 +10,9 @@ the library.
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the workers share the cores
-
-from concurrent.futures import ProcessPoolExecutor
-
 import numpy as np
+from harness import command_line, spread
 from scipy.linalg import expm
-from tqdm import tqdm
 
 from sim2real.arrays import Array
 
@@ -77,14 +70,9 @@ def recover(seed: int) -> tuple[Array, Array, Array]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
-    parser.add_argument("--servos", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
+    options = command_line(__doc__, servos=200, seed=1, workers=2).parse_args()
     seeds = range(1000 * options.seed, 1000 * options.seed + options.servos)
-    with ProcessPoolExecutor(options.workers) as pool:
-        results = list(tqdm(pool.map(recover, seeds), total=options.servos, disable=None))
+    results = list(spread(recover, seeds, options.workers, unit="servo"))
     truth, estimate, interval = (np.array(x) for x in zip(*results, strict=True))
     error = np.abs(estimate - truth)
     covered = (interval[..., 0] <= truth) & (truth <= interval[..., 1])

@@ -11,7 +11,6 @@ be simulated on several machines; ``resolution.png`` shows all. ``--wall forcing
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from fluid_speed import MODEL, ROBOT, WALLS
+from harness import command_line
 from tqdm import tqdm
 
 from sim.fluid.wall import Wall
@@ -64,14 +64,12 @@ WAVES = (Wave(1.0, 1.0), Wave(1.5, 0.8), Wave(0.75, 1.2), Wave(1.0, 0.7))
 
 def main() -> None:
     """Swim and hold at each size, print, write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cells", type=float, nargs="*", default=[0.04, 0.02])
-    parser.add_argument("--waves", type=int, nargs="*", default=[0, 1, 2, 3], help="which swim")
+    parser = command_line(
+        __doc__, device="cpu", cells=[0.04, 0.02], waves=([0, 1, 2, 3], "which swim"),
+        seconds=(SECONDS, "of a free swim"), no_held=(False, "do not measure held forces"),
+        out=Path("reports/resolution"),
+    )  # fmt: skip
     parser.add_argument("--wall", choices=WALLS, default="ghost")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="of a free swim")
-    parser.add_argument("--no-held", action="store_true", help="do not measure held forces")
-    parser.add_argument("--out", type=Path, default=Path("reports/resolution"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     wall = WALLS[options.wall]

@@ -11,18 +11,16 @@ published parameters are left as they are without ``--bam``.
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.bam_agreement import ask, imported
+from benchmarks.harness import command_line, spread
 from sim2real.arrays import Array
 from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
@@ -74,14 +72,14 @@ gains; these are the errors of each entry at both (mrad, RMS; at {supply} V):
 
 def main() -> None:
     """Make the entries, and write the page."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--bam", metavar="PYTHON", help="Python of the environment that has BAM")
-    options.add_argument("--processes", type=int, default=2)
-    chosen = options.parse_args()
+    bam = (str, "Python of the environment that has BAM")
+    chosen = command_line(__doc__, bam=bam, processes=2).parse_args()
     if not REAL.is_dir():
         raise SystemExit(f"no real recordings in {REAL}; set SIM2REAL_REALDATA")
-    with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
-        identified = [*pool.map(xl330, GAINS), *pool.map(sts3215, ["single"])]
+    identified = [
+        *spread(xl330, GAINS, chosen.processes, unit="gain"),
+        *spread(sts3215, ["single"], chosen.processes, unit="stand"),
+    ]
     entries = identified + (published(chosen.bam) if chosen.bam else [])
     for entry in entries:
         write_model(entry.model, FOLDER / f"{entry.name}.json")

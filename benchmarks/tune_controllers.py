@@ -16,16 +16,15 @@ on the tasks as they are. Writes ``rl/controllers/tuned.toml``.
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from harness import command_line
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
@@ -279,13 +278,10 @@ def scores(name: str, gains: dict[str, float], seed: int) -> dict[str, float]:
 
 def main() -> None:
     """Search, score, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--refine", action="store_true", help="about the gains that there are")
-    parser.add_argument("--generations", type=int, default=40)
+    about = (False, "about the gains that there are")
+    parser = command_line(__doc__, refine=about, generations=40, out=TUNED, seed=0)
     parser.add_argument("--only", choices=[*KINDS], action="append")
     parser.add_argument("--pace", choices=PACES, action="append")
-    parser.add_argument("--out", type=Path, default=TUNED)
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     known = tomllib.loads(TUNED.read_text()) if TUNED.exists() else {}

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from harness import command_line
 from tqdm import tqdm
 from tune_controllers import BOUNDS, KINDS, LIMITS, MODEL, PRICES, ROBOT, as_toml
 
@@ -89,15 +90,10 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
 
 def main() -> None:
     """Search, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(
+        __doc__, device="cpu", cell_m=0.02, rounds=8, candidates=12, trials=4, seed=0, first=TUNED
+    )
     parser.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cell-m", type=float, default=0.02)
-    parser.add_argument("--rounds", type=int, default=8)
-    parser.add_argument("--candidates", type=int, default=12)
-    parser.add_argument("--trials", type=int, default=4)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=Path, default=TUNED)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     torch.set_num_threads(1)

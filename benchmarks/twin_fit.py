@@ -11,15 +11,13 @@ own swim. Writes ``reports/twin/`` and the library's coefficients, ``sim/twin/fi
 
 from __future__ import annotations
 
-import argparse
 import json
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from harness import command_line, spread
 from scipy.optimize import OptimizeResult, least_squares
 from tqdm import tqdm
 from twin_report import report
@@ -150,10 +148,7 @@ def fit() -> None:
     swims = Swims(OUT / "fluid.npz")
     held = np.array([name in HELD_OUT for name in swims.names])
     seen = np.flatnonzero(~held)
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(len(STARTS), mp_context=spawn) as pool:
-        jobs = pool.map(partial(fitted, swims, seen), STARTS)
-        found = list(tqdm(jobs, desc="starts", total=len(STARTS), disable=None))
+    found = list(spread(partial(fitted, swims, seen), STARTS, len(STARTS), unit="start"))
     best = min(found, key=lambda one: one.cost)
     chosen = law_of(best.x)
     deviation, condition = uncertainty(best, seen.size)
@@ -184,11 +179,8 @@ def fit() -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fluid", action="store_true", help="swim in the fluid, fit nothing")
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--cell-m", type=float, default=0.01)
-    options = parser.parse_args()
+    fluid = (False, "swim in the fluid, fit nothing")
+    options = command_line(__doc__, fluid=fluid, device="cpu", cell_m=0.01).parse_args()
     if options.fluid:
         fluid(options.device, options.cell_m)
     else:

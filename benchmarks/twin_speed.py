@@ -5,11 +5,11 @@ python benchmarks/twin_speed.py [--robots 256] [--device cpu]
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
 from fluid_speed import MODEL, ROBOT
+from harness import command_line
 
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.twin import SUBSTEPS, Twin
@@ -19,10 +19,7 @@ SECONDS = 12.0
 
 def main() -> None:
     """Swim once to compile, then three times; the best counts."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", type=int, default=256)
-    parser.add_argument("--device", default="cpu")
-    options = parser.parse_args()
+    options = command_line(__doc__, robots=256, device="cpu").parse_args()
     times = CONTROL_S * np.arange(round(SECONDS / CONTROL_S))
     wave = np.sin(2 * np.pi * times[:, None] - 1.2 * np.arange(3))
     sent = np.minimum(1.0, times)[:, None] * np.array([0.3, 0.45, 0.6]) * wave

@@ -12,15 +12,14 @@ plate (Fluid-Dynamic Drag, 1965).
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fluid_speed import MODEL, ROBOT, WALLS
+from harness import command_line
 from resolution import WAVES
 
 from sim.cases import foil, momentum, plate, spheroid
@@ -173,12 +172,10 @@ def cases(wall: Wall, device: str, tiny: bool) -> dict[str, Callable[[], Result]
 
 def main() -> None:
     """Run the cases that OUT lacks, print and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("out", type=Path)
+    tiny = (False, "seconds on a CPU: do the cases run?")
+    parser = command_line(__doc__, "out", device="cpu", tiny=tiny)
     parser.add_argument("--wall", choices=WALLS, default="ghost")
-    parser.add_argument("--device", default="cpu")
     parser.add_argument("--only", nargs="*", help="first words of the cases to run")
-    parser.add_argument("--tiny", action="store_true", help="seconds on a CPU: do the cases run?")
     options = parser.parse_args()
     results = json.loads(options.out.read_text()) if options.out.exists() else {}
     for name, run in cases(WALLS[options.wall], options.device, options.tiny).items():

@@ -250,10 +250,8 @@ def _held_out(truth: Row, folder: Path, held_out: Path) -> Row | None:
         parts = {one["component"] for one in truth["effects"]}
         joints = [j for j in recording.joints if not parts or parts & {j, *SHARED}]
         joints = [j for j in joints if all(j in model.joints for model in models)]
-        given = folder / f"enriched_{path.stem}.npz"  # of rivals that are no model
         for name, model in zip(("base", "enriched"), models, strict=True):
-            angles = dict(np.load(given)) if name == "enriched" and given.exists() else None
-            squares[name] += _mean_squares(recording, model, joints, angles)
+            squares[name] += _mean_squares(recording, model, joints)
         floors = [_floor(truth, joint, path.stem) for joint in joints]
         squares["floor"] += [floor**2 for floor in floors if floor is not None]
     if not squares["base"]:
@@ -268,13 +266,10 @@ def _held_out(truth: Row, folder: Path, held_out: Path) -> Row | None:
     return {"base": base, "enriched": rich, "floor": floor, "eta": eta, "drop": 1 - rich / base}
 
 
-def _mean_squares(
-    recording: Recording, model: Model, joints: list[str], angles: dict[str, Any] | None
-) -> list[float]:
+def _mean_squares(recording: Recording, model: Model, joints: list[str]) -> list[float]:
     column = {joint: recording.joints.index(joint) for joint in joints}
-    if angles is None:
-        command = {joint: recording.command[:, column[joint]] for joint in joints}
-        angles = predict(model, recording.t, command, recording.loads)
+    command = {joint: recording.command[:, column[joint]] for joint in joints}
+    angles = predict(model, recording.t, command, recording.loads)
     return [float(np.nanmean((angles[j] - recording.position[:, column[j]]) ** 2)) for j in joints]
 
 

@@ -26,11 +26,12 @@ DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
 """In cells: depth below the surface from which the inner water moves with the body; distance by
 which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
 moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
-disc acts 0.1 cells too large, a plate 0.1 to 0.3 (``benchmarks/wall_constants.py``)."""
+disc acts 0.1 cells too large, a plate 0.1 to 0.3
+(``benchmarks/wall_constants.py`` at commit b0b616a6)."""
 GHOST_EDGE = 0.5
 """For ghost cells, in cells: distance by which the edges of a sheet are moved inwards. By its added
 mass a plate with this edge acts 0.6 to 1 cells too large at each edge
-(``benchmarks/wall_constants.py``)."""
+(``reports/resolution``)."""
 DAMPING = 0.015
 """Increase of the relaxation time of the cells next to ghost cells. With less a spheroid at rest in
 a stream has thrust and the flow can break down, with more it has drag in ideal fluid."""

@@ -338,7 +338,7 @@ def forecast(
         command: Set-points in rad, shape (T,), or (T, J) of all joints for the body.
         achieved: Share of the computed reduction of entropy that is expected of a recording. The
             computation assumes that one of the sets is the whole truth. By default that of servos,
-            a regression over 65 development benches of ``benchmarks/design_rivals.py``.
+            a regression over 65 development benches (``reports/design/rivals.md``).
         drawn_pairs: Number of pairs whose differences over time are worked out.
     """
     rivals, p = objective.rivals, objective.probability

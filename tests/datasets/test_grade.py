@@ -1,30 +1,17 @@
 """The grader's numbers, checked on cases made by hand."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sim2real.identification.fit import fit, gains, plain_row
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Load, Recording, write_recording
 from sim2real.servo.prediction import predict
-from sim2real.servo.trace import Trace
 
 FOLDER = Path(__file__).parents[2] / "datasets" / "concealed"
-MODULES = (
-    "grade",
-    "bars",
-    "page",
-    "rivals",
-    "rival_case",
-    "rival_bic",
-    "rival_torque",
-    "rival_sindy",
-    "rival_gp",
-)
+MODULES = ("grade", "bars", "page")
 LOADS = {joint: Load(0.002, 0.1, 0.1) for joint in ("j1", "j2", "j3")}
 NOISE = {"step_rad": 0.0, "white_rad": 0.001, "wander_rad": 0.0, "wander_s": 1.0}
 FRICTION = ("coulomb_friction", "j2", {"torque_Nm": 0.05})
@@ -317,49 +304,6 @@ def test_tiers_apart_and_answers_checked(code, challenge):
     results = challenge.results(code)
     assert list(results["tiers"]) == ["T1", "T2"]
     assert results["answers_as_published"] is False
-
-
-def test_rivals_march_adds_a_torque_to_the_plain_motion(code):
-    t = np.arange(0.0, 3.0, 0.02)
-    command = 0.3 * np.sin(5 * t)
-    trace = Trace("a", "a.csv", t, command, command, LOADS["j1"], np.ones(t.size, bool))
-    row = plain_row(2.0, 0.08, 0.04)
-    plain = fit([trace], row, gains(row, 0.002)[:1], evaluations=1, rounds=0)
-    wanted = Recording("wanted", "servo", ("j1",), t, command[:, None], command[:, None], LOADS)
-    case = code["rival_case"].Case({"j1": [trace]}, {"j1": plain}, wanted)
-    drag = code["rival_torque"].predicted(case, lambda state: -0.04 * state.v)["j1"]
-    heavier = replace(case.model.joints["j1"], kd_Nms_per_rad=0.12)
-    exact = predict(Model({"j1": heavier}), t, wanted.commands, LOADS)["j1"]
-    free = predict(case.model, t, wanted.commands, LOADS)["j1"]
-    assert np.abs(exact - free).max() > 0.02
-    np.testing.assert_allclose(drag, exact, atol=1e-3)
-
-
-def test_rivals_lacking_torque_is_that_of_the_hidden_effect(code):
-    t = np.arange(0.0, 6.0, 0.01)
-    command = {"j2": 0.4 * np.sin(4 * t) + 0.2 * np.sin(7 * t)}
-    true = servos(("gravity_load", "j2", {"torque_Nm": 0.1}))
-    position = predict(true, t, command, LOADS)["j2"]
-    trace = Trace("a", "a.csv", t, command["j2"], position, LOADS["j2"], np.ones(t.size, bool))
-    row = plain_row(2.0, 0.08, 0.04)
-    plain = fit([trace], row, gains(row, 0.002)[:1], evaluations=1, rounds=0)
-    state, lacking = code["rival_torque"].lacking_torque([trace], plain)
-    np.testing.assert_allclose(lacking, -0.1 * np.sin(state.q), atol=0.01)
-
-
-def test_rivals_say_nothing_of_what_the_references_show_too(code):
-    Case, Said = code["rival_case"].Case, code["rival_case"].Said
-    both, news = entry("backlash", "j1", 1.0), entry("deadband", "j1", 1.0)
-    wanted = Recording("wanted", "servo", (), np.zeros(2), np.empty((2, 0)), np.empty((2, 0)))
-    before = Case({}, {}, wanted)
-    method = {id(before): Said((both,), servos())}.get
-
-    def say(case):
-        return method(id(case), Said((both, news), servos()))
-
-    said = code["rivals"].news(Case({}, {}, wanted, before), say)
-    assert [one["effect"] for one in said.effects] == ["deadband"]
-    assert len(code["rivals"].news(Case({}, {}, wanted), say).effects) == 2
 
 
 def test_bars_side_by_side(code):

@@ -89,7 +89,6 @@ def test_a_servo_without_ratings_needs_a_robot_file(tmp_path, capsys):
 
 
 def test_after_a_kill_the_next_command_restores(tmp_path, state, capsys):
-    """``benchmarks/kill_recording.py`` does it a hundred times at any moment."""
     limits = {"profile_velocity": 44, "profile_acceleration": 7}
     with served(1, bus="dynamixel", **LOSSES) as servos:
         (servo,) = servos.servos
