@@ -206,7 +206,8 @@ def _as_recording(
     recording: Recording, robot: Robot, t: Array, command: Array, track: Array
 ) -> Recording:
     if not np.isfinite(track).all():
-        raise FloatingPointError(f"{recording.name}: the simulation diverged")
+        expected = "a robot and a model whose simulation is stable"
+        raise InputError(recording.file, "", "a motion that grows without bound", expected)
     return Recording(
         name=recording.name,
         kind="pool",

@@ -64,7 +64,7 @@ def read_arrays(
     what: str = "arrays",
     largest: int = LARGEST_BYTES,
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file by name; arrays of Python objects are refused.
+    """The arrays of an ``.npz`` file by name: real numbers, truth values or text.
 
     Args:
         path: The file.
@@ -73,12 +73,14 @@ def read_arrays(
         largest: As for ``read_members``.
 
     Raises:
-        InputError: As ``read_members``, or if a member is no array.
+        InputError: As ``read_members``, or if a member is no such array.
     """
     arrays = {}
     for name, content in read_members(path, expected, what=what, largest=largest):
         try:
             array = np.lib.format.read_array(BytesIO(content), allow_pickle=False)
+            if array.dtype.kind not in "biufU":
+                raise ValueError(f"an array of {array.dtype}")
         except Exception as error:  # as above
             raise InputError(path, name, f"no {what} ({reason(error)})", expected) from None
         arrays[name.removesuffix(".npy")] = array

@@ -20,6 +20,9 @@ LONGEST_PERIOD_S = 0.5
 """Servos complete a motion in less time: their dynamics are not visible at a slower rate."""
 LONGEST_COMMAND_PERIOD_S = 10.0
 """Set-points may be waypoints that are held for seconds."""
+LONGEST_PAUSES_S = 30.0
+"""Longest time of a recording without samples, unless the samples take longer: servos are simulated
+through it."""
 UNITS = (("seconds", 1.0), ("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
 
 
@@ -121,12 +124,14 @@ def check_sampling(
 
     Raises:
         InputError: If that step is below 20 us or above ``longest_s``; the message names the
-            unit in which the times would be plausible.
+            unit in which the times would be plausible. If the times have pauses that are longer
+            than the rest, and than half a minute.
     """
     if t.size < 2:
         raise InputError(file, where, f"{t.size} sample", "at least two")
     usual = float(np.quantile(np.diff(t), 0.75))
     if SHORTEST_PERIOD_S <= usual <= longest_s:
+        _check_pauses(file, t, usual, LONGEST_PAUSES_S * longest_s / LONGEST_PERIOD_S, where)
         return
     stated = usual / unit_s
     plausible = (unit for unit, size in UNITS if 1e-4 <= stated * size <= LONGEST_PERIOD_S)
@@ -135,6 +140,18 @@ def check_sampling(
     limits = f"between {1e6 * SHORTEST_PERIOD_S:g} us and {longest_s:g} s"
     expected = f"{limits}, with {where} in s{hint}" if where == "t_s" else f"{limits}{hint}"
     raise InputError(file, where, f"samples {usual:.4g} s apart", expected)
+
+
+def _check_pauses(
+    file: str | PathLike[str], t: Array, usual_s: float, longest_s: float, where: str
+) -> None:
+    steps = np.diff(t)
+    paused = float(steps[steps > GAP * usual_s].sum())
+    if paused > max(longest_s, t.size * usual_s):
+        row = int(np.argmax(steps))
+        found = f"{paused:.4g} s without samples, of which {steps[row]:.4g} s after {t[row]:.4g} s"
+        expected = f"at most {longest_s:g} s (was the clock set? cut the recording there)"
+        raise InputError(file, where, found, expected)
 
 
 def recording_clock_findings(

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.arm.description import Arm, arm_content, arm_from
+from sim2real.clock import SHORTEST_PERIOD_S
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
-from sim2real.structured import Fields, number_or_infinity, read_json
+from sim2real.structured import Fields, finite_number, number_or_infinity, read_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -153,7 +154,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         servos = {name: _with_added_rotor(joint) for name, joint in servos.items()}
     return Model(
         joints=servos,
-        body=top.table("body").content,
+        body=_read_body(top.table("body")),
         effects=_read_effects(top),
         fit={signal: _read_figures(fit.table(signal)) for signal in fit.content},
         notes=top.sentences("notes"),
@@ -190,6 +191,8 @@ def _read_joint(fields: Fields) -> JointModel:
     motor = fields.table("motor")
     if law == LAWS[0] and motor.content:
         raise fields.error("motor", "no such table where the law is pd")
+    if 0 < motor.number("loop_period_s", 0.0) < SHORTEST_PERIOD_S:
+        raise motor.error("loop_period_s", f"0 or at least {SHORTEST_PERIOD_S:g} s")
     interval, correlation = fields.table("interval"), fields.table("correlation")
     return JointModel(
         kp_Nm_per_rad=fields.number("kp_Nm_per_rad", low=0),
@@ -215,6 +218,41 @@ def _with_added_rotor(joint: JointModel) -> JointModel:
     effects = with_inertia(joint.effects, joint.motor.get(_ROTOR, 0.0) - rotor)
     motor = {name: value for name, value in joint.motor.items() if name != _ROTOR}
     return replace(joint, motor=motor, effects=effects)
+
+
+def _read_body(fields: Fields) -> Mapping[str, Any]:
+    """The content of the body's table, after a check of all fields that are read anywhere."""
+    for table in (fields.table(name) for name in ("twin", "water", "seems")):
+        for name in table.content:
+            table.number(name)
+    for name in ("normalised_density", "normalised_density_sd"):
+        low = 0.0 if name.endswith("_sd") else math.ulp(0.0)
+        if name in fields and not _numbers(fields.content[name], low):
+            raise fields.error(name, "a list of numbers, one for each link")
+    interval = fields.table("interval")
+    for name in interval.content:
+        _read_interval(interval, name)
+    _read_effects(fields)
+    if fields.content.get("posterior") is not None:
+        posterior = fields.table("posterior")
+        names = posterior.content.get("names")
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise posterior.error("names", "a list of names")
+        if not _numbers(posterior.content.get("mean"), size=len(names)):
+            raise posterior.error("mean", f"{len(names)} numbers")
+        rows = posterior.content.get("covariance")
+        square = isinstance(rows, list) and len(rows) == len(names)
+        if not square or not all(_numbers(row, size=len(names)) for row in rows or ()):
+            raise posterior.error("covariance", f"{len(names)} rows of {len(names)} numbers")
+    return fields.content
+
+
+def _numbers(value: object, low: float = -math.inf, size: int | None = None) -> bool:
+    """Whether ``value`` is a list of finite numbers of at least ``low``, of that size."""
+    numbers = [finite_number(x) for x in value] if isinstance(value, list) else [None]
+    if None in numbers or size not in (None, len(numbers)):
+        return False
+    return all(x is not None and x >= low for x in numbers)
 
 
 def _read_interval(fields: Fields, name: str) -> tuple[float, float]:

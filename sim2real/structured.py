@@ -209,8 +209,8 @@ class Fields:
     ) -> float:
         """Read a number, ``>= low`` and ``> above``; ``default`` if it is absent.
 
-        The number must be finite and plausible for the unit in its name (``units.plausible``)
-        unless ``infinite``, which also permits ``"inf"`` and ``"-inf"``.
+        The number must be finite and plausible for the unit in its name (``units.plausible``);
+        ``infinite`` also permits ``"inf"`` and ``"-inf"``.
         """
         if name not in self.content and default is not None:
             return default
@@ -223,8 +223,8 @@ class Fields:
         value = convert(self.content.get(name))
         if value is None or value < low or value <= above:
             raise self.error(name, expected)
-        smallest, largest, unit = (0.0, math.inf, "") if infinite else plausible(name)
-        if abs(value) > largest or (above == 0 and value < smallest):
+        smallest, largest, unit = plausible(name)
+        if largest < abs(value) < math.inf or (above == 0 and value < smallest):
             expected += f", from {smallest:g} to {largest:g} {unit}"
             raise self.error(name, expected)
         return value

@@ -59,6 +59,12 @@ def test_an_archive_that_states_too_little_is_not_unpacked_further(tmp_path):
     assert peak < 2**22
 
 
+@pytest.mark.parametrize("array", [np.zeros(2, complex), np.zeros(2, "M8[s]"), np.zeros(2, "S3")])
+def test_only_real_numbers_truth_values_and_text_are_read(tmp_path, array):
+    with pytest.raises(InputError, match="x.npy: found no arrays"):
+        read_arrays(npz(tmp_path / "x.npz", x=array), "an archive")
+
+
 def test_an_array_that_states_too_much_is_refused(tmp_path):
     stream = io.BytesIO()
     np.save(stream, np.zeros(3))

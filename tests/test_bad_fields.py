@@ -84,6 +84,14 @@ def test_robot_counts(tmp_path: Path) -> None:
             {"effects": [{"effect": "backlash", "parameters": {"gap_rad": "wide"}}]},
             ("joints.j1.effects[0].parameters.gap_rad", "'wide'", "a number"),
         ),
+        (
+            {"effects": [{"effect": "backlash", "parameters": {"gap_rad": 1e300}}]},
+            ("joints.j1.effects[0].parameters.gap_rad", "1e+300", "rad"),
+        ),
+        (
+            {"law": "motor", "motor": {"loop_period_s": 1e-9}},
+            ("joints.j1.motor.loop_period_s", "1e-09", "0 or at least 2e-05 s"),
+        ),
         ({"notes": 5}, ("joints.j1.notes", "5", "a list")),
         ({"correlation": {"kp, kd": "high"}}, ("joints.j1.correlation.kp, kd", "'high'")),
         ({"per_inertia": "yes"}, ("joints.j1.per_inertia", "'yes'", "true or false")),
@@ -103,6 +111,19 @@ def test_model_joint(tmp_path: Path, change: dict[str, Any], parts: tuple[str, .
         ({"joints": []}, ("joints", "[]", "a table")),
         ({"fit": {"j1.position_rad": 3}}, ("fit.j1.position_rad", "3", "a table")),
         ({"fit": {"j1.position_rad": {"train": "low"}}}, ("fit.j1.position_rad.train", "'low'")),
+        ({"body": {"twin": 3}}, ("body.twin", "3", "a table")),
+        ({"body": {"twin": {"across": 10**400}}}, ("body.twin.across", "a number")),
+        ({"body": {"water": {"viscosity_m2_s": "thick"}}}, ("body.water.viscosity_m2_s", "thick")),
+        ({"body": {"seems": {"error.surge_0": None}}}, ("body.seems.error.surge_0", "None")),
+        ({"body": {"normalised_density": [1.0, 0]}}, ("body.normalised_density", "one for each")),
+        ({"body": {"normalised_density_sd": 0.1}}, ("body.normalised_density_sd", "0.1")),
+        ({"body": {"interval": {"twin.across": [1]}}}, ("body.interval.twin.across", "two")),
+        ({"body": {"effects": [3]}}, ("body.effects[0]", "3", "a table")),
+        ({"body": {"posterior": {"names": ["a"], "mean": []}}}, ("body.posterior.mean", "1 num")),
+        (
+            {"body": {"posterior": {"names": ["a"], "mean": [1], "covariance": [[1, 2]]}}},
+            ("body.posterior.covariance", "1 rows"),
+        ),
     ],
 )
 def test_model_fields(tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]) -> None:

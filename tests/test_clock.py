@@ -129,6 +129,19 @@ def test_missing_samples_are_no_jitter_and_dropped_rows_are_named() -> None:
     assert finding.text.startswith(f"{lost.sum()} samples are missing one at a time (")
 
 
+def test_pauses_longer_than_the_rest_are_refused() -> None:
+    """Servos are simulated through them, in more and more time and memory."""
+    long = np.where(T < 4, T, T + 1e6)
+    words = ("1e+06 s without samples", "after 3.98 s", "at most 30 s")
+    message(lambda: check_sampling("log.csv", long), "log.csv: t_s", *words)
+    many = T + 60 * (np.arange(T.size) // 10)
+    message(lambda: check_sampling("log.csv", many), "without samples", "at most 30 s")
+    check_sampling("log.csv", np.where(T < 4, T, T + 29))
+    check_sampling("commands.csv", np.where(T < 4, T, T + 500), longest_s=10.0)
+    hour = np.arange(0.0, 600.0, 0.02)
+    check_sampling("log.csv", np.where(hour < 4, hour, hour + 599))
+
+
 def test_a_wrong_unit_of_time_is_named() -> None:
     def refused(t: np.ndarray, unit_s: float) -> str:
         read = lambda: check_sampling("log.csv", t, where="--time-unit", unit_s=unit_s)  # noqa: E731

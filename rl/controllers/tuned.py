@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from sim2real.errors import InputError
+from sim2real.structured import Fields, read_toml
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -24,14 +23,7 @@ def tuned(name: str, kind: type[Gains], pace: str = "middle", path: Path = TUNED
     """The gains under ``[name.pace]`` in ``path``.
 
     Raises:
-        InputError: If the table is missing, or a value is missing or not a number.
+        InputError: If the file cannot be read, or a value is missing or not a plausible number.
     """
-    with path.open("rb") as file:
-        table: dict[str, Any] = tomllib.load(file).get(name, {}).get(pace, {})
-    values = {}
-    for field in (one.name for one in fields(kind)):
-        value = table.get(field)
-        if not isinstance(value, int | float):
-            raise InputError(path, f"{name}.{pace}.{field}", repr(value), "a number")
-        values[field] = float(value)
-    return kind(**values)
+    table = Fields(path, "", read_toml(path)).table(name).table(pace)
+    return kind(**{field.name: table.number(field.name) for field in fields(kind)})

@@ -144,7 +144,8 @@ def is_spread(content: object) -> bool:
 
 
 def _numbers(values: NDArray[Any]) -> Array32:
-    numbers = np.asarray(values, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        numbers = np.asarray(values, dtype=np.float32)
     if not np.isfinite(numbers).all():
         raise ValueError("not finite")
     return numbers

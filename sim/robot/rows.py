@@ -129,6 +129,10 @@ def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
     mass = np.tile(nominal, (len(models), 1))
     for row, model in zip(mass, models, strict=True):
         if "normalised_density" in model.body:
+            if len(model.body["normalised_density"]) != len(row):
+                found = f"{len(model.body['normalised_density'])} values"
+                expected = f"{len(row)}, one for each link"
+                raise InputError("model", "body.normalised_density", found, expected)
             row[:] = np.asarray(model.body["normalised_density"]) * total * length / length.sum()
     com = np.array(
         [link.length_m / 2 if link.com_m is None else link.com_m for link in robot.links]
@@ -159,7 +163,7 @@ def servo_rows(robot: Robot, models: Sequence[Model]) -> Array:
                     "model", f"joints.{joint.name}", "gains per unit of inertia",
                     "gains in N m, from recordings that state their loads",
                 )  # fmt: skip
-            row = joint_row(servo, None, joint.name)
+            row = joint_row(servo, None, joint.name, alone=False)
             row[4] = 0.0  # no pendulum in the water
             if row[list(TRAIN_ROTORS)].any():  # the terms of a gear train know one inertia
                 row[3] += beyond_load(row)

@@ -43,6 +43,13 @@ class Hull:
         """From the nose to the tip of the tail in m."""
         return float(self.length.sum() + self.half_width[0, 0] + self.half_width[-1, 2])
 
+    @property
+    def extent(self) -> float:
+        """The largest of length, width and height in m."""
+        return max(
+            self.body_length, *(2 * float(x.max()) for x in (self.half_width, self.half_height))
+        )
+
 
 def hull_of(robot: Robot) -> Hull:
     """The hull of a robot whose links have a length, a width and a height.
@@ -84,7 +91,7 @@ def _draught(
 ) -> float | None:
     length, wide, high = (np.frombuffer(part) for part in parts)
     hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
-    step = hull.body_length / 60
+    step = hull.extent / 60
 
     def excess_mass(surface: float) -> float:
         volume = displaced(hull, step, 0.0, False, surface)[:, 0].sum()
@@ -95,7 +102,17 @@ def _draught(
     highest = max(float(hull.half_height.max()), *reach, 0.0)
     if excess_mass(highest) <= 0:
         return None
-    return float(brentq(excess_mass, -highest, highest, xtol=1e-4))
+    lowest = -highest
+    if excess_mass(lowest) > 0:  # a robot so light that it floats on the surface
+        lowest -= 2 * step
+        if excess_mass(lowest) > 0:
+            raise _too_light(mass_kg, sum(a.displaced_m3(lowest) for a in appendages))
+    return float(brentq(excess_mass, lowest, highest, xtol=1e-4))
+
+
+def _too_light(mass_kg: float, appendages_m3: float) -> InputError:
+    found = f"appendages that displace {WATER_KG_M3 * appendages_m3:.3g} kg of water"
+    return InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
 
 
 def afloat(
@@ -107,12 +124,11 @@ def afloat(
         The hull, and the depth in m that replaces its heights in two dimensions.
     """
     fine = float(hull.half_width.min()) / 2
-    volume = displaced(hull, max(fine, hull.body_length / 150), 0.0, flat)[:, 0].sum()
+    volume = displaced(hull, max(fine, hull.extent / 150), 0.0, flat)[:, 0].sum()
     carried = sum(appendage.displaced_m3(np.inf) for appendage in appendages)
     share = (mass_kg / WATER_KG_M3 - carried) / float(volume)
     if share <= 0:
-        found = f"appendages that displace {WATER_KG_M3 * carried:.3g} kg of water"
-        raise InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
+        raise _too_light(mass_kg, carried)
     return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
 
 

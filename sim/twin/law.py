@@ -7,7 +7,7 @@ if the wetted shape were mirrored in it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from sim.lattice.units import WATER_KG_M3
 from sim.robot.shape import Hull, afloat, draught
 from sim2real.arrays import Array
+from sim2real.errors import InputError, one_of
 from sim2real.robot import Robot
 from sim2real.structured import read_json
 
@@ -73,6 +74,11 @@ class Coefficients:
         defaults.
         """
         named = {k: float(v) for k, v in body.get("twin", {}).items()}
+        known = [field.name for field in fields(cls)]
+        for name in named:
+            if name not in known:
+                where = f"body.twin.{name}"
+                raise InputError("model", where, "an unknown key", one_of(name, known))
         return cls(**named) if named.keys() == FIRST else replace(FITTED, **named)
 
 

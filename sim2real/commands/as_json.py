@@ -26,7 +26,7 @@ def run_as_json(run: Run) -> Run:
     def quietly(options: argparse.Namespace) -> int:
         with contextlib.redirect_stdout(sys.stderr):
             status = run(options)
-        if status == 0:
+        if status == 0 or options.result is not None:  # such as the findings of a refused recording
             print(json.dumps(plain(_result(options)), allow_nan=False))
         return status
 

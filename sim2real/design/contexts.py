@@ -64,10 +64,17 @@ def _context(entry: Fields) -> Context:
     found = Context(
         name=entry.text("name"),
         loads={joint: read_load(loads.table(joint)) for joint in loads.content},
-        supply=entry.number("supply_ratio", 1.0, above=0.0),
-        gain=entry.number("gain_ratio", 1.0, above=0.0),
+        supply=_ratio(entry, "supply_ratio"),
+        gain=_ratio(entry, "gain_ratio"),
     )
     if found == Context(found.name):
         expected = "loads, supply_ratio or gain_ratio"
         raise InputError(entry.file, entry.where, "a context that changes nothing", expected)
     return found
+
+
+def _ratio(entry: Fields, name: str, most: float = 1000.0) -> float:
+    value = entry.number(name, 1.0, above=0.0)
+    if not 1 / most <= value <= most:
+        raise entry.error(name, f"a ratio from {1 / most:g} to {most:g}")
+    return value

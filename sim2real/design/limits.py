@@ -19,6 +19,8 @@ PERIOD_S = 0.02
 """Sample period of the recorder, s."""
 FINEST_RAD = 1e-4
 """Resolution of the commands where the data sheet states no position step, rad."""
+_FINEST_STEP_RAD = 1e-6
+"""Finest resolution of the commands."""
 REST_S = 1.0
 """Time at rest at either end, s, in which the noise of the sensor is estimated (``noise``)."""
 CONTINUOUS_SHARE = 0.5
@@ -111,7 +113,7 @@ def limits_of(robot: Robot, model: Model | None = None, joint: str | None = None
         rate_rad_s=servo.no_load_speed_rad_s,
         torque_Nm=torque,
         rms_torque_Nm=CONTINUOUS_SHARE * torque,
-        resolution_rad=step or FINEST_RAD,
+        resolution_rad=max(step, _FINEST_STEP_RAD) if step else FINEST_RAD,
     )
     lowest, highest = limits.ticks
     if highest - lowest < 2:
@@ -183,7 +185,8 @@ def within(commands: Array, limits: CommandLimits) -> Array:
     N, T = commands.shape
     still = round(limits.rest_s / limits.period_s)
     until_end = np.maximum(np.arange(T)[::-1] + 1 - still, 0) * most
-    wanted: Integers = np.round(commands / limits.resolution_rad).astype(np.int32)
+    steps = np.clip(np.round(commands / limits.resolution_rad), low, high)
+    wanted: Integers = steps.astype(np.int32)
     wanted = np.clip(wanted, np.maximum(low, rest - until_end), np.minimum(high, rest + until_end))
     wanted[:, :still] = rest
     limited = np.empty_like(wanted)

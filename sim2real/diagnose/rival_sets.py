@@ -226,8 +226,8 @@ def _joint(entry: Fields) -> JointRivals:
     return JointRivals(
         component=entry.text("component"),
         load=load,
-        period_s=noise.number("period_s"),
-        noise_rad=noise.number("innovation_sd_rad"),
+        period_s=noise.number("period_s", above=0),
+        noise_rad=noise.number("innovation_sd_rad", above=0),
         autoregression=numbers(noise, "autoregression"),
         sets=tuple(_set(one) for one in entry.tables("sets")),
     )
@@ -262,7 +262,7 @@ def _theta(entry: Fields) -> Array:
 
 
 def numbers(entry: Fields, name: str) -> Array:
-    """An array of finite numbers from a list, or lists, in a file.
+    """An array of finite numbers, of which products are finite, from a list or lists in a file.
 
     Raises:
         InputError: If it is of another form.
@@ -271,6 +271,6 @@ def numbers(entry: Fields, name: str) -> Array:
         values = np.array(entry.content.get(name), dtype=np.float64)
     except (TypeError, ValueError):
         values = np.array(np.nan)
-    if not np.isfinite(values).all():
-        raise entry.error(name, "finite numbers")
+    if not (np.abs(values) < 1e75).all():
+        raise entry.error(name, "finite numbers, within 1e75")
     return values

@@ -195,7 +195,8 @@ def servos_at(points: Array, inertia: float | Array) -> Array:
 def gains(row: Array, inertia: float) -> tuple[Parameter, Parameter, Parameter]:
     """Gains and latency, with natural units for a servo like ``row`` (P,)."""
     kp = max(float(row[0]), 1e-9)
-    kd = max(float(row[1]), 0.4 * float(np.sqrt(kp * (inertia + row[INERTIA_LEFT_OUT]))))
+    total = max(inertia + float(row[INERTIA_LEFT_OUT]), 1e-9)
+    kd = max(float(row[1]), 0.4 * float(np.sqrt(kp * total)))
     return (
         Parameter("kp_Nm_per_rad", 1e-9 * inertia, 1.6e5 * inertia, kp, kp),
         Parameter("kd_Nms_per_rad", 0.0, 1.6e3 * inertia, kd, float(row[1])),

@@ -29,7 +29,7 @@ from sim2real.servo.parameters import (
     ROTOR,
     motor_of,
 )
-from sim2real.servo.rollout import Simulator
+from sim2real.servo.rollout import SHORTEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 EXPLAINED = 1.15
@@ -191,7 +191,8 @@ def fit_motor(
     )
     inertia = scale_inertia(traces, plain.row)
     fastest = np.sqrt(1.5 * max(float(plain.row[0]), 1e-9) / inertia)
-    substep = float(min(longest_substep_s, 1 / (steps_per_radian * fastest)))
+    resolved = max(1 / (steps_per_radian * fastest), SHORTEST_SUBSTEP_S)
+    substep = float(min(longest_substep_s, resolved))
     simulator = Simulator(traces)
     problem = MotorProblem(traces, prior, free, substep, simulator, later_steps, behind)
     x = _candidates(problem, plain, rng, start, candidates) if starts is None else starts

@@ -256,6 +256,10 @@ def _npz(file: Path, columns: Mapping[str, str]) -> tuple[dict[str, Array], str]
     except (TypeError, ValueError) as error:
         raise InputError(file, "", f"no arrays of numbers ({error})", "an .npz archive") from None
     read = {ours: _array(file, arrays, theirs) for ours, theirs in columns.items()}
+    for ours, values in read.items():
+        if (infinite := np.flatnonzero(np.isinf(values))).size:
+            place = f"row {infinite[0] + 1} of the data, {columns[ours]}"
+            raise InputError(file, place, f"{values[infinite[0]]}", "a number or NaN")
     rows = {values.size for values in read.values()}
     if len(rows) > 1 or rows.pop() < 2:
         sizes = ", ".join(f"{columns[ours]}: {values.size}" for ours, values in read.items())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,6 +14,9 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError, shown
 from sim2real.importers.chain import Body, Hinge, Tree
 from sim2real.structured import read_text
+
+_LARGEST = 1e9
+"""Largest size of a number, SI."""
 
 TURNS = ("revolute", "continuous")
 NOT_TAKEN = {
@@ -159,9 +163,10 @@ def _vector(file: Path, element: Element, name: str, where: str) -> Array:
         values = np.array([float(word) for word in words])
     except ValueError:
         values = np.empty(0)
-    if values.size != 3 or not np.isfinite(values).all():
+    if values.size != 3 or not (np.abs(values) <= _LARGEST).all():
         found = shown(element.get(name))
-        raise InputError(file, f"{where}, {element.tag} {name}", found, "three numbers")
+        expected = f"three numbers within {_LARGEST:g}"
+        raise InputError(file, f"{where}, {element.tag} {name}", found, expected)
     return values
 
 
@@ -175,8 +180,10 @@ def _number(
         value = float(text or "")
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise InputError(file, f"{where} {name}", shown(text) if text else "nothing", "a number")
+    limit = math.inf if where.endswith("limit") else _LARGEST  # of which many are placeholders
+    if not math.isfinite(value) or abs(value) > limit:
+        expected = "a number" if limit == math.inf else f"a number within {limit:g}"
+        raise InputError(file, f"{where} {name}", shown(text) if text else "nothing", expected)
     return value
 
 

@@ -244,15 +244,16 @@ def central(
         high: Largest values, shape (F,).
 
     Returns:
-        The row (n,) and its derivatives (n, F).
+        The row (n,) and its derivatives (n, F), 0 where a neighbouring point has no finite value.
     """
     F = x.size
     ahead, back = np.minimum(x + size, high), np.maximum(x - size, low)
     diagonal = np.eye(F, dtype=bool)
     points = np.concatenate([x[None], np.where(diagonal, ahead, x), np.where(diagonal, back, x)])
     rows = simulate(points)
-    change = rows[1 : F + 1] - rows[F + 1 :]
-    return rows[0], np.asarray((change / (ahead - back)[:, None]).T)
+    with np.errstate(over="ignore", invalid="ignore"):
+        slope = (rows[1 : F + 1] - rows[F + 1 :]) / (ahead - back)[:, None]
+    return rows[0], np.where(np.isfinite(slope), slope, 0.0).T
 
 
 def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:

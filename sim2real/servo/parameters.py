@@ -13,6 +13,8 @@ from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Law
 from sim2real.recording import PER_INERTIA, Load
 
+_STIFFEST_RAD_S = 2.5e4
+"""Fastest resonance, 4 kHz; stiffer springs are unstable with the shortest sub-step."""
 BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity_Nm")
 """Columns of the plain PD servo; ``gravity_Nm`` is the pendulum's torque held level."""
 
@@ -98,7 +100,9 @@ def beyond_load(rows: Array) -> Array:
     return np.asarray(rows[..., ROTOR_INERTIA] + rows[..., INERTIA_LEFT_OUT] + train)
 
 
-def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Array:
+def joint_row(
+    joint: JointModel, load: Load | None, where: str = "model", *, alone: bool = True
+) -> Array:
     """The parameter row of a fitted joint, shape (len(COLUMNS),).
 
     Args:
@@ -106,9 +110,11 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
         load: Load on the shaft; by default that of the model. Ignored if the model is per unit of
             inertia.
         where: The joint's name, for messages.
+        alone: Whether the joint is simulated with the inertia of its row, not that of a body.
 
     Raises:
-        InputError: If the model has an effect or a parameter that the catalogue lacks.
+        InputError: If the model has an effect or a parameter that the catalogue lacks, a parameter
+            is negative that cannot be, or the joint is stiffer than any servo.
     """
     row = np.zeros(len(COLUMNS))
     row[:4] = joint.kp_Nm_per_rad, joint.kd_Nms_per_rad, joint.latency_s, joint.inertia_kgm2
@@ -128,7 +134,18 @@ def joint_row(joint: JointModel, load: Load | None, where: str = "model") -> Arr
         for name, value in fitted.parameters.items():
             if name not in names:
                 raise InputError(where, fitted.effect, repr(name), f"one of {', '.join(names)}")
+            if value < 0 <= effect.parameters[names.index(name)].low:
+                field = f"{fitted.effect}.{name}"
+                raise InputError(where, field, f"{value:g}", "a number of at least 0")
             row[FIRST_COLUMN[effect.name] + names.index(name)] = value
+    inertia = row[BASE.index("inertia_kgm2")] + row[INERTIA_LEFT_OUT] + row[ROTOR_INERTIA]
+    if alone and not inertia > 0:
+        found = f"{inertia:g} kg m2 with rotor and unmodelled inertia"
+        raise InputError(where, "inertia_kgm2", found, "more than 0")
+    if alone and row[0] > _STIFFEST_RAD_S**2 * inertia:
+        found = f"{row[0]:g} N m/rad on {inertia:g} kg m2, {(row[0] / inertia) ** 0.5:.3g} rad/s"
+        expected = f"a resonance of at most {_STIFFEST_RAD_S:g} rad/s"
+        raise InputError(where, "kp_Nm_per_rad", found, expected)
     return row
 
 
@@ -188,7 +205,9 @@ def in_context(
         joint,
         kp_Nm_per_rad=joint.kp_Nm_per_rad * float(factors["kp_Nm_per_rad"]),
         latency_s=joint.latency_s - sample_delay_s,
-        motor={name: x * float(factors[f"motor.{name}"]) for name, x in joint.motor.items()},
+        motor={  # unknown names are reported by ``joint_row``
+            name: x * float(factors.get(f"motor.{name}", 1.0)) for name, x in joint.motor.items()
+        },
     )
 
 

@@ -45,7 +45,7 @@ def predict(
         Angles in rad by joint, each of shape (T,).
 
     Raises:
-        InputError: If a joint is not in the model.
+        InputError: If a joint is not in the model, or its simulation is unstable.
     """
     from sim2real.servo.rollout import rollout
 
@@ -60,8 +60,11 @@ def predict(
         return predicted_arm(model.arm, model.joints, t, command)[1]
     angles = {}
     for joint, sent in command.items():
-        row = joint_row(model.joints[joint], (loads or {}).get(joint), where=f"model, {joint}")
+        origin = f"model, {joint}"
+        row = joint_row(model.joints[joint], (loads or {}).get(joint), where=origin)
         angles[joint] = rollout(row[None], t, sent)[0]
+        if not np.isfinite(angles[joint][np.isfinite(sent)]).all():
+            raise InputError(where, origin, "angles that grow without bound", "a stable servo")
     return angles
 
 

@@ -30,6 +30,8 @@ from sim2real.varying_load import VaryingLoad
 STEPS_PER_RADIAN = 32.0
 """Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""
 LONGEST_SUBSTEP_S = 0.002
+SHORTEST_SUBSTEP_S = 20e-6
+"""No servo has a mode that needs shorter ones: 500 Hz has 16 of them per radian."""
 _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
 _LANES = 4
@@ -113,7 +115,7 @@ def longest_substep(
     steps_per_radian: float | Array = STEPS_PER_RADIAN,
     longest_s: float = LONGEST_SUBSTEP_S,
 ) -> Array:
-    """Longest sub-step in s that resolves the fastest mode.
+    """Longest sub-step in s that resolves the fastest mode, at least ``SHORTEST_SUBSTEP_S``.
 
     Args:
         theta: Parameters, shape (..., P).
@@ -125,7 +127,7 @@ def longest_substep(
     total = inertia + beyond_load(theta)
     fastest = np.maximum(np.sqrt(kp / total), 0.5 * kd / total)
     steps: Array = 1 / np.maximum(steps_per_radian * fastest, 1e-9)
-    return np.minimum(longest_s, steps)
+    return np.clip(steps, SHORTEST_SUBSTEP_S, longest_s)
 
 
 def coarse_substep(substep_s: Array) -> Array:

@@ -95,6 +95,14 @@ def test_json_is_all_of_standard_output(bench, capsys):
     (found,) = json.loads(capsys.readouterr().out)
     assert found["recording"] == "steps"
     assert found["joints"][0]["moves"] > 3
+    table = pd.read_csv(bench / "steps.csv")
+    for joint in ("j1", "j2", "j3"):
+        table[f"{joint}.position_rad"] += 2 * np.pi * (table["t_s"] > 5)
+    table.to_csv(bench / "turned.csv", index=False)
+    shutil.copy(bench / "steps.json", bench / "turned.json")
+    assert main(["check", str(bench / "turned.csv"), "--json"]) == 2
+    (found,) = json.loads(capsys.readouterr().out)  # the errors, too
+    assert "error" in json.dumps(found)
     assert main(["density", str(bench / "robot.toml"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["links"][0] == "head"
     run = ["predict", str(bench / "model.json"), str(bench / "steps.csv"), "--json", "--out"]

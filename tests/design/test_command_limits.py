@@ -29,6 +29,13 @@ def test_any_signal_is_brought_within_the_limits_and_then_left_alone(limits):
     np.testing.assert_array_equal(within(commands, bounds), commands)
 
 
+@pytest.mark.parametrize("step", [1e-300, 1e-9, 1e-6])
+def test_fine_steps_of_the_position_do_not_overflow(step):
+    bounds = limits_of(robot(step=step))
+    wild = 1e6 * np.random.default_rng(0).normal(size=(3, 300))
+    assert violations(within(wild, bounds), bounds) == [[]] * 3
+
+
 def test_the_recorder_plays_the_commands_unchanged():
     bench = robot()
     commands = draw(np.random.default_rng(1), 12, limits_of(bench), 8.0)

@@ -42,6 +42,7 @@ def test_ratios_are_those_of_the_file(tmp_path):
         ('[[contexts]]\nname = "same"\n', "a context that changes nothing"),
         ('[[contexts]]\nname = "x"\ngains = 2.0\n', "contexts[0].gains"),
         ('[[contexts]]\nname = "x"\nsupply_ratio = 0.0\n', "contexts[0].supply_ratio"),
+        ('[[contexts]]\nname = "x"\ngain_ratio = 1e5\n', "a ratio from 0.001 to 1000"),
         (GOOD + GOOD, "two contexts named 'second arm'"),
         (GOOD.replace("0.004", "-1"), "contexts[0].loads.j1.inertia_kgm2"),
     ],

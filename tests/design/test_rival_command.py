@@ -26,6 +26,10 @@ def write(folder, rivals):
     (folder / "diagnosis.json").write_text(json.dumps(content))
 
 
+def noise(**changes):
+    return {"noise": RIVALS.content()["noise"] | changes}
+
+
 def design(*more):
     given = ["--robot", "robot.toml", "--diagnosis", "diagnosis.json", "--out", "next.csv"]
     return main(["design", *given, *SHORT, *more])
@@ -60,6 +64,9 @@ def test_commands_context_and_what_they_are_to_tell_are_written(files, capsys):
         (lambda rivals: [rivals | {"component": "k9"}], ("diagnosis.json", "'k9'", "j1")),
         (lambda rivals: [], ("diagnosis.json", "rival_sets", "leaves some open")),
         (lambda rivals: [rivals | {"noise": {}}], ("diagnosis.json", "rival_sets[0].noise")),
+        (lambda rivals: [rivals | noise(period_s=0)], ("noise.period_s", "above 0")),
+        (lambda rivals: [rivals | noise(innovation_sd_rad=-1)], ("innovation_sd_rad", "above 0")),
+        (lambda rivals: [rivals | noise(autoregression=[1e300])], ("autoregression", "1e75")),
     ],
 )
 def test_a_diagnosis_that_does_not_fit_is_one_line(files, capsys, change, parts):

@@ -241,3 +241,12 @@ def test_implausible_units_of_time(
     file = csv(tmp_path, "t,c,p\n" + "".join(f"{k * step!r},0.1,0.1\n" for k in range(20)))
     columns = column_map(["t=t", "j.command=c", "j.position=p"])
     message(lambda: read_table(file, columns, conversion(["rad"]), time_unit=unit), *parts)
+
+
+def test_infinite_values_of_an_archive_are_refused(tmp_path: Path) -> None:
+    time = np.arange(20.0)
+    time[3] = np.inf
+    np.savez(tmp_path / "x.npz", t=time, c=np.zeros(20), p=np.zeros(20))
+    columns = column_map(["t=t", "j.command=c", "j.position=p"])
+    read = lambda: read_table(tmp_path / "x.npz", columns, conversion(["rad"]), time_unit="s")  # noqa: E731
+    message(read, "row 4 of the data, t", "inf", "a number or NaN")

@@ -165,6 +165,16 @@ def test_a_start_outside_is_brought_inside():
     np.testing.assert_array_equal(found.x, 10.0)
 
 
+def test_a_neighbour_that_diverges_gives_no_derivative():
+    def simulate(points):
+        return np.where(points[:, :1] > 1.05, [[np.inf, np.nan]], points[:, :1] * [[1.0, 2.0]])
+
+    box = np.zeros(1), np.full(1, 2.0)
+    row, slope = central(simulate, np.ones(1), np.full(1, 0.1), *box)
+    np.testing.assert_array_equal(row, [1.0, 2.0])
+    np.testing.assert_array_equal(slope, [[0.0], [0.0]])
+
+
 def test_central_differences_are_the_derivatives():
     x = np.array([2.0, 10.0])
     high = np.array([10.0, 10.0])  # the second is on its bound

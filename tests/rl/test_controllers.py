@@ -241,6 +241,13 @@ def test_a_missing_gain_is_named(tmp_path: Path) -> None:
         tuned("pnl", PNLGains, path=tmp_path / "t.toml")
 
 
+@pytest.mark.parametrize("content", [b"\xab", b"[pnl", b"pnl = 3", b"[pnl]\nmiddle = 3"])
+def test_a_damaged_file_of_gains_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "t.toml").write_bytes(content)
+    with pytest.raises(InputError, match=r"t\.toml"):
+        tuned("pnl", PNLGains, path=tmp_path / "t.toml")
+
+
 class Counting(VecEnv):
     """Robot e ends an episode every ``ends[e]`` steps; rewards 1 a step; rows say who and when."""
 

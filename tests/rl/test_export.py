@@ -229,6 +229,8 @@ def test_a_format_that_fails_leaves_no_file_of_another(tmp_path, monkeypatch):
         ({"low_rad": np.zeros(2, np.float32)}, "low_rad"),
         ({"joints": np.array(["a", "b"])}, "joints"),
         ({"bias_0": np.full(32, np.nan, np.float32)}, "finite"),
+        ({"bias_0": np.full(32, 1e300)}, "finite"),
+        ({"bias_0": np.ones(32, complex)}, "complex128"),
         ({"observation": np.array(["x"] * 10)}, "observation"),
         ({"view": np.array('{"period": 0}')}, "a view"),
         ({"view": None}, "view"),

@@ -108,3 +108,13 @@ def test_the_reported_drive_of_late_samples_has_the_same_latency():
 def test_a_context_that_is_none_is_refused_in_one_line():
     bad = replace(recording(), metadata={"context": {"supply_ratio": -1}})
     message(lambda: trace(bad, "j1"), "context.supply_ratio", "-1", "above 0")
+
+
+def test_units_of_gains_are_numbers_whatever_the_inertia():
+    light = row(unmodelled_inertia={"inertia_kgm2": -INERTIA / 2})
+    assert [p.typical > 0 for p in gains(light, INERTIA / 4)] == [True] * 3
+
+
+def test_an_unknown_parameter_of_the_motor_is_refused():
+    joint = replace(stated(row(), Load(INERTIA)), law="motor", motor={"stall_torque": 1.0})
+    message(lambda: predict_recordings([recording()], Model({"j1": joint})), "'stall_torque'")

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from good_input import message
 from scipy.integrate import solve_ivp
 
-from sim2real.model import FittedEffect, JointModel
+from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.servo.parameters import BASE, COLUMNS, joint_row
-from sim2real.servo.rollout import rollout
+from sim2real.servo.prediction import predict
+from sim2real.servo.rollout import SHORTEST_SUBSTEP_S, longest_substep, rollout
 
 KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.0683, 0.002
 
@@ -153,3 +155,28 @@ def test_the_fast_kernel_moves_as_the_one_with_effects_does():
     alone = rollout(fast[None], t, command, substep_s=5e-4)
     beside = rollout(np.stack([fast, other]), t, command, substep_s=5e-4)
     np.testing.assert_array_equal(alone[0], beside[0])
+
+
+def test_no_servo_takes_unbounded_time():
+    """Absurd gains are simulated with a bounded number of sub-steps, or refused."""
+    damped = theta(kp_Nm_per_rad=1e6, kd_Nms_per_rad=1e9)
+    assert longest_substep(damped, damped[:, 3]) == SHORTEST_SUBSTEP_S
+    t = np.arange(0.0, 1.0, 0.02)
+    assert np.isfinite(rollout(damped, t, square(t))).all()
+    stiff = joint_row(JointModel(1.2e6, 0.0, 0.05, 0.002), None)
+    assert np.isfinite(rollout(stiff[None], t, square(t))).all()
+    stiffer = JointModel(1.3e6, 0.0, 0.05, 0.002)
+    message(lambda: joint_row(stiffer, None), "kp_Nm_per_rad", "2.55e+04 rad/s", "25000 rad/s")
+
+
+def test_parameters_that_no_servo_has_are_refused():
+    def refused(effect, *parts, **parameters):
+        joint = JointModel(2.2, 0.06, 0.05, 0.002, effects=(FittedEffect(effect, parameters),))
+        message(lambda: joint_row(joint, None), *parts)
+
+    refused("command_filter", "time_constant_s", "-0.1", "at least 0", time_constant_s=-0.1)
+    refused("unmodelled_inertia", "inertia_kgm2", "-0.001 kg m2", inertia_kgm2=-0.003)
+    limit = FittedEffect("quadratic_drag", {"coefficient_Nms2": 1e6})
+    model = Model({"j1": JointModel(2.2, 0.06, 0.05, 0.002, effects=(limit,))})
+    t = np.arange(0.0, 1.0, 0.02)
+    message(lambda: predict(model, t, {"j1": square(t)}), "model, j1", "without bound", "stable")

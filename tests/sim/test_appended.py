@@ -13,7 +13,7 @@ from sim.inference.swims import Swim, by_twin, simulated, with_values
 from sim.lattice.units import WATER_KG_M3 as WATER
 from sim.robot.shape import displaced, draught, hull_of
 from sim.robot.swimmer import Swimmer
-from sim.twin.law import Coefficients
+from sim.twin.law import Coefficients, hull_in_water
 from sim.twin.twin import Twin
 from sim2real.appendages import Appendage
 from sim2real.body import listed
@@ -160,6 +160,22 @@ def test_a_box_carries_a_part_of_the_weight():
     huge = replace(box, size_m=(1.0, 1.0, 1.0))
     with pytest.raises(InputError, match="appendages that displace 998 kg"):
         Swimmer(carrying(huge), servos(), dimensions=2, cell_m=0.04, box_m=(0.9, 0.9, 0.4))
+
+
+@pytest.mark.parametrize("size", ["width_m", "height_m", "length_m"])
+@pytest.mark.parametrize("value", [1e-6, 10.0, 1e5])
+def test_links_of_any_size_are_measured_on_a_grid_of_bounded_size(size, value):
+    head, *others = FISH.links
+    fish = replace(FISH, links=(replace(head, **{size: value}), *others))
+    hull, above = hull_in_water(fish, hull_of(fish))
+    assert np.isfinite(hull.half_height).all()
+    assert above > -hull.extent
+
+
+def test_a_robot_lighter_than_what_is_always_under_water_is_refused():
+    keel = Appendage("keel", "box", (0.1, 0.1, 0.04), (0.1, 0.0, 0.0), submerged=1.0)
+    with pytest.raises(InputError, match=r"displace 0.399 kg of water.* robot's 0.01 kg"):
+        draught(hull_of(FISH), 0.01, (keel,))
 
 
 def test_a_calibration_fits_the_areas_and_a_diagnosis_does_not():

@@ -128,6 +128,14 @@ def test_bad_input_is_refused():
         Twin(FISH, [servos()] * 2, n_envs=3)
 
 
+def test_a_body_of_another_robot_is_refused():
+    model = servos()
+    with pytest.raises(InputError, match=r"body\.normalised_density: found 2 values, expected"):
+        Twin(FISH, [replace(model, body={"normalised_density": [1.0, 1.0]})])
+    with pytest.raises(InputError, match=r"body\.twin\.accross: found an unknown key.*across"):
+        Coefficients.of({"twin": {"accross": 1.0}})
+
+
 def test_a_law_of_the_first_five_names_stays_what_it_was():
     first = {"across": 3.0, "along": 0.5, "added_mass": 0.8, "thrust": 0.7, "linear": 0.5}
     old = Coefficients.of({"twin": first})
