@@ -1,4 +1,4 @@
-"""A second recording that is designed, against a random one and the best of a menu.
+"""A second recording that is designed, against a random one.
 
 python benchmarks/design_rivals.py --benches 150 --processes 32 --out DIR
 
@@ -10,7 +10,6 @@ with the same loads to choose from, and both recordings are diagnosed together:
 
 designed   ``sim2real.design``: commands and load with the least expected entropy over the open sets
 random     one command of the families that designs start from, drawn at random, the load as it is
-menu       command and load of ``diagnose``'s menu that separate the closest rivals most
 
 A designed recording states the sets that were open, and the diagnosis of both recordings tries
 them in any case and holds out ends of recordings only. The others state nothing; with ``--stated``
@@ -64,15 +63,12 @@ from open_cases import draw_open_case  # noqa: E402
 
 from sim2real.design.candidates import draw  # noqa: E402
 from sim2real.design.contexts import AS_IT_IS, Context  # noqa: E402
-from sim2real.design.limits import CommandLimits, holding, limits_of, within  # noqa: E402
+from sim2real.design.limits import CommandLimits, holding, limits_of  # noqa: E402
 from sim2real.design.rivals import RivalObjective  # noqa: E402
 from sim2real.design.tell_apart import design_for_rivals, forecast  # noqa: E402
 from sim2real.diagnose.decision import DECISION  # noqa: E402
 from sim2real.diagnose.diagnose import Case, examined  # noqa: E402
-from sim2real.diagnose.joint_result import JointFindings  # noqa: E402
-from sim2real.diagnose.missing.investigate import ROUNDING  # noqa: E402
 from sim2real.diagnose.missing.open_sets import rival_sets  # noqa: E402
-from sim2real.diagnose.page.next_experiment import loaded, next_experiment  # noqa: E402
 from sim2real.diagnose.page.wording import diagnosis  # noqa: E402
 from sim2real.diagnose.result import Diagnosis, write_diagnosis  # noqa: E402
 from sim2real.diagnose.rival_sets import with_open_sets  # noqa: E402
@@ -82,13 +78,13 @@ from sim2real.robot import Robot, read_robot  # noqa: E402
 
 Row = dict[str, Any]
 
-ARMS = ("designed", "random", "menu")
+ARMS = ("designed", "random")
 STATED = " + sets"
 """Added to the name of an arm that is diagnosed with the open sets stated."""
 SECONDS = 16.0
-"""Duration of the second recording, that of the menu's commands."""
-CONTEXTS = ("none", "added_inertia", "added_weight")
-"""Loads that are to be had, as the menu names them."""
+"""Duration of the second recording."""
+CONTEXTS = ("added_inertia", "added_weight")
+"""Loads that are to be had: twice the inertia, and a weight of 50 g on an arm of 0.1 m."""
 LEFT = 0.05
 """Probability from which an effect that was not named remains a rival."""
 STATES = ("ambiguous", "unexplained", "one of two")
@@ -104,7 +100,6 @@ class Bench:
     robot: Robot
     folder: Path
     first: Diagnosis
-    findings: JointFindings
     state: str
     seed: list[int]
 
@@ -117,10 +112,8 @@ def write_take(case: ForeignCase, name: str, folder: Path) -> Path:
     return path
 
 
-def diagnosed(
-    paths: Sequence[Path], robot: Robot, first: Path | None = None
-) -> tuple[Diagnosis, JointFindings]:
-    """The diagnosis of a bench from its recordings, with what is known of its joint.
+def diagnosed(paths: Sequence[Path], robot: Robot, first: Path | None = None) -> Diagnosis:
+    """The diagnosis of a bench from its recordings.
 
     ``first`` is an earlier diagnosis, whose open sets are stated.
     """
@@ -132,7 +125,7 @@ def diagnosed(
     (joint,) = joints
     if joint.finding.mismatch:
         found = replace(found, rival_sets=(rival_sets(joint.joint, joint.finding),))
-    return found, joint
+    return found
 
 
 def graded(case: ForeignCase, found: Diagnosis, folder: Path) -> Row:
@@ -184,9 +177,9 @@ def looked_at(seed: list[int], folder: Path) -> Bench | str:
     path = write_take(case, "a", folder)
     (folder / "robot.toml").write_text(robot_toml(case))
     robot = read_robot(folder / "robot.toml")
-    found, joint = diagnosed([path], robot)
+    found = diagnosed([path], robot)
     state = state_of(case, found, graded(case, found, folder))
-    return Bench(case, robot, folder, found, joint, state, seed) if state else found.verdict
+    return Bench(case, robot, folder, found, state, seed) if state else found.verdict
 
 
 def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
@@ -196,16 +189,14 @@ def second(bench: Bench, arm: str) -> tuple[np.ndarray, str, Row]:
     limits = replace(limits_of(bench.robot, None, JOINT), period_s=rivals.period_s)
     start, context = time.perf_counter(), "none"
     if arm == "designed":
-        offered = [_context(name, rivals.load) for name in CONTEXTS[1:]]
+        offered = [_context(name, rivals.load) for name in CONTEXTS]
         contexts = [c for c in offered if _can_hold(c, limits, bench.robot)]
         given = {"contexts": contexts, "seconds": SECONDS, "again": True}
         design = design_for_rivals([rivals], bench.robot, **given)
         command = design.joints[0].command
         context = "none" if design.context == AS_IT_IS else design.context.name
-    elif arm == "random":
-        command = draw(rng, 1, limits, SECONDS)[0]
     else:
-        command, context = _of_menu(bench, limits)
+        command = draw(rng, 1, limits, SECONDS)[0]
     seconds = time.perf_counter() - start
     objective = RivalObjective(rivals, _context(context, rivals.load))
     remaining = forecast(objective, command).remaining
@@ -224,30 +215,16 @@ def _context(name: str, load: Load) -> Context:
     return Context(name, {JOINT: loaded(load, name)}) if name != "none" else AS_IT_IS
 
 
-def _of_menu(bench: Bench, limits: CommandLimits) -> tuple[np.ndarray, str]:
-    """Command and context of the menu for the members of a group, or else the likeliest sets."""
-    finding, most = bench.findings.finding, DECISION.report.experiment_rivals
-    tried = finding.tried.tried
-    for group in finding.groups:
-        others = finding.best.members - {group.members[0]}
-        rivals = [tried[others | {m}] for m in group.members if others | {m} in tried]
-        if len(rivals) > 1:
-            break
-    else:
-        rivals = [tried[members] for members in finding.posterior.sets]
-        rivals += sorted(tried.values(), key=lambda h: -h.evidence)
-        rivals = list({h.members: h for h in rivals}.values())
-    trace = bench.findings.joint.traces[0]
-    names = [min(h.members, default=ROUNDING) for h in rivals[:most]]
-    plan = next_experiment(
-        trace, rivals[:most], names, JOINT, 0.9 * limits.reach_rad, contexts=CONTEXTS
-    )
-    assert plan is not None and plan.t is not None and plan.signal is not None
-    # The menu's commands are at 50 Hz; the bench records at a rate of its own, within limits.
-    t = np.arange(round(SECONDS / bench.first.rival_sets[0].period_s))
-    t = t * bench.first.rival_sets[0].period_s
-    place = np.searchsorted(plan.t, t + 1e-9, side="right") - 1
-    return within(plan.signal[place][None], limits)[0], plan.context
+def loaded(load: Load, context: str) -> Load:
+    """What the shaft turns in a context."""
+    if context == "added_inertia":
+        return replace(load, inertia_kgm2=2 * load.inertia_kgm2)
+    if context == "added_weight":
+        mass, arm = 0.05, 0.1
+        moment = load.pendulum_mass_kg * load.pendulum_length_m + mass * arm
+        total = load.pendulum_mass_kg + mass
+        return Load(load.inertia_kgm2 + mass * arm**2, total, moment / total)
+    return load
 
 
 def recorded_again(
@@ -283,7 +260,7 @@ def recorded_again(
         open_sets[arm + STATED] = first
     rows = {}
     for label, earlier in open_sets.items():
-        found, _ = diagnosed([bench.folder / "a.csv", path], bench.robot, earlier)
+        found = diagnosed([bench.folder / "a.csv", path], bench.robot, earlier)
         entropy = found.rival_sets[0].entropy if found.rival_sets else 0.0
         rows[label] = graded(case, found, folder) | oracle | {"entropy": entropy}
     return rows
