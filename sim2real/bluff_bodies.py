@@ -121,6 +121,3 @@ class Sides:
         long = self.size_m[self.axis]
         wide = self.size_m[3 - direction - self.axis]
         return pi / 4 * wide**2 * long * _at(_MASS_CYLINDER, long / wide)
-
-
-__all__ = ["SCATTER", "Coefficient", "Sides", "volume_m3"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
@@ -117,8 +118,6 @@ class Servo(Sheet):
     no_load_speed_rad_s: Stated[float] = Stated()
     position_step_rad: Stated[float] = Stated("a number of at least 0")
     where: Place = ("robot", "servos")
-    type: str = ""
-    """Prior from other servos of this type: a name or a file, see ``servo_type``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -221,15 +220,17 @@ def _keys(sheet: type) -> list[str]:
 
 
 def _servo(name: str, fields: Fields) -> Servo:
-    fields.refuse_unknown(key for key in _keys(Servo) if key != "name")
-    kind = fields.text("type", "")  # a file name is relative to the folder of ``robot.toml``
+    known = [key for key in _keys(Servo) if key != "name"]
+    if "type" in fields:  # of earlier versions
+        known.append("type")
+        warnings.warn(f"{fields.file}: {fields.path('type')} is ignored", stacklevel=2)
+    fields.refuse_unknown(known)
     return Servo(
         name,
         max_torque_Nm=fields.optional_number("max_torque_Nm", above=0),
         no_load_speed_rad_s=fields.optional_number("no_load_speed_rad_s", above=0),
         position_step_rad=fields.optional_number("position_step_rad", low=0),
         where=(str(fields.file), fields.where),
-        type=str(Path(fields.file).parent / kind) if kind.endswith(".json") else kind,
     )
 
 

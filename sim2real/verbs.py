@@ -39,7 +39,6 @@ def identify(
     held_out: str | None = None,
     effects: Sequence[str] | str = (),
     law: Literal["pd", "motor"] | None = None,
-    together: bool = False,
     effort: float = 1.0,
     seed: int = 0,
 ) -> Model:
@@ -59,7 +58,6 @@ def identify(
         law: A motor (motor), whose torque has the limit that the recordings show: the torque-speed
             line of its data sheet, a flat limit, or both; or a linear servo (pd). By default motor,
             and pd where effects are given or the data sheet states neither torque nor speed.
-        together: Assume that joints with the same servo in robot.toml have motors of one make.
         effort: Multiple of the largest number of evaluations of a search; a note states which fits
             have spent theirs.
         seed: Seed of the search for a starting point.
@@ -82,7 +80,6 @@ def identify(
         "held_out": held_out,
         "effects": (effects,) if isinstance(effects, str) else effects,
         "law": law,
-        "together": together,
         "effort": effort,
         "seed": seed,
         "progress": lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),

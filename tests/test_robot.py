@@ -122,6 +122,15 @@ def test_a_bench_states_only_what_is_used(tmp_path: Path) -> None:
             use()
 
 
+def test_the_type_of_a_servo_is_ignored_with_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(BENCH)
+    robot = read_robot(path)
+    path.write_text(BENCH + 'type = "xl330"\n')
+    with pytest.warns(UserWarning, match=re.escape(f"{path}: servos.small.type is ignored")):
+        assert read_robot(path).joints == robot.joints
+
+
 def test_robots_compare_and_travel(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(BENCH)

@@ -219,6 +219,3 @@ def _with_errors(fit: Calibrated | InFluid, robot: Robot, cell_m: float | None =
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
     return replace(fit.model, body=body, fit={**fit.model.fit, **errors})
-
-
-__all__ = ["Calibration", "FluidSettings", "calibrate_body"]

@@ -180,6 +180,3 @@ def path_of(steps: Array, start: Array, joint: Array) -> Array:
     first = np.broadcast_to(joint, (len(steps), joint.shape[-1]))[:, None]
     angles = np.concatenate([first, steps[..., 3:]], axis=1)
     return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)
-
-
-__all__ = ["ROLLOUTS", "Batch", "Emulator", "coordinates_of", "path_of", "rollouts", "steps_of"]

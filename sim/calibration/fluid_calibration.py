@@ -135,6 +135,3 @@ def calibrate_in_fluid(
         raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
     progress(1.0)
     return InFluid(result, grid, held, train, np.sqrt(np.mean(noise, axis=0)))
-
-
-__all__ = ["InFluid", "calibrate_in_fluid"]

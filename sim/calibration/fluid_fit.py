@@ -124,6 +124,3 @@ def _weight(swim: Swim, error: Array, end: int) -> Array:
     residual = residual - residual.mean(axis=0)
     times = [float(autocorrelation_times(column)[0]) for column in residual.T]
     return np.asarray(1 / (sd * np.sqrt(np.minimum(times, _LONGEST))))
-
-
-__all__ = ["SHARE", "Fitted", "fit", "rmse"]

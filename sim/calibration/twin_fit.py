@@ -30,7 +30,6 @@ _ROUNDS = 2
 _LEVEL = 0.9
 _STEP = 0.05
 """Step of the derivatives, in the parameters' sizes."""
-_INSIDE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -124,6 +123,3 @@ def _sandwich(minimum: Minimum, problem: SwimProblem, signals: int) -> Array:
     meat = np.linalg.inv(problem.prior.covariance)
     meat = meat + np.sum([long_run(scores, min(BLOCK, len(scores))) for scores in parts], axis=0)
     return np.asarray(bread @ meat @ bread)
-
-
-__all__ = ["Calibrated", "calibrate"]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from sim import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
-from sim2real.diagnose.page.next_experiment import write_commands
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.extras import if_installed
 from sim2real.model import read_model, write_model
 from sim2real.output import beside, check_writable
-from sim2real.recording import Recording
+from sim2real.recording import Recording, write_recording
 from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Section, write_page
 from sim2real.robot import Robot, read_robot
@@ -51,10 +53,31 @@ def run(options: argparse.Namespace) -> int:
 
 
 def write_all(diagnosis: Diagnosis, out: Path) -> None:
-    """Write the diagnosis, the enriched model and the commands of the next experiment."""
+    """Write the diagnosis, the enriched model and the commands to repeat, if there are any."""
     enriched = beside(out, f"{out.stem}.enriched.json")
     write_model(diagnosis.model, enriched)
-    write_diagnosis(write_commands(diagnosis, out), out, enriched.name)
+    write_diagnosis(_with_commands(diagnosis, out), out, enriched.name)
+
+
+def _with_commands(found: Diagnosis, out: Path) -> Diagnosis:
+    """The diagnosis, naming the file of the commands to repeat, a recording without positions."""
+    plan = found.next_experiment
+    if plan is None or plan.t is None or plan.signal is None:
+        return found
+    path = beside(out, f"{out.stem}.next.csv")
+    load = found.model.joints[plan.component].load
+    recording = Recording(
+        name=path.stem,
+        kind="servo",
+        joints=(plan.component,),
+        t=plan.t,
+        command=plan.signal[:, None],
+        position=np.full((plan.t.size, 1), np.nan),
+        loads={} if load is None else {plan.component: load},
+        source="commands to record next, by sim2real diagnose",
+    )
+    write_recording(recording, path)
+    return replace(found, next_experiment=replace(plan, file=path.name))
 
 
 Swims = tuple[list["Swim"], "SwimSimulator | None"]

@@ -7,10 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sim.design.swim_commands import SwimLimits, draw, within
+from sim.design.swim_commands import SwimLimits, draw, usual, within
 from sim.design.swim_objective import SwimObjective
-from sim.inference.next_swim import MENU
-from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS
 from sim2real.design.limits import check_seconds, limits_of
 from sim2real.design.search import best
@@ -69,8 +67,8 @@ def design_swim(
 ) -> SwimDesign:
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
-    Random swims, and those of ``sim.inference.next_swim.MENU``, are simulated in the twin with each
-    set; the best are varied.
+    Random swims, and those of ``swim_commands.usual``, are simulated in the twin with each set; the
+    best are varied.
 
     Args:
         rivals: The sets that are open.
@@ -107,7 +105,7 @@ def design_swim(
     objective = SwimObjective(rivals, model, robot, limits, threads=threads, file=file)
     result = best(
         objective, limits, seconds, rng=np.random.default_rng(seed), draw=draw, within=within,
-        drawn=drawn, rounds=rounds, batch=16, start=_usual(limits, seconds), progress=progress,
+        drawn=drawn, rounds=rounds, batch=16, start=usual(limits, seconds), progress=progress,
     )  # fmt: skip
     for limit, excess in objective.excesses(result.command[None]).items():
         if excess[0] > 0:
@@ -116,10 +114,3 @@ def design_swim(
     names = tuple(joint.joint for joint in limits.joints)
     body = forecast(objective, result.command, achieved=1.0)  # not measured for swims
     return SwimDesign(AS_IT_IS, (body,), least, moved_joints=names)
-
-
-def _usual(limits: SwimLimits, seconds: float) -> Array:
-    """The swims of the menu after the rest at the start, shape (N, T, J)."""
-    t = limits.joints[0].times(seconds) - limits.rest_s
-    count = len(limits.joints)
-    return np.array([np.where(t[:, None] < 0, 0.0, f(t.clip(0), count)) for f in MENU.values()])

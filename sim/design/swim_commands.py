@@ -121,6 +121,33 @@ def square(rng: np.random.Generator, t: Array, joints: int) -> Array:
     return np.asarray(level[:, None] * (rng.random(joints) < 0.7))
 
 
+def usual(limits: SwimLimits, seconds: float) -> Array:
+    """Swims that any robot can make, after the rest at the start, shape (5, T, J).
+
+    Slow and strong strokes, quick and weak ones, a circle, strokes before coasting, and squares.
+    """
+    t = limits.joints[0].times(seconds) - limits.rest_s
+    joints = len(limits.joints)
+    swims = [
+        _strokes(t.clip(0), joints, 0.7, 1.1),
+        _strokes(t.clip(0), joints, 1.5, 0.5),
+        _strokes(t.clip(0), joints, 1.0, 0.9, turn=0.25),
+        _strokes(t.clip(0), joints, 1.2, 1.0, until_s=6.0),
+        np.tile(0.4 * np.sign(np.sin(np.pi * t.clip(0)))[:, None], (1, joints)),
+    ]
+    return np.where(t[:, None] < 0, 0.0, swims)
+
+
+def _strokes(
+    t: Array, joints: int, hertz: float, size: float, *, turn: float = 0.0, until_s: float = 12.0
+) -> Array:
+    """A wave of all joints about a bias, rad, shape (T, J)."""
+    sizes, lags = size * np.linspace(0.28, 0.6, joints), 1.1 * np.arange(joints)
+    ramp = np.clip(t / 0.8, 0, 1)[:, None] * (t[:, None] < until_s)
+    sent = ramp * (sizes * np.sin(2 * np.pi * hertz * t[:, None] - lags) + turn)
+    return np.asarray(np.clip(sent, -0.76, 0.76))
+
+
 _GAITS = (wave, square)
 _SHARES = (0.8, 0.2)
 """Gaits of parts of a swim, and how often each is drawn."""

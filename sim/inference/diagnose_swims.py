@@ -19,17 +19,16 @@ from sim.calibration.swim_parameters import Candidate
 from sim.inference import poses
 from sim.inference.coordinates import SwimSimulator, signals_at, signals_of
 from sim.inference.law_error import LAW_ERROR, LawError
-from sim.inference.next_swim import next_swim
 from sim.inference.resistance import resistance, with_resistance
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
-from sim.inference.swim_decision import Decided, decide
+from sim.inference.swim_decision import decide
 from sim.inference.swim_findings import findings
 from sim.inference.swim_sets import rival_sets
 from sim.inference.swims import Swim
 from sim.inference.twin_search import Fit, TwinSwims
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
-from sim2real.diagnose.result import Diagnosis, Estimate, Experiment, NamedEffect, Rival
+from sim2real.diagnose.result import Diagnosis, Estimate, NamedEffect, Rival, to_design
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
 from sim2real.progress import Progress
@@ -202,24 +201,13 @@ def diagnosis_of(
         diagnosis,
         gate=tuple(gate),
         unknown={"body": decided.unlisted},
-        next_experiment=_experiment(result, fitted, decided, likely),
+        next_experiment=to_design(
+            ("body", [name for name, _ in entry.group])
+            for entry in decided.named
+            if entry.probability >= likely
+        ),
         swim_rivals=rival_sets(result, decided.sets, law_error.decisions),
     )
-
-
-def _experiment(
-    result: Searched, fitted: Hypothesis[Fit], decided: Decided, likely: float
-) -> Experiment | None:
-    """The next recording, where a likely group has several members."""
-    for effect in decided.named:
-        if effect.probability >= likely and len(effect.group) > 1:
-            others = frozenset(names_of(fitted.members)) - {effect.name}
-            replaced = others | {effect.group[1]}
-            for hypothesis in result.found:
-                if frozenset(names_of(hypothesis.members)) == replaced:
-                    pair = (effect.name, effect.group[1])
-                    return next_swim(result.problem, fitted.fit, hypothesis.fit, pair)
-    return None
 
 
 def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:

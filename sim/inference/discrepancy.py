@@ -71,6 +71,3 @@ def of_changes(joints: int) -> dict[str, float]:
         for n in names(joints)
         if "off" not in n
     }
-
-
-__all__ = ["SHARE", "names", "of_changes", "shapes"]

@@ -324,9 +324,3 @@ def _read_water(path: Path) -> InWater:
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, "content", "no swims in water", "a file by --in-water") from error
     return InWater(names, steps, law)
-
-
-__all__ = [
-    "InWater", "by_twin_in_water", "read_water_swims", "resimulation", "robot_in_water",
-    "simulate_again", "simulate_in_water", "with_fluid_effects", "with_nearest_law", "write_water",
-]  # fmt: skip

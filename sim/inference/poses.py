@@ -34,6 +34,3 @@ def coloured(swims: Sequence[Swim], lag_s: float) -> float:
         for swim in swims
         if swim.pose_noise is not None and lag_s > 0
     )
-
-
-__all__ = ["coloured", "counted", "repeated", "repeated_variance"]

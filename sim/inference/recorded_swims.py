@@ -126,6 +126,3 @@ def _simulated_in_water(
             found = f"no simulation of the commands of {swim.name}"
             raise InputError(path, "commands", found, "one of every swim")
     return water
-
-
-__all__ = ["diagnose_recorded_swims", "simulator_of"]

@@ -61,6 +61,3 @@ def with_other_sizes(
         if predicted < best[k] and loss < out[k][1].loss:
             best[k], out[k] = predicted, (members, start)
     return out
-
-
-__all__ = ["with_other_sizes"]

@@ -78,6 +78,3 @@ def findings(
         model=model,
         baseline=baseline,
     )
-
-
-__all__ = ["findings"]

@@ -150,6 +150,3 @@ def _mount(swim: Swim) -> Array:
     out[1, :, 0], out[1, :, 1] = _MOUNT_M_S * c, -_MOUNT_M_S * s
     out[2, :, 0], out[2, :, 1] = _MOUNT_M_S * s, _MOUNT_M_S * c
     return out
-
-
-__all__ = ["gains"]

@@ -93,6 +93,3 @@ def carry(twin: Twin, pose: Array) -> None:
     everyone: Any = wp.ones(twin.n_envs, dtype=wp.int32, device=twin.device)
     inputs = [twin.chain, twin.motion, twin.water, everyone]
     wp.launch(start_twin, dim=twin.n_envs, inputs=inputs, device=twin.device)
-
-
-__all__ = ["RUN_UP_S", "by_film", "carry", "follower"]

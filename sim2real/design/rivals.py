@@ -234,15 +234,7 @@ class RivalObjective:
 def _whitened(
     products: Array, i: Index, j: Index, spread: Index, share: float = 1.0
 ) -> tuple[Array, Array]:
-    """Squares r' S^-1 r of P differences r, and log |S|, with S = I + share U U', both (N, P).
-
-    Args:
-        products: Inner products of vectors, shape (N, V, V).
-        i: Vectors from which r are differences, shape (P,).
-        j: Vectors that are subtracted, shape (P,).
-        spread: Vectors that are the columns of U, shape (P, F).
-        share: A factor.
-    """
+    """Squares r' S^-1 r of P differences r, and log |S|, with S = I + share U U', both (N, P)."""
     square = products[:, i, i] - 2 * products[:, i, j] + products[:, j, j]
     across = products[:, spread, i[:, None]] - products[:, spread, j[:, None]]
     inner = products[:, spread[:, :, None], spread[:, None, :]]
@@ -253,12 +245,7 @@ def _whitened(
 
 
 def _fitted_noise(square: Array, count: Array) -> Array:
-    """Twice the log-likelihood ratio, where the noise is fitted to what a set leaves, (N, P).
-
-    Args:
-        square: The same with the noise known: the squared distance of the predictions.
-        count: Number of samples, shape (N,).
-    """
+    """Twice the log-likelihood ratio, where the noise is fitted to what a set leaves, (N, P)."""
     mean = np.maximum(square, 0.0) / np.maximum(count[:, None], 1)
     return np.asarray(count[:, None] * np.log1p(mean))
 
@@ -287,10 +274,6 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
     """Derivatives by each free parameter, at the most probable set that has it.
 
     Waves of the angle that every servo has stay as they are: all sets have them alike.
-
-    Args:
-        rivals: The sets.
-        step: Step of the differences, in standard deviations of the parameter, given the others.
     """
     sets, M = rivals.sets, len(rivals.sets)
     free = [_free_columns(one) for one in sets]

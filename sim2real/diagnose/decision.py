@@ -74,8 +74,6 @@ class ReportDecision:
     rival_min_probability: float  # probability above which an effect is listed as considered
     throughout_share: float  # share of the time from which a mismatch is present throughout
     driving_gain: float  # gain in log-likelihood from which a state drives a mismatch
-    experiment_min_separation: float  # distance that an experiment must reach, in noise SD
-    experiment_rivals: int  # effects of one group between which an experiment is to decide
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +19,7 @@ from sim2real.output import write_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+DESIGN = "sim2real design --robot robot.toml --diagnosis diagnosis.json --out next.csv"
 Verdict = Literal[
     "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"
 ]
@@ -134,16 +135,15 @@ class DetectionLimit:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A recommended recording that distinguishes the members of a group.
+    """A recommended recording.
 
     Attributes:
-        component: The joint that the group belongs to.
-        separates: The members of the group.
-        command: Description of the command signal.
-        context: Change of the experiment: ``none``, ``torque_off``, ``added_inertia``, ...
-        separation: Distance of the predictions of the two closest rivals, in standard deviations
-            of the noise (norm of the whitened difference after refitting).
-        duration_s: Length of the recording.
+        component: The joint or the body that it is about.
+        separates: The members of a group that it is to distinguish.
+        command: Description of the command signal, or the shell command that designs it.
+        context: Change of the experiment: ``none``.
+        separation: Distance of the two closest rivals in standard deviations of the noise, or None.
+        duration_s: Length of the recording; None if it is yet to be designed.
         statement: The recommendation, in one sentence.
         file: Command CSV that ``record`` can play, relative to the diagnosis file.
         t: Times of the commands, s, shape (T,).
@@ -154,8 +154,8 @@ class Experiment:
     separates: tuple[str, ...]
     command: str
     context: str
-    separation: float
-    duration_s: float
+    separation: float | None
+    duration_s: float | None
     statement: str
     file: str | None = None
     t: Array | None = None
@@ -175,6 +175,15 @@ class Ladder:
     baseline: float
     enriched: float
     noise: float
+
+
+def to_design(groups: Iterable[tuple[str, Sequence[str]]]) -> Experiment | None:
+    """The recording for the first group (component, members) of several; None if there is none."""
+    for component, members in groups:
+        if len(members) > 1:
+            text = f"To tell apart what is left open of {component}, design a recording: {DESIGN}"
+            return Experiment(component, tuple(members), DESIGN, "none", None, None, text)
+    return None
 
 
 @dataclass(frozen=True)

@@ -63,11 +63,6 @@ def _on_its_line(
     """The servo with its motor's line, and its residual relative to that of the linear servo.
 
     None if the linear servo explains the recordings.
-
-    Args:
-        traces: Recordings of one joint.
-        servo: Its data sheet.
-        rng: Generator for the search for a starting point.
     """
     noise = sensor_noise(traces)
     start, others = first_guess(traces, rng)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal
 
 from sim2real.effects import named
 from sim2real.exporters.actuator import BEYOND_LIMIT, MOTOR_TERMS, SATURATION, LeftOut
@@ -33,7 +33,6 @@ _BETTER = 0.99
 """Largest error of a model with fewer effects, relative to the others, for it to be preferred."""
 _LINE = {name.removeprefix("motor.") for name in LINE}
 Which = Literal["nearest", "effects", "plain"]
-WHICH: tuple[Which, ...] = get_args(Which)
 """Models that can be chosen: the one with the smaller error, with effects, or without any."""
 
 

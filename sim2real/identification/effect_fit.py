@@ -77,19 +77,6 @@ def _starts(
     """Rows (N, P) with the smallest losses of a grid and a scan, each apart from the others.
 
     Every fourth value of a parameter in the scan is that without the effect.
-
-    Args:
-        traces: The joint's recordings.
-        plain: The fit of the plain servo.
-        effects: The effects to add.
-        rng: Generator for the scan.
-        grid_points: Largest number of points with the gains of the plain fit.
-        scan_points: Number of points with other gains.
-        frequency_rad_s: Range of the servo's natural frequency there.
-        damping_ratio: Range of its damping ratio.
-        latency: Range of its latency, relative to that of the plain fit.
-        apart: Smallest distance between starting points, as the logarithm of a ratio.
-        most: Largest number of starting points.
     """
     added = of_effects(effects, plain.row, plain.inertia, _known(traces))
     columns = [COLUMNS.index(p.name) for p in added]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -27,7 +27,6 @@ from sim2real.identification.fit import (
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.motor_prior import nominal_rotor
-from sim2real.identification.servo_type import ServoType, learn, type_of
 from sim2real.identification.uncertainty import (
     GAINS,
     Uncertainty,
@@ -72,7 +71,6 @@ class JointFit:
     model: JointModel
     figures: dict[str, float | None]
     held_out: str
-    motor: MotorFit | None
 
 
 def identify(
@@ -82,7 +80,6 @@ def identify(
     held_out: str | None = None,
     effects: str | Sequence[str] = (),
     law: Law | None = None,
-    together: bool = False,
     effort: float = 1.0,
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
@@ -100,8 +97,6 @@ def identify(
             friction if they show it; ``"pd"``: the linear servo. By default the motor, or the
             linear servo if ``effects`` are given or the data sheet states no torque or no speed,
             with a note in the latter case.
-        together: Whether joints with the same servo in the robot's file have motors of one type:
-            each is then fitted again with a prior from the others (``servo_type``).
         effort: Multiple of the largest number of evaluations of a search.
         seed: Seed of the search for a starting point.
         progress: Function that wraps the sequence of joints, to show progress.
@@ -128,23 +123,19 @@ def identify(
     # Each joint has a separate random generator, so that joints can be fitted concurrently.
     streams = dict(zip(moving, np.random.default_rng(seed).spawn(len(moving)), strict=True))
     servos = {joint: _servo(robot, joint, law or ("pd" if extra else None)) for joint in moving}
-    types = {j: type_of(servo) for j, servo in servos.items() if servo is not None}
 
-    def identify_joint(joint: str, prior: ServoType | None) -> JointFit:
+    def identify_joint(joint: str) -> JointFit:
         data = traces(recordings, joint)
         check_samples(split(data, held_out)[0], joint)
         notes = []
         if law is None and not extra and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        options = (held_out, extra, streams[joint], servos[joint], prior, notes, bool(warnings))
+        options = (held_out, extra, streams[joint], servos[joint], notes, bool(warnings))
         return _identify_joint(data, *options, effort)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
-        running = {joint: pool.submit(identify_joint, joint, types.get(joint)) for joint in moving}
+        running = {joint: pool.submit(identify_joint, joint) for joint in moving}
         results = {joint: running[joint].result() for joint in progress(moving)}
-    if together:
-        learned = {joint: _type_from_others(joint, servos, results) for joint in moving}
-        results |= {j: identify_joint(j, prior) for j, prior in learned.items() if prior}
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
@@ -159,31 +150,6 @@ def identify(
     )
 
 
-def fitted_motors(
-    recordings: Sequence[Recording], robot: Robot, *, seed: int = 0
-) -> dict[str, MotorFit]:
-    """The motor of every joint that moves, fitted to all of its recordings with nothing held out.
-
-    For ``servo_type.learn``. Joints that a linear servo explains do not constrain their motors and
-    are omitted.
-    """
-    _check_inputs(recordings, robot, None)
-    recordings, _ = admitted(recordings, robot)
-    rng = np.random.default_rng(seed)
-    motors = {}
-    for joint in robot.joints:
-        data = traces(recordings, joint.name)
-        if not data:
-            continue
-        noise = sensor_noise(data)
-        motor = choose_motor(
-            data, _fit_plain(data, noise, rng, joint.servo)[0], joint.servo, noise, rng
-        )
-        if motor.with_gains:
-            motors[joint.name] = motor
-    return motors
-
-
 def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
     """The joint's data sheet; None for the linear law.
 
@@ -193,21 +159,6 @@ def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
     if law == "pd" or described is None:
         return None
     return described.servo if law == "motor" or described.servo.states(*MOTOR_SHEET) else None
-
-
-def _type_from_others(
-    joint: str, servos: Mapping[str, Servo | None], results: Mapping[str, JointFit]
-) -> ServoType | None:
-    """Servo type learned from the other joints with the same servo, if there are any."""
-    servo, motor = servos[joint], results[joint].motor
-    if servo is None or motor is None:
-        return None
-    others = {j: r.motor for j, r in results.items() if j != joint and servos[j] == servo}
-    motors = [m for m in others.values() if m is not None and m.with_gains]
-    if not motors:
-        return None
-    per_inertia = motor.problem.traces[0].load is PER_INERTIA
-    return learn(servo.name, motors, ", ".join(others), per_inertia=per_inertia)
 
 
 def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str | None) -> None:
@@ -233,7 +184,6 @@ def _identify_joint(
     extra: list[Effect],
     rng: np.random.Generator,
     servo: Servo | None,
-    prior: ServoType | None,
     notes: list[str],
     warned: bool,
     effort: float,
@@ -245,7 +195,7 @@ def _identify_joint(
     motor = None
     if servo is not None and not without_influence:
         losses = not extra or fitted[0].varying is None
-        motor = choose_motor(fitted, best, servo, noise, rng, prior, losses=losses)
+        motor = choose_motor(fitted, best, servo, noise, rng, losses=losses)
     if motor is not None and motor.with_gains:
         best, rivals = motor.fit, []
     figures = _figures(best, residuals(best.row, scored), fitted, noise)
@@ -291,7 +241,7 @@ def _identify_joint(
     notes += ringing + advice.on_weight(fitted)
     notes += advice.on_fit(best, spread, ends, without_influence, figures, warned)
     model = _joint_model(best, ends, spread, load, tuple(notes), motor)
-    return JointFit(model, figures, held_out_name, motor)
+    return JointFit(model, figures, held_out_name)
 
 
 def _fit_plain(

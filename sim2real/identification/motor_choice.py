@@ -11,11 +11,9 @@ from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.fit import Fit
 from sim2real.identification.motor_fit import EXPLAINED, MotorFit, fit_motor
 from sim2real.identification.motor_prior import MotorPrior, motor_prior
-from sim2real.identification.servo_type import ServoType
 from sim2real.identification.torque_limit import fit_limit
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
-from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.parameters import LINE, LOSSES, ROTOR, SOFT
 from sim2real.servo.trace import Trace, shows_inertia
@@ -27,7 +25,6 @@ def choose_motor(
     servo: Servo,
     noise: float,
     rng: np.random.Generator,
-    servo_type: ServoType | None = None,
     *,
     losses: bool = True,
     white: float = 0.1,
@@ -39,8 +36,7 @@ def choose_motor(
 
     Where the linear servo explains them, its gains are kept and only the limit is fitted. Losses
     are included if they decrease the loss by clearly more than twice their number (Akaike's
-    criterion). The same applies to gradual friction and a sampled loop if a residual remains. A
-    servo of a known type has the losses of its type.
+    criterion). The same applies to gradual friction and a sampled loop if a residual remains.
 
     Args:
         fitted: The joint's recordings.
@@ -48,7 +44,6 @@ def choose_motor(
         servo: Its data sheet.
         noise: Standard deviation of its sensor noise in rad.
         rng: Generator for starts.
-        servo_type: Prior from other servos of its type.
         losses: Whether losses may be included; without them, as where effects are fitted instead,
             the motor's line and rotor are fitted.
         white: Lag-1 autocorrelation below which a residual counts as white.
@@ -57,14 +52,12 @@ def choose_motor(
         loop_parameters: Effective parameters of a loop, the best of a thousand periods and phases.
     """
     prior = motor_prior(servo, fitted)
-    if servo_type is not None:
-        prior = servo_type.prior(prior, per_inertia=fitted[0].load is PER_INERTIA)
     linear = fitted[0].varying is None  # on an arm the motor's rotor is needed
     if linear and rms(plain.residuals) < EXPLAINED * noise:
         return fit_limit(fitted, plain, prior, LINE, rng, noise=noise, gains=False)
     if not losses:
         return fit_motor(fitted, plain, prior, (*LINE, ROTOR), rng)
-    chosen = _fit_continuous(fitted, plain, prior, noise, rng, servo_type)
+    chosen = _fit_continuous(fitted, plain, prior, noise, rng)
     ratio = rms(chosen.fit.residuals) / noise
     explained = ratio < EXPLAINED and whiteness(chosen.fit.residuals) < white
     looped = None if explained or ratio > error_before_loop else fit_sampled_loop(chosen)
@@ -79,7 +72,6 @@ def _fit_continuous(
     prior: MotorPrior,
     noise: float,
     rng: np.random.Generator,
-    servo_type: ServoType | None,
     *,
     least_gain: float = 2.0,
 ) -> MotorFit:
@@ -89,9 +81,6 @@ def _fit_continuous(
     less than ``least_gain``, a fifth of what they need to be chosen; nor is gradual friction then.
     """
     line: tuple[str, ...] = (*LINE, ROTOR) if shows_inertia(fitted) else LINE
-    if servo_type is not None and set(servo_type.parameters) & set(LOSSES):  # no selection
-        softness = SOFT if set(servo_type.parameters) & set(SOFT) else ()
-        return fit_motor(fitted, plain, prior, (*line, *LOSSES, *softness), rng)
     first = fit_limit(fitted, plain, prior, line, rng, noise=noise)
     prior, line = first.problem.prior, first.free_names
     if rms(first.fit.residuals) < EXPLAINED * noise:

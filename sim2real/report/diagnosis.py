@@ -249,13 +249,8 @@ def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
 
 
 def _next(experiment: Experiment) -> list[Block]:
-    apart = (
-        f"It takes {experiment.duration_s:.0f} s and separates the two closest candidates by "
-        f"{experiment.separation:.0f} standard deviations of the noise."
-    )
     where = f" The command to play is in {experiment.file}." if experiment.file else ""
-    text = f"{experiment.statement} {apart}{where}"
-    blocks: list[Block] = [Text(text, heading="What to record next")]
+    blocks: list[Block] = [Text(experiment.statement + where, heading="What to record next")]
     t, signal = experiment.t, experiment.signal
     if t is not None and signal is not None and t.size and t.size == signal.size:
         caption = f"The command to play on {experiment.component}: {experiment.command}."

@@ -288,13 +288,7 @@ class Batch:
 
 
 def _unstable(angles: Array, servos: Mask, exact: Array) -> Mask:
-    """Rows that are unstable with long sub-steps, as under strong nonlinear damping, (rows,).
-
-    Args:
-        angles: Angles with long sub-steps in rad, shape (rows, T).
-        servos: Mask of the rows that are servos, not variants, shape (rows,).
-        exact: Angles of the servos with short sub-steps in rad, shape (servos, T).
-    """
+    """Rows that are unstable with long sub-steps, as under strong nonlinear damping, (rows,)."""
     unstable: Mask = np.logical_not(np.isfinite(angles).all(axis=1))
     with np.errstate(over="ignore", invalid="ignore"):
         close = np.mean((angles[servos] - exact) ** 2, axis=1) < _SAME_RAD**2

@@ -28,10 +28,6 @@ def _modules(*folders: Path, names: tuple[str, ...] = ()) -> Iterator[dict[str, 
 
     While the context lasts they are importable; their names are free again after it, as folders
     use the same ones.
-
-    Args:
-        folders: The folders, the first searched first.
-        names: The modules to import; all of the folders' if there are none.
     """
     files = [path for folder in reversed(folders) for path in folder.glob("*.py")]
     homes = {path.stem: path.parent for path in files}

@@ -1,12 +1,14 @@
 """``sim2real design --diagnosis``: files written, and the lines that refuse bad input."""
 
 import json
+import shlex
 
 import pytest
 from good_input import ROBOT
 from rival_pair import RIVALS
 
 from sim2real.cli import main
+from sim2real.diagnose.result import DESIGN, to_design
 from sim2real.recording import read_commands
 
 SHORT = ["--seconds", "3.5", "--no-page"]
@@ -31,8 +33,7 @@ def noise(**changes):
 
 
 def design(*more):
-    given = ["--robot", "robot.toml", "--diagnosis", "diagnosis.json", "--out", "next.csv"]
-    return main(["design", *given, *SHORT, *more])
+    return main([*shlex.split(DESIGN)[1:], *SHORT, *more])
 
 
 def refused(capsys, *parts):
@@ -40,6 +41,13 @@ def refused(capsys, *parts):
     assert len(lines) == 1
     for part in parts:
         assert part in lines[0]
+
+
+def test_a_group_of_several_members_asks_for_a_design():
+    plan = to_design([("j1", ("backlash",)), ("j2", ("command_filter", "sensor_filter"))])
+    assert (plan.component, plan.separates) == ("j2", ("command_filter", "sensor_filter"))
+    assert plan.command == DESIGN and plan.statement.endswith(DESIGN)
+    assert to_design([("j1", ("backlash",))]) is None
 
 
 def test_commands_context_and_what_they_are_to_tell_are_written(files, capsys):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simulated import INERTIA, NOISE, column, recording, robot, row, steps, traced
 
+from sim.commands.diagnose import write_all
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.changed.change import changed, jump_windows, what_changed
 from sim2real.diagnose.changed.comparison import alignment, beside_rest, freed_of_the_common
@@ -31,7 +32,7 @@ from sim2real.diagnose.changed.references import law_of, with_known_servos
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.errors import InputError
-from sim2real.recording import Load
+from sim2real.recording import Load, read_recording
 from sim2real.servo.parameters import joint_row
 
 RUBBING = {"coulomb_friction": {"torque_Nm": 0.03}}
@@ -407,10 +408,15 @@ def test_the_change_is_named_and_modelled(found):
     assert found[1].enriched_fit["j1.position_rad"]["train"] < 2 * NOISE
 
 
-def test_the_first_experiment_is_a_repeat_where_there_is_none():
+def test_the_first_experiment_is_a_repeat_where_there_is_none(tmp_path):
     references = [recording(k, f"ref_{k}", seconds=8.0) for k in (1, 2)]
     case = recording(3, "a", seconds=8.0)
-    plan = diagnose([case], robot("j1"), references=references).next_experiment
+    found = diagnose([case], robot("j1"), references=references)
+    plan = found.next_experiment
     assert plan is not None
     np.testing.assert_allclose(plan.signal, steps(case.t, np.random.default_rng(3)))
     assert "Repeat the command of a" in plan.statement
+    write_all(found, tmp_path / "diagnosis.json")
+    commands = read_recording(tmp_path / "diagnosis.next.csv")
+    np.testing.assert_allclose(commands.command[:, 0], plan.signal, atol=1e-6)
+    assert np.isnan(commands.position).all()

@@ -7,7 +7,7 @@ Nothing here comes from the tracker: lens, perspective and picture are written o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -250,8 +250,3 @@ def write_video(path: Path, pictures: Iterator[Picture], rate: float, codec: str
         writer.write(picture)
     writer.release()
     return path
-
-
-def quieter(shot: Shot) -> Shot:
-    """The same without noise, flicker and ripple."""
-    return replace(shot, noise=0.0, flicker=0.0, ripple=0.0)

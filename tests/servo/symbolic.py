@@ -64,11 +64,6 @@ def clock(t: Array, command: Array, latency: float) -> Clock:
     """Cut the time of a recording at samples and at arrivals of set-points.
 
     Set-points equal to the one before them change nothing and are no events.
-
-    Args:
-        t: Times in s, shape (T,).
-        command: Set-points in rad of one joint, shape (T,).
-        latency: Latency in s.
     """
     changes = 1 + np.flatnonzero(np.diff(command))
     events = np.concatenate([t, t[changes] + latency])
@@ -89,12 +84,6 @@ def clock(t: Array, command: Array, latency: float) -> Clock:
 
 def simulate(parameters: Array, load: Load, t: Array, command: Array) -> tuple[Array, Array]:
     """Angles of one servo from rest on its first set-point, and their derivatives.
-
-    Args:
-        parameters: The four numbers named in ``PARAMETERS``.
-        load: The stated load.
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
 
     Returns:
         Angles in rad, shape (T,), and derivatives by each parameter, shape (T, 4).

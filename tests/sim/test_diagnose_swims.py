@@ -18,7 +18,6 @@ from sim.inference.coordinates import WATER_FORCES, Coordinates, in_fit
 from sim.inference.diagnose_swims import diagnose_swims
 from sim.inference.followed import by_followed_twin
 from sim.inference.law_error import LAW_ERROR, read_law_error
-from sim.inference.next_swim import next_swim
 from sim.inference.searched import learned, searched
 from sim.inference.swim_decision import decide
 from sim.inference.swims import by_twin, swim_of, with_values
@@ -126,18 +125,6 @@ def test_errors_are_of_a_fit_that_has_not_seen_the_end(skin):
     end = error[round(0.7 * swim.t.size) :]
     stated = found.enriched_fit["body.surge"]["heldout"]
     assert stated == pytest.approx(np.sqrt(np.mean(end**2)), rel=0.02)
-
-
-def test_the_next_swim_is_for_two_materials_of_one_effect(few):
-    swim, simulate = swum({}), by_followed_twin(FISH)
-    prior = learned([], servos(), FISH, simulate, OF_THIS_LAW)
-    problem = TwinSwims(Coordinates.of(FISH, servos()), [swim], simulate, prior)
-    fit = problem.plain().fit
-    found = next_swim(
-        problem, fit, fit, (("surface_friction", "abs"), ("surface_friction", "rubber"))
-    )
-    assert "distinguish surface friction (abs) and surface friction (rubber)" in found.statement
-    assert "coasting" in found.statement
 
 
 def test_a_swim_with_nothing_missing_is_consistent(few):

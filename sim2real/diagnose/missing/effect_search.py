@@ -131,12 +131,6 @@ def _pairs_of_families(
 
     Either member alone takes up much of the other, so that an effect of another family may be
     likelier than each, and the pair would not be reached from the likeliest single effects.
-
-    Args:
-        problem: The search.
-        ledgers: What was tried: every effect by itself.
-        share: Evidence over the plain servo's that the member alone must have, relative to that of
-            the likeliest effect.
     """
     alone: list[tuple[Tried, str, Set]] = []
     for ledger in ledgers:

@@ -266,13 +266,6 @@ def _with_links(
     Irregular set-points can pass for a weak effect. So the link is examined twice: with
     what was found on its joints and without. Where not all joints show it, set-points may wait for
     the turn of one joint's own, slow controller.
-
-    Args:
-        batch: The recordings, joint by joint.
-        joints: The joints of the batch.
-        robots: Which of them share a link.
-        findings: What each is missing besides.
-        longest_jitter_s: Jitter from which none is reported; if finite, no losses are reported.
     """
     plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
     with_found = [robot for robot in robots if any(best[j] is not plain[j] for j in robot)]

@@ -240,14 +240,7 @@ def _jobs(
     *,
     starts_each: int = 2,
 ) -> list[list[Job]]:
-    """For each hypothesis every set of nuisances added to it, from the likeliest waves.
-
-    Args:
-        problem: The search.
-        pairs: Hypotheses, each with what was tried on its joint.
-        worth: Gain at first sight below which a nuisance is not tried.
-        starts_each: Waves of each nuisance from which fits start.
-    """
+    """For each hypothesis every set of nuisances added to it, from the likeliest waves."""
     lists = [
         [candidate(named(n), *problem.strength(ledger)) for n in _missing(h.members)]
         for ledger, h in pairs

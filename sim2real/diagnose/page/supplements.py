@@ -15,13 +15,11 @@ from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.missing.open_sets import rival_sets, set_probabilities
 from sim2real.diagnose.missing.screening import Candidate, Screen
 from sim2real.diagnose.missing.unmodelled import simulated_angle
-from sim2real.diagnose.page.next_experiment import next_experiment
-from sim2real.diagnose.result import DetectionLimit, Diagnosis, Experiment, JointSeries, Ladder
+from sim2real.diagnose.result import DetectionLimit, Diagnosis, JointSeries, Ladder, to_design
 from sim2real.diagnose.rival_sets import design_of
 from sim2real.diagnose.separation import separations
 from sim2real.findings import all_findings
 from sim2real.inference.normal import NINE_IN_TEN
-from sim2real.robot import Robot
 from sim2real.servo.linearised import residual_torque, smooth_speed
 
 
@@ -56,24 +54,11 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
             for joint in joints
             if joint.finding.mismatch and not joint.joint.references
         ),
-        next_experiment=repeat([j.joint for j in joints]) or _for_rivals(case.robot, joints),
+        next_experiment=repeat([j.joint for j in joints])
+        or to_design(
+            (effect.component, effect.group) for effect in found.effects if not case.references
+        ),
     )
-
-
-def _for_rivals(robot: Robot, joints: Sequence[JointFindings]) -> Experiment | None:
-    """The next experiment for the first group of several members."""
-    for joint in joints:
-        finding, limits = joint.finding, robot.joint(joint.name)
-        tried = finding.tried.tried
-        for group in finding.groups:
-            others = finding.best.members - {group.members[0]}
-            known = {m: tried[others | {m}] for m in group.members if others | {m} in tried}
-            if len(known) > 1 and limits is not None:
-                reach = 0.9 * min(abs(x) for x in limits.limits_rad)
-                members = list(known)[: DECISION.report.experiment_rivals]
-                rivals = [known[m] for m in members]
-                return next_experiment(joint.joint.traces[0], rivals, members, joint.name, reach)
-    return None
 
 
 def _limits(joint: JointFindings) -> list[DetectionLimit]:
