@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rl.make import Fidelity, draws_of
-from rl.sac.recipes import plan_of
+from rl.sac.recipes import QUICK, plan_of
 from rl.sac.train import Arm, train, train_in_parts
 from sim2real.model import read_model
 from sim2real.output import provenance
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
+
+__all__ = ["QUICK", "train_run"]
 
 
 def train_run(
