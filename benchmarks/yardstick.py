@@ -119,12 +119,11 @@ def report(before: Answers, after: Answers, truths: dict[str, Any]) -> Iterator[
         found += moved
     for name in sorted(after):
         if before.get(name, {}).get(INPUTS) != after[name].get(INPUTS):
-            yield f"{name}: {'its files differ' if name in before else 'nothing'} in what is stored"
+            yield f"{name}: {'stored for other files' if name in before else 'not stored'}"
     pairs = [(n, v, before[n][v], after[n][v]) for n, v in shared]
     sizes = {"verdict": len(pairs), "names": len(pairs)}
-    sizes |= {
-        kind: sum(len(b[kind + "s"]) for _, _, b, _ in pairs) for kind in ("estimate", "error")
-    }
+    for kind in ("estimate", "error"):
+        sizes[kind] = sum(len(b[f"{kind}s"]) for _, _, b, _ in pairs)
     for kind, size in sizes.items():
         bad = sum(move.kind == kind and not move.nearer for move in found)
         yield f"{kind}: the same or nearer in {size - bad} of {size}"
@@ -158,7 +157,7 @@ def answers(case: Case, out: Path) -> dict[str, Any]:
         message, cpu_s = called([*call, "--out", str(file)])
         pace = (pace + pace_s()) / 2
         answer = {"names": {}, "estimates": {}, "errors": {}, "cpu_s": cpu_s, "pace_s": pace}
-        answer["verdict"] = message.replace(f"{ROOT.parent}/", "") or "done"
+        answer["verdict"] = message.replace(f"{out}/", "").replace(f"{ROOT.parent}/", "") or "done"
         if not message and command != "import":
             try:
                 answer |= read(file, case, found.get("identify", {}).get("estimates", {}))
