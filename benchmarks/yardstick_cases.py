@@ -52,7 +52,8 @@ REAL = "m535_l100", "m1168_l100"
 SMOOTH = "sin_sin", "sin_time_square", "up_and_down"
 IMPORTS = {
     "two_publishers/steps_two": (
-        "--state-topic", "/joint_states", "--command-topic", "/cmd", "--joints", "arm/pan", "arm/tilt",
+        "--state-topic", "/joint_states", "--command-topic", "/cmd",
+        "--joints", "arm/pan", "arm/tilt",
     ),
     "semicolons/steps_log.csv": (
         "--columns", "t=Zeit [ms]", "j1.command=Soll [°]", "j1.position=Ist [°]",
