@@ -206,15 +206,20 @@ def read(file: Path, case: Case, plain: dict[str, Any]) -> Answer:
 
 def stated(model: dict[str, Any], plain: dict[str, Any]) -> Iterator[tuple[str, list[float]]]:
     """Estimates of a model by name: the value and its standard deviation, 0 if it is not stated."""
+
+    def deviation(bounds: list[float | None] | None) -> float:
+        low, high = bounds or (None, None)
+        return 0.0 if low is None or high is None else (high - low) / IN_90
+
     for joint, of in model["joints"].items():
         values = {n: of[n] for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")}
         values |= {f"motor.{n}": x for n, x in of.get("motor", {}).items()}
         for name, value in values.items():
-            low, high = of["interval"].get(name) or (0.0, 0.0)
-            sd = (high - low) / IN_90 or plain.get(f"{joint}.{name}", [0.0, 0.0])[1]
+            sd = deviation(of["interval"].get(name)) or plain.get(f"{joint}.{name}", [0.0, 0.0])[1]
             yield f"{joint}.{name}", [value, sd]
-    for name, (low, high) in model["body"].get("interval", {}).items():
-        yield name, [(low + high) / 2, (high - low) / IN_90]
+    for name, bounds in model["body"].get("interval", {}).items():
+        if None not in bounds:
+            yield name, [sum(bounds) / 2, deviation(bounds)]
 
 
 def rounded(tree: Any) -> Any:  # noqa: ANN401 - any JSON

@@ -77,3 +77,13 @@ def test_refused_input_is_an_answer(yardstick, tmp_path):
     call = ["identify", "steps.csv", "--robot", "none.toml", "--out", str(tmp_path / "model.json")]
     message, _ = yardstick.called(call)
     assert message.startswith("sim2real identify: none.toml: found no such file")
+
+
+def test_an_estimate_without_a_whole_interval_has_no_deviation(yardstick):
+    gains = {"kp_Nm_per_rad": 2.0, "kd_Nms_per_rad": 0.1, "latency_s": 0.02}
+    intervals = {"kp_Nm_per_rad": [1.671, 2.329], "kd_Nms_per_rad": [0.05, None]}
+    model = {"joints": {"j1": {**gains, "interval": intervals}}, "body": {}}
+    found = dict(yardstick.stated(model, {"j1.latency_s": [0.02, 0.001]}))
+    assert found["j1.kp_Nm_per_rad"] == [2.0, pytest.approx(0.2)]
+    assert found["j1.kd_Nms_per_rad"] == [0.1, 0.0]
+    assert found["j1.latency_s"] == [0.02, 0.001]
