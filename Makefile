@@ -6,7 +6,7 @@ BIN = .venv/bin
 # Compiled files are kept: each of the processes that tests start would else compile all of it anew
 PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: demo test test-all docs validate bench
+.PHONY: demo test test-all docs validate bench yardstick
 
 demo: .venv/installed   ## the main job on the shipped data, ending in an HTML report
 	$(BIN)/sim2real demo --out reports/demo
@@ -38,6 +38,9 @@ bench: .venv/installed   ## speed and memory, as ratios; first how fast the mach
 	$(BIN)/python benchmarks/first_hour.py
 	$(BIN)/python benchmarks/fluid_speed.py
 	$(BIN)/python benchmarks/twin_speed.py
+
+yardstick: .venv/installed   ## what moved in the answers of the verbs since benchmarks/yardstick.json was written
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/yardstick.py
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

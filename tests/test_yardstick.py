@@ -1,0 +1,89 @@
+"""The yardstick reports what moved between two answers, and nothing else."""
+
+import importlib
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+
+NAMES = {"j1 backlash": 0.97, "j1 coulomb_friction|stribeck_friction": 0.6}
+ANSWER = {
+    "verdict": "explained",
+    "names": NAMES,
+    "estimates": {"j1.kp_Nm_per_rad": [2.0, 0.1]},
+    "errors": {"j1 in c": 0.004},
+    "cpu_s": 8.0,
+    "pace_s": 0.02,
+}
+TRUTH = {
+    "verdict": "explained",
+    "names": ["j1 backlash"],
+    "allowed": ["j1 cogging"],
+    "estimates": {"j1.kp_Nm_per_rad": 2.2},
+}
+
+
+@pytest.fixture
+def yardstick(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    return importlib.import_module("yardstick")
+
+
+def changed(**parts):
+    """An answer with other parts."""
+    return deepcopy(ANSWER) | parts
+
+
+def moved(yardstick, after):
+    return [(move.kind, move.nearer) for move in yardstick.moves(ANSWER, after, TRUTH)]
+
+
+def test_the_same_answer_did_not_move(yardstick):
+    small = changed(estimates={"j1.kp_Nm_per_rad": [2.02, 0.2]}, errors={"j1 in c": 0.00405})
+    assert moved(yardstick, small) == []
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ({"verdict": "ambiguous"}, [("verdict", False)]),
+        ({"estimates": {"j1.kp_Nm_per_rad": [2.1, 0.1]}}, [("estimate", True)]),
+        ({"estimates": {"j1.kp_Nm_per_rad": [1.9, 0.1]}}, [("estimate", False)]),
+        ({"estimates": {}}, [("estimate", None)]),
+        ({"errors": {"j1 in c": 0.0042}}, [("error", False)]),
+        ({"errors": {}}, [("error", False)]),
+        ({"names": {**NAMES, "j1 backlash": 0.85}}, [("names", False), ("probability", None)]),
+        ({"names": {**NAMES, "j1 cogging": 0.95}}, [("names", None), ("probability", None)]),
+    ],
+)
+def test_each_kind_of_change_is_reported(yardstick, parts, expected):
+    assert moved(yardstick, changed(**parts)) == expected
+
+
+def test_the_report_counts_what_held(yardstick):
+    worse = changed(verdict="ambiguous", errors={"j1 in c": 0.008}, cpu_s=8.0, pace_s=0.04)
+    before = {"foreign/1": {"diagnose": ANSWER}, "foreign/2": {"diagnose": ANSWER}}
+    after = {"foreign/1": {"diagnose": worse}, "foreign/2": {"diagnose": ANSWER}}
+    lines = list(yardstick.report(before, after, {"foreign/1": TRUTH, "foreign/2": TRUTH}))
+    assert "foreign/1 diagnose: verdict explained -> ambiguous (farther)" in lines
+    assert "verdict: the same or nearer in 1 of 2" in lines
+    assert "error: the same or nearer in 1 of 2" in lines
+    assert "held-out errors of foreign, diagnose: +41.4 %" in lines
+    assert any("16 -> 16 s, 0.67 at equal pace" in line for line in lines)
+    assert not any(line.startswith("foreign/2") for line in lines)
+
+
+def test_refused_input_is_an_answer(yardstick, tmp_path):
+    call = ["identify", "steps.csv", "--robot", "none.toml", "--out", str(tmp_path / "model.json")]
+    message, _ = yardstick.called(call)
+    assert message.startswith("sim2real identify: none.toml: found no such file")
+
+
+def test_an_estimate_without_a_whole_interval_has_no_deviation(yardstick):
+    gains = {"kp_Nm_per_rad": 2.0, "kd_Nms_per_rad": 0.1, "latency_s": 0.02}
+    intervals = {"kp_Nm_per_rad": [1.671, 2.329], "kd_Nms_per_rad": [0.05, None]}
+    model = {"joints": {"j1": {**gains, "interval": intervals}}, "body": {}}
+    found = dict(yardstick.stated(model, {"j1.latency_s": [0.02, 0.001]}))
+    assert found["j1.kp_Nm_per_rad"] == [2.0, pytest.approx(0.2)]
+    assert found["j1.kd_Nms_per_rad"] == [0.1, 0.0]
+    assert found["j1.latency_s"] == [0.02, 0.001]
