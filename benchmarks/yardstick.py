@@ -32,6 +32,7 @@ from tqdm import tqdm
 from yardstick_cases import ROOT, Case, cases
 
 from sim2real import cli, predict
+from sim2real.recording import read_commands
 
 STORED = ROOT / "benchmarks" / "yardstick.json"
 BUILD = ROOT / "build" / "yardstick"
@@ -195,7 +196,7 @@ def read(file: Path, case: Case, plain: dict[str, Any]) -> Answer:
             estimates[f"{e['component']}.{e['effect']}.{name}"] = [of["mean"], of["sd"]]
     errors = {n: of["heldout"] for n, of in fit.items() if of.get("heldout")}
     for commands, measured in case.held_out:
-        found = predict(commands, None, file)
+        found = predict(read_commands(commands), None, file)
         true = np.genfromtxt(measured, delimiter=",", names=True, deletechars="")
         for joint, angle in zip(found.recordings[0].joints, found.angles[0].T, strict=True):
             square = np.nanmean((angle - true[f"{joint}.position_rad"]) ** 2)
@@ -236,6 +237,11 @@ def pace_s() -> float:
     start = time.process_time()
     sum(math.sin(k) for k in range(400_000))
     return time.process_time() - start
+
+
+def cpu_s(of_case: dict[str, Any]) -> float:
+    """Processor time of all verbs of a case; the longest are run first."""
+    return sum(answer["cpu_s"] for verb, answer in of_case.items() if verb != INPUTS)
 
 
 def warmed_up() -> None:
@@ -279,6 +285,7 @@ def main() -> None:
     options = parser.parse_args()
     chosen = [case for case in cases(BUILD) if options.only in case.name]
     stored = json.loads(STORED.read_text()) if STORED.exists() else {}
+    chosen.sort(key=lambda case: -cpu_s(stored.get(case.name, {})))
     found = run(chosen, options.processes)
     for line in report(stored, found, {case.name: case.truth for case in chosen}):
         print(line)

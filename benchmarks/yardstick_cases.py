@@ -116,7 +116,7 @@ def truth_of(
 
 
 def servos(build: Path) -> Iterator[Case]:
-    """Servos of the two generators; every other one is diagnosed from its model, too."""
+    """Servos of the two generators; every fourth is diagnosed from its model, too."""
     for script, kinds in SERVOS.items():
         name = script.partition("/")[0]
         out = build / name
@@ -133,7 +133,7 @@ def servos(build: Path) -> Iterator[Case]:
                 of |= {ours: servo[theirs] for theirs, ours in MOTOR.items()}
             yield Case(
                 f"{name}/{one['case'].removeprefix('case_')}",
-                ("identify", "diagnose", *(["diagnose with model"] if k % 2 else [])),
+                ("identify", "diagnose", *(["diagnose with model"] if k % 4 == 1 else [])),
                 (inputs / "a.csv", inputs / "b.csv"),
                 inputs / "robot.toml",
                 ((c, c),),
