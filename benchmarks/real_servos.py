@@ -134,7 +134,9 @@ def together() -> str:
             for effects in ((), ("unmodelled_inertia",), HAND_PICKED, None):
                 law: Law = "motor" if effects is None else "pd"
                 chosen = effects or ()
-                model = identify(recordings, robot, held_out=path.stem, effects=chosen, law=law)
+                model = identify(
+                    recordings, robot, held_out=path.stem, refit=False, effects=chosen, law=law
+                )
                 row = next(iter(lines(path.stem, model)))
                 rows.append((*row[:1], " + ".join(chosen) or LAWS[law], *row[3:]))
     return table((HEADER[0], "model", *HEADER[3:]), rows)

@@ -8,8 +8,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
-from sim2real.identification.fit import plain_row
-from sim2real.identification.motor_prior import motor_prior
+from sim2real.identification.problem import plain_row
+from sim2real.identification.priors import motor_prior
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column
@@ -160,7 +160,7 @@ def _from_sheet(
         still = _still(load)
         line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
         prior = motor_prior(servo, [still])
-        parameters = [prior.parameters[prior.index(name)] for name in line]
+        parameters = [prior[name] for name in line]
         # of the prior's rotors the lighter ones: stated loads mostly include the rotor
         middle = np.array([0.5, 0.5, 1.0])[: len(line)]
         share = np.sqrt(12) * (points[:, 3 : 3 + len(line)] - middle)
@@ -182,9 +182,8 @@ def _prior_sd(names: tuple[str, ...], servo: Servo, load: Load) -> Array:
     sd = np.full(len(names), np.inf)
     if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
         prior = motor_prior(servo, [_still(load)])
-        for k, name in enumerate(names):
-            if name in prior.names and prior.parameters[prior.index(name)].log:
-                sd[k] = prior.parameters[prior.index(name)].prior_sd
+        stated = {p.name: p.prior_sd for p in prior.parameters if p.log}
+        sd[:] = [stated.get(name, np.inf) for name in names]
     return sd
 
 

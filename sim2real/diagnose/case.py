@@ -11,7 +11,7 @@ from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
-from sim2real.identification.motor_prior import largest_rotor
+from sim2real.identification.priors import largest_rotor
 from sim2real.identification.servo_problem import Set
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording

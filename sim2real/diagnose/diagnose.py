@@ -28,7 +28,7 @@ from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lines
 from sim2real.effects import named
-from sim2real.identification.fit import refitted
+from sim2real.identification.plain_fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import Model
 from sim2real.plausible import admitted

@@ -18,7 +18,7 @@ from sim2real.effects import named
 from sim2real.exporters.actuator import BEYOND_LIMIT, MOTOR_TERMS, SATURATION, LeftOut
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.refit import STICKS, FittingData, Refit, refitted, without
-from sim2real.identification.fit import residuals
+from sim2real.identification.search import errors_of
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
@@ -93,7 +93,7 @@ class _Exported:
 
 def rollout_error(joint: JointModel, name: str, data: Sequence[Trace]) -> float:
     """RMS difference of a joint's law from the used samples of traces, rad."""
-    return rms(residuals(joint_row(joint, data[0].load, where=name), data))
+    return rms(errors_of(joint_row(joint, data[0].load, where=name), data))
 
 
 def expressible(
@@ -310,6 +310,6 @@ def _moves(data: FittingData, joint: JointModel, part: str) -> float:
     load, changes = data.own[0].load, []
     for motions in (data.own, [*data.fitted, *data.scored] if data.scored else []):
         rows = (joint_row(one, load) for one in (joint, without(joint, {part})))
-        full, reduced = (residuals(row, motions) for row in rows)
+        full, reduced = (errors_of(row, motions) for row in rows)
         changes.append(rms([a - b for a, b in zip(full, reduced, strict=True)]) if full else 0.0)
     return max(changes)

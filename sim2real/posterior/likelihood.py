@@ -116,7 +116,7 @@ class Likelihood:
         )
         if not servo.is_linear(self.data.theta(np.ones((1, len(self.data.columns))))):
             row = self.data.row[None]
-            servo.substep_s = servo.substep(row, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S)
+            servo.substep_s = float(servo.substeps(row, STEPS_PER_RADIAN, LONGEST_SUBSTEP_S).min())
         return servo
 
     @property

@@ -14,7 +14,7 @@ from sim2real.arrays import Array
 from sim2real.effects import SIGNATURE, named
 from sim2real.effects.effect import scaled
 from sim2real.errors import InputError
-from sim2real.identification.fit import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
+from sim2real.identification.first_guess import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
 from sim2real.inference.parameters import Parameter, Priors
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (

@@ -217,13 +217,23 @@ class Simulator:
         constant = all(trace.varying is None for trace in self.traces)
         return constant and not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
 
-    def substep(self, theta: Array, steps_per_radian: float, longest_s: float) -> float:
-        """Common sub-step in s for all servos (B, P), infinite if all are linear."""
-        return float(self.substeps(theta, steps_per_radian, longest_s).min())
+    def substeps(
+        self,
+        theta: Array,
+        steps_per_radian: float = STEPS_PER_RADIAN,
+        longest_s: float = LONGEST_SUBSTEP_S,
+        *,
+        exact: bool | None = None,
+    ) -> Array:
+        """Sub-step in s for each of the servos (B, P), shape (B,), infinite for exact solutions.
 
-    def substeps(self, theta: Array, steps_per_radian: float, longest_s: float) -> Array:
-        """Sub-step in s for each of the servos (B, P), shape (B,), infinite if all are linear."""
-        if self.is_linear(theta):
+        Args:
+            theta: The servos.
+            steps_per_radian: Sub-steps per radian of the fastest mode.
+            longest_s: Upper limit in s.
+            exact: Whether to solve exactly; by default if all servos are linear.
+        """
+        if self.is_linear(theta) if exact is None else exact:
             return np.full(len(theta), np.inf)
         inertia = self._load[:, 0, None]
         least: Array = longest_substep(theta, inertia, steps_per_radian, longest_s).min(axis=0)

@@ -17,8 +17,7 @@ from sim2real.arrays import Array, Mask
 from sim2real.diagnose.changed.comparison import alignment, beside_rest, freed_of_the_common
 from sim2real.diagnose.decision import DECISION
 from sim2real.effects import CATALOGUE
-from sim2real.identification.fit import STEPS_PER_RADIAN
-from sim2real.identification.motor_prior import motor_prior
+from sim2real.identification.priors import motor_prior
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
@@ -86,7 +85,7 @@ def simulated(
     # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
     period = min(trace.period_s for trace in traces)
     longest = min(LONGEST_SUBSTEP_S, period / substeps)
-    step = simulator.substep(servo[None], STEPS_PER_RADIAN, longest)
+    step = float(simulator.substeps(servo[None], longest_s=longest).min())
     return simulator.angles(rows, min(step, longest))
 
 

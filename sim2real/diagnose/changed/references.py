@@ -15,8 +15,9 @@ from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
 from sim2real.diagnose.missing.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
-from sim2real.identification.fit import best_of, first_guess
+from sim2real.identification.first_guess import first_guess
 from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.plain_fit import best_of
 from sim2real.identification.servo_problem import Hypothesis, minimise
 from sim2real.model import JointModel, Model
 from sim2real.robot import Servo
@@ -66,11 +67,11 @@ def law_of(
     """
     load = references[0].load
     start, others = first_guess(references, rng)
-    servo_fit, _ = best_of(references, [start, *others])
+    servo_fit = best_of(references, np.vstack([start[None], others]))
     if way_of(references, case) == "law":
         noise = sensor_noise(references)
         motor = choose_motor(references, servo_fit, servo, noise, rng)
-        return stated(motor.fit.row, load, motor.effects, motor.law)
+        return stated(motor.row, load, motor.effects, motor.law)
     return stated(servo_fit.row, load)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from sim2real.arrays import Array, Mask
 from sim2real.diagnose.missing.screening import NUISANCES, candidate
 from sim2real.effects import named
-from sim2real.identification.fit import servos_at
+from sim2real.identification.first_guess import servos_at
 from sim2real.identification.servo_problem import (
     Fits,
     Servos,
