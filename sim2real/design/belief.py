@@ -8,8 +8,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
-from sim2real.identification.problem import plain_row
 from sim2real.identification.priors import motor_prior
+from sim2real.identification.problem import plain_row
 from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import column

@@ -74,7 +74,7 @@ class Posteriors(NotebookDisplay):
         columns, units = {}, {}
         for joint, servo in self.joints.items():
             values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
-            for k, prior in enumerate(servo.priors.each):
+            for k, prior in enumerate(servo.parameters):
                 columns[f"{joint}.{prior.name}"] = values[:, :, k].T
                 units[f"{joint}.{prior.name}"] = prior.unit
         if len({column.shape[0] for column in columns.values()}) > 1:
@@ -91,7 +91,7 @@ class Posteriors(NotebookDisplay):
         """Median and 90 % interval of each parameter."""
         lines = []
         for joint, sampled in self.joints.items():
-            rows = zip(sampled.priors.each, sampled.quantiles(0.05, 0.5, 0.95).T, strict=True)
+            rows = zip(sampled.parameters, sampled.quantiles(0.05, 0.5, 0.95).T, strict=True)
             lines += [
                 f"{joint}.{prior.name:30s} {median:10.4g} {prior.unit:12s} "
                 f"90 % {low:.4g} to {high:.4g}"
@@ -123,7 +123,7 @@ def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator)
     ]
     return JointSample(
         names=tuple(f"{joint}.{name}" for joint, servo in servos.items() for name in servo.names),
-        units=tuple(prior.unit for servo in servos.values() for prior in servo.priors.each),
+        units=tuple(prior.unit for servo in servos.values() for prior in servo.parameters),
         values=np.concatenate(columns, axis=1),
     )
 

@@ -30,10 +30,10 @@ def corner_figure(posterior: ServoPosterior, joint: str) -> Figure:
         joint: Name of the joint, for screen readers.
     """
     F = len(posterior.names)
-    scale = np.array([1e3 if prior.unit == "s" else 1.0 for prior in posterior.priors.each])
+    scale = np.array([1e3 if prior.unit == "s" else 1.0 for prior in posterior.parameters])
     values = posterior.values[:: max(1, posterior.values.shape[0] // _DRAWN)] * scale
     ends = np.quantile(values, [0.001, 0.999], axis=0)
-    labels = [_label(p.name, "ms" if p.unit == "s" else p.unit) for p in posterior.priors.each]
+    labels = [_label(p.name, "ms" if p.unit == "s" else p.unit) for p in posterior.parameters]
     with house_style():
         figure = new_figure(140 + 120 * F, printable(f"posterior of {joint}"))
         grid = figure.subplots(F, F, squeeze=False)

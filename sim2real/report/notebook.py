@@ -146,7 +146,7 @@ def _posterior(posterior: Posteriors) -> Section:
         (printable(joint), prior.name, f"{middle:.4g}", prior.unit, f"{low:.4g} to {high:.4g}")
         for joint, servo in posterior.joints.items()
         for prior, (low, middle, high) in zip(
-            servo.priors.each, servo.quantiles(0.05, 0.5, 0.95).T, strict=True
+            servo.parameters, servo.quantiles(0.05, 0.5, 0.95).T, strict=True
         )
     ]
     header = ("joint", "parameter", "median", "unit", "90 % interval")

@@ -93,7 +93,7 @@ def _posterior_section(gathered: Gathered, joint: str) -> Section:
         spans=mixing.spans,
         least=LEAST_TIMES,
         accepted=100 * mixing.accepted,
-        how=_EXACT if posterior.exact else _STEPS,
+        how=_EXACT if posterior.problem.exact else _STEPS,
     )
     low, middle, high = posterior.quantiles(0.05, 0.5, 0.95)
     rows = [
@@ -103,7 +103,7 @@ def _posterior_section(gathered: Gathered, joint: str) -> Section:
             str(prior),
             f"{mixing.times[k]:.1f}",
         )
-        for k, prior in enumerate(posterior.priors.each)
+        for k, prior in enumerate(posterior.parameters)
     ]
     header = ("parameter", "median\n5 % to 95 %", "prior", "autocorrelation\nsteps")
     blocks: list[Block] = [Table(header, rows)]

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import simulated
+from sim2real.identification.fit import residuals
 
 from sim2real.cli import main
 from sim2real.commands.export_servo import TARGETS
@@ -19,7 +20,6 @@ from sim2real.exporters.expressible import expressible
 from sim2real.exporters.mujoco_refit import CASES, mujoco_error, mujoco_refit
 from sim2real.exporters.refit import without
 from sim2real.exporters.urdf import urdf
-from sim2real.identification.fit import residuals
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Load, write_recording
