@@ -14,18 +14,19 @@ from sim2real.findings import all_findings
 from sim2real.importers.bam import read_bam
 from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
-from sim2real.importers.loads import loads_of, with_loads
-from sim2real.importers.missing import (
+from sim2real.importers.options import (
+    Conversion,
     angle_options,
     ask_for,
-    bag_options,
+    conversion,
+    loads_of,
     refuse,
     table_options,
     unused_angle_options,
+    with_loads,
 )
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
-from sim2real.importers.units import Conversion, conversion
 from sim2real.model import write_model
 from sim2real.output import check_writable
 from sim2real.recording import Recording, write_recording
@@ -126,7 +127,7 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
     if not source.is_dir() and source.suffix not in BAGS:
         raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
     _refuse_others(source, "a ROS bag", args)
-    ask_for(source, bag_options(args.command_topic))
+    ask_for(source, [] if args.command_topic else ["--command-topic TOPIC (of the set-points)"])
     state_topic = args.state_topic or STATE_TOPIC
     return read_bag(
         source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints

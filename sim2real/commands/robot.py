@@ -7,8 +7,7 @@ import sys
 import tomllib
 
 from sim2real.errors import InputError
-from sim2real.importers.chain import robot_toml
-from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.robots import read_mjcf, robot_toml
 from sim2real.importers.urdf import read_urdf
 from sim2real.output import check_writable, write_whole
 

@@ -8,8 +8,7 @@ import pytest
 from good_input import message
 
 from sim2real.cli import main
-from sim2real.importers.chain import robot_toml
-from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.robots import read_mjcf, robot_toml
 from sim2real.importers.urdf import read_urdf
 from sim2real.robot import Robot, read_robot
 
