@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError
-from sim2real.recording import Load, Recording
+from sim2real.recording import Load
 from sim2real.structured import Fields, read_json
 
 RADIANS_PER = {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi}
@@ -108,11 +107,23 @@ def conversion(
     counts_per_turn: int | None = None,
     zero_count: float | None = None,
     calibration: str | os.PathLike[str] | None = None,
+    *,
+    source: str | os.PathLike[str] = "--units",
+    lacking: Sequence[str] = (),
 ) -> Conversion:
     """The conversion for ``--units UNIT`` or ``--units UNIT JOINT=UNIT JOINT.command=UNIT ...``.
 
+    Args:
+        units: Units.
+        counts_per_turn: See `Conversion`.
+        zero_count: See `Conversion`.
+        calibration: See `Conversion`.
+        source: The log, for messages.
+        lacking: Other options of the log that are missing, each with its expected value.
+
     Raises:
-        InputError: If a unit, or what it needs, is missing, or a unit is unknown.
+        InputError: If a unit, or what it needs, is missing, a unit is unknown, or a value does not
+            apply to any of the units.
     """
     by_joint: dict[str, str] = {}
     for text in units or ():
@@ -122,60 +133,30 @@ def conversion(
         if joint in by_joint:
             raise InputError("--units", "", f"two for {joint or 'all joints'}", "one")
         by_joint[joint] = unit
-    ask_for("--units", angle_options(units, counts_per_turn, zero_count, calibration))
-    return Conversion(by_joint, counts_per_turn or 0, zero_count, calibration or "")
-
-
-def table_options(
-    columns: Sequence[str] | None,
-    time_unit: str | None,
-    *angles: Any,  # noqa: ANN401 - of several types
-) -> list[str]:
-    """Missing options of a table, each with its expected value; ``angles`` as `angle_options`."""
-    lacking = [] if columns else [f"--columns {MAP}"]
-    lacking += [] if time_unit else [f"--time-unit {'|'.join(SECONDS_PER)}"]
-    return lacking + angle_options(*angles)
-
-
-def angle_options(
-    units: Sequence[str] | None,
-    counts_per_turn: int | None,
-    zero_count: float | None,
-    calibration: str | os.PathLike[str] | None,
-) -> list[str]:
-    """Missing options on the unit of the angles, each with its expected value."""
-    lacking = []
-    stated = {text.rpartition("=")[2] for text in units or ()}
-    no_turn, no_zero = (counts_per_turn or 0) < 2, zero_count is None and calibration is None
+    counts = "counts" in by_joint.values()
+    ranges = bool(RANGES.keys() & set(by_joint.values()))
+    no_turn = ["--counts-per-turn N"] if (counts_per_turn or 0) < 2 else []
+    no_zero = ["--zero-count N"] if zero_count is None and calibration is None else []
+    missing = list(lacking)
     if not units:
-        counted = ["--counts-per-turn N"] if no_turn else []
-        counted += ["--zero-count N"] if no_zero else []
-        remark = f" (for counts also {' '.join(counted)})" if counted else ""
-        lacking.append(f"--units {'|'.join(ANGLE_UNITS)}{remark}")
-    if stated & {"counts", *RANGES} and no_turn:
-        lacking.append("--counts-per-turn N (of a turn of the shaft)")
-    if "counts" in stated and no_zero:
-        lacking.append("--zero-count N (the count at angle 0) or --calibration JSON")
-    if stated & set(RANGES) and calibration is None:
-        lacking.append("--calibration JSON")
-    return lacking
-
-
-def unused_angle_options(
-    units: Sequence[str] | None,
-    counts_per_turn: int | None,
-    zero_count: float | None,
-    calibration: str | os.PathLike[str] | None,
-) -> list[str]:
-    """Options on angles that do not apply to any of the stated units."""
-    stated = {text.rpartition("=")[2] for text in units or ()}
-    counts, ranges = "counts" in stated, bool(stated & set(RANGES))
-    rows = (
-        ("--counts-per-turn", counts_per_turn, counts or ranges),
-        ("--zero-count", zero_count, counts),
-        ("--calibration", calibration, ranges or (counts and zero_count is None)),
-    )
-    return [name for name, value, applies in rows if value is not None and not applies]
+        remark = f" (for counts also {' '.join(no_turn + no_zero)})" if no_turn + no_zero else ""
+        missing.append(f"--units {'|'.join(ANGLE_UNITS)}{remark}")
+    if (counts or ranges) and no_turn:
+        missing.append(f"{no_turn[0]} (of a turn of the shaft)")
+    if counts and no_zero:
+        missing.append(f"{no_zero[0]} (the count at angle 0) or --calibration JSON")
+    if ranges and calibration is None:
+        missing.append("--calibration JSON")
+    ask_for(source, missing)
+    unused = {
+        "--counts-per-turn": counts_per_turn is not None and not (counts or ranges),
+        "--zero-count": zero_count is not None and not counts,
+        "--calibration": calibration is not None
+        and not (ranges or (counts and zero_count is None)),
+    }
+    names = [name for name, is_unused in unused.items() if is_unused]
+    refuse(source, names, f"angles in {', '.join(units or ())}", ["--units"])
+    return Conversion(by_joint, counts_per_turn or 0, zero_count, calibration or "")
 
 
 def ask_for(source: str | os.PathLike[str], lacking: Sequence[str]) -> None:
@@ -230,14 +211,6 @@ def check_increasing(file: str | os.PathLike[str], t: Array, place: str, first: 
         k = int(decreasing[0]) + 1
         found = f"{t[k]:g} s after {t[k - 1]:g} s"
         raise InputError(file, place.format(k + first), found, "times that increase")
-
-
-def with_loads(
-    recording: Recording, inertia: Sequence[str] | None, pendulum: Sequence[str] | None
-) -> Recording:
-    """The recording with `loads_of` its joints, which replace those of its log."""
-    loads = loads_of(inertia, pendulum, recording.joints)
-    return replace(recording, loads={**recording.loads, **loads})
 
 
 def loads_of(
