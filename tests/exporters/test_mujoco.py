@@ -208,37 +208,14 @@ def motor(**parameters: float) -> Model:
     return Model({"j1": joint})
 
 
-def clipped(t: np.ndarray, command: np.ndarray, limit: float, speed: float) -> np.ndarray:
-    """The same by its equations: 2.2 e - 0.06 v within the torque-speed line, 50.7 ms late."""
-    step = 5e-5
-    angle = velocity = 0.0
-    ticks = np.arange(0, t[-1] + step, step)
-    sent = command[np.maximum(np.searchsorted(t + 0.0507, ticks, side="right") - 1, 0)]
-    angles = np.empty(ticks.size)
-    slope = limit / speed
-    for k, u in enumerate(sent.tolist()):
-        angles[k] = angle
-        drive = 2.2 * (u - angle - 0.5 * step * velocity) - (0.06 - slope) * velocity
-        torque = min(max(drive, -limit), limit) - slope * velocity
-        before = velocity
-        velocity += step * torque / 0.002
-        angle += step * 0.5 * (before + velocity)
-    return np.interp(t, ticks, angles)
-
-
 def test_a_drive_that_clips_before_the_back_emf() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
-    t, signals = commands()
     model = motor(stall_torque_Nm=0.6, no_load_speed_rad_s=4.0)
-    export = mujoco(model)
-    assert not export.left_out
-    for sent in signals.values():
-        expected = clipped(t, sent, 0.6, 4.0)
-        seen = simulate(export.text, t, {"j1": sent})["j1"]
-        assert np.sqrt(np.mean((seen - expected) ** 2)) < WITHIN_RAD
-    linear = simulate(mujoco(servo()).text, t, {"j1": signals["steps"]})["j1"]
-    seen = simulate(export.text, t, {"j1": signals["steps"]})["j1"]
-    assert np.sqrt(np.mean((seen - linear) ** 2)) > 10 * WITHIN_RAD
+    assert not mujoco(model).left_out
+    assert apart(model) < WITHIN_RAD
+    t, signals = commands()
+    sent = {"j1": signals["steps"]}
+    clipped = predict(model, t, sent)["j1"] - predict(servo(), t, sent)["j1"]
+    assert np.sqrt(np.mean(clipped**2)) > 10 * WITHIN_RAD
 
 
 @pytest.mark.parametrize("timestep_s", [0.002, 0.005])

@@ -191,13 +191,6 @@ def test_urdf(robot: Robot) -> None:
     assert [one.get("type") for one in bare] == ["continuous", "continuous"]
 
 
-def test_urdf_runs_in_mujoco(robot: Robot) -> None:
-    mj = pytest.importorskip("mujoco")
-    model = mj.MjModel.from_xml_string(export("urdf", servo("j1", "coulomb_friction"), robot).text)
-    assert model.joint("j1").range == pytest.approx([-0.8, 0.8])
-    assert model.dof_frictionloss[model.joint("j1").dofadr[0]] == pytest.approx(0.05)
-
-
 def test_json_has_every_number(robot: Robot) -> None:
     content = json.loads(export("json", servo("j1", "backlash"), robot).text)
     joint = content["joints"]["j1"]
