@@ -119,9 +119,7 @@ def read_bag(
         command=sent.loc[rows].to_numpy(),
         position=angles.reindex(rows).to_numpy(),
         source=SOURCE,
-        columns={
-            name: _frame({name: x})[name].reindex(rows).to_numpy() for name, x in others.items()
-        },
+        columns={str(name): x.to_numpy() for name, x in _frame(others).reindex(rows).items()},
         metadata={
             "original_file": Path(path).name,
             "state_topic": state_topic,
