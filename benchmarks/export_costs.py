@@ -17,8 +17,8 @@ import sys
 from tqdm import tqdm
 
 from benchmarks.mujoco_agreement import servo
-from sim2real.commands.export_servo import TARGETS
-from sim2real.exporters.expressible import expressible
+from sim2real.exporters.nearest import nearest
+from sim2real.exporters.simulators import TARGETS
 from sim2real.model import Model
 from sim2real.recording import Load
 from sim2real.servo_library.catalogue import shipped
@@ -33,7 +33,7 @@ SIMULATORS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf")
 
 def cost(model: Model, target: str) -> str:
     """The cell of a servo and a target."""
-    refits = expressible(model, TARGETS[target].expressed).refits
+    refits = nearest(model, TARGETS[target].expressed).refits
     if not refits:
         return "0"
     (refit,) = refits

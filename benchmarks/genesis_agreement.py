@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from benchmarks.mujoco_agreement import print_agreement_at_once
 from sim2real.arrays import Array
-from sim2real.exporters.genesis import genesis as exported
+from sim2real.exporters.simulators import TARGETS
 from sim2real.model import Model
 
 STEP_S = 0.001
@@ -49,7 +49,7 @@ def simulate(servos: Sequence[Model], times: Array, commands: Array) -> Array:
     dofs = []
     for model, entity in zip(servos, entities, strict=True):
         made: dict[str, Any] = {}
-        exec(exported(model).text, made)  # noqa: S102 - the very text that users get
+        exec(TARGETS["genesis"].write(model).text, made)  # noqa: S102 - the very text that users get
         dofs.append(made["set_actuators"](entity))
     grid = STEP_S * np.arange(1, round(times[-1] / STEP_S) + 2)
     latencies = np.array([model.joints["j1"].latency_s for model in servos])

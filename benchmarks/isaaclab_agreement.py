@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.mujoco_agreement import print_agreement, servo
 from sim2real.arrays import Array
-from sim2real.exporters.isaaclab import isaaclab
+from sim2real.exporters.simulators import TARGETS
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 
@@ -51,7 +51,7 @@ def simulate(
     from isaaclab.utils.types import ArticulationActions
 
     joint, made = model.joints["j1"], {}
-    exec(isaaclab(model).text, made)  # noqa: S102 - the very text that users get
+    exec(TARGETS["isaaclab"].write(model).text, made)  # noqa: S102 - the very text that users get
     given = made["actuators"](step_s)["j1"]
     actuator = given.class_type(
         given,

@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from benchmarks.mujoco_agreement import parts, print_differences, signals
 from sim2real.arrays import Array
-from sim2real.exporters.mjlab import mjlab as exported
+from sim2real.exporters.simulators import TARGETS
 from sim2real.model import Model
 
 STEP_S = 0.001
@@ -37,7 +37,7 @@ BODY = """<mujoco><compiler angle="radian"/><worldbody><body name="link">
 def entity(model: Model) -> EntityCfg:
     """A link with the model's inertia on a joint, which the exported actuator turns."""
     made: dict[str, Any] = {}
-    exec(exported(model).text, made)  # noqa: S102 - the very text that users get
+    exec(TARGETS["mjlab"].write(model).text, made)  # noqa: S102 - the very text that users get
     load = model.joints["j1"].inertia_kgm2
 
     def spec() -> mujoco.MjSpec:

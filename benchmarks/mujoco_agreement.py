@@ -15,8 +15,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.mujoco import HAS, INTEGRATOR, TIMESTEP_S, mujoco
-from sim2real.exporters.mujoco_bench import simulate
-from sim2real.exporters.mujoco_refit import CASES
+from sim2real.exporters.mujoco_bench import CASES, simulate
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.servo.prediction import predict

@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from benchmarks.mujoco_agreement import print_agreement_at_once
 from sim2real.arrays import Array
-from sim2real.exporters.newton import newton as exported
+from sim2real.exporters.simulators import TARGETS
 from sim2real.model import Model
 
 STEP_S = 0.001
@@ -39,7 +39,7 @@ def bench(servos: Mapping[str, Model]) -> newton.Model:
         builder.add_articulation([joint])
     joints = {name: model.joints["j1"] for name, model in servos.items()}
     made: dict[str, Any] = {}
-    exec(exported(Model(joints)).text, made)  # noqa: S102 - the very text that users get
+    exec(TARGETS["newton"].write(Model(joints)).text, made)  # noqa: S102 - the very text that users get
     made["add_actuators"](builder, STEP_S)
     return builder.finalize(device="cpu")
 

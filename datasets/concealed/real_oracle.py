@@ -37,8 +37,10 @@ from real_effects import EFFECTS, Parameters
 from real_files import SERVOS
 
 from sim2real.diagnose.changed.comparison import freed_of_the_common
-from sim2real.identification.fit import best_of, first_guess, residuals
+from sim2real.identification.first_guess import first_guess
 from sim2real.identification.motor_choice import choose_motor
+from sim2real.identification.plain_fit import best_of
+from sim2real.identification.search import errors_of
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Servo
@@ -70,7 +72,7 @@ class Rig:
         after = EFFECTS[name].put(log.fine(), self.joint, p, rng)
         moved = after.position[:, self.joint] - log.fine().position[:, self.joint]
         if not np.array_equal(after.command, log.command):
-            before, now = (residuals(self.row, [trace(x, self.joint)])[0] for x in (log, after))
+            before, now = (errors_of(self.row, [trace(x, self.joint)])[0] for x in (log, after))
             moved = before - now
         return moved
 
@@ -98,9 +100,9 @@ class Rig:
         servo = Servo("servo", *SERVOS[self.logs[0].family])
         noise = max(noise_floor(t.t, t.command, t.position) for t in given)
         start, others = first_guess(given, rng)
-        plain, _ = best_of(given, [start, *others])
-        row = choose_motor(given, plain, servo, noise, rng).fit.row
-        errors = list(residuals(row, given))
+        plain = best_of(given, np.vstack([start[None], others]))
+        row = choose_motor(given, plain, servo, noise, rng).row
+        errors = list(errors_of(row, given))
         freed, repeated = freed_of_the_common(given, errors, len(given))
         if repeated.all():
             pairs = zip(errors, freed, given, strict=True)

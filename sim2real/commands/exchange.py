@@ -50,8 +50,8 @@ def _export_ranges(command: argparse.ArgumentParser) -> None:
 
 
 def _robot(command: argparse.ArgumentParser) -> None:
-    command.add_argument("action", choices=("from-urdf", "from-mjcf"), help="format to read")
-    add_file(command, "source", "FILE", "description of the robot (URDF or MJCF)")
+    command.add_argument("action", choices=("from-urdf",), help="format to read")
+    add_file(command, "source", "FILE", "description of the robot (URDF)")
     add_file(command, "--out", "TOML", "robot to write (robot.toml)", required=True)
     command.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="joints to take, in order (default: all)"

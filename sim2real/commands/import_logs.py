@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +15,17 @@ from sim2real.findings import all_findings
 from sim2real.importers.bam import read_bam
 from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
-from sim2real.importers.loads import loads_of, with_loads
-from sim2real.importers.missing import (
-    angle_options,
+from sim2real.importers.options import (
+    MAP,
+    SECONDS_PER,
+    Conversion,
     ask_for,
-    bag_options,
+    conversion,
+    loads_of,
     refuse,
-    table_options,
-    unused_angle_options,
 )
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
-from sim2real.importers.units import Conversion, conversion
 from sim2real.model import write_model
 from sim2real.output import check_writable
 from sim2real.recording import Recording, write_recording
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
             set-points, or None. For LeRobot datasets ``units``, ``calibration``,
             ``counts_per_turn``, ``zero_count``, ``episode`` and ``joints``; for tables
             ``columns``, ``time_unit`` and the units. ``inertia``, ``pendulum``: lists of loads by
-            joint, see ``with_loads``.
+            joint, see ``loads_of``.
 
     Returns:
         0, the exit status.
@@ -74,7 +74,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
     if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
         raise InputError(out, "", "a name that would overwrite the log", "another name")
-    recording = with_loads(_read(source, args), args.inertia, args.pendulum)
+    recording = _read(source, args)
+    loads = loads_of(args.inertia, args.pendulum, recording.joints)
+    recording = replace(recording, loads={**recording.loads, **loads})
     measured_at = recording.t[np.isfinite(recording.position).any(axis=1)]
     check_sampling(source, measured_at, where="times")
     write_recording(recording, out)
@@ -116,17 +118,17 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
         raise InputError(source, "", "no such file", KINDS)
     if is_lerobot(source):
         _refuse_others(source, "a LeRobot dataset", args)
-        ask_for(source, angle_options(*_angles(args)))
         return read_lerobot(source, _units(source, args), episode=args.episode, joints=args.joints)
     if source.suffix in TABLES:
         _refuse_others(source, "a table", args)
-        ask_for(source, table_options(args.columns, args.time_unit, *_angles(args)))
-        columns = column_map(args.columns)
-        return read_table(source, columns, _units(source, args), time_unit=args.time_unit)
+        lacking = [] if args.columns else [f"--columns {MAP}"]
+        lacking += [] if args.time_unit else [f"--time-unit {'|'.join(SECONDS_PER)}"]
+        units = _units(source, args, lacking)
+        return read_table(source, column_map(args.columns), units, time_unit=args.time_unit)
     if not source.is_dir() and source.suffix not in BAGS:
         raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
     _refuse_others(source, "a ROS bag", args)
-    ask_for(source, bag_options(args.command_topic))
+    ask_for(source, [] if args.command_topic else ["--command-topic TOPIC (of the set-points)"])
     state_topic = args.state_topic or STATE_TOPIC
     return read_bag(
         source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints
@@ -144,16 +146,9 @@ def _flags(names: Sequence[str]) -> list[str]:
     return [f"--{name.replace('_', '-')}" for name in names]
 
 
-def _angles(
-    args: argparse.Namespace,
-) -> tuple[list[str] | None, int | None, float | None, str | None]:
-    return args.units, args.counts_per_turn, args.zero_count, args.calibration
-
-
-def _units(source: Path, args: argparse.Namespace) -> Conversion:
-    unused = unused_angle_options(*_angles(args))
-    refuse(source, unused, f"angles in {', '.join(args.units)}", ["--units"])
-    return conversion(*_angles(args))
+def _units(source: Path, args: argparse.Namespace, lacking: Sequence[str] = ()) -> Conversion:
+    values = (args.units, args.counts_per_turn, args.zero_count, args.calibration)
+    return conversion(*values, source=source, lacking=lacking)
 
 
 def _without_loads(joints: Sequence[str]) -> str:

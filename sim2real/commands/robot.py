@@ -7,18 +7,15 @@ import sys
 import tomllib
 
 from sim2real.errors import InputError
-from sim2real.importers.chain import robot_toml
-from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.robots import robot_toml
 from sim2real.importers.urdf import read_urdf
 from sim2real.output import check_writable, write_whole
-
-READERS = {"from-urdf": read_urdf, "from-mjcf": read_mjcf}
 
 
 def run(options: argparse.Namespace) -> int:
     """Write a robot file; print the fields to be filled in, which the file lists too."""
     out = check_writable(options.out)
-    text, notes = robot_toml(READERS[options.action](options.source), options.joints)
+    text, notes = robot_toml(read_urdf(options.source), options.joints)
     head = f"# From {' '.join(options.source.name.splitlines())}."
     lines = [" ".join(note.splitlines()) for note in notes]
     text = "\n".join([head, *(f"# not here: {line}" for line in lines), text])

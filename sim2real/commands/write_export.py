@@ -12,14 +12,14 @@ from sim2real.exporters.actuator import Export
 from sim2real.output import write_whole
 
 if TYPE_CHECKING:
-    from sim2real.exporters.expressible import Expressible
-    from sim2real.exporters.mujoco_refit import Agreement
+    from sim2real.exporters.mujoco_bench import Agreement
+    from sim2real.exporters.nearest import Nearest
 
 
 def write_export(
     export: Export,
     options: argparse.Namespace,
-    nearest: Expressible | None = None,
+    nearest: Nearest | None = None,
     agreement: Sequence[Agreement] = (),
 ) -> int:
     """Write the text to ``options.out``; print the tool and what is not expressed.
@@ -37,7 +37,7 @@ def write_export(
         "not_expressed": [*map(str, export.left_out)],
         "refitted": [asdict(refit) for refit in refits],
         "compared": [asdict(entry) for entry in compared],
-        "agreement": [entry.content() for entry in agreement],
+        "agreement": [asdict(entry) for entry in agreement],
     }
     print(f"{options.out}: for {options.to}")
     if export.left_out:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sim2real.identification.fit import plain_row, refitted
 
 from sim2real.design.belief import AngleError, Belief, belief_of
 from sim2real.design.candidates import draw
 from sim2real.design.information import Information
 from sim2real.design.limits import limits_of, within
+from sim2real.identification.plain_fit import refitted
+from sim2real.identification.problem import plain_row
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Joint, Link, Robot, Servo

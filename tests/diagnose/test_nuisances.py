@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sim2real.identification.motor_prior import largest_rotor
 from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
 
 from sim2real.diagnose.case import JointCase
@@ -16,6 +15,7 @@ from sim2real.diagnose.missing.nuisances import _best, first_look, size_in_noise
 from sim2real.diagnose.missing.screening import FITTED, NUISANCES
 from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
 from sim2real.effects import named
+from sim2real.identification.priors import largest_rotor
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load

@@ -9,31 +9,67 @@ them, the one with the smallest error on these data is exported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 from sim2real.effects import named
 from sim2real.exporters.actuator import BEYOND_LIMIT, MOTOR_TERMS, SATURATION, LeftOut
+<<<<<<< HEAD:sim2real/exporters/expressible.py
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.refit import STICKS, FittingData, Refit, refitted, without
+=======
+from sim2real.exporters.refit import BETTER, STICKS, FittingData, fitting_data, refitted, without
 from sim2real.identification.search import errors_of
+>>>>>>> main:sim2real/exporters/nearest.py
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
-from sim2real.recording import PER_INERTIA, Recording
+from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.parameters import LINE, joint_row
-from sim2real.servo.trace import Trace, split, traces
+from sim2real.servo.trace import Trace
 
 NEGLIGIBLE_RAD = 1e-4
 """RMS change of the motion below which an effect is dropped without being listed: a fifteenth of a
 count of a 12-bit encoder."""
-_BETTER = 0.99
-"""Largest error of a model with fewer effects, relative to the others, for it to be preferred."""
-_LINE = {name.removeprefix("motor.") for name in LINE}
+_PLAIN = "plain"
 Which = Literal["nearest", "effects", "plain"]
 """Models that can be chosen: the one with the smaller error, with effects, or without any."""
+Error = Callable[[JointModel, str, Sequence[Trace]], float]
+"""RMS error in rad of a joint of this name on traces, in a target."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Errors of one joint that was refitted without effects that the target lacks.
+
+    Attributes:
+        joint: Name of the joint.
+        dropped: Names of the dropped effects.
+        full_rad: RMS difference of the refitted joint from the full model.
+        dropped_rad: RMS difference without refit of the other parameters.
+        recorded_rad: RMS errors on a held-out recording, of the full model and of the refitted
+            one; None without recordings.
+        held_out: That recording.
+    """
+
+    joint: str
+    dropped: tuple[str, ...]
+    full_rad: float
+    dropped_rad: float
+    recorded_rad: tuple[float, float] | None = None
+    held_out: str = ""
+
+    def __str__(self) -> str:
+        """The errors in mrad."""
+        names = ", ".join(self.dropped)
+        text = f"{self.joint}: refitted without {names}: {1e3 * self.full_rad:.2f} mrad RMS from "
+        text += f"the full model ({1e3 * self.dropped_rad:.2f} without refit)"
+        if self.recorded_rad is not None:
+            full, exported = (1e3 * x for x in self.recorded_rad)
+            text += f"; on {self.held_out}, held out: {exported:.2f} mrad as exported, "
+            text += f"{full:.2f} of the full model"
+        return text
 
 
 @dataclass(frozen=True)
@@ -57,16 +93,13 @@ class Compared:
     def __str__(self) -> str:
         """The errors in mrad, and how to export the other model."""
         effects, plain = (f"{1e3 * x:.2f} mrad RMS" for x in (self.effects_rad, self.plain_rad))
-        text = f"{self.joint}: {effects} from {self.what} with its effects, "
-        text += f"{plain} as a plain servo"
-        exported, other = (
-            ("plain servo", "effects") if self.plain else ("servo with effects", "plain")
-        )
-        return f"{text}: the {exported} is exported (--which {other} for the other)"
+        names = ("plain servo", "effects") if self.plain else ("servo with effects", "plain")
+        text = f"{self.joint}: {effects} from {self.what} with its effects, {plain} as a plain "
+        return f"{text}servo: the {names[0]} is exported (--which {names[1]} for the other)"
 
 
 @dataclass(frozen=True)
-class Expressible:
+class Nearest:
     """A model that a target expresses.
 
     Attributes:
@@ -83,12 +116,12 @@ class Expressible:
 
 
 @dataclass(frozen=True)
-class _Exported:
+class _Reduced:
     """A joint that a target expresses, and what it lacks of the full one."""
 
     joint: JointModel
-    dropped: tuple[LeftOut, ...] = ()
-    refits: tuple[Refit, ...] = ()
+    dropped: Sequence[LeftOut]
+    refit: Refit | None = None
 
 
 def rollout_error(joint: JointModel, name: str, data: Sequence[Trace]) -> float:
@@ -96,7 +129,7 @@ def rollout_error(joint: JointModel, name: str, data: Sequence[Trace]) -> float:
     return rms(errors_of(joint_row(joint, data[0].load, where=name), data))
 
 
-def expressible(
+def nearest(
     model: Model,
     expressed: Callable[[JointModel], Collection[str]],
     recordings: Sequence[Recording] = (),
@@ -105,8 +138,8 @@ def expressible(
     which: Which = "nearest",
     rough: Collection[str] = (),
     costly: Collection[str] = (),
-    error: Callable[[JointModel, str, Sequence[Trace]], float] = rollout_error,
-) -> Expressible:
+    error: Error = rollout_error,
+) -> Nearest:
     """The model without the effects that a target lacks, with its other parameters refitted.
 
     Effects that no other parameter can replace are kept, and the target lists them: those drawn
@@ -128,7 +161,7 @@ def expressible(
             the error is smaller without them.
         costly: Limits that make the target's model more complex beside a torque-speed line, which
             are dropped, and listed, if no motion reaches them.
-        error: RMS error in rad of a joint of this name on traces, in the target.
+        error: RMS error in the target.
 
     Raises:
         InputError: If the model has an unknown effect.
@@ -138,32 +171,32 @@ def expressible(
     refits: list[Refit] = []
     compared: list[Compared] = []
     for name, joint in model.joints.items():
-        has, lost = expressed(joint), _lost(joint, expressed(joint))
+        has = expressed(joint)
+        lost = _lost(joint, has)
         if not lost and not any(_replaceable(fitted.effect) for fitted in joint.effects):
             continue
         data = fitting_data(name, joint, recordings, robot)
-        candidates = _candidates(name, joint, lost, data, rough, costly, soft=STICKS in has)
-        best, found = _best(name, candidates, data, error, which)
+        drops, still = _drops(joint, lost, data, rough, costly)
+        soft = STICKS in has
+        best, others = _best(name, joint, drops, still, data, error, which, soft=soft)
         joints[name] = best.joint
         dropped += best.dropped
-        refits += best.refits
-        compared += found
-    return Expressible(
-        replace(model, joints=joints), tuple(dropped), tuple(refits), tuple(compared)
-    )
+        refits += [best.refit] if best.refit else []
+        compared += others
+    return Nearest(replace(model, joints=joints), tuple(dropped), tuple(refits), tuple(compared))
 
 
-def _candidates(
-    name: str,
+def _drops(
     joint: JointModel,
     lost: set[str],
     data: FittingData,
     rough: Collection[str],
     costly: Collection[str],
-    *,
-    soft: bool,
-) -> dict[str, Callable[[], _Exported]]:
-    """Models that the target expresses: ``plain`` without effects, if that is another one."""
+) -> tuple[dict[str, set[str]], set[str]]:
+    """Parts that models which the target expresses lack, and those that hardly move the joint.
+
+    The last model is ``plain``, without effects, if that is another one.
+    """
     effects = {fitted.effect for fitted in joint.effects}
     line = {name for name in LINE if joint.motor.get(name.removeprefix("motor."))}
     drops = {"as far as expressed": lost}
@@ -172,117 +205,91 @@ def _candidates(
         drops["current limit"] = lost - saturation | line
     if effects & set(rough):
         drops["without rough effects"] = lost | effects & set(rough)
-    drops["plain"] = lost | {effect for effect in effects if _replaceable(effect)}
-    still = {
-        part
-        for part in drops["plain"].union(*drops.values())
-        if part not in line and _moves(data, joint, part) < NEGLIGIBLE_RAD
-    }
+    drops[_PLAIN] = lost | {effect for effect in effects if _replaceable(effect)}
+    parts = set().union(*drops.values()) - line
+    still = {part for part in parts if _moves(data, joint, part) < NEGLIGIBLE_RAD}
     unreached = still & set(costly) if line else set()
-    drops = {kind: dropped | unreached for kind, dropped in drops.items()}
-    kinds: dict[frozenset[str], str] = {}
+    different: dict[frozenset[str], str] = {}
     for kind, dropped in drops.items():
-        kinds.setdefault(frozenset(dropped - still), kind)
-    return {
-        kind: partial(
-            _without,
-            name,
-            joint,
-            key,
-            drops[kind] & still,
-            still,
-            partial(refitted, data=data, dry=kind != "plain", soft=soft),
-        )
-        for key, kind in kinds.items()
-    }
+        different.setdefault(frozenset(dropped - still), kind)
+    return {kind: drops[kind] | unreached for kind in different.values()}, still
+
+
+def _best(
+    name: str,
+    joint: JointModel,
+    drops: dict[str, set[str]],
+    still: set[str],
+    data: FittingData,
+    error: Error,
+    which: Which,
+    *,
+    soft: bool,
+) -> tuple[_Reduced, list[Compared]]:
+    """The joint with the smallest error, and the comparison with the plain servo."""
+    made: dict[str, _Reduced] = {}
+    errors: dict[str, float] = {}
+    for kind, dropped in drops.items():
+        made[kind] = _without(name, joint, dropped, still, data, dry=kind != _PLAIN, soft=soft)
+        if len(drops) == 1:
+            return made[kind], []
+        errors[kind] = error(made[kind].joint, name, [*data.fitted, *data.scored])
+        if errors[kind] < NEGLIGIBLE_RAD and which != _PLAIN:
+            return made[kind], []
+    best, *others = (kind for kind in drops if kind != _PLAIN)
+    for kind in others:
+        best = kind if errors[kind] < BETTER * errors[best] else best
+    if _PLAIN not in drops:
+        return made[best], []
+    plain = which == "plain" or (which == "nearest" and errors[_PLAIN] < BETTER * errors[best])
+    what = "the recordings" if data.scored else "the full model"
+    compared = Compared(name, plain, errors[best], errors[_PLAIN], what)
+    return made[_PLAIN if plain else best], [compared]
 
 
 def _without(
     name: str,
     joint: JointModel,
-    parts: Collection[str],
-    lost: Collection[str],
-    still: Collection[str],
-    refit: Callable[[str, JointModel, Sequence[str]], tuple[JointModel, Refit]],
-) -> _Exported:
+    dropped: set[str],
+    still: set[str],
+    data: FittingData,
+    *,
+    dry: bool,
+    soft: bool,
+) -> _Reduced:
     """A joint without some parts, refitted if other parameters may replace them.
 
-    Parts that hardly move it, ``still``, are dropped before a refit, else only those ``lost``.
+    Parts that hardly move it, ``still``, are dropped before a refit.
     """
     lines = []
-    if SATURATION in lost and joint.motor.get("stall_torque_Nm"):
+    if SATURATION in dropped & still and joint.motor.get("stall_torque_Nm"):
         why = "no motion of the recordings or the standard excitation reaches it"
         lines.append(LeftOut(name, _shown(joint, SATURATION), why))
-    if not (replaced := sorted(part for part in parts if _replaceable(part))):
-        return _Exported(without(joint, lost), tuple(lines))
-    servo, cost = refit(name, without(joint, still), replaced)
+    replaced = sorted(part for part in dropped - still if _replaceable(part))
+    if not replaced:
+        return _Reduced(without(joint, dropped & still), lines)
     why = "the other parameters were refitted to compensate for it; do not add it"
     lines += [LeftOut(name, _shown(joint, part), why) for part in replaced]
-    return _Exported(servo, tuple(lines), (cost,))
-
-
-def _best(
-    name: str,
-    candidates: Mapping[str, Callable[[], _Exported]],
-    data: FittingData,
-    error: Callable[[JointModel, str, Sequence[Trace]], float],
-    which: Which,
-) -> tuple[_Exported, list[Compared]]:
-    """The candidate with the smallest error, and the comparison with the plain servo."""
-    made: dict[str, _Exported] = {}
-    errors: dict[str, float] = {}
-    for kind, make in candidates.items():
-        made[kind] = make()
-        if len(candidates) == 1:
-            return made[kind], []
-        errors[kind] = error(made[kind].joint, name, [*data.fitted, *data.scored])
-        if errors[kind] < NEGLIGIBLE_RAD and which != "plain":
-            return made[kind], []
-    best, *others = (kind for kind in candidates if kind != "plain")
-    for kind in others:
-        best = kind if errors[kind] < _BETTER * errors[best] else best
-    if "plain" not in candidates:
-        return made[best], []
-    plain = which == "plain" or (which == "nearest" and errors["plain"] < _BETTER * errors[best])
-    what = "the recordings" if data.scored else "the full model"
-    compared = Compared(name, plain, errors[best], errors["plain"], what)
-    return made["plain" if plain else best], [compared]
-
-
-def fitting_data(
-    name: str, joint: JointModel, recordings: Sequence[Recording], robot: Robot | None
-) -> FittingData:
-    """Data to refit a joint to: recordings in which it moves, else predictions of its model."""
-    sheet = robot.joint(name) if robot else None
-    reach = 0.9 * min(abs(x) for x in sheet.limits_rad) if sheet else None
-    predicted = excitation(joint, name, reach)
-    data = _on_load(traces(recordings, name), joint)
-    return FittingData(predicted, *(split(data, None) if data else (predicted, [], "")))
-
-
-def _on_load(data: Sequence[Trace], joint: JointModel) -> list[Trace]:
-    """The traces with the load that the gains of the model refer to."""
-    if joint.per_inertia:
-        return [replace(trace, load=PER_INERTIA) for trace in data]
-    load = joint.load
-    return [
-        replace(trace, load=load) if trace.load is PER_INERTIA and load else trace for trace in data
-    ]
+    moving = without(joint, still)
+    servo, start, best = refitted(moving, replaced, data, dry=dry, soft=soft)
+    recorded = None
+    if data.scored:
+        full = joint_row(moving, data.own[0].load)
+        recorded = rms(errors_of(full, data.scored)), rms(errors_of(best, data.scored))
+    full_rad, dropped_rad = (rms(errors_of(row, data.own)) for row in (best, start))
+    cost = Refit(name, tuple(replaced), full_rad, dropped_rad, recorded, data.held_out)
+    return _Reduced(servo, lines, cost)
 
 
 def _lost(joint: JointModel, has: Collection[str]) -> set[str]:
     """What the target lacks: fitted effects, ``BEYOND_LIMIT``, and ``motor.NAME`` for losses."""
-    effects = {
-        fitted.effect
-        for fitted in joint.effects
-        if fitted.effect not in has and named(fitted.effect).fitted
-    }
+    lost = {e.effect for e in joint.effects if e.effect not in has and named(e.effect).fitted}
     if joint.motor.get("stall_torque_Nm") and SATURATION in has and BEYOND_LIMIT not in has:
         beyond = (e.parameters.get("free_damping") for e in joint.effects if e.effect == SATURATION)
-        effects |= {BEYOND_LIMIT} if any(beyond) else set()
-    terms = {key: effect for key, effect, _ in MOTOR_TERMS}
-    losses = {key for key, value in joint.motor.items() if value and key not in _LINE}
-    return effects | {f"motor.{key}" for key in losses if terms.get(key, f"motor.{key}") not in has}
+        lost |= {BEYOND_LIMIT} if any(beyond) else set()
+    terms = {f"motor.{key}": effect for key, effect, _ in MOTOR_TERMS}
+    losses = {f"motor.{key}" for key, value in joint.motor.items() if value} - {*LINE}
+    return lost | {loss for loss in losses if terms.get(loss, loss) not in has}
 
 
 def _replaceable(name: str) -> bool:

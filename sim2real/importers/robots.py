@@ -1,4 +1,4 @@
-"""Conversion of a tree of bodies and hinges, as in URDF and MJCF, to a ``robot.toml``."""
+"""Conversion of a tree of bodies and hinges, as in a URDF, to a ``robot.toml``."""
 
 from __future__ import annotations
 
@@ -160,36 +160,29 @@ def _groups(tree: Tree, chosen: Sequence[Hinge]) -> list[list[Body]] | None:
 def _link(tree: Tree, chosen: Sequence[Hinge], k: int, group: list[Body], notes: list[str]) -> str:
     """The table of link k; its bodies together, by the parallel axis theorem."""
     name = tree.bodies[chosen[k - 1].body].name if k else (group[0].name if group else "base")
-    text = f"\n[[links]]\nname = {_quoted(name)}\n"
     mass = sum(body.mass for body in group)
-    front = chosen[k - 1].origin if k else None
-    back = chosen[k].origin if k < len(chosen) else None
-    length, along = 0.0, np.zeros(3)
-    if front is not None and back is not None:
-        axis = chosen[k - 1].axis
-        along = back - front - axis * float(axis @ (back - front))
+    length, along, front = 0.0, np.zeros(3), np.zeros(3)
+    if 0 < k < len(chosen):
+        front, axis = chosen[k - 1].origin, chosen[k - 1].axis
+        between = chosen[k].origin - front
+        along = between - axis * float(axis @ between)
         length = float(np.linalg.norm(along))
-    if mass > 0:
-        text += f"mass_kg = {mass:.9g}\n"
-    else:
-        notes.append(f"{name}: mass_kg: not stated")
-    if length > 1e-9:
-        text += f"length_m = {length:.9g}\n"
-    else:
-        notes.append(f"{name}: length_m: not stated")
+    values = {"mass_kg": mass, "length_m": length if length > 1e-9 else 0.0}
+    notes += [f"{name}: {field}: not stated" for field, value in values.items() if value <= 0]
     if mass > 0:
         com = sum((body.mass * body.com for body in group), np.zeros(3)) / mass
-        if length > 1e-9 and front is not None:
-            place = float(along / length @ (com - front))
-            if place >= 0:
-                text += f"com_m = {place:.9g}\n"
-            else:
-                notes.append(f"{name}: com_m: {place:.3g}, in front of its joint")
+        if length > 1e-9:
+            values["com_m"] = float(along / length @ (com - front))
+            if values["com_m"] < 0:
+                notes.append(f"{name}: com_m: {values['com_m']:.3g}, in front of its joint")
         turned = chosen[max(k - 1, 0)].axis
-        inertia = float(turned @ _about(com, group) @ turned)
-        if inertia > 0:
-            text += f"inertia_kgm2 = {inertia:.9g}\n"
-    return text
+        values["inertia_kgm2"] = float(turned @ _about(com, group) @ turned)
+    rows = (
+        f"{field} = {value:.9g}\n"
+        for field, value in values.items()
+        if value > 0 or (field == "com_m" and value == 0)
+    )
+    return f"\n[[links]]\nname = {_quoted(name)}\n" + "".join(rows)
 
 
 def _about(com: Array, group: Sequence[Body]) -> Array:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import re
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import simulated
-from sim2real.identification.fit import residuals
 
 from sim2real.cli import main
-from sim2real.commands.export_servo import TARGETS
 from sim2real.effects import CATALOGUE
-from sim2real.exporters.excitation import excitation
-from sim2real.exporters.expressible import expressible
-from sim2real.exporters.mujoco_refit import CASES, mujoco_error, mujoco_refit
-from sim2real.exporters.refit import without
-from sim2real.exporters.urdf import urdf
+from sim2real.exporters.mujoco_bench import CASES, mujoco_error, mujoco_export
+from sim2real.exporters.nearest import nearest
+from sim2real.exporters.refit import excitation, without
+from sim2real.exporters.simulators import TARGETS
+from sim2real.identification.search import errors_of
 from sim2real.inference.least_squares import rms
 from sim2real.model import FittedEffect, JointModel, Model, write_model
 from sim2real.recording import Load, write_recording
@@ -28,6 +26,9 @@ from sim2real.servo.parameters import joint_row
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 LOAD = Load(simulated.INERTIA)
 DEADBAND = {"halfwidth_rad": 0.02}
+
+
+needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="MuJoCo runs exported models")
 
 
 def servo(motor: dict[str, float] | None = None, **effects: dict[str, float]) -> Model:
@@ -48,14 +49,14 @@ def servo(motor: dict[str, float] | None = None, **effects: dict[str, float]) ->
 def apart(one: Model, other: Model) -> float:
     """RMS difference of two models on the standard excitation, rad."""
     own = excitation(one.joints["j1"], "j1")
-    return rms(residuals(joint_row(other.joints["j1"], LOAD), own))
+    return rms(errors_of(joint_row(other.joints["j1"], LOAD), own))
 
 
 @pytest.mark.parametrize("target", ["mujoco", "isaaclab", "genesis", "urdf"])
 @pytest.mark.parametrize("effect", ["deadband", "load_friction", "sensor_filter"])
 def test_a_refit_is_nearer_than_dropping(target: str, effect: str) -> None:
     model = servo(**{effect: TYPICAL[effect]})
-    found = expressible(model, TARGETS[target].expressed)
+    found = nearest(model, TARGETS[target].expressed)
     (refit,) = found.refits
     assert effect not in {e.effect for e in found.model.joints["j1"].effects}
     assert refit.full_rad == pytest.approx(apart(model, found.model), rel=1e-6)
@@ -74,7 +75,7 @@ def test_the_rotor_of_a_gear_train_that_a_target_lacks_still_turns_with_the_load
     train = TYPICAL[effect] | {"rotor_inertia_kgm2": rotor}
     (whole,) = servo(unmodelled_inertia={"inertia_kgm2": beside}, **{effect: train}).joints.values()
     for joint in (whole, without(whole, {effect})):
-        text = urdf(Model({"j1": joint})).text
+        text = TARGETS["urdf"].write(Model({"j1": joint})).text
         inertia = ElementTree.fromstring(text).findall(".//inertial/inertia")[-1]
         total = LOAD.inertia_kgm2 + rotor + beside
         assert float(inertia.attrib["iyy"]) == pytest.approx(total)
@@ -83,24 +84,24 @@ def test_the_rotor_of_a_gear_train_that_a_target_lacks_still_turns_with_the_load
 def test_what_a_target_expresses_stays_to_the_last_digit() -> None:
     model = servo(coulomb_friction=TYPICAL["coulomb_friction"])
     for target in TARGETS.values():
-        found = expressible(model, target.expressed)
+        found = nearest(model, target.expressed)
         assert found.model.joints == model.joints
         assert not found.refits
         assert not found.dropped
 
 
+@needs_mujoco
 def test_a_dead_band_is_soft_dry_friction_in_mujoco() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
-    found = mujoco_refit(servo(deadband=DEADBAND))
-    motor = found.expressible.model.joints["j1"].motor
+    _, found, (agreement,) = mujoco_export(servo(deadband=DEADBAND))
+    motor = found.model.joints["j1"].motor
     assert motor["stick_time_s"] == pytest.approx(simulated.INERTIA / simulated.KD, rel=0.05)
-    assert found.expressible.refits[0].full_rad < 1e-4
-    assert found.agreement[0].error_rad < 1e-3
+    assert found.refits[0].full_rad < 1e-4
+    assert agreement.error_rad < 1e-3
 
 
 def test_expressed_effects_are_fitted_again_beside_those_dropped() -> None:
     model = servo(coulomb_friction={"torque_Nm": 0.05}, deadband=DEADBAND)
-    found = expressible(model, TARGETS["mujoco"].expressed)
+    found = nearest(model, TARGETS["mujoco"].expressed)
     (left,) = found.model.joints["j1"].effects
     assert left.effect == "coulomb_friction"
     assert left.parameters["torque_Nm"] > 0.055  # a dead band is like more dry friction
@@ -109,7 +110,7 @@ def test_expressed_effects_are_fitted_again_beside_those_dropped() -> None:
 def test_losses_of_a_motor_become_dry_friction_and_zeros_are_not_listed() -> None:
     line = {"stall_torque_Nm": 1.5, "no_load_speed_rad_s": 8.0, "coulomb_Nm": 0.02}
     model = servo({**line, "load_friction": 1e-13, "motor_friction": 0.2})
-    found = expressible(model, TARGETS["mujoco"].expressed)
+    found = nearest(model, TARGETS["mujoco"].expressed)
     (refit,) = found.refits
     assert refit.dropped == ("motor.motor_friction",)
     assert refit.full_rad < 0.6 * refit.dropped_rad
@@ -121,7 +122,7 @@ def test_losses_of_a_motor_become_dry_friction_and_zeros_are_not_listed() -> Non
 @pytest.mark.parametrize("effect", ["gravity_load", "sensor_offset", "encoder_quantization"])
 def test_what_nothing_can_stand_in_for_is_listed_and_not_refitted(target: str, effect: str) -> None:
     model = servo(**{effect: TYPICAL[effect]})
-    found = expressible(model, TARGETS[target].expressed)
+    found = nearest(model, TARGETS[target].expressed)
     assert found.model.joints == model.joints
     listed = TARGETS[target].write(found.model, None, found.dropped).left_out
     assert any(effect in line.what for line in listed)
@@ -129,16 +130,16 @@ def test_what_nothing_can_stand_in_for_is_listed_and_not_refitted(target: str, e
 
 def test_nothing_that_hardly_moves_the_joint_is_listed() -> None:
     model = servo(deadband={"halfwidth_rad": 1e-6}, presliding_friction={"torque_Nm": 0.0})
-    found = expressible(model, TARGETS["urdf"].expressed)
+    found = nearest(model, TARGETS["urdf"].expressed)
     assert not found.refits
     assert not found.dropped
     assert not found.model.joints["j1"].effects
 
 
+@needs_mujoco
 def test_a_refit_to_recordings_scores_on_the_last(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     paths = [tmp_path / f"{name}.csv" for name in ("a", "b")]
     for seed, path in enumerate(paths):
         write_recording(simulated.recording(seed, path.stem, deadband=DEADBAND), path)
@@ -173,7 +174,7 @@ def test_gains_per_inertia_stay_per_inertia() -> None:
         1100.0, 30.0, 0.05, 1.0, per_inertia=True, effects=(FittedEffect("deadband", DEADBAND),)
     )
     recordings = [simulated.recording(seed, f"{seed}", deadband=DEADBAND) for seed in (0, 1)]
-    found = expressible(Model({"j1": joint}), TARGETS["mujoco"].expressed, recordings)
+    found = nearest(Model({"j1": joint}), TARGETS["mujoco"].expressed, recordings)
     new = found.model.joints["j1"]
     assert new.per_inertia
     assert new.inertia_kgm2 == 1
@@ -184,7 +185,9 @@ def test_gains_per_inertia_stay_per_inertia() -> None:
 def test_damping_of_joint_and_controller_in_a_urdf_are_positive_and_the_whole(
     no_load_speed: float,
 ) -> None:
-    export = urdf(servo({"stall_torque_Nm": 1.0, "no_load_speed_rad_s": no_load_speed}))
+    export = TARGETS["urdf"].write(
+        servo({"stall_torque_Nm": 1.0, "no_load_speed_rad_s": no_load_speed})
+    )
     dynamics = ElementTree.fromstring(export.text).find("joint/dynamics")
     assert dynamics is not None
     joint = float(dynamics.get("damping", "nan"))
@@ -198,61 +201,48 @@ def test_damping_of_joint_and_controller_in_a_urdf_are_positive_and_the_whole(
     assert joint + controller == pytest.approx(simulated.KD)
 
 
-def test_json_has_every_effect(tmp_path: Path) -> None:
-    write_model(servo(deadband=DEADBAND), tmp_path / "model.json")
-    out = tmp_path / "servo.json"
-    assert (
-        main(["export-servo", str(tmp_path / "model.json"), "--to", "json", "--out", str(out)]) == 0
-    )
-    (effect,) = json.loads(out.read_text())["joints"]["j1"]["effects"]
-    assert effect == {"effect": "deadband", "parameters": DEADBAND}
-
-
 def test_the_standard_excitation_starts_at_rest_and_is_within_reach() -> None:
     for trace in excitation(servo().joints["j1"], "j1", 0.4):
         assert trace.command[0] == 0
         assert 0.2 < np.abs(trace.command).max() <= 0.4
 
 
+@needs_mujoco
 def test_bristles_that_mujoco_steps_badly_give_way_to_dry_friction() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     stiff = {"torque_Nm": 0.02, "stiffness_Nm_per_rad": 30.0, "damping_ratio": 2.0}
     model = servo(presliding_friction=stiff)
-    found = mujoco_refit(model)
-    (after,) = found.agreement
+    export, _, (after,) = mujoco_export(model)
     as_it_is = mujoco_error(model.joints["j1"], "j1", excitation(model.joints["j1"], "j1"))
     assert after.error_rad < 0.7 * as_it_is
-    assert "frictionloss" in found.export.text
-    assert any("presliding_friction" in line.what for line in found.export.left_out)
+    assert "frictionloss" in export.text
+    assert any("presliding_friction" in line.what for line in export.left_out)
 
 
+@needs_mujoco
 def test_each_recording_is_run_on_its_own_load() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     heavy = Load(0.005, 0.1, 0.15)
     recordings = [simulated.recording(0, "light"), simulated.recording(1, "heavy", load=heavy)]
-    found = mujoco_refit(servo(), recordings)
-    assert found.agreement[0].what == "heavy, held out"
-    assert found.agreement[0].error_rad == pytest.approx(simulated.NOISE, rel=0.2)
+    _, _, (agreement,) = mujoco_export(servo(), recordings)
+    assert agreement.what == "heavy, held out"
+    assert agreement.error_rad == pytest.approx(simulated.NOISE, rel=0.2)
 
 
+@needs_mujoco
 def test_bristles_that_mujoco_steps_well_stay() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     model = servo(presliding_friction=TYPICAL["presliding_friction"] | {"damping_ratio": 0.2})
-    found = mujoco_refit(model)
-    assert found.expressible.model.joints == model.joints
-    assert found.agreement[0].error_rad < 1e-3
+    _, found, (agreement,) = mujoco_export(model)
+    assert found.model.joints == model.joints
+    assert agreement.error_rad < 1e-3
 
 
 LINE = {"stall_torque_Nm": 1.5, "no_load_speed_rad_s": 8.0}
 
 
-@pytest.mark.parametrize("target", ["mujoco", "genesis"])
+@pytest.mark.parametrize("target", [pytest.param("mujoco", marks=needs_mujoco), "genesis"])
 def test_the_plain_servo_is_exported_where_it_is_nearer(
     target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A model with friction that the recordings do not have, and one with what they have."""
-    if target == "mujoco":
-        pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     paths = [tmp_path / f"{name}.csv" for name in ("a", "b")]
     out = tmp_path / "servo.txt"
     for torque_Nm, plain in ((0.0, True), (0.12, False)):
@@ -284,7 +274,7 @@ def test_a_target_with_one_limit_has_the_one_that_matters() -> None:
     """A limit of the current far below the stall torque replaces the torque-speed line."""
     limit = {"torque_saturation": {"limit_Nm": 0.2, "free_damping": 0.0}}
     recordings = [simulated.recording(k, f"{k}", 6.0, **limit) for k in (0, 1)]
-    found = expressible(servo(LINE, **limit), TARGETS["mjlab"].expressed, recordings)
+    found = nearest(servo(LINE, **limit), TARGETS["mjlab"].expressed, recordings)
     (refit,) = found.refits
     assert refit.recorded_rad is not None
     assert refit.recorded_rad[1] < 1.2 * simulated.NOISE
@@ -303,25 +293,24 @@ def test_a_refit_to_recordings_keeps_the_limits_of_the_motor() -> None:
     """They are what other recordings told, and these may reach them hardly or not at all."""
     recordings = [simulated.recording(k, f"{k}", 6.0, deadband=DEADBAND) for k in (0, 1)]
     model = servo(LINE, deadband=DEADBAND)
-    (joint,) = expressible(model, TARGETS["genesis"].expressed, recordings).model.joints.values()
+    (joint,) = nearest(model, TARGETS["genesis"].expressed, recordings).model.joints.values()
     assert {name: joint.motor[name] for name in LINE} == LINE
 
 
 def test_a_limit_that_nothing_reaches_is_said() -> None:
     model = servo(LINE, torque_saturation={"limit_Nm": 1.49, "free_damping": 0.0})
-    (line,) = expressible(model, TARGETS["mjlab"].expressed).dropped
+    (line,) = nearest(model, TARGETS["mjlab"].expressed).dropped
     assert "no motion" in line.why
-    (line,) = mujoco_refit(model).export.left_out
+    (line,) = mujoco_export(model)[0].left_out
     assert "no motion" in line.why
-    kept = expressible(model, TARGETS["isaaclab"].expressed).model
+    kept = nearest(model, TARGETS["isaaclab"].expressed).model
     assert kept.joints == model.joints
 
 
+@needs_mujoco
 def test_errors_at_the_time_steps_of_users_are_printed_and_written() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
-    found = mujoco_refit(servo(LINE))
-    (agreement,) = found.agreement
-    assert set(agreement.coarse_rad) == set(CASES)
-    assert max(agreement.coarse_rad.values()) < 0.02
+    export, _, (agreement,) = mujoco_export(servo(LINE))
+    assert [(one["integrator"], one["timestep_s"]) for one in agreement.coarse] == [*CASES]
+    assert max(one["error_rad"] for one in agreement.coarse) < 0.02
     assert "Euler, 2 ms: " in str(agreement)
-    assert str(agreement) in found.export.text
+    assert str(agreement) in export.text
