@@ -21,7 +21,7 @@ from scipy.stats import binom
 
 from sim2real.arrays import Array
 from sim2real.identification.identify import identify
-from sim2real.inference.parameters import Parameter, Priors
+from sim2real.inference.parameters import Parameter
 from sim2real.output import write_json, write_whole
 from sim2real.posterior.chain import LEAST_TIMES
 from sim2real.posterior.servo import sample_servo
@@ -31,12 +31,10 @@ from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.trace import trace
 
 INERTIA = 0.002
-PRIORS = Priors(
-    (
-        Parameter("kp_Nm_per_rad", 0.6, 6.0, 2.0, log=True),
-        Parameter("kd_Nms_per_rad", 0.02, 0.2, 0.06, log=True),
-        Parameter("latency_s", 0.02, 0.12, 0.05),
-    )
+DRAWN = (
+    Parameter("kp_Nm_per_rad", 0.6, 6.0, 2.0, log=True),
+    Parameter("kd_Nms_per_rad", 0.02, 0.2, 0.06, log=True),
+    Parameter("latency_s", 0.02, 0.12, 0.05),
 )
 LEVELS = (0.5, 0.8, 0.95)
 SECONDS, RATE_HZ, JITTER_S = 30.0, 50.0, 0.001
@@ -62,12 +60,15 @@ def main() -> None:
 def one_case(case: np.random.SeedSequence) -> tuple[list[int], float]:
     """Ranks of the true parameters among the draws, and the length of the chain in its times."""
     rng = np.random.default_rng(case)
-    truth = PRIORS.draw(rng, 1)[0]
+    share = rng.random(len(DRAWN))
+    ends = [(np.log([p.low, p.high]) if p.log else (p.low, p.high)) for p in DRAWN]
+    drawn = np.array([low + (high - low) * x for (low, high), x in zip(ends, share, strict=True)])
+    truth = np.where([p.log for p in DRAWN], np.exp(drawn), drawn)
     recording = recorded(truth, rng)
-    model = identify([recording], ROBOT).joints["j1"]
+    model = identify([recording], ROBOT, law="pd").joints["j1"]
     given, seed = [trace(recording, "j1")], int(rng.integers(2**31))
     for steps in STEPS:  # longer where the chain is too short to be published
-        found = sample_servo(given, model, seed=seed, steps=steps, priors=PRIORS)
+        found = sample_servo(given, model, seed=seed, steps=steps)
         if found.convergence.reached:
             break
     draws = found.values[rng.choice(found.values.shape[0], DRAWS, replace=False)]
@@ -133,7 +134,7 @@ def write(ranks: Array, spans: Array, seed: int, out: Path) -> None:
     cases = ranks.shape[0]
     shares = {level: covered(ranks, level) for level in LEVELS}
     worst = max(float(np.abs(share - level).max()) for level, share in shares.items())
-    names = list(PRIORS.names)
+    names = [p.name for p in DRAWN]
     content = {
         "cases": cases,
         "seed": seed,
@@ -158,8 +159,7 @@ def text(shares: dict[float, Array], cases: int, worst: float, spans: Array) -> 
         "",
         f"{cases} simulated servos, each drawn from the prior, recorded for {SECONDS:.0f} s of "
         "steps at 50 Hz",
-        "with noise that is correlated in time, and sampled under the same prior by "
-        "`sim2real.posterior`.",
+        "with noise that is correlated in time, and sampled by `sim2real.posterior`.",
         "The recordings are sums of closed-form step responses; they share no code with the "
         "library.",
         "",
@@ -183,7 +183,7 @@ def text(shares: dict[float, Array], cases: int, worst: float, spans: Array) -> 
         f"Rank of the truth among {DRAWS} draws: flat where the posterior is right; the band is "
         "where 95 % of the bars fall by chance.",
         "",
-        "Priors: " + "; ".join(f"`{p.name}` {p}" for p in PRIORS.each) + ".",
+        "Drawn: " + "; ".join(f"`{p.name}` {p}" for p in DRAWN) + ".",
         f"Noise: white of {1e3 * WHITE_RAD:g} mrad plus an Ornstein-Uhlenbeck process of "
         f"{1e3 * WANDER_RAD:g} mrad with a",
         f"correlation time of {WANDER_S[0]:g} to {WANDER_S[1]:g} s, drawn anew for each servo.",

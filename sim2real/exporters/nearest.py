@@ -15,13 +15,8 @@ from typing import Literal
 
 from sim2real.effects import named
 from sim2real.exporters.actuator import BEYOND_LIMIT, MOTOR_TERMS, SATURATION, LeftOut
-<<<<<<< HEAD:sim2real/exporters/expressible.py
-from sim2real.exporters.excitation import excitation
-from sim2real.exporters.refit import STICKS, FittingData, Refit, refitted, without
-=======
 from sim2real.exporters.refit import BETTER, STICKS, FittingData, fitting_data, refitted, without
 from sim2real.identification.search import errors_of
->>>>>>> main:sim2real/exporters/nearest.py
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
