@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from importlib import import_module
+from pathlib import Path
 
 from sim2real.errors import InputError, check_choice
 from sim2real.hardware.journal import Changed, Journal
-from sim2real.hardware.latency_timer import latency_advice
-from sim2real.hardware.motion import release
+from sim2real.hardware.lx import LxBus
+from sim2real.hardware.register_bus import DynamixelBus, FeetechBus
 from sim2real.hardware.servo_bus import ServoBus
-from sim2real.hardware.transport import Transport, open_transport
+from sim2real.hardware.transport import open_transport
 
-BUSES: Mapping[str, tuple[str, str]] = {
-    "lx": ("sim2real.hardware.lx_bus", "LxBus"),
-    "dynamixel": ("sim2real.hardware.dynamixel_bus", "DynamixelBus"),
-    "feetech": ("sim2real.hardware.feetech_bus", "FeetechBus"),
-}
-"""Module and class of each bus."""
+BUSES: Mapping[str, type[ServoBus]] = {bus.name: bus for bus in (LxBus, DynamixelBus, FeetechBus)}
 
 
 @dataclass(frozen=True)
 class Connection:
-    """An open bus, with the journal of its port.
-
-    Attributes:
-        bus: The bus.
-        journal: Where to note changes.
-        baud: Bits per second.
-    """
+    """An open bus, with the journal of its port."""
 
     bus: ServoBus
     journal: Journal
-    baud: int
 
 
 def bus_class(name: str) -> type[ServoBus]:
@@ -45,9 +35,7 @@ def bus_class(name: str) -> type[ServoBus]:
         InputError: If there is none with this name.
     """
     check_choice("--bus", "", name, BUSES)
-    module, class_name = BUSES[name]
-    found: type[ServoBus] = getattr(import_module(module), class_name)
-    return found
+    return BUSES[name]
 
 
 @contextmanager
@@ -64,8 +52,8 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
     Raises:
         InputError: If there is no such bus or port, or another command uses the port.
     """
-    usual = bus_class(name).baud_rates[0]
-    rate = usual if baud is None else baud
+    kind = bus_class(name)
+    rate = kind.baud_rates[0] if baud is None else baud
     if rate <= 0:
         raise InputError("--baud", "", f"{rate}", "a rate above 0, such as 1000000")
     if advice := latency_advice(port):
@@ -81,13 +69,30 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
             transport.close()
             _restore(port, pending, journal)
             transport = open_transport(port, baud=rate)
-        with closing(_on(transport, name, rate)) as bus:
-            yield Connection(bus, journal, rate)
+        with closing(kind(transport, rate)) as bus:
+            yield Connection(bus, journal)
 
 
-def _on(transport: Transport, name: str, baud: int) -> ServoBus:
-    bus: ServoBus = bus_class(name)(transport, baud)  # type: ignore[call-arg]
-    return bus
+def release(
+    bus: ServoBus, changed: Mapping[int, Mapping[str, int]], *, attempts: int = 2
+) -> list[int]:
+    """Stop every servo, switch its torque off and restore its limits.
+
+    Args:
+        bus: The bus.
+        changed: For each identity the values to restore.
+        attempts: Attempts for each servo, each of which insists.
+
+    Returns:
+        Identities of those that did not confirm it; their torque may still be on.
+    """
+    unconfirmed = []
+    for servo_id, values in changed.items():
+        with contextlib.suppress(OSError):
+            if any(bus.restore(servo_id, values) for _ in range(attempts)):
+                continue
+        unconfirmed.append(servo_id)
+    return unconfirmed
 
 
 def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
@@ -95,7 +100,7 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
     silent = list[int]()
     for name, baud in {(entry.bus, entry.baud): None for entry in pending}:
         entries = {e.servo_id: e for e in pending if (e.bus, e.baud) == (name, baud)}
-        with closing(_on(open_transport(port, baud=baud), name, baud)) as bus:
+        with closing(bus_class(name)(open_transport(port, baud=baud), baud)) as bus:
             left = release(bus, {servo_id: entry.values for servo_id, entry in entries.items()})
         journal.forget([entry for servo_id, entry in entries.items() if servo_id not in left])
         silent += left
@@ -105,3 +110,26 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
         names = ", ".join(str(servo_id) for servo_id in silent)
         outcome = f"no confirmation from {names} (if they are gone, delete {journal.path})"
     print(f"{port}: servos {listed}, left on by an earlier command: {outcome}", file=sys.stderr)
+
+
+def latency_advice(port: str, system: Path = Path("/sys"), *, longest_ms: int = 1) -> str | None:
+    """One line if a USB adapter on Linux holds bytes back for too long; None otherwise.
+
+    Args:
+        port: The device, such as ``/dev/ttyUSB0``, a link to it, or a URL.
+        system: Where sysfs is mounted.
+        longest_ms: Longest time that is not too long.
+    """
+    name = os.path.basename(os.path.realpath(port))
+    folders = system / "class/tty" / name / "device", system / "bus/usb-serial/devices" / name
+    for folder in () if "://" in port else folders:
+        file = folder / "latency_timer"
+        with contextlib.suppress(OSError, ValueError):
+            value = int(file.read_text())
+            if value <= longest_ms:
+                return None
+            return (
+                f"{port}: latency timer {value} ms, expected at most {longest_ms} ms: "
+                f"echo {longest_ms} | sudo tee {file}"
+            )
+    return None

@@ -1,75 +1,82 @@
-"""A virtual servo that is controlled by registers: its memory and the motion of its shaft.
-
-The protocols are in ``virtual_dynamixel`` and ``virtual_feetech``.
-"""
+"""Virtual servos that are controlled by registers: Dynamixel and Feetech."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
+from sim2real.hardware.frames import BROADCAST, Instruction, Packet
+from sim2real.hardware.register_bus import ALERT
 from sim2real.hardware.registers import TORQUE
 from sim2real.hardware.servo_models import ServoModel
-from sim2real.hardware.virtual_shaft import Law, Shaft
+from sim2real.hardware.virtual_bus import Law, VirtualServo
 
-Refusal = Literal["range", "access", "length"]
+Refusal = Literal["instruction", "range", "length", "access"]
 WATCHDOG_UNIT_S = 0.02
 DELAY_UNIT_S = 2e-6
 _STALL_A = 1.0
 """Current at the stall torque."""
 
 
-class RegisterServo:
-    """One servo on a virtual bus, initially at rest at its centre with its torque off.
+class RegisterServo(VirtualServo):
+    """One servo as it leaves the factory, except for identity and rate.
 
     A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
     is stored only. The current or load is the torque as a share of the stall torque.
 
     Args:
-        servo_id: Identity.
         model: Its model.
-        values: Initial values of registers, by name.
-        law: Law of its shaft.
-        now: Present time in s; later calls use the same clock.
-        supply_V: Supply voltage.
-        temperature_C: Initial temperature.
-        heating_C_per_s: Rate of change of the temperature.
+        servo_id, law, now, more: As for ``VirtualServo``.
+        baud: Bits per second.
 
     Attributes:
-        connected: False for a disconnected servo, which receives and sends nothing.
         memory: Its registers.
+        word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
+        answers_writes: Value of the register ``status_level`` with which writes are answered.
+        baud_codes: Values of the register ``baud``.
+        factory: Values of other registers.
     """
+
+    word_bytes: ClassVar[int]
+    answers_writes: ClassVar[int]
+    baud_codes: ClassVar[Mapping[int, int]]
+    factory: ClassVar[Mapping[str, int]]
 
     def __init__(
         self,
-        servo_id: int,
         model: ServoModel,
-        values: Mapping[str, int],
+        servo_id: int,
         law: Law,
         now: float,
         *,
-        supply_V: float = 7.4,
-        temperature_C: float = 30.0,
-        heating_C_per_s: float = 0.0,
+        baud: int = 1_000_000,
+        **more: Any,  # noqa: ANN401
     ) -> None:
-        self.servo_id, self.model, self.connected = servo_id, model, True
-        self.memory = bytearray(256)
+        super().__init__(servo_id, law, now, **more)
+        self.model, self.memory = model, bytearray(256)
         self._layout, self._scale = model.layout, model.scale(0, 0)
-        self._shaft = Shaft(law, now)
-        self._born, self._heard, self._present = now, now, now
-        self._supply_V = supply_V
-        self._temperature_C, self._heating = temperature_C, heating_C_per_s
-        rating = model.rating(supply_V)
+        self._heard = now
+        rating = model.rating(self._supply_V)
         self._stall_Nm = law.kp_Nm_per_rad if rating is None else rating.stall_torque_Nm
-        start = {"goal_position": model.centre_ticks, "servo_id": servo_id}
-        for name, value in {**values, **start}.items():
+        start = {
+            "max_position": 2 * model.centre_ticks - 1,
+            "model": model.number or model.main_version or 0,
+            "baud": self.baud_codes.get(baud, self.baud_codes[1_000_000]),
+            "goal_position": model.centre_ticks,
+            "servo_id": servo_id,
+        }
+        for name, value in {**self.factory, **start}.items():
             self.put(name, value)
         self._refresh(now)
 
-    @property
-    def powered(self) -> bool:
-        """Whether its torque is on."""
-        return self._shaft.powered
+    @abstractmethod
+    def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
+        """The answer, with the reason if it is a refusal."""
+
+    def _refusal(self, reason: Refusal) -> Packet | None:
+        """The answer to what cannot be read or is no instruction, if there is one."""
+        return None
 
     @property
     def delay_s(self) -> float:
@@ -89,42 +96,53 @@ class RegisterServo:
 
     def advance(self, now: float) -> None:
         """Advance the simulation to ``now``; an expired watchdog stops the shaft."""
-        self._shaft.angle(now)
-        if "bus_watchdog" not in self._layout.registers or not self.powered:
-            return
-        limit = self.get("bus_watchdog") * WATCHDOG_UNIT_S
+        super().advance(now)
+        limit = self._watchdog() * WATCHDOG_UNIT_S if self.powered else 0
         if limit > 0 and now - self._heard > limit:
             self._shaft.hold(now)
             self.put("bus_watchdog", -1)
 
-    def heard(self, now: float) -> None:
-        """Note an instruction on the bus, to this or another servo."""
+    def handle(self, packet: Packet, now: float) -> Packet | None:
+        """Process a packet; the status packet, if there is one."""
+        if not self.connected or packet.code == Instruction.STATUS:
+            return None
         self.advance(now)
         self._heard = now
-
-    def read(self, address: int, count: int, now: float) -> bytes | None:
-        """Bytes of the memory at ``now``; None outside of it."""
-        if not 0 < count <= len(self.memory) - address:
+        everyone = packet.servo_id == BROADCAST
+        if not everyone and packet.servo_id != self.servo_id:
             return None
-        self._refresh(now)
-        return bytes(self.memory[address : address + count])
-
-    def write_own(self, address: int, count: int, blocks: bytes, now: float) -> None:
-        """Write this servo's part of a sync write: blocks of an identity and ``count`` bytes."""
-        for start in range(0, len(blocks) - count, count + 1):
-            if blocks[start] == self.servo_id:
-                self.write(address, blocks[start + 1 : start + 1 + count], now)
+        code, size = packet.code, self.word_bytes
+        address, count = (
+            int.from_bytes(packet.parameters[k : k + size], "little") for k in (0, size)
+        )
+        rest = packet.parameters[2 * size :]
+        if code == Instruction.PING:
+            return self._status(None, self._identification())
+        if code == Instruction.SYNC_READ and everyone:
+            asked = self._layout.sync_read and self.servo_id in rest
+            return self._read(address, count, now) if asked else None
+        if code == Instruction.SYNC_WRITE and everyone:
+            for start in range(0, len(rest) - count, count + 1):  # an identity and its bytes
+                if rest[start] == self.servo_id:
+                    self.write(address, rest[start + 1 : start + 1 + count], now)
+        elif code == Instruction.READ and not everyone:
+            complete = len(packet.parameters) == 2 * size
+            return self._read(address, count, now) if complete else self._refusal("length")
+        elif code == Instruction.WRITE:
+            refused = self.write(address, packet.parameters[size:], now)
+            if not everyone and self.get("status_level") == self.answers_writes:
+                return self._status(refused)
+        elif not everyone:
+            return self._refusal("instruction")
+        return None
 
     def write(self, address: int, data: bytes, now: float) -> Refusal | None:
         """Write to the memory, with all effects; the reason if it is refused."""
         end = address + len(data)
         if not data or end > len(self.memory):
             return "length"
-        names = [
-            name
-            for name, register in self._layout.registers.items()
-            if address <= register.address and register.end <= end
-        ]
+        registers = self._layout.registers.items()
+        names = [name for name, r in registers if address <= r.address and r.end <= end]
         if any(name.startswith("present") or name in ("model", "firmware") for name in names):
             return "access"
         if address < self._layout.volatile_from and self.powered:
@@ -138,57 +156,118 @@ class RegisterServo:
             self._act(name, now)
         return None
 
+    def _identification(self) -> bytes:
+        """Data of the answer to a ping."""
+        return b""
+
+    def _read(self, address: int, count: int, now: float) -> Packet | None:
+        if not 0 < count <= len(self.memory) - address:
+            return self._refusal("range")
+        self._refresh(now)
+        return self._status(None, bytes(self.memory[address : address + count]))
+
+    def _watchdog(self) -> int:
+        return self.get("bus_watchdog") if "bus_watchdog" in self._layout.registers else 0
+
     def _allowed(self, name: str) -> bool:
         value = self.get(name)
         if name == TORQUE:
             return value in (0, 1)
         if name == "bus_watchdog":
-            return 0 <= value <= 127
+            return value >= 0
         if name == "goal_position":
             low, high = self.get("min_position"), self.get("max_position")
-            stopped = "bus_watchdog" in self._layout.registers and self.get("bus_watchdog") < 0
-            return not stopped and (low <= value <= high or low == high)
+            return self._watchdog() >= 0 and (low <= value <= high or low == high)
         return True
 
     def _act(self, name: str, now: float) -> None:
         if name == TORQUE:
-            self._shaft.hold(now)
-            self._shaft.powered = self.get(TORQUE) == 1
+            self._power(self.get(TORQUE) == 1, now)
         elif name == "goal_position" and self.powered:
             goal = self._scale.angle(self.get("goal_position"))
             way = abs(goal - self._shaft.angle(now))
-            speed = self.get("profile_velocity") * self._velocity_unit
+            speed = self.get("profile_velocity") * self.model.velocity_unit_rad_s
             self._shaft.command(now, goal, way / speed if speed else 0.0)
         elif name == "servo_id":
             self.servo_id = self.get("servo_id")
-
-    @property
-    def _velocity_unit(self) -> float:
-        return self._layout.velocity_unit_rad_s or self._scale.tick_rad
 
     def _refresh(self, now: float) -> None:
         """Write the present values into the memory."""
         angle = self._shaft.angle(now)
         share = max(min(self._shaft.drive_Nm / self._stall_Nm, 1.0), -1.0)
-        temperature = self._temperature_C + self._heating * (now - self._born)
         present = {
             "present_position": self._scale.centre_ticks + round(angle / self._scale.tick_rad),
-            "present_velocity": round(self._shaft.speed / self._velocity_unit),
+            "present_velocity": round(self._shaft.speed / self.model.velocity_unit_rad_s),
             "present_load": round(1000 * share),
             "present_voltage": round(10 * self._supply_V),
-            "present_temperature": min(max(round(temperature), 0), 255),
+            "present_temperature": self._degrees(now),
         }
         if self.model.current_unit_A is not None:
-            unit = self.model.current_unit_A
-            name = "present_current"
-            name = name if name in self._layout.registers else "present_load"
-            present[name] = round(share * _STALL_A / unit)
-        if "device_ms" in self._layout.registers:
-            present["device_ms"] = int(1000 * now) % 32768
+            apart = "present_current" in self._layout.registers
+            name = "present_current" if apart else "present_load"
+            present[name] = round(share * _STALL_A / self.model.current_unit_A)
         bits = {what: bit for bit, what in self._layout.errors.items()}
-        errors = present["present_temperature"] > self.get("max_temperature")
+        hot = present["present_temperature"] > self.get("max_temperature")
         low, high = self.get("min_voltage"), self.get("max_voltage")
         voltage = not low <= present["present_voltage"] <= high
-        present["errors"] = errors << bits["temperature"] | voltage << bits["voltage"]
+        present["errors"] = hot << bits["temperature"] | voltage << bits["voltage"]
         for name, value in present.items():
             self.put(name, value)
+
+
+class VirtualDynamixel(RegisterServo):
+    """One Dynamixel servo."""
+
+    word_bytes = 2
+    answers_writes = 2
+    baud_codes: ClassVar[Mapping[int, int]] = {
+        9600: 0, 57_600: 1, 115_200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6,
+    }  # fmt: skip
+    factory: ClassVar[Mapping[str, int]] = {
+        "firmware": 46,
+        "return_delay": 250,
+        "operating_mode": 3,
+        "max_temperature": 70,
+        "max_voltage": 140,
+        "min_voltage": 35,
+        "status_level": 2,
+        "position_p": 400,
+    }
+
+    def _identification(self) -> bytes:
+        return bytes(self.memory[0:2] + self.memory[6:7])  # model and firmware
+
+    def _read(self, address: int, count: int, now: float) -> Packet | None:
+        silent = self.get("status_level") == 0
+        return None if silent else super()._read(address, count, now)
+
+    def _refusal(self, reason: Refusal) -> Packet:
+        return self._status(reason)
+
+    def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
+        errors = {None: 0, "instruction": 2, "range": 4, "length": 5, "access": 7}
+        error = errors[refused] | (ALERT if self.get("errors") else 0)
+        return Packet(self.servo_id, Instruction.STATUS, bytes((error,)) + data)
+
+
+class VirtualFeetech(RegisterServo):
+    """One Feetech servo (STS, SMS or SCS)."""
+
+    word_bytes = 1
+    answers_writes = 1
+    baud_codes: ClassVar[Mapping[int, int]] = {
+        1_000_000: 0, 500_000: 1, 250_000: 2, 128_000: 3, 115_200: 4, 76_800: 5, 57_600: 6,
+        38_400: 7,
+    }  # fmt: skip
+    factory: ClassVar[Mapping[str, int]] = {
+        "status_level": 1,
+        "max_temperature": 70,
+        "max_voltage": 140,
+        "min_voltage": 40,
+        "max_torque": 1000,
+        "position_p": 32,
+        "position_d": 32,
+    }
+
+    def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
+        return Packet(self.servo_id, self.get("errors"), data)
