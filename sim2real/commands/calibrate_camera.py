@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from sim2real.arrays import Array, Picture
 from sim2real.errors import InputError
-from sim2real.hardware.camera_file import write_camera
-from sim2real.hardware.charuco import Board, calibrate, corner_markers, views
-from sim2real.hardware.plane import Lens, stand
+from sim2real.hardware.camera import Lens, dictionary_of, stand, write_camera
+from sim2real.hardware.charuco import calibrate, corner_markers, views
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
 
@@ -41,13 +41,14 @@ def run(options: argparse.Namespace) -> int:
     write_camera(out, lens, corners, known)
     print(f"{len(seen)} views of the board, reprojection error {lens.rms_px:.2f} px")
     x, y, z = plane.position
-    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {plane.residual_px:.2f} px")
+    within = np.sqrt(np.mean(np.sum((plane.pixels(known) - corners) ** 2, axis=1)))
+    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {within:.2f} px")
     print(f"camera: {out}")
     return 0
 
 
-def board_of(text: str, dictionary: str) -> Board:
-    """The board from ``ACROSS,DOWN,SQUARE,MARKER``.
+def board_of(text: str, dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
+    """OpenCV's board from ``ACROSS,DOWN,SQUARE,MARKER``.
 
     Raises:
         InputError: If that is none.
@@ -56,7 +57,10 @@ def board_of(text: str, dictionary: str) -> Board:
     whole = across == int(across) and down == int(down)
     if not (whole and min(across, down) >= 3 and 0 < marker < square):
         raise InputError("calibrate-camera", "--board", text, "as 7,5,0.04,0.03: sides in m")
-    return Board((int(across), int(down)), square, marker, dictionary)
+    import cv2
+
+    words = dictionary_of(dictionary)
+    return cv2.aruco.CharucoBoard((int(across), int(down)), square, marker, words)
 
 
 def corners_of(options: argparse.Namespace, lens: Lens) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.camera_file import read_camera
+from sim2real.hardware.camera import read_camera
 from sim2real.hardware.plots import track_figure
 from sim2real.hardware.sync import correlated, flash, joined
 from sim2real.hardware.tracker import Track, frame_count, track

@@ -3,68 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sim2real.arrays import Array, Picture
-from sim2real.hardware.marker import dictionary_of
-from sim2real.hardware.plane import Lens
+from sim2real.hardware.camera import Lens, dictionary_of
 
-LEAST_CORNERS = 8
-LEAST_VIEWS = 6
-MOST_VIEWS = 40
+View = tuple[Array, Array]
+"""Corners of a board in one picture: in pixels (N, 2) and on the board (N, 3)."""
 APART_PX = 12.0
 """Smallest mean distance of a view's corners from those of the previous view."""
 
 
-@dataclass(frozen=True)
-class Board:
-    """A ChArUco board.
-
-    Attributes:
-        squares: Number of squares horizontally and vertically.
-        square_m, marker_m: Sides of a square and of the marker in it.
-        dictionary: One of ``marker.DICTIONARIES``.
-    """
-
-    squares: tuple[int, int]
-    square_m: float
-    marker_m: float
-    dictionary: str
-
-    def drawn(self) -> Any:  # noqa: ANN401 - OpenCV's
-        """OpenCV's board."""
-        import cv2
-
-        return cv2.aruco.CharucoBoard(
-            self.squares, self.square_m, self.marker_m, dictionary_of(self.dictionary)
-        )
-
-
-@dataclass(frozen=True)
-class View:
-    """Corners of a board in one picture: in pixels (N, 2) and on the board (N, 3)."""
-
-    pixels: Array
-    points: Array
-
-
 def views(
-    pictures: Iterable[Picture], board: Board, *, progress: Callable[[], None] = lambda: None
+    pictures: Iterable[Picture],
+    board: Any,  # noqa: ANN401 - OpenCV's
+    *,
+    progress: Callable[[], None] = lambda: None,
+    most: int = 40,
 ) -> tuple[list[View], tuple[int, int]]:
     """Distinct views of a board, and width and height of the pictures.
 
     Args:
         pictures: Pictures, grey or in colour.
-        board: The board.
+        board: OpenCV's ``CharucoBoard``.
         progress: Called after every picture.
+        most: Largest number of views.
     """
     import cv2
 
-    drawn = board.drawn()
-    detector = cv2.aruco.CharucoDetector(drawn)
+    detector = cv2.aruco.CharucoDetector(board)
     selected: list[View] = []
     size = (0, 0)
     previous: dict[int, Array] = {}
@@ -72,28 +41,22 @@ def views(
         progress()
         size = (picture.shape[1], picture.shape[0])
         corners, ids, _, _ = detector.detectBoard(picture)
-        if ids is None or corners is None or len(ids) < LEAST_CORNERS:
+        if ids is None or corners is None or len(ids) < 8:
             continue
-        points_px = np.reshape(np.asarray(corners, dtype=np.float64), (-1, 2))
-        current = {int(k): points_px[n] for n, k in enumerate(np.ravel(ids))}
+        pixels = np.reshape(np.asarray(corners, dtype=np.float64), (-1, 2))
+        current = {int(k): pixel for k, pixel in zip(np.ravel(ids), pixels, strict=True)}
         common = current.keys() & previous.keys()
-        if (
-            common
-            and np.mean([np.linalg.norm(current[k] - previous[k]) for k in common]) < APART_PX
-        ):
+        moved = [float(np.linalg.norm(current[k] - previous[k])) for k in common]
+        if moved and np.mean(moved) < APART_PX:
             continue
-        points, pixels = drawn.matchImagePoints(corners, ids)
-        image_points = np.reshape(np.asarray(pixels, dtype=np.float64), (-1, 2))
-        selected.append(
-            View(image_points, np.reshape(np.asarray(points, dtype=np.float64), (-1, 3)))
-        )
+        selected.append((pixels, np.asarray(board.getChessboardCorners())[np.ravel(ids)]))
         previous = current
-    if len(selected) > MOST_VIEWS:
-        selected = [selected[k] for k in np.linspace(0, len(selected) - 1, MOST_VIEWS).astype(int)]
+    if len(selected) > most:
+        selected = [selected[k] for k in np.linspace(0, len(selected) - 1, most).astype(int)]
     return selected, size
 
 
-def calibrate(chosen: Sequence[View], size: tuple[int, int]) -> Lens:
+def calibrate(chosen: Sequence[View], size: tuple[int, int], *, fewest: int = 6) -> Lens:
     """Focal lengths, principal point and distortion by least squares (Zhang, PAMI 22 (2000) 1330).
 
     Raises:
@@ -101,10 +64,9 @@ def calibrate(chosen: Sequence[View], size: tuple[int, int]) -> Lens:
     """
     import cv2
 
-    if len(chosen) < LEAST_VIEWS:
-        raise ValueError(f"{len(chosen)} views of the board, {LEAST_VIEWS} are needed")
-    objects = [view.points.astype(np.float32) for view in chosen]
-    images = [view.pixels.astype(np.float32) for view in chosen]
+    if len(chosen) < fewest:
+        raise ValueError(f"{len(chosen)} views of the board, {fewest} are needed")
+    images, objects = ([view[k].astype(np.float32) for view in chosen] for k in (0, 1))
     rms, matrix, distortion, _, _ = cv2.calibrateCamera(
         objects, images, size, np.eye(3), np.zeros(5)
     )

@@ -13,16 +13,17 @@ sys.path.insert(0, str(Path(__file__).parent))
 import overhead  # noqa: E402
 
 from sim2real.cli import main  # noqa: E402
-from sim2real.hardware.camera_file import read_camera  # noqa: E402
-from sim2real.hardware.charuco import Board, corner_markers  # noqa: E402
+from sim2real.commands.calibrate_camera import board_of  # noqa: E402
+from sim2real.hardware.camera import read_camera  # noqa: E402
+from sim2real.hardware.charuco import corner_markers  # noqa: E402
 
-BOARD = Board((7, 5), 0.04, 0.03, "4x4_50")
 SPEC = "7,5,0.04,0.03"
+BOARD = board_of(SPEC, "4x4_50")
 
 
 def view(eye, turn, centre, rng):
     """The board at ``centre`` before the camera, turned, as each pixel's ray meets it."""
-    sheet = BOARD.drawn().generateImage((700, 500), marginSize=0)
+    sheet = BOARD.generateImage((700, 500), marginSize=0)
     rotation = cv2.Rodrigues(np.array(turn, dtype=float))[0]
     v, u = np.mgrid[0 : overhead.SIZE[1], 0 : overhead.SIZE[0]].astype(float)
     rays = eye.rays(u, v)

@@ -14,10 +14,15 @@ import overhead  # noqa: E402
 
 from sim2real.cli import main  # noqa: E402
 from sim2real.errors import InputError  # noqa: E402
-from sim2real.hardware.blob import Blob  # noqa: E402
-from sim2real.hardware.camera_file import Camera, read_camera, write_camera  # noqa: E402
-from sim2real.hardware.marker import Marker  # noqa: E402
-from sim2real.hardware.plane import Lens, stand  # noqa: E402
+from sim2real.hardware.camera import (  # noqa: E402
+    Blob,
+    Camera,
+    Lens,
+    Marker,
+    read_camera,
+    stand,
+    write_camera,
+)
 from sim2real.hardware.sync import correlated, flash, joined  # noqa: E402
 from sim2real.hardware.tracker import Track, track  # noqa: E402
 from sim2real.recording import Recording, read_recording  # noqa: E402
