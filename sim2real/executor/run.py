@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,10 +18,8 @@ from tqdm import tqdm
 
 from sim2real.errors import InputError, shown
 from sim2real.executor.cluster import run_on_ray
-from sim2real.executor.job import LOG, NOT_STARTED, Job, JobOutcome, is_done
-from sim2real.executor.local import run_local
-from sim2real.executor.process import child_environment
-from sim2real.executor.slots import slots
+from sim2real.executor.job import LOG, NOT_STARTED, Job, JobOutcome
+from sim2real.executor.local import run_local, slots
 from sim2real.output import check_writable
 
 
@@ -62,14 +62,15 @@ def run_jobs(
     """
     jobs = [replace(job, folder=job.folder.absolute()) for job in jobs]
     _check(jobs)
-    remaining = [job for job in jobs if not is_done(job)]
+    remaining = [job for job in jobs if not job.is_done()]
     outcomes = {job.name: JobOutcome(job) for job in jobs}
     if not remaining:
         return list(outcomes.values())
     outcomes |= {job.name: JobOutcome(job, NOT_STARTED) for job in remaining}
-    started, deadline = iter(remaining), time.monotonic() + seconds
-    in_time = takewhile(lambda _: time.monotonic() < deadline, started)
-    variables = child_environment(cpus)
+    deadline = time.monotonic() + seconds
+    in_time = takewhile(lambda _: time.monotonic() < deadline, iter(remaining))
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    variables = {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": str(cpus)}
     if executor == "local":
         places = slots(at_once, cpus=cpus, gpus=gpus)
         running = run_local(in_time, places, variables, retries=retries)
