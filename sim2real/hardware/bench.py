@@ -16,20 +16,9 @@ LONGEST_REACH_RAD = 2.5
 def scan(
     bus: ServoBus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
 ) -> tuple[list[Found], list[int]]:
-    """Ask each identity in turn; nothing is written to any servo.
+    """Servos that answer, and identities with corrupted answers, possibly of several servos.
 
-    Args:
-        bus: The bus.
-        ids: Identities.
-        patience_s: Time to wait for each reply.
-        attempts: Attempts to find a servo.
-
-    Returns:
-        The servos that answered, and the identities with corrupted answers, possibly from several
-        servos with the same identity.
-
-    Raises:
-        OSError: If the port is lost.
+    Nothing is written to any servo. ``OSError`` if the port is lost.
     """
     servos, garbled = [], []
     for servo_id in ids:
@@ -89,12 +78,7 @@ def loads(
 
 
 def robot_text(bus: str, servos: Sequence[Found], reach_rad: float) -> str:
-    """A ``robot.toml`` with one joint for each servo, and the ratings of its model.
-
-    Args:
-        bus: Name of the bus.
-        servos: The servos, as a scan found them.
-        reach_rad: Limit of every joint, to both sides of the centre.
+    """A ``robot.toml`` with one joint of +-``reach_rad`` for each servo, and its model's ratings.
 
     Raises:
         InputError: If the ratings of a model are not known.

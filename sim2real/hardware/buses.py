@@ -29,11 +29,7 @@ class Connection:
 
 
 def bus_class(name: str) -> type[ServoBus]:
-    """The class of a bus.
-
-    Raises:
-        InputError: If there is none with this name.
-    """
+    """The class of a bus; ``InputError`` if there is none with this name."""
     check_choice("--bus", "", name, BUSES)
     return BUSES[name]
 
@@ -43,11 +39,6 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
     """Context manager of an open bus.
 
     If an earlier command on this port could not restore its servos, this is done first.
-
-    Args:
-        name: Name of the bus.
-        port: Serial port or URL.
-        baud: Bits per second of a serial port; the usual rate of the bus by default.
 
     Raises:
         InputError: If there is no such bus or port, or another command uses the port.
@@ -76,12 +67,7 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
 def release(
     bus: ServoBus, changed: Mapping[int, Mapping[str, int]], *, attempts: int = 2
 ) -> list[int]:
-    """Stop every servo, switch its torque off and restore its limits.
-
-    Args:
-        bus: The bus.
-        changed: For each identity the values to restore.
-        attempts: Attempts for each servo, each of which insists.
+    """Stop every servo, switch its torque off and restore its values, given by identity.
 
     Returns:
         Identities of those that did not confirm it; their torque may still be on.
@@ -115,10 +101,7 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
 def latency_advice(port: str, system: Path = Path("/sys"), *, longest_ms: int = 1) -> str | None:
     """One line if a USB adapter on Linux holds bytes back for too long; None otherwise.
 
-    Args:
-        port: The device, such as ``/dev/ttyUSB0``, a link to it, or a URL.
-        system: Where sysfs is mounted.
-        longest_ms: Longest time that is not too long.
+    ``system`` is where sysfs is mounted.
     """
     name = os.path.basename(os.path.realpath(port))
     folders = system / "class/tty" / name / "device", system / "bus/usb-serial/devices" / name

@@ -97,15 +97,10 @@ class Plane:
 
 
 def stand(lens: Lens, corners_px: Array, corners_m: Array) -> Plane:
-    """The pose of the camera from four or more corners in the plane z = 0.
+    """The pose of the camera from corners in the picture (N, 2) and in the plane z = 0, m, (N, 2).
 
     It has the least reprojection error, from a start by the homography of the corners (Zhang, IEEE
     PAMI 22 (2000) 1330, section 3.1).
-
-    Args:
-        lens: The lens.
-        corners_px: The corners in the picture, shape (N, 2).
-        corners_m: The corners in the world, x and y, shape (N, 2).
 
     Raises:
         ValueError: If no pose of a camera fits the corners.
@@ -129,14 +124,8 @@ def stand(lens: Lens, corners_px: Array, corners_m: Array) -> Plane:
 class Marker:
     """An ArUco or AprilTag marker; its printed top points to the robot's nose.
 
-    Attributes:
-        dictionary: One of ``DICTIONARIES``.
-        number: Its id in the dictionary.
-        side_m: Side of the black square.
-        height_m: Height above the pool's corners.
-        x_m: Distance of its centre ahead of the body's reference point.
-        y_m: Distance of its centre to the left of it.
-        yaw_rad: Anticlockwise rotation on the body.
+    Its centre is ``x_m`` ahead and ``y_m`` to the left of the body's reference point, ``height_m``
+    above the pool's corners; it is turned anticlockwise by ``yaw_rad``.
     """
 
     dictionary: str

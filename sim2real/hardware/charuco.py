@@ -1,4 +1,4 @@
-"""Calibration of a lens with a ChArUco board, and detection of markers on the pool's corners."""
+"""Calibration of a lens with a ChArUco board."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sim2real.arrays import Array, Picture
-from sim2real.hardware.camera import Lens, dictionary_of
+from sim2real.hardware.camera import Lens
 
 View = tuple[Array, Array]
 """Corners of a board in one picture: in pixels (N, 2) and on the board (N, 3)."""
@@ -23,13 +23,9 @@ def views(
     progress: Callable[[], None] = lambda: None,
     most: int = 40,
 ) -> tuple[list[View], tuple[int, int]]:
-    """Distinct views of a board, and width and height of the pictures.
+    """Distinct views of OpenCV's ``CharucoBoard``, and width and height of the pictures.
 
-    Args:
-        pictures: Pictures, grey or in colour.
-        board: OpenCV's ``CharucoBoard``.
-        progress: Called after every picture.
-        most: Largest number of views.
+    ``progress`` is called after every picture; there are ``most`` views at most.
     """
     import cv2
 
@@ -72,26 +68,3 @@ def calibrate(chosen: Sequence[View], size: tuple[int, int], *, fewest: int = 6)
     )
     coefficients = np.ravel(np.asarray(distortion, dtype=np.float64))[:5]
     return Lens(size, np.asarray(matrix, dtype=np.float64), coefficients, float(rms))
-
-
-def corner_markers(picture: Picture, dictionary: str, numbers: Sequence[int]) -> Array:
-    """Centres in pixels of markers on the pool's corners, in the order of ``numbers``.
-
-    Raises:
-        ValueError: If one is not found.
-    """
-    import cv2
-
-    detector = cv2.aruco.ArucoDetector(dictionary_of(dictionary))
-    corners, ids, _ = detector.detectMarkers(picture)
-    found = {} if ids is None else dict(zip(np.ravel(ids).tolist(), corners, strict=True))
-    missing = [number for number in numbers if number not in found]
-    if missing:
-        raise ValueError(f"marker {missing[0]} was not found; found: {sorted(found) or 'none'}")
-    out = []
-    for number in numbers:
-        a, b, c, d = np.reshape(found[number], (4, 2)).astype(np.float64)
-        # the diagonals intersect at the centre under any perspective
-        matrix = np.column_stack([c - a, -(d - b)])
-        out.append(a + (c - a) * np.linalg.solve(matrix, b - a)[0])
-    return np.array(out)

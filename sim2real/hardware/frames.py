@@ -52,11 +52,7 @@ class Protocol(ABC):
 
     @abstractmethod
     def encode(self, packet: Packet) -> bytes:
-        """The packet as bytes.
-
-        Raises:
-            ValueError: If identity or number of parameters is not in the protocol.
-        """
+        """The packet as bytes; ``ValueError`` for a wrong identity or too many parameters."""
 
     @abstractmethod
     def size(self, head: bytes) -> int:
@@ -154,12 +150,8 @@ class FrameDecoder:
     """Extracts the valid packets from a stream of bytes, without raising errors.
 
     After a wrong length or checksum it continues at the next byte, so that a packet after noise, or
-    after the start of another, is found. It buffers at most one frame.
-
-    Args:
-        protocol: The protocol.
-        longest: Largest number of bytes of a frame, by default that of the protocol. The smaller
-            it is, the fewer packets a corrupted length hides.
+    after the start of another, is found. It buffers at most one frame, of ``longest`` bytes. The
+    smaller that is, the fewer packets a corrupted length hides.
 
     Attributes:
         garbled: Number of headers without a valid packet.

@@ -13,18 +13,12 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sim2real.errors import InputError
+from sim2real.output import write_json
 
 
 @dataclass(frozen=True)
 class Changed:
-    """A servo that a command has changed.
-
-    Attributes:
-        bus: Name of its bus.
-        baud: Bits per second.
-        servo_id: Its identity.
-        values: Values to restore, by name.
-    """
+    """A servo that a command has changed, with the values to restore, by name."""
 
     bus: str
     baud: int
@@ -32,23 +26,12 @@ class Changed:
     values: Mapping[str, int]
 
 
-def state_folder() -> Path:
-    """Folder for state of this user: ``XDG_STATE_HOME``, or what the system uses instead."""
-    if given := os.environ.get("XDG_STATE_HOME"):
-        return Path(given) / "sim2real"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "sim2real"
-    return Path.home() / ".local" / "state" / "sim2real"
-
-
 class Journal:
     """The journal of one port, which is locked: one command at a time uses a port.
 
     It is on the disk before the first change; a command that is killed leaves it behind, and the
-    next one on the port restores the servos.
-
-    Args:
-        port: The port, as given to ``--port``.
+    next one on the port restores the servos. It is in the folder for state of this user:
+    ``XDG_STATE_HOME``, or what the system uses instead.
 
     Raises:
         InputError: If another command uses the port.
@@ -57,7 +40,10 @@ class Journal:
     def __init__(self, port: str) -> None:
         name = port if "://" in port else os.path.realpath(port)
         name = re.sub(r"[^\w.-]+", "_", name).strip("_")
-        self.path = state_folder() / "ports" / f"{name}.json"
+        state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+        if sys.platform == "win32":
+            state = os.environ.get("LOCALAPPDATA", Path.home())
+        self.path = Path(state) / "sim2real" / "ports" / f"{name}.json"
         self._lock: BinaryIO | None = None
         with contextlib.suppress(OSError):  # reading the servos needs no journal
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -74,13 +60,10 @@ class Journal:
         return []
 
     def note(self, about_to_change: Sequence[Changed]) -> list[Changed]:
-        """Note servos before they are changed.
+        """Note servos before they are changed; returns them as they are noted.
 
         Those that are noted already stay as they are: what they have now is not what they had
         before the first change.
-
-        Returns:
-            The given servos, as they are noted.
 
         Raises:
             InputError: If the journal cannot be written.
@@ -102,21 +85,10 @@ class Journal:
             self._lock.close()
 
     def _replace(self, entries: Sequence[Changed]) -> None:
-        """Write the entries whole or not at all, to the disk; without entries, remove the file."""
-        if not entries:
+        if entries:
+            write_json(self.path, {"servos": [asdict(entry) for entry in entries]})
+        else:
             self.path.unlink(missing_ok=True)
-            return
-        content = json.dumps({"servos": [asdict(entry) for entry in entries]}, indent=2)
-        temporary = self.path.with_suffix(".new")
-        try:
-            with temporary.open("w", encoding="utf-8") as file:
-                file.write(content + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(self.path)
-        except OSError as error:
-            problem = f"a folder that can't be written ({error.strerror})"
-            raise InputError(self.path, "", problem, "one that can") from None
 
 
 def _locked(file: BinaryIO) -> bool:

@@ -103,11 +103,7 @@ class LxBus(ServoBus):
     _turn = 0
 
     def exchange(self, packets: Sequence[Packet], deadline: float) -> list[Packet | None]:
-        """Send packets and wait for the replies until ``deadline``.
-
-        Returns:
-            The reply to each packet; None if it is missing or none was expected.
-        """
+        """The reply to each packet by ``deadline``; None if it is missing or none was expected."""
         requests = [packet for packet in packets if expects_reply(packet)]
         data = b"".join(map(self.protocol.encode, packets))
         expected = [partial(is_reply, request) for request in requests]
@@ -181,10 +177,7 @@ class LxBus(ServoBus):
             self.exchange([move(servo_id, ticks)], time.monotonic())
 
     def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
-        """Send set-points (ticks by identity) and read every servo.
-
-        A servo may take the time that the later ones do not need.
-        """
+        """Send set-points and read each servo, which may take what later ones do not need."""
         self.drain()
         ids = list(goals)
         asked = ids[self._turn // 2 % len(ids)]
@@ -246,7 +239,7 @@ class LxBus(ServoBus):
 
 def lx_servo(servo_id: int) -> BusServo:
     """An LX servo."""
-    return BusServo(servo_id, "LX", SCALE, ("temperature_C",))
+    return BusServo(servo_id, SCALE, ("temperature_C",))
 
 
 def _reading(position: Packet | None, health: Packet | None) -> Reading:

@@ -15,11 +15,8 @@ from sim2real.robot import Joint, Robot
 class Mounting:
     """A servo in its joint: angle = sign (ticks - centre - trim) angle of a tick.
 
-    Attributes:
-        joint: The joint, with its limits.
-        servo: The servo on the bus.
-        trim_ticks: Ticks at angle 0, minus those at the servo's centre.
-        sign: -1 if servo and joint turn in opposite directions.
+    The trim is the ticks at angle 0, minus those at the servo's centre; the sign is -1 if servo and
+    joint turn in opposite directions.
     """
 
     joint: Joint
@@ -62,13 +59,9 @@ class Mounting:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Which servo is in which joint.
+    """Which servo is in which joint: identities, names, trims, and the joints that are reversed.
 
-    Attributes:
-        ids: Identity of the servo of each joint.
-        joints: Names of the joints; None for all of the robot.
-        trim_ticks: Trim of each servo; None for 0.
-        reverse: Names of the joints whose servo turns in the opposite direction.
+    By default all joints of the robot, with trims of 0.
     """
 
     ids: Sequence[int]
@@ -77,10 +70,7 @@ class Wiring:
     reverse: Sequence[str] | None = None
 
     def check(self, robot: Robot, largest_id: int) -> list[str]:
-        """Check it against the robot and the bus, before the port is opened.
-
-        Returns:
-            Names of the joints.
+        """Names of the joints, checked against robot and bus before the port is opened.
 
         Raises:
             InputError: If numbers do not match, or a name or an identity is wrong.
@@ -101,11 +91,7 @@ class Wiring:
 
 
 def check_ids(ids: Sequence[int], largest: int) -> None:
-    """Check that identities are different and exist on a bus.
-
-    Raises:
-        InputError: If not.
-    """
+    """Raise ``InputError`` unless identities are different and exist on a bus."""
     if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= largest for k in ids):
         given = ", ".join(str(k) for k in ids) or "nothing"
         raise InputError("--ids", "", given, f"different numbers from 0 to {largest}")

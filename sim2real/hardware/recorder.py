@@ -32,15 +32,10 @@ SIGNED = ("velocity_rad_s", "current_A", "load")
 class Run:
     """What became of a recording.
 
-    Attributes:
-        mountings: The J servos.
-        rows: Number of rows.
-        missing: Number of missing positions by joint.
-        lost: Number of set-points by joint that did not take effect, where the servo tells.
-        skipped: Set-points that were skipped because the computer was late.
-        late_s: Delay of each row's cycle, in s.
-        stopped: Reason of an early end; None if there was none.
-        unreleased: Servos whose torque may still be on.
+    ``missing`` and ``lost`` count, by joint, missing positions and set-points that did not take
+    effect, where the servo tells; ``skipped`` counts set-points left out because the computer was
+    late, ``late_s`` are the delays of the cycles. ``stopped`` is the reason of an early end; the
+    torque of servos that are ``unreleased`` may still be on.
     """
 
     mountings: Sequence[Mounting]
@@ -157,11 +152,10 @@ def record(
 
     Cycle k starts k periods after the first, regardless of the previous cycles. Where a servo
     reports the set-point in effect, that is recorded: a set-point that was lost on the way did not
-    change it.
+    change it. The outcome is in ``run``; a lost port or servo, heat or an interrupt stops it.
 
     Args:
-        run: What becomes of it; ``stopped`` is set for a lost port or servo, heat, or an interrupt.
-            Its servos are at rest on their first set-point.
+        run: Its servos are at rest on their first set-point.
         bus: The bus.
         command: Set-points in rad, shape (T, J).
         write: Called with each row, in the order of ``columns``.

@@ -94,7 +94,7 @@ class RegisterBus(ServoBus):
             known = ", ".join(f"{number} ({what})" for number, what in modes.items())
             raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
         scale = self._scale(servo_id, model, several_turns=mode in model.layout.multi_turn_modes)
-        return BusServo(servo_id, model.name, scale, model.quantities)
+        return BusServo(servo_id, scale, model.quantities)
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""
@@ -190,11 +190,7 @@ class RegisterBus(ServoBus):
         return self._exchange(request, servo_id, count, within_s)
 
     def set(self, servo_id: int, name: str, value: int) -> bool:
-        """Write a register until it reads so; returns whether it does.
-
-        Raises:
-            ValueError: If the register is kept without supply (EEPROM), where nothing is written.
-        """
+        """Write a register until it reads so; whether it does. ``ValueError`` in the EEPROM."""
         layout = self._model(servo_id).layout
         register = layout[name]
         if register.address < layout.volatile_from:

@@ -9,13 +9,9 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Register:
-    """A number in the memory of a servo.
+    """A number in the memory of a servo, of ``size`` bytes from ``address``.
 
-    Attributes:
-        address: Address of its first byte.
-        size: Number of bytes.
-        sign_bit: Bit that makes the number negative (sign and magnitude); None without.
-        signed: Whether the number is in two's complement.
+    It is in two's complement if ``signed``; ``sign_bit`` makes the rest of the number negative.
     """
 
     address: int

@@ -30,10 +30,8 @@ USUAL_BLUR_PX = 0.55
 class Sighting:
     """A marker found in a frame.
 
-    Attributes:
-        pose: x, y in m and yaw in rad, shape (3,).
-        likeness: Correlation of the pixels with the fitted image, at most 1.
-        blur_m: Standard deviation of the blur, including that of a pixel.
+    ``pose`` is x, y in m and yaw in rad, ``likeness`` the correlation of the pixels with the fitted
+    image, at most 1, ``blur_m`` the standard deviation of the blur, including that of a pixel.
     """
 
     pose: Array
@@ -45,13 +43,9 @@ def darkness(ink: Array, row: Array, column: Array, blur: float) -> Array:
     """Darkness of a blurred print from 0 to 1, shape (N,).
 
     An edge blurred by a Gaussian is its integral; a print is a sum over the corners of its cells,
-    each the product of an edge along the rows and one along the columns.
-
-    Args:
-        ink: Cells, shape (n, n).
-        row: Positions in cells from the far edge of the print, shape (N,).
-        column: Positions in cells from its left edge, shape (N,).
-        blur: Standard deviation in cells.
+    each the product of an edge along the rows and one along the columns. Rows and columns (N,) are
+    counted from the far left corner of the print, whose cells are ``ink``; they and the standard
+    deviation ``blur`` are in cells.
     """
     edges = np.arange(ink.shape[0] + 1)
     corners = np.diff(np.diff(np.pad(ink, 1), axis=0), axis=1)
@@ -81,16 +75,10 @@ class Finder:
         self._patterns = self._rendered(side_px)
 
     def register(self, frame: Picture, pose: Array, blur_m: float | None = None) -> Sighting | None:
-        """Fit the print to ``frame`` from an initial pose.
+        """Fit the print to a grey ``frame`` (V, U) from a pose within half a cell and 10 degrees.
 
-        Args:
-            frame: Grey levels, shape (V, U).
-            pose: x, y in m and yaw in rad, within about half a cell and 10 degrees, shape (3,).
-            blur_m: Initial blur; default: about half a pixel.
-
-        Returns:
-            The sighting, or None if the print would leave the frame or the fit fails. Its likeness
-            shows whether the print is present.
+        The initial blur is about half a pixel by default. None if the print would leave the frame
+        or the fit fails; the likeness shows whether the print is present.
         """
         from scipy.optimize import least_squares
 
@@ -138,10 +126,7 @@ class Finder:
     def search(self, frame: Picture, window: tuple[int, int, int, int], *, most: int = 12) -> Array:
         """Candidate poses (N, 3), the most similar first; all positions at 24 angles are compared.
 
-        Args:
-            frame: Grey levels, shape (V, U).
-            window: First column and row, last column and row (exclusive) of the search.
-            most: Largest number of candidates.
+        ``window`` are first column and row, last column and row (exclusive) of the search.
         """
         import cv2
 

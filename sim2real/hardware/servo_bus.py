@@ -23,13 +23,7 @@ QUIET_S = 0.02
 
 @dataclass(frozen=True)
 class Scale:
-    """Conversion of the ticks in which a servo counts angles.
-
-    Attributes:
-        tick_rad: Angle of a tick.
-        centre_ticks: Ticks at the servo's centre.
-        lowest_ticks, largest_ticks: Range of set-points that the servo accepts.
-    """
+    """Conversion of the ticks in which a servo counts angles, and its range of set-points."""
 
     tick_rad: float
     centre_ticks: int
@@ -50,7 +44,6 @@ class BusServo:
     """
 
     servo_id: int
-    model: str
     scale: Scale
     quantities: tuple[str, ...] = ()
 
@@ -75,12 +68,9 @@ class Reading:
 class Cycle:
     """One round over the bus.
 
-    Attributes:
-        sent_s: Time at which the set-points arrived at the servos, by ``time.monotonic``; the mean
-            if they are addressed one after the other.
-        readings: What each servo reported.
-        round_trip_s: Longest time to an answer; NaN without answers.
-        device_s: Clock of a remote device; NaN if there is none.
+    The set-points arrived at the servos at ``sent_s`` by ``time.monotonic``; the mean if they are
+    addressed one after the other. ``round_trip_s`` is the longest time to an answer, ``device_s``
+    the clock of a remote device; NaN without.
     """
 
     sent_s: float
@@ -119,18 +109,13 @@ def reason(error: Stopped | OSError) -> str:
 
 
 class ServoBus(ABC):
-    """Servos on one port. Methods raise ``OSError`` if the port is lost.
-
-    Args:
-        transport: The transport, which the bus closes.
-        baud: Bits per second; by default the usual rate.
+    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost.
 
     Attributes:
         name: Name of the bus on the command line.
         baud_rates: Rates at which such servos are searched for, the usual first.
         protocol: Frames of its packets.
         longest_answer: Largest number of bytes of an answer's frame.
-        baud: Bits per second.
     """
 
     name: ClassVar[str]
@@ -165,27 +150,15 @@ class ServoBus(ABC):
 
     @abstractmethod
     def saved(self, servo_id: int) -> dict[str, int]:
-        """Values that ``begin`` changes and ``restore`` restores, as they are now.
-
-        Raises:
-            Stopped: If the servo does not answer.
-        """
+        """Values that ``begin`` changes and ``restore`` restores, of a servo that must answer."""
 
     @abstractmethod
     def reading(self, servo_id: int) -> Reading:
-        """Position and temperature of a servo that must answer.
-
-        Raises:
-            Stopped: If it does not answer.
-        """
+        """Position and temperature of a servo that must answer; ``Stopped`` if it does not."""
 
     @abstractmethod
     def begin(self, goals: Mapping[int, int]) -> None:
-        """Hold these set-points (ticks by identity) with the torque on, without motion profile.
-
-        Raises:
-            Stopped: If a servo does not confirm it.
-        """
+        """Hold set-points (ticks by identity) without profile; ``Stopped`` if not confirmed."""
 
     @abstractmethod
     def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
@@ -215,14 +188,13 @@ class ServoBus(ABC):
     def transfer(
         self, data: bytes, expected: Sequence[Callable[[Packet], bool]], deadline: float
     ) -> list[Packet | None]:
-        """Send bytes and wait for the replies.
-
-        Unexpected packets are ignored, such as the echo of a request on a single wire.
+        """Send bytes and wait for the replies until ``deadline``, by ``time.monotonic``.
 
         Args:
             data: Encoded requests.
-            expected: For each expected reply whether a packet is that reply.
-            deadline: Time limit, by ``time.monotonic``.
+            expected: For each expected reply whether a packet is that reply. Others are ignored,
+                such as the echo of a request on a single wire.
+            deadline: Time limit.
 
         Returns:
             The expected replies in order; None for those that are missing.

@@ -29,14 +29,10 @@ class ServoModel:
     """A model of servo.
 
     Attributes:
-        name: Its name.
-        family: Name of its registers' layout.
-        bus: Name of its bus.
-        ticks_per_turn: Ticks of a turn.
-        centre_ticks: Ticks at the centre.
+        name, family, bus: Its name, and those of its registers' layout and of its bus.
+        ticks_per_turn, centre_ticks: Ticks of a turn, and at the centre.
         source: Where the figures come from.
-        number: Number that it reports; None for all others of its main version.
-        main_version: First byte of that number, for a model without a number.
+        number: Number that it reports; None for all others with the first byte ``main_version``.
         current_unit_A: Unit of its current; None if it reports a load.
         gains: Divisors of the registers of gains, by name.
         ratings: Ratings by supply voltage.

@@ -45,11 +45,7 @@ def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mount
 def bus_settings(
     connection: Connection, port: str, mountings: Sequence[Mounting]
 ) -> dict[str, Any]:
-    """Port, wiring and settings of the servos, for a recording's JSON.
-
-    Raises:
-        Stopped: If a servo does not answer.
-    """
+    """Port, wiring and settings of the servos, for a recording's JSON."""
     bus = connection.bus
     return {
         "name": bus.name,
@@ -74,15 +70,8 @@ def drive(
     """Move to the start, record, and release the servos in any case.
 
     What is changed in the servos is noted in the port's journal before, so that after a kill the
-    next command on the port restores it.
-
-    Args:
-        connection: The bus.
-        mountings: The J servos.
-        signal: Set-points, shape (T, J).
-        out: The CSV file.
-        sidecar: Content of its JSON file, to which the outcome is added.
-        hottest_C: Temperature at which to stop.
+    next command on the port restores it. The outcome is added to ``sidecar``, which is written
+    beside ``out``.
     """
     bus, run = connection.bus, Run(mountings)
     changed: list[Changed] = []
@@ -116,20 +105,11 @@ def approach(
     settle_s: float = 0.5,
     period_s: float = 0.02,
 ) -> None:
-    """Move every joint slowly to its first set-point, and wait until it is at rest.
-
-    Args:
-        bus: The bus.
-        mountings: The J servos.
-        target: Set-points in rad, shape (J,).
-        hottest_C: Temperature above which a servo is not switched on.
-        interrupted: Whether the user has asked to stop.
-        settle_s: Time at the set-point.
-        period_s: Time between set-points.
+    """Move every joint slowly to its first set-point in rad, and wait until it is at rest.
 
     Raises:
-        Stopped: If a servo does not answer, is too hot or outside of its range, or the user has
-            asked to stop.
+        Stopped: If a servo does not answer, is above ``hottest_C`` or outside of its range, or the
+            user has asked to stop.
         OSError: If the port is lost.
     """
     start, ways = {}, {}
@@ -157,12 +137,7 @@ def approach(
 
 
 def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[Changed]:
-    """Note in the port's journal what is about to be changed in the servos.
-
-    Raises:
-        Stopped: If a servo does not answer.
-        InputError: If the journal cannot be written.
-    """
+    """Note in the port's journal what is about to be changed in the servos."""
     bus, ids = connection.bus, [mounting.servo_id for mounting in mountings]
     return connection.journal.note([Changed(bus.name, bus.baud, k, bus.saved(k)) for k in ids])
 
@@ -170,10 +145,9 @@ def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[
 def let_go(
     connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
 ) -> list[Mounting]:
-    """Release all servos; those that are changed and do not confirm it stay in the journal.
+    """Release all servos; returns those whose torque may still be on.
 
-    Returns:
-        Servos whose torque may still be on.
+    Those that are changed and do not confirm it stay in the journal.
     """
     values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
     values |= {entry.servo_id: entry.values for entry in changed}

@@ -31,11 +31,7 @@ def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tupl
 
     Bending of a joint rotates the head in the opposite direction. The yaw rate is regressed on the
     rates of all joints at every lag up to ``reach_s``; the lag with the best fit is refined by a
-    parabola.
-
-    Returns:
-        The recording's time at the video's first frame in s, and the share of the yaw rate's
-        variance that is explained, 0 to 1.
+    parabola. The lag is the recording's time at the video's first frame in s.
 
     Raises:
         ValueError: If they hardly overlap, or there is no motion.

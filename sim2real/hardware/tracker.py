@@ -217,16 +217,6 @@ def open_video(
     return frames(), rate
 
 
-def frame_count(video: str | os.PathLike[str]) -> int | None:
-    """Number of frames stated in the file, for a progress bar."""
-    import cv2
-
-    source = cv2.VideoCapture(_checked(video))
-    count = int(source.get(cv2.CAP_PROP_FRAME_COUNT))
-    source.release()
-    return count if count > 0 else None
-
-
 def _checked(path: str | os.PathLike[str]) -> str:
     """The path, unless it is a pipe or a device; OpenCV finds out whether there is such a file."""
     if Path(path).exists():

@@ -60,11 +60,9 @@ class Transport(Protocol):
 def open_transport(url: str, *, baud: int = 115_200) -> Transport:
     """Open the transport of a URL.
 
-    Args:
-        url: A serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network
-            (``socket://``, ``rfc2217://``), or a radio (``udp://HOST:PORT``, with the key in the
-            environment variable ``SIM2REAL_KEY`` if there is one).
-        baud: Bits per second of a serial port.
+    It is a serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network (``socket://``,
+    ``rfc2217://``), or a radio (``udp://HOST:PORT``, with the key in the environment variable
+    ``SIM2REAL_KEY`` if there is one).
 
     Raises:
         InputError: If there is no such port, or it cannot be opened.
@@ -82,9 +80,6 @@ class SerialTransport:
     Two threads read and write, as calls that should not block can take tens of milliseconds under
     load, which would disturb the timing of the caller. They have the priority of the thread that
     opens the port.
-
-    Raises:
-        InputError: If it cannot be opened.
     """
 
     together = False
@@ -157,16 +152,9 @@ class SerialTransport:
 
 
 class UdpTransport:
-    """A radio at ``udp://HOST:PORT``. Missing answers are not errors.
+    """A radio at ``udp://HOST:PORT``, which shares ``key``. Missing answers are not errors.
 
     Late answers, to other datagrams than the last one, are dropped.
-
-    Args:
-        url: The address.
-        key: Key that the radio shares; none by default.
-
-    Raises:
-        InputError: If the address is invalid.
     """
 
     together = True

@@ -46,12 +46,8 @@ class _Motion:
 class Shaft:
     """A servo's shaft, at rest at ``angle`` in rad at the time ``now``.
 
-    Times are in s, of one clock, and do not decrease. With the torque off the damping remains, and
-    the shaft comes to rest.
-
-    Attributes:
-        powered: Whether the torque is on.
-        speed: Speed in rad/s at the time of the last call.
+    Times are in s, of one clock, and do not decrease; ``speed`` in rad/s is that of the last call.
+    With the torque off the damping remains, and the shaft comes to rest.
     """
 
     def __init__(self, law: Law, now: float, angle: float = 0.0) -> None:
@@ -115,16 +111,8 @@ class Shaft:
 class VirtualServo(ABC):
     """A virtual servo, initially at rest at its centre with its torque off.
 
-    Args:
-        servo_id: Identity.
-        law: Law of its shaft.
-        now: Present time in s; later calls use the same clock.
-        supply_V: Supply voltage.
-        temperature_C: Initial temperature.
-        heating_C_per_s: Rate of change of the temperature.
-
-    Attributes:
-        connected: False for a disconnected servo, which receives and sends nothing.
+    ``now`` is the present time in s, of the clock of later calls. A servo that is not ``connected``
+    receives and sends nothing.
     """
 
     def __init__(
@@ -173,15 +161,9 @@ class VirtualServo(ABC):
 class VirtualBus:
     """Servos that share one wire.
 
-    Args:
-        servos: The servos.
-        protocol: Their protocol.
-        rng: Random number generator.
-        baud: Bits per second.
-        noise: Share of corrupted bytes in both directions; as many random bytes are inserted.
-        loss: Share of lost packets in both directions.
-        echo: Whether the host receives an echo, as with a one-wire adapter.
-        fast: Transmit without the time of the baud rate, and reply without delay.
+    ``noise`` is the share of corrupted bytes in both directions, as many random bytes are inserted;
+    ``loss`` that of lost packets. With ``echo`` the host receives its own bytes, as with a one-wire
+    adapter; ``fast`` leaves out the time of the baud rate and the delay of replies.
     """
 
     def __init__(

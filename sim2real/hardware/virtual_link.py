@@ -87,14 +87,7 @@ def serve_udp(
 ) -> None:
     """Serve a radio at ``address`` until ``stop``; ``announce`` is called with its URL.
 
-    Args:
-        bus: The bus of the radio.
-        address: Host and port; port 0 for any free port.
-        announce: Called with ``udp://HOST:PORT``.
-        stop: Whether to end.
-        rng: Random number generator.
-        loss: Share of lost datagrams in both directions.
-        key: Key that the computer shares; none by default.
+    ``loss`` is the share of lost datagrams in both directions. Port 0 stands for any free port.
 
     Raises:
         InputError: If the address is not available.
@@ -123,11 +116,7 @@ def serve_udp(
 
 
 class VirtualRadio:
-    """Requests of the sender that was heard first, until it is silent.
-
-    Args:
-        key: Key that the computer shares; none by default.
-    """
+    """Requests of the sender that was heard first, until it is silent; with a key, if given."""
 
     def __init__(self, key: bytes | None = None) -> None:
         self._key, self._numbers = key, NUMBERS if key is None else SEALED_NUMBERS
@@ -137,13 +126,7 @@ class VirtualRadio:
         self._heard = -math.inf
 
     def receive(self, datagram: bytes, sender: object, now: float) -> bytes | None:
-        """Packets for the servos; None for a datagram that is a stranger's, old or invalid.
-
-        Args:
-            datagram: What arrived.
-            sender: From where.
-            now: ``time.monotonic``.
-        """
+        """Packets for the servos; None for a datagram that is a stranger's, old or invalid."""
         request = read_request(datagram, self._key)
         if request is None:
             return None

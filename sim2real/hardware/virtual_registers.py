@@ -25,13 +25,7 @@ class RegisterServo(VirtualServo):
     A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
     is stored only. The current or load is the torque as a share of the stall torque.
 
-    Args:
-        model: Its model.
-        servo_id, law, now, more: As for ``VirtualServo``.
-        baud: Bits per second.
-
     Attributes:
-        memory: Its registers.
         word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
         answers_writes: Value of the register ``status_level`` with which writes are answered.
         baud_codes: Values of the register ``baud``.

@@ -15,7 +15,6 @@ import overhead  # noqa: E402
 from sim2real.cli import main  # noqa: E402
 from sim2real.commands.calibrate_camera import board_of  # noqa: E402
 from sim2real.hardware.camera import read_camera  # noqa: E402
-from sim2real.hardware.charuco import corner_markers  # noqa: E402
 
 SPEC = "7,5,0.04,0.03"
 BOARD = board_of(SPEC, "4x4_50")
@@ -63,15 +62,3 @@ def test_a_lens_is_found(tmp_path, capsys):
     assert main([*few, "--out", str(tmp_path / "no.toml")]) == 2
     assert "views of the board" in capsys.readouterr().err
     assert not (tmp_path / "no.toml").exists()
-
-
-def test_corner_markers_are_found_in_order():
-    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    picture = np.full((480, 640), 210, np.uint8)
-    places = {10: (60, 400), 11: (560, 410), 12: (550, 40), 13: (70, 50)}
-    for number, (u, v) in places.items():
-        picture[v - 20 : v + 20, u - 20 : u + 20] = cv2.aruco.generateImageMarker(words, number, 40)
-    found = corner_markers(picture, "4x4_50", (10, 11, 12, 13))
-    assert np.allclose(found, np.array(list(places.values())) - 0.5, atol=0.6)
-    with pytest.raises(ValueError, match="marker 14"):
-        corner_markers(picture, "4x4_50", (10, 14))

@@ -15,9 +15,7 @@ from sim2real.errors import InputError
 from sim2real.report.servo_table import markdown_row
 from sim2real.servo.prediction import predict
 from sim2real.servo_library.catalogue import FOLDER
-from sim2real.servo_library.entry import read_entry
-from sim2real.servo_library.prepare import prepared
-from sim2real.servo_library.settings import at
+from sim2real.servo_library.entry import at, prepared, read_entry
 
 ABOUT = {
     "name": "mine_bench",
