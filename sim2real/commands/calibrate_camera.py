@@ -12,8 +12,7 @@ from tqdm import tqdm
 
 from sim2real.arrays import Picture
 from sim2real.errors import InputError
-from sim2real.hardware.camera import dictionary_of, stand, write_camera
-from sim2real.hardware.charuco import calibrate, views
+from sim2real.hardware.camera import calibrate, dictionary_of, stand, views, write_camera
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
 

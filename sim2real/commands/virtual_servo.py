@@ -17,8 +17,7 @@ from sim2real.hardware.servo_models import model_named, servo_models
 from sim2real.hardware.shared_key import shared_key
 from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_lx import VirtualLx
-from sim2real.hardware.virtual_registers import VirtualDynamixel, VirtualFeetech
+from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 from sim2real.model import read_model
 
 _USUAL = {"dynamixel": "XL330-M288", "feetech": "STS3215"}

@@ -29,15 +29,8 @@ def run_on_ray(
     """Run each job on a node with ``cpus`` and ``gpus`` available.
 
     A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave. A job
-    whose process dies, or whose node is lost, gets up to ``retries`` more attempts.
-
-    Args:
-        jobs: The jobs; every node must have their folders at the same path.
-        address: The cluster; None for one that ``ray.init`` finds, else a local one.
-        variables: Environment variables of the jobs, in addition to those of the node.
-        cpus: CPU cores that a job needs.
-        gpus: GPUs that a job needs.
-        retries: Attempts after the first.
+    whose process dies, or whose node is lost, gets up to ``retries`` more attempts. Every node has
+    the folders at the same path; ``variables`` are added to its environment.
 
     Yields:
         The outcome of each job as it ends, and None about once a second in between. Closing the

@@ -1,15 +1,16 @@
-"""The overhead camera and what it looks for: ``camera.toml``, projection, marker and patch."""
+"""The overhead camera: its calibration, projection, what it looks for, and ``camera.toml``."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Picture
 from sim2real.errors import InputError
 from sim2real.output import write_whole
 from sim2real.structured import Fields, finite_number, read_toml
@@ -18,18 +19,17 @@ DICTIONARIES = (
     "4x4_50", "4x4_100", "5x5_50", "5x5_100", "6x6_50", "6x6_250", "apriltag_16h5",
     "apriltag_25h9", "apriltag_36h11",
 )  # fmt: skip
+View = tuple[Array, Array]
+"""Corners of a board in one picture: in pixels (N, 2) and on the board (N, 3)."""
 _PLACE = ("height_m", "x_m", "y_m", "yaw_rad")
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole camera with the distortion of Brown and Conrady.
+    """A pinhole camera with the distortion of Brown and Conrady (k1, k2, p1, p2, k3 in OpenCV).
 
-    Attributes:
-        size_px: Width and height of the pictures of the calibration.
-        matrix: Focal lengths and principal point in pixels, shape (3, 3).
-        distortion: k1, k2, p1, p2, k3 in OpenCV's order.
-        rms_px: RMS reprojection error of the calibration.
+    ``size_px`` are width and height of the pictures of the calibration, ``matrix`` (3, 3) has focal
+    lengths and principal point in pixels, ``rms_px`` is the reprojection error.
     """
 
     size_px: tuple[int, int]
@@ -42,10 +42,7 @@ class Lens:
 class Plane:
     """A camera above a world with z up and the pool's corners in the plane z = 0.
 
-    Attributes:
-        lens: The camera's lens.
-        rotation: From world to camera axes, shape (3, 3).
-        translation: The world's origin in camera axes, m, shape (3,).
+    Rotation (3, 3) and translation (3,) lead from the world to camera axes, in m.
     """
 
     lens: Lens
@@ -158,10 +155,8 @@ class Marker:
 class Blob:
     """An elongated patch along the head.
 
-    Attributes:
-        low_hsv, high_hsv: Range of its colour in OpenCV's units (hue to 180, the others to 255); if
-            the low hue is above the high one, the range includes red.
-        height_m: Height above the pool's corners.
+    The range of its colour is in OpenCV's units (hue to 180, the others to 255); if the low hue is
+    above the high one, the range includes red. The height is that above the pool's corners.
     """
 
     low_hsv: Array
@@ -282,3 +277,59 @@ y_m = {shown.y_m}
 yaw_rad = {shown.yaw_rad}
 """
     return write_whole(path, text)
+
+
+def views(
+    pictures: Iterable[Picture],
+    board: Any,  # noqa: ANN401 - OpenCV's
+    *,
+    progress: Callable[[], None] = lambda: None,
+    most: int = 40,
+    apart_px: float = 12.0,
+) -> tuple[list[View], tuple[int, int]]:
+    """Distinct views of OpenCV's ``CharucoBoard``, and width and height of the pictures.
+
+    ``progress`` is called after every picture. There are ``most`` views at most; the corners of
+    successive ones are ``apart_px`` apart on average.
+    """
+    import cv2
+
+    detector = cv2.aruco.CharucoDetector(board)
+    selected: list[View] = []
+    size = (0, 0)
+    previous: dict[int, Array] = {}
+    for picture in pictures:
+        progress()
+        size = (picture.shape[1], picture.shape[0])
+        corners, ids, _, _ = detector.detectBoard(picture)
+        if ids is None or corners is None or len(ids) < 8:
+            continue
+        pixels = np.reshape(np.asarray(corners, dtype=np.float64), (-1, 2))
+        current = {int(k): pixel for k, pixel in zip(np.ravel(ids), pixels, strict=True)}
+        common = current.keys() & previous.keys()
+        moved = [float(np.linalg.norm(current[k] - previous[k])) for k in common]
+        if moved and np.mean(moved) < apart_px:
+            continue
+        selected.append((pixels, np.asarray(board.getChessboardCorners())[np.ravel(ids)]))
+        previous = current
+    if len(selected) > most:
+        selected = [selected[k] for k in np.linspace(0, len(selected) - 1, most).astype(int)]
+    return selected, size
+
+
+def calibrate(chosen: Sequence[View], size: tuple[int, int], *, fewest: int = 6) -> Lens:
+    """Focal lengths, principal point and distortion by least squares (Zhang, PAMI 22 (2000) 1330).
+
+    Raises:
+        ValueError: If there are too few views.
+    """
+    import cv2
+
+    if len(chosen) < fewest:
+        raise ValueError(f"{len(chosen)} views of the board, {fewest} are needed")
+    images, objects = ([view[k].astype(np.float32) for view in chosen] for k in (0, 1))
+    rms, matrix, distortion, _, _ = cv2.calibrateCamera(
+        objects, images, size, np.eye(3), np.zeros(5)
+    )
+    coefficients = np.ravel(np.asarray(distortion, dtype=np.float64))[:5]
+    return Lens(size, np.asarray(matrix, dtype=np.float64), coefficients, float(rms))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -33,8 +32,11 @@ class Instruction(IntEnum):
 
 
 @dataclass(frozen=True)
-class Protocol(ABC):
-    """Frames of a protocol, which begin with a fixed header.
+class Protocol:
+    """Frames of a header, identity, length, code, parameters and a checksum.
+
+    The checksum is the complement of the sum of everything between header and checksum, in one
+    byte; the length counts all but the first ``uncounted`` bytes.
 
     Attributes:
         header: First bytes of every frame.
@@ -42,6 +44,7 @@ class Protocol(ABC):
         overhead: Bytes of a frame besides the parameters, without stuffing.
         largest: Largest number of bytes of a frame.
         largest_id: Largest identity of a servo.
+        uncounted: Bytes that the length does not count.
     """
 
     header: bytes
@@ -49,54 +52,31 @@ class Protocol(ABC):
     overhead: int
     largest: int
     largest_id: int
+    uncounted: int
 
-    @abstractmethod
     def encode(self, packet: Packet) -> bytes:
         """The packet as bytes; ``ValueError`` for a wrong identity or too many parameters."""
-
-    @abstractmethod
-    def size(self, head: bytes) -> int:
-        """Bytes of the frame with these first bytes."""
-
-    @abstractmethod
-    def packet(self, frame: bytes) -> Packet | None:
-        """The packet in a frame; None if its check does not agree."""
-
-    def _check(self, packet: Packet) -> None:
         if not 0 <= packet.servo_id <= BROADCAST or self.largest_id < packet.servo_id < BROADCAST:
             raise ValueError(f"servo {packet.servo_id}: identities run from 0 to {self.largest_id}")
         if len(packet.parameters) + self.overhead > self.largest:
             raise ValueError(f"{len(packet.parameters)} bytes of parameters are too many")
-
-
-@dataclass(frozen=True)
-class Summed(Protocol):
-    """Header, identity, length, code, parameters, checksum.
-
-    The checksum is the complement of the sum of everything between header and checksum, in one
-    byte; the length counts all but the first ``uncounted`` bytes.
-    """
-
-    uncounted: int
-
-    def encode(self, packet: Packet) -> bytes:
-        """The packet as bytes."""
-        self._check(packet)
-        length = len(packet.parameters) + self.overhead - self.uncounted
-        body = bytes((packet.servo_id, length, packet.code)) + packet.parameters
-        return self.header + body + bytes((~sum(body) & 0xFF,))
+        return self._framed(packet)
 
     def size(self, head: bytes) -> int:
         """Bytes of the frame with these first bytes."""
         return head[3] + self.uncounted if head[2] <= BROADCAST else 0
 
     def packet(self, frame: bytes) -> Packet | None:
-        """The packet in a frame; None if its checksum does not agree."""
+        """The packet in a frame; None if its check does not agree."""
         body = frame[len(self.header) : -1]
         return Packet(body[0], body[2], body[3:]) if ~sum(body) & 0xFF == frame[-1] else None
 
+    def _framed(self, packet: Packet) -> bytes:
+        length = len(packet.parameters) + self.overhead - self.uncounted
+        body = bytes((packet.servo_id, length, packet.code)) + packet.parameters
+        return self.header + body + bytes((~sum(body) & 0xFF,))
 
-@dataclass(frozen=True)
+
 class Protocol2(Protocol):
     """Header, identity, length, instruction, parameters, CRC-16; low bytes first.
 
@@ -104,9 +84,7 @@ class Protocol2(Protocol):
     occurs inside a frame (https://emanual.robotis.com/docs/en/dxl/protocol2/).
     """
 
-    def encode(self, packet: Packet) -> bytes:
-        """The packet as bytes."""
-        self._check(packet)
+    def _framed(self, packet: Packet) -> bytes:
         body = bytes((packet.code,)) + packet.parameters
         body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         frame = self.header + bytes((packet.servo_id,)) + (len(body) + 2).to_bytes(2, "little")
@@ -114,7 +92,7 @@ class Protocol2(Protocol):
 
     def size(self, head: bytes) -> int:
         """Bytes of the frame with these first bytes."""
-        return int.from_bytes(head[5:7], "little") + len(head) if head[4] <= BROADCAST else 0
+        return int.from_bytes(head[5:7], "little") + self.uncounted if head[4] <= BROADCAST else 0
 
     def packet(self, frame: bytes) -> Packet | None:
         """The packet in a frame; None if its CRC does not agree."""
@@ -141,9 +119,9 @@ def _entry(index: int) -> int:
 
 _TABLE = tuple(_entry(index) for index in range(256))
 # the length of LX servos counts itself; manuals of the LX-16A and of Feetech's serial bus servos
-LX = Summed(b"\x55\x55", 4, 6, 10, 253, uncounted=3)
-FEETECH = Summed(b"\xff\xff", 4, 6, 256, 253, uncounted=4)
-DYNAMIXEL = Protocol2(b"\xff\xff\xfd\x00", 7, 10, 1024, 252)
+LX = Protocol(b"\x55\x55", 4, 6, 10, 253, uncounted=3)
+FEETECH = Protocol(b"\xff\xff", 4, 6, 256, 253, uncounted=4)
+DYNAMIXEL = Protocol2(b"\xff\xff\xfd\x00", 7, 10, 1024, 252, uncounted=7)
 
 
 class FrameDecoder:
@@ -155,14 +133,12 @@ class FrameDecoder:
 
     Attributes:
         garbled: Number of headers without a valid packet.
-        skipped: Number of bytes outside packets.
     """
 
     def __init__(self, protocol: Protocol, longest: int | None = None) -> None:
         self._protocol, self._longest = protocol, longest or protocol.largest
         self._waiting = bytearray()
         self.garbled = 0
-        self.skipped = 0
 
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that ``data`` completes, in order."""
@@ -173,7 +149,6 @@ class FrameDecoder:
             begin = self._waiting.find(protocol.header, start)
             if begin < 0:
                 begin = max(end - self._started(), start)
-            self.skipped += begin - start
             start = begin
             if end - start < protocol.head:
                 break
@@ -187,14 +162,12 @@ class FrameDecoder:
                     start += size
                     continue
             self.garbled += 1
-            self.skipped += 1
             start += 1
         del self._waiting[:start]
         return packets
 
     def clear(self) -> None:
         """Discard an incomplete packet."""
-        self.skipped += len(self._waiting)
         self._waiting.clear()
 
     def _started(self) -> int:

@@ -148,21 +148,13 @@ def record(
     interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[int], object] = lambda _: None,
 ) -> None:
-    """Send the set-points at a regular rate and write one row for each.
+    """Send the set-points (T, J) in rad at a regular rate and write one row for each.
 
     Cycle k starts k periods after the first, regardless of the previous cycles. Where a servo
     reports the set-point in effect, that is recorded: a set-point that was lost on the way did not
-    change it. The outcome is in ``run``; a lost port or servo, heat or an interrupt stops it.
-
-    Args:
-        run: Its servos are at rest on their first set-point.
-        bus: The bus.
-        command: Set-points in rad, shape (T, J).
-        write: Called with each row, in the order of ``columns``.
-        rate_hz: Set-points per second.
-        hottest_C: Temperature at which to stop.
-        interrupted: Whether the user has asked to stop; called once per cycle.
-        progress: Called with the number of set-points since its last call.
+    change it. The outcome is in ``run``, whose servos are at rest on their first set-point; a lost
+    port or servo, heat or an interrupt stops it. ``progress`` is called with the number of
+    set-points since its last call.
     """
     period = 1 / rate_hz
     start = time.monotonic() + period

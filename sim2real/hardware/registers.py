@@ -45,7 +45,6 @@ class Layout:
     """The registers of a family of servos, under the same names for every family.
 
     Attributes:
-        registers: The registers by name.
         volatile_from: First address of the memory that is lost without supply (RAM); what lies
             below (EEPROM) is never written.
         order: Order of the bytes of a number.
@@ -54,9 +53,9 @@ class Layout:
         settings: Registers that are stored in a recording.
         changed: Registers that a recording changes, with their values while it runs, in the order
             in which they are restored.
-        position_modes: Operating modes in which a set-point is an angle, with their names.
+        position_modes, multi_turn_modes: Operating modes in which a set-point is an angle; those of
+            them in which the stored range of positions does not apply.
         errors: Names of the bits of the register ``errors``.
-        multi_turn_modes: Those modes in which the stored range of positions does not apply.
         velocity_unit_rad_s: Unit of velocities in rad/s; None for ticks per second.
     """
 

@@ -11,8 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.buses import Connection, release
-from sim2real.hardware.journal import Changed
+from sim2real.hardware.buses import Changed, Connection, release
 from sim2real.hardware.mounting import Mounting, Wiring, mount
 from sim2real.hardware.process import interruption
 from sim2real.hardware.recorder import BUSY_SHARE, Run, columns, record, row_file

@@ -36,10 +36,8 @@ _TURN = np.deg2rad(25)
 class Track:
     """Track of the body in a video.
 
-    Attributes:
-        t: Times in s since the first frame, shape (T,).
-        pose: x, y in m and unwrapped heading in rad of the body, shape (T, 3); NaN if not found.
-        brightness: Mean grey level of each frame, shape (T,).
+    ``t`` are times in s since the first frame (T,), ``pose`` x, y in m and unwrapped heading in rad
+    (T, 3), NaN if not found, ``brightness`` the mean grey level of each frame (T,).
     """
 
     t: Array

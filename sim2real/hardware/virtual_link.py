@@ -36,9 +36,7 @@ def serve_terminal(
     """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name.
 
     If the host has set another rate than that of the bus, the servos understand nothing.
-
-    Raises:
-        InputError: On a system without pseudo-terminals.
+    ``InputError`` on a system without pseudo-terminals.
     """
     try:
         import tty

@@ -27,7 +27,7 @@ import sim2real.executor.__main__ as worker
 from sim2real.errors import InputError
 from sim2real.executor import Job, map_jobs, run_jobs
 from sim2real.executor.job import NOT_STARTED
-from sim2real.executor.local import slots, visible_gpus
+from sim2real.executor.run import slots, visible_gpus
 
 DRIVER = """
 import signal, sys

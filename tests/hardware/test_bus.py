@@ -16,7 +16,7 @@ from sim2real.hardware.lx import LxBus, LxCommand, lx_servo, move
 from sim2real.hardware.mounting import Wiring, check_ids, mount
 from sim2real.hardware.transport import open_transport
 from sim2real.hardware.virtual_bus import Law, VirtualBus
-from sim2real.hardware.virtual_lx import VirtualLx
+from sim2real.hardware.virtual_servos import VirtualLx
 from sim2real.robot import read_robot
 
 ASK = Packet(1, LxCommand.POS_READ)

@@ -12,8 +12,7 @@ from virtual_bench import LAW, record, served, when_rows
 
 from sim2real.cli import main
 from sim2real.errors import InputError
-from sim2real.hardware.buses import BUSES, connection, latency_advice
-from sim2real.hardware.journal import Changed, Journal
+from sim2real.hardware.buses import BUSES, Changed, Journal, connection, latency_advice
 from sim2real.hardware.servo_bus import Stopped
 from sim2real.hardware.servo_models import model_of, servo_models
 from sim2real.hardware.virtual_bus import Shaft

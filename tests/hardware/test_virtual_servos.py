@@ -8,7 +8,7 @@ from virtual_bench import virtual
 from sim2real.hardware.frames import Packet
 from sim2real.hardware.lx import LxCommand, load, move, number
 from sim2real.hardware.virtual_bus import Law, Shaft
-from sim2real.hardware.virtual_lx import VirtualLx
+from sim2real.hardware.virtual_servos import VirtualLx
 from sim2real.servo.rollout import rollout
 
 LAW = Law(kp_Nm_per_rad=2.2, kd_Nms_per_rad=0.06, latency_s=0.05, inertia_kgm2=0.002)

@@ -12,8 +12,7 @@ from sim2real.hardware.process import priority
 from sim2real.hardware.servo_models import model_named
 from sim2real.hardware.virtual_bus import Law, VirtualBus
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_lx import VirtualLx
-from sim2real.hardware.virtual_registers import VirtualDynamixel, VirtualFeetech
+from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
 IDENTIFIED = {"kp": 2.2, "kd": 0.06, "latency": 0.05, "inertia": 0.002}
