@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from virtual_bench import LAW, record, served, when_rows
+from virtual_bench import LAW, record, refused, served, when_rows
 
 from sim2real.cli import main
 from sim2real.errors import InputError
@@ -20,14 +20,6 @@ from sim2real.recording import read_recording
 
 REGISTERS = ("dynamixel", "feetech")
 LIMITS = {"profile_velocity": 44, "profile_acceleration": 7}
-
-
-def refused(capsys, status, expected, *parts):
-    output = capsys.readouterr()
-    assert status == expected
-    assert output.err.count("\n") == 1, output.err
-    for part in parts:
-        assert part in output.err
 
 
 def limit(servo, values):

@@ -1,20 +1,14 @@
 """A lens from rendered views of a board: another renderer than OpenCV's own projection."""
 
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-cv2 = pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
-sys.path.insert(0, str(Path(__file__).parent))
-import overhead  # noqa: E402
+from sim2real.cli import main
+from sim2real.commands.calibrate_camera import board_of
+from sim2real.hardware.camera import read_camera
 
-from sim2real.cli import main  # noqa: E402
-from sim2real.commands.calibrate_camera import board_of  # noqa: E402
-from sim2real.hardware.camera import read_camera  # noqa: E402
+cv2 = pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
+overhead = pytest.importorskip("overhead")
 
 SPEC = "7,5,0.04,0.03"
 BOARD = board_of(SPEC, "4x4_50")

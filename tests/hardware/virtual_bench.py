@@ -15,10 +15,6 @@ from sim2real.hardware.virtual_link import serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
-IDENTIFIED = {"kp": 2.2, "kd": 0.06, "latency": 0.05, "inertia": 0.002}
-"""The servo that programs record and the fit has to find."""
-SECONDS = 14
-PORTS = {"terminal": [], "udp": ["--udp", "127.0.0.1:0"]}
 HEAD = """
 name = "bench"
 [servos.lx824]
@@ -70,13 +66,16 @@ class Served:
             self.port = port
             announced.set()
 
-        kind, line = BUSES[bus], {"echo": echo, "noise": noise, "loss": loss, "fast": True}
+        kind, line = (
+            BUSES[bus],
+            {"echo": echo, "noise": noise, "loss": 0.0 if udp else loss, "fast": True},
+        )
         rng, baud = np.random.default_rng(0), kind.baud_rates[0]
         bus = VirtualBus(self.servos, kind.protocol, rng, baud=baud, **line)
         stop = self._pulled.is_set
         if udp:
             where = ("127.0.0.1", 0)
-            given = {"rng": np.random.default_rng(1), "key": key}
+            given = {"rng": np.random.default_rng(1), "key": key, "loss": loss}
             arguments = (bus, where, announce, stop)
         else:
             given, arguments = {}, (bus, announce, stop)
@@ -110,6 +109,16 @@ def record(folder, port, *more, joints=1, signal="sine"):
         ["record", signal, "--robot", str(robot_file(folder, joints)), "--port", port,
          "--ids", ids, "--out", str(folder / "run.csv"), *more]
     )  # fmt: skip
+
+
+def refused(capsys, status, expected, *parts):
+    """The one line of an error with ``parts``."""
+    error = capsys.readouterr().err
+    assert status == expected
+    assert error.count("\n") == 1, error
+    for part in parts:
+        assert part in error
+    return error
 
 
 @contextmanager
