@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     baud = kind.baud_rates[0] if options.baud is None else options.baud
     if baud <= 0:
         raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
-    make = _maker(options, baud)
+    make = _maker(options)
     now = time.monotonic()
     health = {
         "supply_V": options.supply,
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _maker(options: argparse.Namespace, baud: int) -> Callable[..., VirtualServo]:
+def _maker(options: argparse.Namespace) -> Callable[..., VirtualServo]:
     """What makes a servo of the bus."""
     if options.bus == "lx":
         return VirtualLx
@@ -77,7 +77,7 @@ def _maker(options: argparse.Namespace, baud: int) -> Callable[..., VirtualServo
         known = [model.name for model in servo_models(options.bus)]
         raise InputError("--servo", "", repr(name), one_of(name, known))
     kind = VirtualDynamixel if options.bus == "dynamixel" else VirtualFeetech
-    return partial(kind, model, baud=baud)
+    return partial(kind, model)
 
 
 def _laws(options: argparse.Namespace, count: int) -> list[Law]:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from sim2real.hardware import frames
 from sim2real.hardware.frames import BROADCAST, Packet, Protocol
@@ -33,8 +33,6 @@ class LxCommand(IntEnum):
     MOVE_TIME_WRITE = 1
     MOVE_STOP = 12
     ID_READ = 14
-    ANGLE_LIMIT_WRITE = 20
-    ANGLE_LIMIT_READ = 21
     VIN_LIMIT_READ = 23
     TEMP_MAX_LIMIT_READ = 25
     TEMP_READ = 26
@@ -46,7 +44,6 @@ class LxCommand(IntEnum):
 
 REPLY_BYTES = {
     LxCommand.ID_READ: 1,
-    LxCommand.ANGLE_LIMIT_READ: 4,
     LxCommand.VIN_LIMIT_READ: 4,
     LxCommand.TEMP_MAX_LIMIT_READ: 1,
     LxCommand.TEMP_READ: 1,
@@ -154,10 +151,6 @@ class LxBus(ServoBus):
     def servo(self, servo_id: int) -> BusServo:
         """The scale of a servo, which is the same for all of this family."""
         return lx_servo(servo_id)
-
-    def settings(self, servo_id: int) -> dict[str, Any]:
-        """Nothing: these servos do not tell their settings."""
-        return {}
 
     def saved(self, servo_id: int) -> dict[str, int]:
         """Nothing, of a servo that answers: only the torque changes, which is off in the end."""

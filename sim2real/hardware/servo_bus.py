@@ -144,9 +144,9 @@ class ServoBus(ABC):
             InputError: If its model is unknown, or it does not control its position.
         """
 
-    @abstractmethod
     def settings(self, servo_id: int) -> dict[str, Any]:
-        """Settings of a servo, for the recording: firmware, gains, profile, delays."""
+        """Settings of a servo, for the recording, if it tells them: firmware, gains, delays."""
+        return {}
 
     @abstractmethod
     def saved(self, servo_id: int) -> dict[str, int]:

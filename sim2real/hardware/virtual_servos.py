@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from sim2real.hardware.frames import BROADCAST, Instruction, Packet
 from sim2real.hardware.lx import SCALE, LxCommand, expects_reply
@@ -28,8 +28,6 @@ _FIXED = {
 
 class VirtualLx(VirtualServo):
     """One LX servo, with the commands of ``LxCommand``."""
-
-    _limits = bytes((0, 0, 0xE8, 0x03))  # 0 to 1000 ticks
 
     def ticks(self, now: float) -> int:
         """Reported position in ticks of 0.24 degrees."""
@@ -57,28 +55,22 @@ class VirtualLx(VirtualServo):
             return bytes((self.powered,))
         if command == LxCommand.ID_READ:
             return bytes((self.servo_id,))
-        return self._limits if command == LxCommand.ANGLE_LIMIT_READ else _FIXED[LxCommand(command)]
+        return _FIXED[LxCommand(command)]
 
     def _obey(self, command: int, parameters: bytes, now: float) -> None:
         if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
-            (low, high), (ticks, milliseconds) = _words(self._limits), _words(parameters)
+            ticks, milliseconds = (int.from_bytes(parameters[k : k + 2], "little") for k in (0, 2))
             self._shaft.angle(now)
-            angle = SCALE.angle(min(max(ticks, low), high))
+            angle = SCALE.angle(min(ticks, SCALE.largest_ticks))
             self._shaft.command(now, angle, milliseconds / 1000)
         elif command == LxCommand.MOVE_STOP:
             self._shaft.hold(now)
         elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
             self._power(parameters[0] != 0, now)
-        elif command == LxCommand.ANGLE_LIMIT_WRITE and len(parameters) == 4:
-            self._limits = parameters
-
-
-def _words(data: bytes) -> tuple[int, int]:
-    return int.from_bytes(data[:2], "little"), int.from_bytes(data[2:], "little")
 
 
 class RegisterServo(VirtualServo):
-    """One servo as it leaves the factory, except for identity and rate.
+    """One servo as it leaves the factory, except for its identity, and a rate of 1 Mbaud.
 
     A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
     is stored only. The current or load is the torque as a share of the stall torque.
@@ -86,24 +78,15 @@ class RegisterServo(VirtualServo):
     Attributes:
         word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
         answers_writes: Value of the register ``status_level`` with which writes are answered.
-        baud_codes: Values of the register ``baud``.
-        factory: Values of other registers.
+        factory: Values of registers.
     """
 
     word_bytes: ClassVar[int]
     answers_writes: ClassVar[int]
-    baud_codes: ClassVar[Mapping[int, int]]
     factory: ClassVar[Mapping[str, int]]
 
     def __init__(
-        self,
-        model: ServoModel,
-        servo_id: int,
-        law: Law,
-        now: float,
-        *,
-        baud: int = 1_000_000,
-        **more: Any,  # noqa: ANN401
+        self, model: ServoModel, servo_id: int, law: Law, now: float, **more: float
     ) -> None:
         super().__init__(servo_id, law, now, **more)
         self.model, self.memory = model, bytearray(256)
@@ -114,7 +97,6 @@ class RegisterServo(VirtualServo):
         start = {
             "max_position": 2 * model.centre_ticks - 1,
             "model": model.number or model.main_version or 0,
-            "baud": self.baud_codes.get(baud, self.baud_codes[1_000_000]),
             "goal_position": model.centre_ticks,
             "servo_id": servo_id,
         }
@@ -272,11 +254,9 @@ class VirtualDynamixel(RegisterServo):
 
     word_bytes = 2
     answers_writes = 2
-    baud_codes: ClassVar[Mapping[int, int]] = {
-        9600: 0, 57_600: 1, 115_200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6,
-    }  # fmt: skip
     factory: ClassVar[Mapping[str, int]] = {
         "firmware": 46,
+        "baud": 3,
         "return_delay": 250,
         "operating_mode": 3,
         "max_temperature": 70,
@@ -307,10 +287,6 @@ class VirtualFeetech(RegisterServo):
 
     word_bytes = 1
     answers_writes = 1
-    baud_codes: ClassVar[Mapping[int, int]] = {
-        1_000_000: 0, 500_000: 1, 250_000: 2, 128_000: 3, 115_200: 4, 76_800: 5, 57_600: 6,
-        38_400: 7,
-    }  # fmt: skip
     factory: ClassVar[Mapping[str, int]] = {
         "status_level": 1,
         "max_temperature": 70,

@@ -65,9 +65,6 @@ def test_it_tells_what_it_is_asked(servo):
     assert number(read(servo, LxCommand.VIN_READ, 0.0)) == 7500
     assert read(servo, LxCommand.TEMP_READ, 5.0).parameters == b"\x32"
     assert read(servo, LxCommand.LOAD_READ, 5.0).parameters == b"\x00"
-    limits = Packet(3, LxCommand.ANGLE_LIMIT_WRITE, b"\x64\x00\x84\x03")
-    assert servo.handle(limits, 5.0) is None
-    assert read(servo, LxCommand.ANGLE_LIMIT_READ, 5.0).parameters == limits.parameters
 
 
 def test_it_moves_only_with_its_torque_on(servo):
