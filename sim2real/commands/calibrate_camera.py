@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from sim2real.arrays import Picture
 from sim2real.errors import InputError
-from sim2real.hardware.camera import calibrate, dictionary_of, stand, views, write_camera
+from sim2real.hardware.camera import calibrate, charuco_board, stand, views, write_camera
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
 
@@ -56,10 +56,7 @@ def board_of(text: str, dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
     whole = across == int(across) and down == int(down)
     if not (whole and min(across, down) >= 3 and 0 < marker < square):
         raise InputError("calibrate-camera", "--board", text, "as 7,5,0.04,0.03: sides in m")
-    import cv2
-
-    words = dictionary_of(dictionary)
-    return cv2.aruco.CharucoBoard((int(across), int(down)), square, marker, words)
+    return charuco_board((int(across), int(down)), square, marker, dictionary)
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:

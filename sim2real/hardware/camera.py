@@ -181,6 +181,15 @@ def dictionary_of(dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary.upper()}"))
 
 
+def charuco_board(
+    squares: tuple[int, int], square_m: float, marker_m: float, dictionary: str
+) -> Any:  # noqa: ANN401 - OpenCV's
+    """OpenCV's board of so many squares across and down, with the sides of square and marker."""
+    import cv2
+
+    return cv2.aruco.CharucoBoard(squares, square_m, marker_m, dictionary_of(dictionary))
+
+
 def read_camera(path: str | os.PathLike[str]) -> Camera:
     """Read ``camera.toml``.
 
