@@ -29,9 +29,7 @@ from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import predict
 from sim2real.servo_library.catalogue import FOLDER, shipped
-from sim2real.servo_library.entry import ServoEntry
-from sim2real.servo_library.prepare import prepared
-from sim2real.servo_library.settings import at
+from sim2real.servo_library.entry import ServoEntry, at, prepared
 
 ROOT = Path(__file__).parents[1]
 REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))

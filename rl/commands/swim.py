@@ -18,7 +18,7 @@ from rl.deploy.pilot import Pilot, Track
 from rl.deploy.swim import ANSWER_S, swim
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.hardware.interruption import interruption
+from sim2real.hardware.process import interruption
 from sim2real.hardware.shared_key import shared_key
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
@@ -117,9 +117,10 @@ def _on_bus(
     """URL of a robot whose servos are on a bus of this computer."""
     from rl.deploy.bus_robot import bus_robot
     from sim2real.hardware.buses import bus_class, connection
-    from sim2real.hardware.priority import priority
+    from sim2real.hardware.mounting import Wiring
+    from sim2real.hardware.process import priority
     from sim2real.hardware.servo_bus import Stopped
-    from sim2real.hardware.session import Wiring, mounted
+    from sim2real.hardware.session import mounted
 
     _needs(options, "port", "ids", "robot", "pose", why="--bus")
     robot = _described(options, policy)
@@ -128,7 +129,7 @@ def _on_bus(
     except ValueError:
         raise InputError("--ids", "", repr(options.ids), "whole numbers, as 1,2,3") from None
     wiring = Wiring(ids, reverse=options.reverse)
-    wiring.check(robot, bus_class(options.bus).largest_id)
+    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
     rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
     try:
         with (

@@ -29,10 +29,9 @@ from rl.deploy.virtual_robot import Received, served
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.buses import Connection
-from sim2real.hardware.motion import approach, check_temperature
 from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import ServoBus, Stopped
-from sim2real.hardware.session import let_go, note_changes
+from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
+from sim2real.hardware.session import approach, let_go, note_changes
 
 CYCLE_S = 0.4 * CONTROL_S
 """Longest round over the bus: set-points are awaited in the rest of a period."""
@@ -116,10 +115,8 @@ class BusRobot(Received):
         desired = self.next_set_points()
         try:
             self._joint = self._round(desired)
-        except Stopped as stop:
-            self.stopped = str(stop)
-        except OSError as error:
-            self.stopped = f"the port was lost ({error.strerror or error})"
+        except (Stopped, OSError) as error:
+            self.stopped = reason(error)
 
     def telemetry(self) -> bytes:
         """The datagram with the state; the pose is missing if none has arrived since the last."""
@@ -133,8 +130,7 @@ class BusRobot(Received):
         cycle = self._bus.cycle(goals, time.monotonic() + CYCLE_S)
         angles = []
         for mounting, reading in zip(self._mountings, cycle.readings, strict=True):
-            if not math.isnan(reading.temperature_C):
-                check_temperature(mounting, reading.temperature_C, self._hottest_C)
+            mounting.check_temperature(reading.temperature_C, self._hottest_C)
             ticks = reading.position_ticks
             angles.append(math.nan if ticks is None else mounting.angle(ticks))
         return np.array(angles)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from sim2real.arrays import Array, Picture
+from sim2real.arrays import Picture
 from sim2real.errors import InputError
-from sim2real.hardware.camera_file import write_camera
-from sim2real.hardware.charuco import Board, calibrate, corner_markers, views
-from sim2real.hardware.plane import Lens, stand
+from sim2real.hardware.camera import calibrate, charuco_board, stand, views, write_camera
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.output import check_writable
 
@@ -33,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(where, "", str(error), "the board at many places and angles") from None
     length, width = numbers(options.pool, 2, "--pool")
     known = np.array([[0, 0], [length, 0], [length, width], [0, width]], dtype=np.float64)
-    corners = corners_of(options, lens)
+    corners = np.array([numbers(pair, 2, "--corners") for pair in options.corners])
     try:
         plane = stand(lens, corners, known)
     except ValueError as error:
@@ -41,13 +40,14 @@ def run(options: argparse.Namespace) -> int:
     write_camera(out, lens, corners, known)
     print(f"{len(seen)} views of the board, reprojection error {lens.rms_px:.2f} px")
     x, y, z = plane.position
-    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {plane.residual_px:.2f} px")
+    within = np.sqrt(np.mean(np.sum((plane.pixels(known) - corners) ** 2, axis=1)))
+    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {within:.2f} px")
     print(f"camera: {out}")
     return 0
 
 
-def board_of(text: str, dictionary: str) -> Board:
-    """The board from ``ACROSS,DOWN,SQUARE,MARKER``.
+def board_of(text: str, dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
+    """OpenCV's board from ``ACROSS,DOWN,SQUARE,MARKER``.
 
     Raises:
         InputError: If that is none.
@@ -56,30 +56,7 @@ def board_of(text: str, dictionary: str) -> Board:
     whole = across == int(across) and down == int(down)
     if not (whole and min(across, down) >= 3 and 0 < marker < square):
         raise InputError("calibrate-camera", "--board", text, "as 7,5,0.04,0.03: sides in m")
-    return Board((int(across), int(down)), square, marker, dictionary)
-
-
-def corners_of(options: argparse.Namespace, lens: Lens) -> Array:
-    """The pool's four corners in pixels: given, or markers that lie on them.
-
-    Raises:
-        InputError: If neither gives four.
-    """
-    if options.corners is not None:
-        given = [numbers(pair, 2, "--corners") for pair in options.corners]
-        return np.array(given, dtype=np.float64)
-    if options.corner_ids is None or options.pool_picture is None:
-        expected = "--corners U,V U,V U,V U,V, or --corner-ids with --pool-picture"
-        raise InputError("calibrate-camera", "--corners", "nothing", expected)
-    picture = read_picture(options.pool_picture)
-    if (picture.shape[1], picture.shape[0]) != lens.size_px:
-        found = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise InputError(options.pool_picture, "", found, "the size of the board's pictures")
-    ids = [int(x) for x in numbers(options.corner_ids, 4, "--corner-ids")]
-    try:
-        return corner_markers(picture, options.dictionary, ids)
-    except ValueError as error:
-        raise InputError(options.pool_picture, "", str(error), "a marker on each corner") from None
+    return charuco_board((int(across), int(down)), square, marker, dictionary)
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:

@@ -236,14 +236,9 @@ def _calibrate_camera(command: argparse.ArgumentParser) -> None:
         "--corners",
         nargs=4,
         metavar="U,V",
+        required=True,
         help="pixels of the four corners of the pool: the origin first, then along x",
     )
-    command.add_argument(
-        "--corner-ids",
-        metavar="LIST",
-        help="ids of markers at the corners of the pool, such as 10,11,12,13",
-    )
-    add_file(command, "--pool-picture", "PICTURE", "picture that shows the corners of the pool")
     add_file(command, "--out", "TOML", "camera (camera.toml)", required=True)
 
 

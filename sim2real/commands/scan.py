@@ -8,8 +8,8 @@ import sys
 from tqdm import tqdm
 
 from sim2real.errors import InputError
+from sim2real.hardware.bench import scan, table
 from sim2real.hardware.buses import bus_class, connection
-from sim2real.hardware.scan import scan, table
 
 LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 32 * 10  # a request and its reply on the wire
@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
         0 if one did, 1 if none.
     """
     kind = bus_class(options.bus)
-    ids = _ids(options.ids, kind.largest_id)
+    ids = _ids(options.ids, kind.protocol.largest_id)
     network = "://" in options.port
     rates = kind.baud_rates[: 1 if network else None] if options.baud is None else (options.baud,)
     for baud in rates:

@@ -10,10 +10,10 @@ import numpy as np
 from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.camera_file import read_camera
+from sim2real.hardware.camera import read_camera
 from sim2real.hardware.plots import track_figure
 from sim2real.hardware.sync import correlated, flash, joined
-from sim2real.hardware.tracker import Track, frame_count, track
+from sim2real.hardware.tracker import Track, track
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, read_recording, write_recording
 from sim2real.report.drawing import save_png
@@ -28,8 +28,7 @@ def run(options: argparse.Namespace) -> int:
     out = check_writable(options.out)
     camera = read_camera(options.camera)
     servo = read_recording(options.servo) if options.servo else None
-    total = frame_count(options.video)
-    with tqdm(desc="track", total=total, unit="frame", disable=None) as bar:
+    with tqdm(desc="track", unit="frame", disable=None) as bar:
         body_track = track(options.video, camera, progress=lambda: bar.update(1))
     recording = (
         poses_only(body_track, out.stem, options.joints)

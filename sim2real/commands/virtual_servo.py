@@ -5,23 +5,19 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from sim2real.errors import InputError, one_of
 from sim2real.hardware.buses import bus_class
-from sim2real.hardware.interruption import interruption
 from sim2real.hardware.mounting import check_ids
-from sim2real.hardware.priority import priority
-from sim2real.hardware.servo_models import ServoModel, model_named, names
+from sim2real.hardware.process import interruption, priority
+from sim2real.hardware.servo_models import model_named, servo_models
 from sim2real.hardware.shared_key import shared_key
-from sim2real.hardware.virtual_bus import OnWire, Speech, VirtualBus
-from sim2real.hardware.virtual_dynamixel import DYNAMIXEL, dynamixel_servo
-from sim2real.hardware.virtual_feetech import FEETECH, feetech_servo
+from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_lx import LX, VirtualServo
-from sim2real.hardware.virtual_shaft import Law
+from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 from sim2real.model import read_model
 
 _USUAL = {"dynamixel": "XL330-M288", "feetech": "STS3215"}
@@ -34,11 +30,11 @@ def run(options: argparse.Namespace) -> int:
         share = getattr(options, name)
         if not 0 <= share < 1:
             raise InputError(f"--{name}", "", f"{share:g}", "a share from 0 up to 1")
-    ids = _ids(options.ids, kind.largest_id)
+    ids = _ids(options.ids, kind.protocol.largest_id)
     baud = kind.baud_rates[0] if options.baud is None else options.baud
     if baud <= 0:
         raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
-    speech, make = _maker(options, baud)
+    make = _maker(options)
     now = time.monotonic()
     health = {
         "supply_V": options.supply,
@@ -50,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     rng = np.random.default_rng(options.seed)
     bus = VirtualBus(
         servos,
-        speech,
+        kind.protocol,
         rng,
         noise=options.noise,
         loss=0.0 if options.udp else options.loss,
@@ -71,26 +67,17 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _maker(
-    options: argparse.Namespace, baud: int
-) -> tuple[Speech[Any], Callable[..., OnWire[Any]]]:
-    """Protocol of the bus, and what makes one of its servos."""
+def _maker(options: argparse.Namespace) -> Callable[..., VirtualServo]:
+    """What makes a servo of the bus."""
     if options.bus == "lx":
-        return LX, VirtualServo
-    model = _servo_model(options)
-    if options.bus == "dynamixel":
-        return DYNAMIXEL, lambda k, law, now, **more: dynamixel_servo(
-            k, model, law, now, baud=baud, **more
-        )
-    return FEETECH, lambda k, law, now, **more: feetech_servo(k, model, law, now, baud=baud, **more)
-
-
-def _servo_model(options: argparse.Namespace) -> ServoModel:
+        return VirtualLx
     name = options.servo or _USUAL[options.bus]
     model = model_named(options.bus, name)
     if model is None:
-        raise InputError("--servo", "", repr(name), one_of(name, names(options.bus)))
-    return model
+        known = [model.name for model in servo_models(options.bus)]
+        raise InputError("--servo", "", repr(name), one_of(name, known))
+    kind = VirtualDynamixel if options.bus == "dynamixel" else VirtualFeetech
+    return partial(kind, model)
 
 
 def _laws(options: argparse.Namespace, count: int) -> list[Law]:
