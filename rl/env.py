@@ -10,13 +10,15 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers import HumanRendering
 from torch import Tensor
 
-from rl.decisions import Decisions
-from rl.observer import LARGEST, View
-from rl.task import Task, observation_bounds
-from rl.world import Step, World
+from rl.make import world_of
+from rl.observer import LARGEST, View, observation_bounds
+from rl.task import Task
+from rl.world import Decisions, Step, World
 from sim2real.arrays import Array32, Mask
+from sim2real.extras import library
 
 
 def observation_space(world: World, view: View) -> spaces.Box:
@@ -66,7 +68,7 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's way
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": ["rgb_array"],
         "render_fps": 1 / View().decision_s,
     }
 
@@ -82,12 +84,11 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
         Args:
             world: World with one environment.
             view: Definition of observation and decision period.
-            render_mode: ``rgb_array`` for images of the pool from above, ``human`` for a window
-                that shows them in real time (extra ``render``); None for no rendering.
+            render_mode: ``rgb_array`` for images of the pool from above, which Gymnasium's wrapper
+                ``HumanRendering`` shows in a window; None for no rendering.
 
         Raises:
             ValueError: If it has several environments, or there is no such mode.
-            InputError: If there is no screen for a window, or pygame is not installed.
         """
         if world.n_envs != 1:
             raise ValueError(f"a world of {world.n_envs} environments, not of one")
@@ -99,11 +100,6 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
         self.world, self.decisions = world, Decisions(world, view)
         self.observation_space: Any = observation_space(world, view)
         self.action_space: Any = action_space(world)
-        self.window: Any = None
-        if render_mode == "human":
-            from rl.window import Window
-
-            self.window = Window(1 / view.decision_s)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -112,9 +108,7 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed(seed)
-        observed = self.decisions.reset()[0].cpu().numpy()
-        self._show()
-        return observed, {}
+        return self.decisions.reset()[0].cpu().numpy(), {}
 
     def step(self, action: Array32) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
         """Apply a decision and simulate until the next; ``reset`` starts the next episode."""
@@ -126,7 +120,6 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
             "is_success": bool(succeeded(self.world.task, step)[0]),
             **{name: float(term[0]) for name, term in terms.items()},
         }
-        self._show()
         return (
             step.final[0].cpu().numpy(),
             float(step.reward[0]),
@@ -138,25 +131,11 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
     def render(self) -> Any:  # noqa: ANN401 - Gymnasium's
         """Image of the pool from above, shape (height, width, 3), 8 bits per channel.
 
-        None without a render mode, and with ``human``, where ``reset`` and ``step`` update the
-        window.
+        None without a render mode.
         """
-        return self._picture() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self.window is not None:
-            self.window.close()
-            self.window = None
-
-    def _picture(self) -> Any:  # noqa: ANN401 - an image
         from rl.experiments.film import still
 
-        return still(self.world)
-
-    def _show(self) -> None:
-        if self.window is not None:
-            self.window.show(self._picture())
+        return None if self.render_mode is None else still(self.world)
 
 
 class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
@@ -248,3 +227,30 @@ def _finals(final: Array32, ended: Mask) -> dict[str, Any]:
     for e in np.flatnonzero(ended):
         observations[e] = final[e]
     return {"final_obs": observations, "_final_obs": ended}
+
+
+def make_fish(
+    *,
+    render_mode: str | None = None,
+    view: View = View(),  # noqa: B008 - frozen
+    **options: Any,  # noqa: ANN401
+) -> gymnasium.Env[Array32, Array32]:
+    """The environment of ``gymnasium.make("sim2real/Fish-v0")``; options as for ``world_of``.
+
+    ``render_mode="human"`` shows it in a window (extra ``render``).
+    """
+    if render_mode != "human":
+        return FishEnv(world_of(1, **options), view, render_mode=render_mode)
+    library("pygame", "sim2real/Fish-v0")
+    return HumanRendering(FishEnv(world_of(1, **options), view, render_mode="rgb_array"))
+
+
+def make_fish_vec(
+    num_envs: int = 1,
+    *,
+    view: View = View(),  # noqa: B008 - frozen
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    **options: Any,  # noqa: ANN401
+) -> FishVectorEnv:
+    """That of ``gymnasium.make_vec("sim2real/Fish-v0")``; options as for ``world_of``."""
+    return FishVectorEnv(world_of(num_envs, **options), view, autoreset_mode=autoreset_mode)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.vec_env import VecEnv
 
-from rl.decisions import Decisions
 from rl.env import action_space, observation_space, reward_terms, succeeded
 from rl.observer import View
-from rl.world import Step, World
-from sim2real.arrays import Array32, Index, Mask
+from rl.world import Decisions, World
+from sim2real.arrays import Array32, Mask
 
 
 class FishVecEnv(VecEnv):
@@ -51,59 +49,35 @@ class FishVecEnv(VecEnv):
         self._return += value
         self._length += 1
         terms = reward_terms(self.world.task, step)
-        columns = [term.cpu().tolist() for term in terms.values()]
-        infos: list[dict[str, Any]] = [
-            dict(zip(terms, row, strict=True)) for row in zip(*columns, strict=True)
-        ]
+        rows = zip(*(term.cpu().tolist() for term in terms.values()), strict=True)
+        infos: list[dict[str, Any]] = [dict(zip(terms, row, strict=True)) for row in rows]
         if ended.any():
-            self._tell(step, np.flatnonzero(ended), infos)
+            final, late = step.final.cpu().numpy(), step.truncated.cpu().numpy()
+            success = succeeded(self.world.task, step).cpu().numpy()
+            for e in np.flatnonzero(ended):
+                infos[e]["terminal_observation"] = final[e]
+                infos[e]["TimeLimit.truncated"] = bool(late[e])
+                infos[e]["is_success"] = bool(success[e])
+                infos[e]["episode"] = {"r": float(self._return[e]), "l": int(self._length[e])}
+            self._return[ended], self._length[ended] = 0.0, 0
         return step.observation.cpu().numpy(), value, ended, infos
-
-    def _tell(self, step: Step, ended: Index, infos: list[dict[str, Any]]) -> None:
-        final, late = step.final.cpu().numpy(), step.truncated.cpu().numpy()
-        success = succeeded(self.world.task, step).cpu().numpy()
-        for e in ended:
-            infos[e]["terminal_observation"] = final[e]
-            infos[e]["TimeLimit.truncated"] = bool(late[e])
-            infos[e]["is_success"] = bool(success[e])
-            infos[e]["episode"] = {"r": float(self._return[e]), "l": int(self._length[e])}
-            self._return[e], self._length[e] = 0.0, 0
 
     def close(self) -> None:
         """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:  # noqa: ANN401 - SB3's
         """The attribute of the shared world, once for each of the environments."""
-        if attr_name == "render_mode":
-            return [None for _ in self._get_indices(indices)]
-        return [getattr(self.world, attr_name) for _ in self._get_indices(indices)]
+        value = None if attr_name == "render_mode" else getattr(self.world, attr_name)
+        return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:  # noqa: ANN401
-        """Environments of one world cannot differ.
-
-        Raises:
-            NotImplementedError: Always.
-        """
+        """Refuse: environments of one world cannot differ."""
         raise NotImplementedError(f"{attr_name}: the environments share one world")
 
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,  # noqa: ANN401
-        indices: Any = None,  # noqa: ANN401
-        **method_kwargs: Any,  # noqa: ANN401
-    ) -> list[Any]:
-        """Environments of one world have no methods of their own.
-
-        Raises:
-            NotImplementedError: Always.
-        """
+    def env_method(self, method_name: str, *_: Any, **__: Any) -> list[Any]:  # noqa: ANN401
+        """Refuse: environments of one world have no methods of their own."""
         raise NotImplementedError(f"{method_name}: the environments share one world")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:  # noqa: ANN401
         """False for all; ``step_wait`` returns the statistics of ``Monitor``."""
         return [False for _ in self._get_indices(indices)]
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the world at its next reset."""
-        return super().seed(seed)

@@ -13,10 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-BETAS, EPSILON = (0.9, 0.999), 1e-8
-
-
-NORM_EPSILON = 1e-5
+_NORM_EPSILON = 1e-5
 
 
 @dataclass(frozen=True)
@@ -97,18 +94,15 @@ class Layers:
             h = torch.baddbmm(b, activations.layers[-1], W.transpose(1, 2))
             if self.norm and k < last:
                 unnormalised = h
-                h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, NORM_EPSILON)
+                h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, _NORM_EPSILON)
                 activations.sums.append((unnormalised, mean, scale))
             activations.layers.append(h if k == last else torch.relu_(h))
         return activations
 
     def backward(self, activations: Activations, d: Tensor, *, inputs_only: bool = False) -> Tensor:
-        """Gradient of the input from that of the output; also sets ``gradient``.
+        """Gradient of the input from that of the output, ``d`` (C, B, width).
 
-        Args:
-            activations: Result of ``forward``.
-            d: Gradient of the output, shape (C, B, width).
-            inputs_only: Whether to leave ``gradient`` unchanged.
+        Also sets ``gradient``, unless with ``inputs_only``.
         """
         for k in range(len(self.weights) - 1, -1, -1):
             if not inputs_only:
@@ -127,34 +121,25 @@ class Layers:
         return d
 
     def descend(self, rate: Tensor) -> None:
-        """One step of Adam (Kingma and Ba, 2015, Algorithm 1)."""
+        """One step of Adam."""
         adam(self.flat, self.gradient, self.moments, self.count, rate)
 
 
 def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: Tensor) -> None:
-    """One step of Adam, in place.
+    """One step of Adam (Kingma and Ba, 2015, Algorithm 1), in place.
 
-    Args:
-        flat: Parameters, shape (P,).
-        gradient: Their gradients, shape (P,).
-        moments: First and second moments, shape (2, P).
-        count: Steps so far, shape (1,).
-        rate: Learning rate, a tensor without axes.
+    Parameters and gradients have the shape (P,), first and second moments (2, P).
     """
     count += 1
     torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
         [flat], [gradient], [moments[0]], [moments[1]], [], [count],
-        lr=rate, beta1=BETAS[0], beta2=BETAS[1], weight_decay=0.0, eps=EPSILON,
-        amsgrad=False, maximize=False,
+        lr=rate, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
     )  # fmt: skip
 
 
 def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
     """1 for each column of a transition that changes sign under mirroring, else 0.
 
-    Args:
-        odd: The same for the columns of an observation, see ``View.odd``.
-        J: Number of actions, all of which change sign.
-        device: Device of the result.
+    ``odd`` is the same for the columns of an observation, see ``View.odd``.
     """
     return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)

@@ -16,11 +16,11 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from io import BytesIO
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -133,34 +133,58 @@ class PolicyZip:
             raise InputError(self.path, "networks", problem, "those of an MlpPolicy") from None
 
 
-def write_policy_zip(
-    path: str | os.PathLike[str],
-    settings: Mapping[str, Any],
-    weights: Mapping[str, Tensor],
-    variables: Mapping[str, Tensor],
-) -> Path:
-    """Write a policy atomically; arguments as the attributes of ``PolicyZip``."""
-    content = json.dumps(finite_json({"schema": SCHEMA, **settings}), indent=2, allow_nan=False)
-    members = {"data": content.encode()}
-    for name, tensors in (("policy.pth", weights), ("pytorch_variables.pth", variables)):
-        stream = BytesIO()
-        # copies, as a view would be written with all that it is a part of
-        torch.save({k: v.detach().cpu().clone() for k, v in tensors.items()}, stream)
-        members[name] = stream.getvalue()
-    archive = BytesIO()
-    with zipfile.ZipFile(archive, "w") as file:
-        for name, data in members.items():
-            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-            entry.create_system, entry.external_attr = 3, 0o600 << 16
-            file.writestr(entry, data)
-    return write_whole(path, archive.getvalue())
+class SavedAsZip:
+    """Agents of Stable-Baselines3 whose ``save`` writes a policy without pickled objects."""
+
+    policy: Any
+
+    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """``settings`` and ``variables`` of the file, see ``PolicyZip``."""
+        raise NotImplementedError
+
+    def save(
+        self,
+        path: str | os.PathLike[str] | BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """Write ``policy.zip`` atomically; ``exclude`` and ``include`` are not used."""
+        del exclude, include
+        settings, variables = self.content()
+        plain = finite_json(_plain({"schema": SCHEMA, **settings}))
+        content = json.dumps(plain, indent=2, allow_nan=False)
+        archive = BytesIO()
+        with zipfile.ZipFile(archive, "w") as file:
+            for name, data in (
+                ("data", content.encode()),
+                ("policy.pth", _saved(self.policy.state_dict())),
+                ("pytorch_variables.pth", _saved(variables)),
+            ):
+                entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+                entry.create_system, entry.external_attr = 3, 0o600 << 16
+                file.writestr(entry, data)
+        write_whole(cast("str | os.PathLike[str]", path), archive.getvalue())
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays
+    """``value`` with lists in place of arrays."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _saved(tensors: Mapping[str, Tensor]) -> bytes:
+    """Tensors as ``torch.save`` writes them; copies, as a view would be written with its base."""
+    stream = BytesIO()
+    torch.save({k: v.detach().cpu().clone() for k, v in tensors.items()}, stream)
+    return stream.getvalue()
 
 
 def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
     """Read a policy; nothing in the file is executed.
 
     Args:
-        path: Written by ``write_policy_zip`` or Stable-Baselines3.
+        path: Written by ``SavedAsZip.save`` or Stable-Baselines3.
         algorithm: ``SAC`` or ``DQN``.
 
     Raises:

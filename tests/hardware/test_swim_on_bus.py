@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from virtual_bench import robot_file, served
 
-from rl.deploy.forward import Policy, npz
 from rl.deploy.link import Telemetry, telemetry_bytes
-from rl.observer import PAPER
-from rl.task import observation_bounds, observation_names
+from rl.deploy.policy import Policy, npz
+from rl.observer import PAPER, observation_bounds, observation_names
 from sim2real.cli import main
 from sim2real.recording import read_recording
 

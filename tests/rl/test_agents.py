@@ -10,14 +10,14 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from rl.decisions import Decisions
 from rl.deploy.export import set_price
 from rl.observer import PAPER, View
 from rl.sac.agents import Agents, Batch, mirrored
 from rl.sac.checkpoint import Progress, save
+from rl.sac.plan import PLAIN, Settings
 from rl.sac.sac import make_sac, read_agent
-from rl.sac.settings import PLAIN, Settings
 from rl.task import Task
+from rl.world import Decisions
 from sim2real.errors import InputError
 
 SETTINGS = replace(PLAIN, hidden=(32, 24), memory=500, batch=64)

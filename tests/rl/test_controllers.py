@@ -13,18 +13,20 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from rl.controllers import Controller
-from rl.controllers.adrc import (
+from rl.controllers.classical import (
+    PACES,
     ADRCGains,
     DisturbanceRejection,
     ExtendedStateObserver,
+    LineOfSight,
+    PNLGains,
+    ProportionalNavigation,
     TransientProfile,
+    line_of_sight_rate,
+    tuned,
 )
 from rl.controllers.cpg import CONTROL_S, CentralPatternGenerator, Gait, Gliding
-from rl.controllers.discrete_cpg import TABLE, DiscreteCPG
-from rl.controllers.discrete_env import DiscreteCPGEnv
-from rl.controllers.guidance import LineOfSight, line_of_sight_rate
-from rl.controllers.pnl import PNLGains, ProportionalNavigation
-from rl.controllers.tuned import PACES, tuned
+from rl.controllers.discrete_cpg import TABLE, DiscreteCPG, DiscreteCPGEnv
 from sim2real.errors import InputError
 
 LIMITS = np.array([[-0.8, 0.8], [-0.7, 0.8], [-0.8, 0.6]])
@@ -92,13 +94,14 @@ class TestGenerator:
 
     def test_glides_without_overshoot_as_the_equation_says(self) -> None:
         part = Gliding(np.zeros((1, 1)))
-        got = [float(part.step(np.ones((1, 1)), 12.0, 0.02)[0, 0]) for _ in range(50)]
+        got = [float(part.step(np.ones((1, 1)))[0, 0]) for _ in range(50)]
         t = 0.02 * np.arange(1, 51)
         assert got == pytest.approx(1 - (1 + 12 * t) * np.exp(-12 * t))
 
     def test_begins_from_the_angles_given(self) -> None:
         generator = CentralPatternGenerator(LIMITS, 2)
-        generator.reset(np.array([True, False]), angle=[[0.3, 0.2, 0.1]] * 2)
+        row = np.array([[0.0] * 3 + [0.3, 0.2, 0.1] + [0.0] * 5] * 2)
+        generator.reset(np.array([True, False]), row)
         first = generator.step(Gait(1.0, 0.5))
         assert first[0] == pytest.approx([0.3, 0.2, 0.1], abs=0.02)
         assert first[1] == pytest.approx([0.0] * 3, abs=0.02)
@@ -118,7 +121,7 @@ class TestLineOfSight:
         assert line_of_sight_rate(row)[0] == pytest.approx((angles[1] - angles[0]) / h, rel=1e-4)
 
     def test_a_turn_goes_on_past_the_point_behind(self) -> None:
-        sight = LineOfSight(1, 0.0, dt=CONTROL_S)
+        sight = LineOfSight(1, 0.0)
         met = []
         for angle in np.radians([170, 179, 185, 220, 230]):
             row = np.zeros((1, 11))
@@ -128,7 +131,7 @@ class TestLineOfSight:
         assert met == pytest.approx([170, 179, 185, 220, -130])
 
     def test_smooths_over_its_time_constant(self) -> None:
-        sight = LineOfSight(1, 0.5, dt=CONTROL_S)
+        sight = LineOfSight(1, 0.5)
         for k in range(26):
             sight.update(seen(1, target=(1.0, 0.0) if k == 0 else (1.0, 1.0)))
         assert sight.smooth[0] == pytest.approx(np.pi / 4 * (1 - np.exp(-1)))
@@ -137,7 +140,7 @@ class TestLineOfSight:
 
 class TestADRC:
     def test_observer_finds_the_disturbance_of_a_known_plant(self) -> None:
-        observer = ExtendedStateObserver(2, 12.0, 4.0, dt=CONTROL_S)
+        observer = ExtendedStateObserver(2, 12.0, 4.0)
         y, rate, h = np.array([0.3, -0.2]), np.array([0.0, 0.5]), 1e-3
         disturbance = np.array([-1.5, 0.8])
         for k in range(150):
@@ -151,7 +154,7 @@ class TestADRC:
         assert observer.state[:, 2] == pytest.approx(disturbance, abs=0.1)
 
     def test_profile_is_the_quickest_without_overshoot(self) -> None:
-        profile = TransientProfile(2, np.array([4.0, 1.0]), dt=CONTROL_S)
+        profile = TransientProfile(2, np.array([4.0, 1.0]))
         met, rates = [], []
         for _ in range(200):
             profile.update(np.array([1.0, -1.0]))

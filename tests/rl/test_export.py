@@ -16,11 +16,10 @@ from gymnasium import spaces
 from stable_baselines3 import PPO, SAC
 
 from rl.commands.export import run
-from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, read_zip, write_policy
-from rl.deploy.forward import Policy, npz, read_npz
 from rl.deploy.header import c_header
-from rl.task import observation_bounds
+from rl.deploy.policy import Policy, PolicyController, npz, read_npz
+from rl.observer import observation_bounds
 from sim2real.errors import InputError
 
 LOW, HIGH = np.array([-0.8, -0.3, -1.1], np.float32), np.array([0.5, 0.9, 0.2], np.float32)

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from rl.deploy.controller import PolicyController
-from rl.deploy.export import read_zip
+from rl.deploy.export import SampledController, read_zip
+from rl.deploy.policy import PolicyController
 from rl.observer import PAPER
+from rl.sac.plan import Settings
 from rl.sac.sac import make_sac
-from rl.sac.sampled import SampledController
-from rl.sac.settings import Settings
 from sim2real.errors import InputError
 
 

@@ -16,8 +16,6 @@ import numpy as np
 import pytest
 
 from rl.commands.swim import run
-from rl.deploy.controller import PolicyController
-from rl.deploy.forward import Policy, npz
 from rl.deploy.link import (
     Link,
     SetPoints,
@@ -27,12 +25,10 @@ from rl.deploy.link import (
     set_point_bytes,
     telemetry_bytes,
 )
-from rl.deploy.measurements import CONTROL_S, Measurements
-from rl.deploy.pilot import REST_S, Pilot
-from rl.deploy.swim import swim
+from rl.deploy.pilot import CONTROL_S, REST_S, Measurements, Pilot, swim
+from rl.deploy.policy import Policy, PolicyController, npz
 from rl.deploy.virtual_robot import VirtualRobot, serve, virtual_robot
-from rl.observer import PAPER, View
-from rl.task import observation_bounds, observation_names
+from rl.observer import PAPER, View, observation_bounds, observation_names
 from sim.inference.swims import swim_of
 from sim.twin.twin import Twin
 from sim2real.errors import InputError
@@ -274,7 +270,7 @@ class TestCommand:
         assert read_recording(out).metadata["swim"]["stopped"] == "interrupted"
 
     def test_without_a_robot_nothing_is_written(self, policy_file, tmp_path, radio, monkeypatch):
-        monkeypatch.setattr("rl.deploy.swim.ANSWER_S", 0.2)
+        monkeypatch.setattr("rl.deploy.pilot.ANSWER_S", 0.2)
         (tmp_path / "out").mkdir()
         for url in (radio[1], "udp://127.0.0.1:9"):
             with pytest.raises(InputError, match="no answer from"):

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 import rl.sac.train
-from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, set_price
+from rl.deploy.policy import PolicyController
 from rl.experiments import paces, selection
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of, shown, with_price
@@ -23,9 +23,9 @@ from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.curve import draw_curves, read_progress
+from rl.sac.plan import Arm, Plan, Settings
 from rl.sac.sac import read_agent
-from rl.sac.settings import Settings
-from rl.sac.train import Arm, Plan, train, train_in_parts
+from rl.sac.train import train, train_in_parts
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim2real.body import values
