@@ -87,14 +87,7 @@ class World:
         draws: Draws | Sequence[Draws] = Draws(),
         seed: int = 0,
     ) -> None:
-        """Place the robots of a simulator at their starts.
-
-        Args:
-            simulator: The simulator.
-            task: The task.
-            draws: Distribution of episodes; several share the environments evenly, in blocks.
-            seed: Seed of starts, targets, models and noise.
-        """
+        """Place the robots at their starts; several ``draws`` share them evenly, in blocks."""
         self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
         blocks = [draws] if isinstance(draws, Draws) else list(draws)
         self._draws = [blocks[e * len(blocks) // self.n_envs] for e in range(self.n_envs)]
@@ -129,12 +122,10 @@ class World:
         return self._last
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Send set-points and simulate one control period.
+        """Send set-points in rad (E, J), clipped to the limits, and simulate a control period.
 
-        Args:
-            action: Desired joint angles in rad, shape (E, J); clipped to the joints' limits.
-            begin: Whether to start an episode where one has ended; else robots continue to the
-                last target.
+        With ``begin`` an episode starts where one has ended; else robots continue to the last
+        target.
         """
         self._command.copy_(torch.clamp(action, self.low, self.high))
         self.simulator.advance()

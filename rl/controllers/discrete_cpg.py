@@ -170,7 +170,7 @@ class DiscreteCPGEnv(VecEnvWrapper):
             self.venv.step_async((2 * (angle - low) / (high - low) - 1).astype(np.float32))
             observation, rewards, done, infos = self.venv.step_wait()
             reward += np.where(ended, 0.0, rewards).astype(np.float32)
-            for e in np.flatnonzero(~ended):
+            for e in np.flatnonzero(~ended).tolist():
                 terms = {name: x for name, x in infos[e].items() if name.startswith("reward_")}
                 sums = {name: told[e].get(name, 0.0) + x for name, x in terms.items()}
                 told[e] |= (infos[e] if done[e] else {}) | sums

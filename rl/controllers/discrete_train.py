@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
@@ -114,51 +113,41 @@ def train_run(
                 cell_m=cell_m, threads=threads,
             )  # fmt: skip
             agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER)), seed)
-            callback = ProgressCallback(steps)
-            agent.learn(-(-steps // TABLE.hold), callback=callback)
+            rows = _learn(agent, steps)
         agent.gaits, agent.joints = gaits, [joint.name for joint in fish.joints]
-        write_progress(directory / "progress.csv", COLUMNS, callback.rows)
+        write_progress(directory / "progress.csv", COLUMNS, rows)
         agent.save(directory / "policy.zip")
     return folders
 
 
-class ProgressCallback(BaseCallback):
-    """Progress bar and rows of ``progress.csv``; ``steps`` are those of all robots together.
+def _learn(agent: GaitDQN, steps: int) -> list[list[float]]:
+    """Train for ``steps`` of all robots together; rows of ``progress.csv``."""
+    rows: list[list[float]] = []
+    ended: list[tuple[float, float, float]] = []
+    recent: deque[bool] = deque(maxlen=200)
+    bar = tqdm(total=steps, desc="train", unit="step", disable=None)
 
-    Attributes:
-        rows: Rows with the columns ``COLUMNS``.
-    """
+    def note() -> None:
+        mean = np.mean(ended, axis=0) if ended else np.full(3, np.nan)
+        rows.append([agent.num_timesteps * TABLE.hold, len(ended), *mean, agent.exploration_rate])
+        ended.clear()
+        if recent:
+            bar.set_postfix_str(f"{100 * np.mean(recent):.0f} % arrive")
 
-    def __init__(self, steps: int) -> None:
-        super().__init__()
-        self.rows: list[list[float]] = []
-        self._every = max(1, steps // ROWS)
-        self._ended: list[tuple[float, float, float]] = []
-        self._recent: deque[bool] = deque(maxlen=200)
-        self._bar = tqdm(total=steps, desc="train", unit="step", disable=None)
-
-    def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
+    def after_step(scope: dict[str, Any], _: dict[str, Any]) -> bool:
+        for info in scope["infos"]:
             if "episode" in info:
                 won = bool(info["is_success"])
-                self._ended.append((info["episode"]["r"], won, info["episode"]["l"]))
-                self._recent.append(won)
-        steps = self.num_timesteps * TABLE.hold
-        self._bar.update(steps - self._bar.n)
-        if steps >= (len(self.rows) + 1) * self._every:
-            self._note()
+                ended.append((info["episode"]["r"], won, info["episode"]["l"]))
+                recent.append(won)
+        done = agent.num_timesteps * TABLE.hold
+        bar.update(done - bar.n)
+        if done >= (len(rows) + 1) * max(1, steps // ROWS):
+            note()
         return True
 
-    def _on_training_end(self) -> None:
-        if self._ended or not self.rows:
-            self._note()
-        self._bar.close()
-
-    def _note(self) -> None:
-        mean = np.mean(self._ended, axis=0) if self._ended else np.full(3, np.nan)
-        exploring = getattr(self.model, "exploration_rate", np.nan)
-        steps = self.num_timesteps * TABLE.hold
-        self.rows.append([steps, len(self._ended), *mean, exploring])
-        self._ended = []
-        if self._recent:
-            self._bar.set_postfix_str(f"{100 * np.mean(self._recent):.0f} % arrive")
+    with bar:
+        agent.learn(-(-steps // TABLE.hold), callback=after_step)
+        if ended or not rows:
+            note()
+    return rows

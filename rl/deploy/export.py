@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import SAC
-from stable_baselines3.common.torch_layers import FlattenExtractor
 from torch import nn
 
 from rl.deploy.header import c_header
@@ -53,14 +52,9 @@ def _at_price(path: str | os.PathLike[str], price: float | None) -> SAC:
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
-    """Set another price of energy that an agent was trained for.
+    """Set another price of energy, relative to that of the training, that an agent learned for.
 
     The price is a constant input of its actor, and goes into the first layer's bias.
-
-    Args:
-        agent: An agent saved by ``rl.sac``.
-        price: Price relative to that of the training.
-        where: Its file, for errors.
 
     Raises:
         InputError: If the agent was not trained for this price.
@@ -86,7 +80,9 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
     Raises:
         InputError: As ``read_zip``.
     """
-    layers, attributes, box = _layers(agent, where), vars(agent), agent.action_space
+    actor: Any = agent.actor
+    layers: list[nn.Linear] = [*actor.latent_pi[::2], actor.mu]
+    attributes, box = vars(agent), agent.action_space
     low, high, joints = box.low, box.high, attributes.get("joints")  # type: ignore[attr-defined]
     if joints is None:
         joints = [f"j{k + 1}" for k in range(len(low))]
@@ -111,21 +107,6 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
     )
 
 
-def _layers(agent: SAC, where: str) -> list[nn.Linear]:
-    actor: Any = agent.actor
-    if not isinstance(actor.features_extractor, FlattenExtractor):
-        extractor = type(actor.features_extractor).__name__
-        raise InputError(where, "policy", f"a {extractor}", "an MlpPolicy")
-    if not isinstance(actor.mu, nn.Linear):
-        raise InputError(where, "policy", "state-dependent exploration", "a policy without")
-    modules: list[Any] = list(actor.latent_pi) if isinstance(actor.latent_pi, nn.Sequential) else []
-    for k, module in enumerate(modules):
-        if not isinstance(module, (nn.Linear, nn.ReLU)[k % 2]):
-            expected = "fully connected layers with ReLU between them"
-            raise InputError(where, "policy", f"a layer {type(module).__name__}", expected)
-    return [*modules[::2], actor.mu]
-
-
 def _array(parameter: torch.Tensor) -> Array32:
     return np.array(parameter.detach().cpu().numpy(), dtype=np.float32)
 
@@ -140,13 +121,7 @@ class SampledController(PolicyController):
         noise_s: float = Settings.noise_s,
         price: float | None = None,
     ) -> None:
-        """Read an agent.
-
-        Args:
-            path: ``policy.zip``.
-            seed: Seed of the noise.
-            noise_s: Correlation time of the noise; 0 for white noise.
-            price: As for ``read_zip``.
+        """Read an agent; ``noise_s`` is the correlation time, other arguments as ``read_zip``.
 
         Raises:
             InputError: As ``read_zip``.

@@ -23,7 +23,7 @@ from rl.deploy.link import (
     read_set_points,
     telemetry_bytes,
 )
-from sim.robot.swimmer import CONTROL_S
+from rl.observer import CONTROL_S
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 

@@ -78,11 +78,7 @@ class PolicyZip:
     variables: Mapping[str, Tensor]
 
     def array(self, name: str, size: int) -> Array32:
-        """A setting as an array of finite numbers, shape (size,).
-
-        Raises:
-            InputError: If it is anything else.
-        """
+        """A setting as an array of finite numbers, shape (size,); ``InputError`` if it is none."""
         values = self.settings.get(name)
         numbers = [finite_number(x) for x in values] if isinstance(values, list) else []
         if len(numbers) != size or None in numbers:
@@ -92,9 +88,7 @@ class PolicyZip:
     def widths(self, layers: str, output: str | None = None) -> list[int]:
         """Number of inputs of a network, then of outputs of each of its linear layers.
 
-        Args:
-            layers: Name of its sequence of layers; ``layers.0.weight`` and so on are their weights.
-            output: Name of its last layer, if that is not one of the sequence.
+        These are the sequence ``layers`` and, if it is not one of that, the last one, ``output``.
 
         Raises:
             InputError: If it has no layers.
@@ -112,20 +106,12 @@ class PolicyZip:
         return [shapes[0][1], *(shape[0] for shape in shapes)]
 
     def check(self, *, holds: bool, name: str, expected: str) -> None:
-        """Refuse the file unless a setting holds.
-
-        Raises:
-            InputError: If it does not.
-        """
+        """Raise ``InputError`` unless a setting holds."""
         if not holds:
             raise InputError(self.path, name, shown(self.settings.get(name)), expected)
 
     def load_into(self, policy: nn.Module) -> None:
-        """Copy the weights to a policy of the same networks.
-
-        Raises:
-            InputError: If a weight is missing, unknown or of another shape.
-        """
+        """Copy the weights to a policy; ``InputError`` unless it has the same networks."""
         try:
             policy.load_state_dict(dict(self.weights))
         except RuntimeError as error:
@@ -181,11 +167,7 @@ def _saved(tensors: Mapping[str, Tensor]) -> bytes:
 
 
 def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
-    """Read a policy; nothing in the file is executed.
-
-    Args:
-        path: Written by ``SavedAsZip.save`` or Stable-Baselines3.
-        algorithm: ``SAC`` or ``DQN``.
+    """Read a policy by ``SavedAsZip.save`` or Stable-Baselines3; nothing in it is executed.
 
     Raises:
         InputError: If it cannot be read as described in this module, or is of another algorithm.
@@ -203,11 +185,7 @@ def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The settings of a policy, as ``PolicyZip.settings``.
-
-    Raises:
-        InputError: As ``read_policy_zip``.
-    """
+    """The settings of a policy; errors as of ``read_policy_zip``."""
     expected = "a policy.zip"
     return _settings(Path(path), _members(Path(path), expected)["data"], expected)
 

@@ -87,21 +87,6 @@ def test_an_update_is_stable_baselines3s(world_of, monkeypatch, norm):
     assert moved > 1e-3, "twenty updates must have moved the parameters"
 
 
-def test_saved_models_are_read_again(world_of, tmp_path):
-    world = world_of(1)
-    models = [make_sac(world, SETTINGS, seed, view=PAPER) for seed in (0, 1)]
-    agents = Agents(models, SETTINGS, world.device)
-    agents.update(batch_of(2, 11, 3, torch.Generator().manual_seed(0)))
-    seen = torch.randn(2, 5, 11)
-    expected = agents.act(seen)
-    for a, model in enumerate(agents.models):
-        model.save(tmp_path / f"{a}.zip")
-        loaded = read_agent(tmp_path / f"{a}.zip")
-        action, _ = loaded.predict(seen[a].numpy(), deterministic=True)
-        assert np.allclose(action, expected[a].numpy(), atol=1e-6)
-        assert np.allclose(loaded.joint_high, 0.8)
-
-
 def test_memories_wrap_and_agents_draw_from_their_own(world_of):
     world = world_of(1)
     models = [make_sac(world, SETTINGS, seed, view=PAPER) for seed in (0, 1)]

@@ -11,7 +11,6 @@ from rl.deploy.policy import PolicyController
 from rl.observer import PAPER
 from rl.sac.plan import Settings
 from rl.sac.sac import make_sac
-from sim2real.errors import InputError
 
 
 @pytest.fixture
@@ -55,8 +54,3 @@ def test_one_seed_gives_one_swim_and_a_robot_that_begins_anew_gets_new_noise(zip
     now, as_before = one.act(seen), other.act(seen)
     assert (now[0] != as_before[0]).any()
     assert np.abs(now[1:] - as_before[1:]).max() < 0.5
-
-
-def test_a_file_that_is_none_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no file"):
-        SampledController(tmp_path / "none.zip")

@@ -179,33 +179,6 @@ class TestMeasurements:
         assert observer.blind_s == pytest.approx(0.6)
 
 
-class TestVirtualRobot:
-    def test_passes_over_what_comes_late(self, twin) -> None:
-        robot, angles = VirtualRobot(twin), np.array([0.3, 0.2, 0.1])
-        session = begun(robot)
-        assert robot._desired == pytest.approx(np.zeros(3)), "nothing moves yet"
-        assert robot.receive(set_point_bytes(SetPoints(5, angles, session)))
-        for number in (5, 4, 1, 0):
-            joint = -angles if number else np.empty(0)
-            assert not robot.receive(set_point_bytes(SetPoints(number, joint, session)))
-        assert not robot.receive(b"fish")
-        assert robot._desired == pytest.approx(angles)
-        assert robot.receive(set_point_bytes(SetPoints(6, -angles, session)))
-        assert robot._desired == pytest.approx(-angles)
-
-    def test_goes_to_rest_in_silence(self, twin) -> None:
-        robot = VirtualRobot(twin)
-        robot.receive(set_point_bytes(SetPoints(1, np.array([0.4, 0.4, 0.4]), begun(robot))))
-        bent = []
-        for _ in range(80):
-            robot.advance()
-            seen = read_telemetry(robot.telemetry(), 3)
-            assert seen is not None
-            bent.append(np.abs(seen.joint).max())
-        assert bent[20] == pytest.approx(0.4, abs=0.05)
-        assert bent[-1] < 0.05
-
-
 def options_of(policy, **changes: object) -> argparse.Namespace:
     options = {"target": "1.5,0.4", "port": None, "virtual": True, "seconds": 1.0, "out": None}
     options |= {"bus": None, "key_file": None}
