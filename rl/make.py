@@ -49,6 +49,13 @@ def draws_of(model: Model, ranges: Ranges | None, robot: Robot, seed: int, n: in
     return Draws(models, noise_of(ranges, [joint.name for joint in robot.joints]))
 
 
+def episodes_of(robot: str, model: str, ranges: str | None) -> tuple[Robot, Draws, list[str]]:
+    """The robot and the episodes of a training, and the files that they are of."""
+    fish, drawn = read_robot(robot), None if ranges is None else read_ranges(ranges)
+    draws = draws_of(read_model(model), drawn, fish, seed=0)
+    return fish, draws, [robot, model, *([] if ranges is None else [ranges])]
+
+
 def world_of(
     n_envs: int,
     *,

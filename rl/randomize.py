@@ -150,8 +150,8 @@ def numbers_of(model: Model) -> dict[str, float]:
     """All numbers of a model that realities and ranges vary, by name."""
     out: dict[str, float] = {}
     for name, joint in model.joints.items():
-        for gain in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
-            out[f"{name}.{gain}"] = getattr(joint, gain)
+        gains = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+        out |= {f"{name}.{gain}": getattr(joint, gain) for gain in gains}
         out |= {f"{name}.motor.{key}": value for key, value in joint.motor.items()}
         for effect in joint.effects:
             out |= {f"{name}.{effect.effect}.{k}": v for k, v in effect.parameters.items()}

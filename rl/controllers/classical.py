@@ -151,7 +151,7 @@ class _Steered:
 
 @dataclass(frozen=True)
 class PNLGains(Stroke):
-    """Gains; each a number or an array (E,).
+    """Stroke and gains; each a number or an array (E,).
 
     Attributes:
         navigation_s: Bend per angular rate of the line of sight, in s.
@@ -272,11 +272,10 @@ class ExtendedStateObserver:
 class DisturbanceRejection(_Steered):
     """The controller "Li et al." of the paper: ADRC of the heading with proportional navigation.
 
-    The components are those of Li et al. (Bioinspir. Biomim. 14, 2019):
-    proportional navigation gives the desired heading, a tracking differentiator smooths it, an
-    extended state observer estimates heading, yaw rate and disturbance, and the feedback
-    compensates the disturbance; its output is the offset of a central pattern generator.
-    The equations are those of Han and Gao, the gains are tuned here.
+    The components are those of Li et al. (Bioinspir. Biomim. 14, 2019): proportional navigation
+    gives the desired heading, a tracking differentiator smooths it, an extended state observer
+    estimates heading, yaw rate and disturbance, and the feedback compensates the disturbance with
+    the bend. The equations are those of Han and Gao.
 
     Proportional navigation turns the desired heading N times as fast as the line of sight. Its
     integral is the line of sight plus a lead, which decays here so that past turns are forgotten;
@@ -284,8 +283,8 @@ class DisturbanceRejection(_Steered):
 
         desired = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
 
-    Headings are integrals of the yaw rate since the start. Their drift cancels: the line of sight
-    is heading plus bearing. Arguments as for ``ProportionalNavigation``.
+    Headings are integrals of the yaw rate since the start; their drift cancels in the difference.
+    Arguments as for ``ProportionalNavigation``.
     """
 
     def __init__(

@@ -16,17 +16,14 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, GaitDQN
-from rl.make import Fidelity, draws_of, make_world, own_stream
+from rl.make import Fidelity, episodes_of, make_world, own_stream
 from rl.observer import PAPER
 from rl.sac.checkpoint import write_progress
 from rl.sac.train import check_run
 from rl.task import TASKS
 from rl.vec_env import FishVecEnv
 from sim2real.errors import InputError
-from sim2real.model import read_model
 from sim2real.output import provenance
-from sim2real.ranges.entry import read_ranges
-from sim2real.robot import read_robot
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
 ROWS = 50
@@ -77,12 +74,10 @@ def train_run(
     threads: int = 1,
     energy_weight: float | None = None,
 ) -> list[Path]:
-    """Train an agent for each seed, one after the other; see the command ``train`` for the options.
+    """Train an agent for each seed, one after the other; the folders of the agents.
 
-    A run that was killed keeps finished agents and restarts the others.
-
-    Returns:
-        Folders of the agents, each with ``policy.zip`` and ``progress.csv``.
+    See the command ``train`` for the options. A run that was killed keeps finished agents and
+    restarts the others.
 
     Raises:
         InputError: If a file or an option is wrong.
@@ -90,13 +85,10 @@ def train_run(
     for option, value in (("--steps", steps), ("--envs", envs)):
         if value < 1:
             raise InputError("train", option, str(value), "at least 1")
-    fish, drawn = read_robot(robot), None if ranges is None else read_ranges(ranges)
-    chosen = TASKS[task]
+    fish, draws, inputs = episodes_of(robot, model, ranges)
+    chosen, gaits = TASKS[task], TABLE.content()
     if energy_weight is not None:
         chosen = replace(chosen, energy=energy_weight)
-    draws = draws_of(read_model(model), drawn, fish, seed=0)
-    inputs = [robot, model, *([] if ranges is None else [ranges])]
-    gaits = TABLE.content()
     description = {
         "controller": "discrete-cpg", "task": task, "energy": chosen.energy, "steps": steps,
         "envs": envs, "fidelity": fidelity, "gaits": gaits, "settings": SETTINGS,

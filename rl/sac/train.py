@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from rl.make import Fidelity, draws_of, make_world, own_stream
+from rl.make import Fidelity, episodes_of, make_world, own_stream
 from rl.randomize import spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import Progress, load, save
@@ -33,10 +33,8 @@ from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
 from rl.sac.sac import make_sac, read_agent, start_from
 from rl.world import Decisions, Draws, Step
 from sim2real.errors import InputError
-from sim2real.model import read_model
 from sim2real.output import provenance, write_json
-from sim2real.ranges.entry import read_ranges
-from sim2real.robot import Robot, read_robot
+from sim2real.robot import Robot
 from sim2real.structured import read_json
 
 __all__ = ["QUICK", "agent_names", "digest", "train", "train_in_parts", "train_run"]
@@ -82,12 +80,10 @@ def train_run(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
         threads=threads,
     )  # fmt: skip
-    fish, drawn = read_robot(robot), None if ranges is None else read_ranges(ranges)
-    arm = Arm(name, draws_of(read_model(model), drawn, fish, seed=0))
-    inputs = [robot, model, *([] if ranges is None else [ranges]), *first]
+    fish, draws, inputs = episodes_of(robot, model, ranges)
     trainer = train_in_parts if device == "cpu" and len(seeds) > 1 else train
-    policies = [Path(path) for path in first]
-    return trainer(folder, fish, [arm], plan, provenance(inputs, None), first=policies)
+    note, policies = provenance([*inputs, *first], None), [Path(path) for path in first]
+    return trainer(folder, fish, [Arm(name, draws)], plan, note, first=policies)
 
 
 def train(
@@ -105,9 +101,9 @@ def train(
         folder: Folder of the run, with ``run.json``, ``checkpoint.npz`` and, for each agent,
             ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``.
         robot: Links, joints and data sheets.
-        arms: The simulator that each group of agents trains in.
+        arms: Groups of agents.
         plan: Plan of the training.
-        note: Provenance, written to ``run.json``.
+        note: Provenance.
         first: Policies (``policy.zip``) to continue from, assigned to the seeds of every arm in
             turn; random networks if empty. Replay memories are not part of them.
 
@@ -181,16 +177,10 @@ def digest(draws: Draws) -> str:
 def check_run(
     folder: Path, content: dict[str, Any], note: dict[str, Any], same: Sequence[str] = ()
 ) -> None:
-    """Write ``run.json``, or check that an existing one is of the same run.
-
-    Args:
-        folder: Folder of the run.
-        content: What determines it.
-        note: Provenance.
-        same: Entries of the provenance that determine it too.
+    """Write ``run.json`` with content and provenance, or check that it is of the same run.
 
     Raises:
-        InputError: If it is of another run.
+        InputError: If the content or an entry in ``same`` of the provenance is another.
     """
     path = folder / "run.json"
     if not path.exists():
