@@ -115,11 +115,9 @@ class Agents:
             A, n, _ = observation.shape
             price = torch.linspace(-1, 1, n, device=self.device) * (noise is not None)
             observation = torch.cat([price.expand(A, n)[..., None], observation], dim=2)
-        out = self.actor.forward(observation).output
-        mean, log_std = out[..., : self.J], out[..., self.J :]
         if noise is None:
-            return torch.tanh(mean)
-        return torch.tanh(mean + log_std.clamp(*_LOG_STD).exp() * noise)
+            noise = torch.zeros(*observation.shape[:2], self.J, device=self.device)
+        return self._policy(observation, noise)[1]
 
     def remember(
         self,
@@ -224,11 +222,16 @@ class Agents:
         pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
         d = self.critic.backward(passed, pick.view(2 * A, B, 1), inputs_only=True)
         by_action = d.view(A, 2, B, -1)[..., -self.J :].sum(dim=1)
-        spread = normal[:, :B] * std[:, :B]
-        self._descend_policy(activations, action, spread, alpha[..., None] / B, by_action)
-        adam(
-            self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate
-        )
+        # gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)
+        weight, slope = alpha[..., None] / B, 1 - action**2
+        by_mean = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
+        raw = activations.output[..., self.J :]
+        unclamped = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
+        by_log_std = (by_mean * (normal * std)[:, :B] - weight) * unclamped
+        self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
+        self.actor.descend(self._rate)
+        moments, count = self._alpha_moments, self._alpha_count
+        adam(self.log_alpha, self._alpha_gradient, moments, count, self._rate)
         self.target.flat.lerp_(self.critic.flat, s.tau)
         # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
         self.average.lerp_(self.actor.flat, 1 / (1 + s.average * (self.actor.count - 1)))
@@ -262,23 +265,6 @@ class Agents:
         action = torch.tanh(mean + std * noise)
         density = -0.5 * noise**2 - log_std - torch.log(1 - action**2 + _SMALL)
         return activations, action, density.sum(dim=2) - 0.5 * self.J * math.log(2 * math.pi), std
-
-    def _descend_policy(
-        self,
-        activations: Activations,
-        action: Tensor,
-        spread: Tensor,
-        weight: Tensor,
-        by_action: Tensor,
-    ) -> None:
-        """Gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)."""
-        slope = 1 - action**2
-        by_mean = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
-        raw = activations.output[..., self.J :]
-        unclamped = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
-        by_log_std = (by_mean * spread - weight) * unclamped
-        self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
-        self.actor.descend(self._rate)
 
     def _values(
         self, critics: Layers, observation: Tensor, action: Tensor

@@ -199,24 +199,6 @@ def test_the_next_step_begins_the_next_episode(world_of):
         FishVectorEnv(world_of(1), autoreset_mode="Disabled")
 
 
-def test_the_statistics_are_the_same_in_both_modes():
-    def run(mode: AutoresetMode) -> list[float]:
-        envs = gymnasium.make_vec(
-            "sim2real/Fish-v0", num_envs=2, task="near", autoreset_mode=mode, seed=3
-        )
-        envs.unwrapped.world.task = shortened(TASKS["near"], 12)
-        envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
-        envs.reset(seed=3)
-        found: list[float] = []
-        while len(found) < 4:
-            infos = envs.step(np.full((2, 3), 0.2, dtype=np.float32))[-1]
-            if "episode" in infos:
-                found += infos["episode"]["r"].tolist()
-        return found
-
-    assert np.allclose(run(AutoresetMode.NEXT_STEP), run(AutoresetMode.SAME_STEP), atol=1e-5)
-
-
 def test_the_docs_count_the_columns(world_of):
     """What the how-to says of the observation's size is what the environment has."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "gymnasium.md").read_text()
