@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,20 +35,15 @@ class Gait:
     offset_rad: ArrayLike = 0.0
 
 
-@dataclass
 class Gliding:
-    """Values that approach their goals without overshoot: critically damped, second order.
+    """Values (E, J) that approach their goals without overshoot: critically damped, second order.
 
     Attributes:
-        value: Values, shape (E, J).
-        rate: Rates of change, 1/s, shape (E, J).
+        value, rate: Values and their rates of change, 1/s.
     """
 
-    value: Array
-    rate: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.rate = np.zeros_like(self.value)
+    def __init__(self, value: Array) -> None:
+        self.value, self.rate = value, np.zeros_like(value)
 
     def step(self, goal: Array) -> Array:
         """Advance by a control period, exact for a constant goal; returns the value."""

@@ -78,9 +78,8 @@ class BusRobot(Received):
         mountings: Sequence[Mounting],
         rest: Array,
         poses: Poses,
-        *,
         hottest_C: float,
-        key: bytes | None = None,
+        key: bytes | None,
     ) -> None:
         limits = np.array([mounting.joint.limits_rad for mounting in mountings])
         super().__init__(rest, limits, key)
@@ -158,7 +157,7 @@ def bus_robot(
                 hottest_C=hottest_C, interrupted=interrupted,
             )  # fmt: skip
             seen = Poses(listener, key)
-            robot = BusRobot(connection.bus, mountings, rest, seen, hottest_C=hottest_C, key=key)
+            robot = BusRobot(connection.bus, mountings, rest, seen, hottest_C, key)
             with served(robot) as url:
                 yield url, robot
         finally:

@@ -56,10 +56,10 @@ class Agents:
         self.O, self.J = first.view.size(len(first.joints)), len(first.joints)
         hidden = settings.hidden
         extra = int(settings.prices > 1)  # the price, in the first column
-        self.actor = Layers.of(A, (extra + self.O, *hidden, 2 * self.J), device)
+        self.actor = Layers(A, (extra + self.O, *hidden, 2 * self.J), device)
         sizes, norm = (extra + self.O + self.J, *hidden, 1), settings.norm
-        self.critic = Layers.of(2 * A, sizes, device, norm=norm)
-        self.target = Layers.of(2 * A, sizes, device, norm=norm)
+        self.critic = Layers(2 * A, sizes, device, norm=norm)
+        self.target = Layers(2 * A, sizes, device, norm=norm)
         self.log_alpha = torch.zeros(A, device=device)
         self._alpha_gradient = torch.zeros(A, device=device)
         self._alpha_moments = torch.zeros(2, A, device=device)
