@@ -28,8 +28,7 @@ from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import arm_of
 from rl.experiments.reality import read_reality
 from rl.observer import View
-from rl.sac.settings import Settings
-from rl.sac.train import Plan
+from rl.sac.plan import Plan, Settings
 from rl.task import TASKS
 from sim2real.output import provenance
 from sim2real.ranges.entry import read_ranges

@@ -26,13 +26,13 @@ from training_tables import group_of
 
 import sim2real as s2r
 from rl.controllers import Controller
-from rl.controllers.tuned import PACES
+from rl.controllers.classical import PACES
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials
 from rl.make import draws_of
-from rl.sac.recipes import RECIPES, plan_of
-from rl.sac.train import Arm, train
+from rl.sac.plan import RECIPES, Arm, plan_of
+from rl.sac.train import train
 from rl.task import TASKS
 from sim2real.output import provenance, write_json
 from sim2real.ranges.entry import read_ranges

@@ -43,7 +43,7 @@ from rl.forecast.statistics import expected
 from rl.forecast.swims import SimulationSettings, measured, swim
 from rl.forecast.trials import OBSERVED, Trials
 from rl.randomize import Noise, with_density
-from rl.sac.recipes import RECIPES
+from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, TASKS, Task
 from sim.verbs import calibrate, diagnose
 from sim2real.arrays import Array

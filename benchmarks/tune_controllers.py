@@ -30,11 +30,17 @@ from tqdm import tqdm
 
 import sim2real as s2r
 from rl.controllers import Controller
-from rl.controllers.adrc import ADRCGains, DisturbanceRejection
-from rl.controllers.pnl import PNLGains, ProportionalNavigation
-from rl.controllers.tuned import PACES, TUNED
+from rl.controllers.classical import (
+    PACES,
+    TUNED,
+    ADRCGains,
+    DisturbanceRejection,
+    PNLGains,
+    ProportionalNavigation,
+)
+from rl.experiments.evaluate import run_episodes
 from rl.make import make_world
-from rl.metrics import Metrics, measure
+from rl.metrics import energy
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values
@@ -169,29 +175,6 @@ def cost(trial: Trial, controller: Controller, price: float) -> Array:
     return np.asarray(total.reshape(trial.n_starts, -1).mean(axis=0))
 
 
-def score(trial: Trial, controller: Controller) -> tuple[Metrics, Array]:
-    """The paper's metrics and the track (T, E, 3), one controller on all starts."""
-    world, E = trial.world, trial.world.n_envs
-    seen, running = world.reset(), np.ones(E, dtype=bool)
-    controller.reset(running)
-    pose, rate, left = [world.pose.numpy()], [world.rate.numpy()], [np.full(E, np.inf)]
-    for _ in range(world.task.steps):
-        step = world.step(torch.from_numpy(controller.act(seen.numpy())))
-        seen = step.observation
-        over = (step.terminated | step.truncated).numpy()
-        arrived = (step.reached >= world.task.waypoints).numpy()
-        shown = running & ~over  # the robot of an episode that ended stands at its next start
-        pose.append(np.where(shown[:, None], world.pose.numpy(), np.nan))
-        rate.append(np.where(shown[:, None], world.rate.numpy(), np.nan))
-        left.append(np.where(running & over & arrived, 0.0, np.inf))
-        running &= ~over
-        if not running.any():
-            break
-    track = np.array(pose, dtype=np.float64)
-    way = measure(track[..., :2], track[..., 2], np.array(rate, dtype=np.float64), np.array(left))
-    return way, track
-
-
 def search(
     name: str,
     price: float,
@@ -266,13 +249,13 @@ def scores(name: str, gains: dict[str, float], seed: int) -> dict[str, float]:
     for task in ("turn", "pentagram"):
         for label, varied in (("unseen", True), ("plain", False)):
             one = trial(task, 8 if task == "turn" else 4, 1, seed + 1000, varied=varied)
-            way, _ = score(one, build(LIMITS, one.n_starts, kind(**gains)))
-            there = np.isfinite(way.time_s)
+            swims = run_episodes(one.world, build(LIMITS, one.n_starts, kind(**gains)))
+            there = swims.success
             key = f"{task}_{label}"
             out[f"{key}_arrived"] = float(there.mean())
             if there.any():
-                out[f"{key}_time_s"] = float(way.time_s[there].mean())
-                out[f"{key}_energy"] = float(way.energy[there].mean())
+                out[f"{key}_time_s"] = float(swims.time_s[there].mean())
+                out[f"{key}_energy"] = float(energy(swims.rate)[there].mean())
     return out
 
 

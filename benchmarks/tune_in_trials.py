@@ -25,7 +25,7 @@ from harness import command_line
 from tqdm import tqdm
 from tune_controllers import BOUNDS, KINDS, LIMITS, MODEL, PRICES, ROBOT, as_toml
 
-from rl.controllers.tuned import TUNED
+from rl.controllers.classical import TUNED
 from rl.experiments.evaluate import Episodes, spent
 from rl.experiments.real_episodes import Starts
 from rl.experiments.testbeds import Controllers, Simulated

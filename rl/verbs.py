@@ -1,8 +1,4 @@
-"""The verb of ``sim2real.verbs`` that needs policies: ``forecast``.
-
-It is called like the others; ``import sim2real`` has it too, and loads it when used. Like
-``sim2real.verbs``, this module imports nothing heavy.
-"""
+"""The verb that needs policies, ``forecast``; like ``sim2real.verbs`` it imports nothing heavy."""
 
 from __future__ import annotations
 

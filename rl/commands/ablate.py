@@ -20,8 +20,9 @@ from rl.experiments.testbeds import Real, Simulated, Testbed
 from rl.forecast.realities import check_ranges, draw_realities, sample_of
 from rl.forecast.swims import SimulationSettings
 from rl.randomize import noise_of
-from rl.sac import recipes
-from rl.sac.train import Arm, Plan, train
+from rl.sac import plan as recipes
+from rl.sac.plan import Arm, Plan
+from rl.sac.train import train
 from rl.task import Task
 from rl.world import Draws
 from sim2real.commands.placement import where_jobs_run

@@ -19,8 +19,8 @@ from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import ablate
 from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import Pretrained, drift, read_pretrained
-from rl.sac.recipes import plan_of
-from rl.sac.train import Plan, train_in_parts
+from rl.sac.plan import Plan, plan_of
+from rl.sac.train import train_in_parts
 from sim.calibration.swim_parameters import twin_parameters
 from sim.calibration.twin_fit import Calibrated, calibrate
 from sim.inference.diagnose_swims import diagnose_swims

@@ -17,7 +17,7 @@ from rl.experiments.film import Film
 from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.trials import UNSEEN, run_trials
 from rl.make import draws_of, make_world, own_stream
-from rl.sac.recipes import RECIPES
+from rl.sac.plan import RECIPES
 from rl.task import TASKS
 from sim.view.video import Video, check_video
 from sim2real.errors import InputError

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from rl.deploy.forward import Policy, read_npz
 from rl.deploy.link import Link
-from rl.deploy.pilot import Pilot, Track
-from rl.deploy.swim import ANSWER_S, swim
+from rl.deploy.pilot import ANSWER_S, Pilot, Track, swim
+from rl.deploy.policy import Policy, read_npz
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.process import interruption

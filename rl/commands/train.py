@@ -13,9 +13,9 @@ import torch
 from rl.controllers import discrete_train
 from rl.experiments.paces import choose_prices
 from rl.experiments.selection import HELD_OUT, held_out
-from rl.sac import jobs as sac
+from rl.sac import train as sac
 from rl.sac.curve import draw_curves, read_progress
-from rl.sac.recipes import RECIPES
+from rl.sac.plan import RECIPES
 from sim2real.commands.placement import where_jobs_run
 from sim2real.errors import InputError
 from sim2real.executor import map_jobs

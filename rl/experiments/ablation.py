@@ -16,15 +16,14 @@ from typing import Any
 import numpy as np
 
 from rl.controllers import Controller
-from rl.deploy.controller import PolicyController
-from rl.deploy.export import read_zip
-from rl.deploy.forward import Policy, read_npz
+from rl.deploy.export import SampledController, read_zip
+from rl.deploy.policy import Policy, PolicyController, read_npz
 from rl.experiments.evaluate import Episodes, spent
 from rl.experiments.predicted import Agents
 from rl.experiments.real_episodes import same_starts
 from rl.experiments.testbeds import Controllers, Testbed
-from rl.sac.sampled import SampledController
-from rl.sac.train import Arm, Plan, train
+from rl.sac.plan import Arm, Plan
+from rl.sac.train import train
 from rl.task import TASKS, Task
 from sim2real.arrays import Array
 from sim2real.output import write_json

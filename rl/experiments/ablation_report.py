@@ -14,7 +14,7 @@ from rl.experiments.arms import TITLES
 from rl.experiments.differences import OUTCOME, STILL, Difference, differences, seeds_needed
 from rl.experiments.predicted import HEADER, predicted_rows
 from rl.sac.curve import draw_curves
-from rl.sac.train import Plan
+from rl.sac.plan import Plan
 from sim2real.output import write_json, write_whole
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture

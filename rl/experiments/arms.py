@@ -13,7 +13,7 @@ import numpy as np
 
 from rl.make import draws_of
 from rl.randomize import noise_of, with_density
-from rl.sac.train import Arm
+from rl.sac.plan import Arm
 from rl.world import Draws
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.ranges.entry import Ranges

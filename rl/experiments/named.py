@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rl.controllers import Controller
-from rl.controllers.tuned import PACES, TUNED, tuned
-from rl.deploy.controller import PolicyController
-from rl.deploy.export import read_zip
-from rl.deploy.forward import read_npz
-from rl.sac.sampled import SampledController
+from rl.controllers.classical import PACES, TUNED, tuned
+from rl.deploy.export import SampledController, read_zip
+from rl.deploy.policy import PolicyController, read_npz
 from sim2real.errors import InputError
 
 CONTROLLERS = ("pnl", "adrc")
@@ -64,8 +62,12 @@ def controller_of(
     """
     kind, _, pace = name.partition("-")
     if kind in CONTROLLERS and (not pace or pace in PACES):
-        from rl.controllers.adrc import ADRCGains, DisturbanceRejection
-        from rl.controllers.pnl import PNLGains, ProportionalNavigation
+        from rl.controllers.classical import (
+            ADRCGains,
+            DisturbanceRejection,
+            PNLGains,
+            ProportionalNavigation,
+        )
 
         file, pace = gains or TUNED, pace or "middle"
         if kind == "pnl":

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from rl.controllers import Controller
-from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, set_price
+from rl.deploy.policy import PolicyController
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of
 from rl.experiments.trials import run_trials

@@ -1,6 +1,6 @@
 """Pretrained agents of an ablation, in a form small enough to ship.
 
-A folder holds ``ARM-SEED/policy.npz`` of each agent (only its policy, see ``rl.deploy.forward``),
+A folder holds ``ARM-SEED/policy.npz`` of each agent (only its policy, see ``rl.deploy.policy``),
 the ``model.json`` and ``ranges.json`` that they were trained for, and ``agents.json``: the plan,
 the SHA-256 of every file and the provenance.
 """
@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from rl.deploy.forward import npz
+from rl.deploy.policy import npz
 from rl.experiments.ablation import policy_in
-from rl.sac.train import Arm, Plan, agent_names
+from rl.sac.plan import Arm, Plan
+from rl.sac.train import agent_names
 from sim.inference.swims import Simulator, Swim, simulated
 from sim2real.arrays import Array
 from sim2real.errors import InputError

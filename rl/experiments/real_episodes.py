@@ -10,10 +10,11 @@ from tqdm import tqdm
 
 from rl.controllers import Controller
 from rl.deploy.link import SILENCE_S, Telemetry
-from rl.deploy.measurements import Measurements
+from rl.deploy.pilot import Measurements
 from rl.experiments.evaluate import Episodes
 from rl.experiments.reality import Reality
-from rl.task import CONTROL_S, Task, observation_bounds, reward
+from rl.observer import observation_bounds
+from rl.task import CONTROL_S, Task, reward
 from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.robot import Robot

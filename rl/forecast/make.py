@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rl.controllers import Controller
-from rl.deploy.controller import PolicyController
+from rl.deploy.policy import PolicyController
 from rl.experiments.named import controller_of, shown, with_price
 from rl.forecast import swims
 from rl.forecast.diagnosed import read_diagnosed
@@ -21,7 +21,7 @@ from rl.forecast.realities import Realities, check_ranges, draw_realities, sampl
 from rl.forecast.residuals import residuals_of
 from rl.forecast.swims import SimulationSettings
 from rl.forecast.trials import read_trials
-from rl.sac.recipes import RECIPES
+from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, Task
 from sim.view.video import check_video
 from sim2real.errors import InputError

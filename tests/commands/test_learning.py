@@ -14,7 +14,7 @@ pytest.importorskip("torch", reason="the extra 'rl' is not installed")
 
 from rl.commands.options import COMMANDS
 from rl.experiments.arms import ARMS
-from rl.sac.recipes import RECIPES
+from rl.sac.plan import RECIPES
 from rl.task import TASKS, shortened
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"

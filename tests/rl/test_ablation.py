@@ -29,8 +29,7 @@ from rl.experiments.predicted import predict
 from rl.experiments.reality import read_reality
 from rl.forecast.realities import draw_realities
 from rl.forecast.swims import SimulationSettings
-from rl.sac.settings import Settings
-from rl.sac.train import Plan
+from rl.sac.plan import Plan, Settings
 from rl.task import TASKS, shortened
 from sim2real.density import normalised_density
 from sim2real.posterior.posteriors import JointSample

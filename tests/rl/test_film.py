@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from rl.controllers.pnl import ProportionalNavigation
+from rl.controllers.classical import ProportionalNavigation
 from rl.experiments.evaluate import run_episodes
 from rl.experiments.film import TARGET, Film
 from rl.task import TASKS, shortened

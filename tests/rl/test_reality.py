@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rl.deploy.controller import PolicyController
-from rl.deploy.forward import Policy
+from rl.deploy.policy import Policy, PolicyController
 from rl.experiments.evaluate import run_episodes
 from rl.experiments.real_episodes import Starts, run_real_episodes
 from rl.experiments.reality import read_reality
 from rl.experiments.testbeds import Controllers, Real
 from rl.make import make_world
 from rl.metrics import energy
-from rl.task import TASKS, observation_bounds, observation_names, shortened
+from rl.observer import observation_bounds, observation_names
+from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.twin.twin import Twin
 from sim2real.errors import InputError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,8 +12,8 @@ import pytest
 import torch
 
 import rl.sac.train
-from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, set_price
+from rl.deploy.policy import PolicyController
 from rl.experiments import paces, selection
 from rl.experiments.evaluate import summary
 from rl.experiments.named import controller_of, shown, with_price
@@ -23,9 +22,9 @@ from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.curve import draw_curves, read_progress
+from rl.sac.plan import Arm, Plan, Settings
 from rl.sac.sac import read_agent
-from rl.sac.settings import Settings
-from rl.sac.train import Arm, Plan, train, train_in_parts
+from rl.sac.train import train, train_in_parts
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim2real.body import values
@@ -75,6 +74,12 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path
         assert torch.equal(x, y)
     one, other = parameters(whole)[:2]
     assert not torch.equal(one, other), "seeds differ"
+    seen = read_progress(whole[0])
+    assert tuple(seen) == COLUMNS
+    assert seen["steps"][-1] == PLAN.steps
+    assert seen["episodes"].sum() == 48
+    draw_curves({"a": whole}, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
 
 
 def test_learning_beside_the_swim_gives_what_learning_after_it_does(
@@ -106,24 +111,6 @@ def test_seeds_are_dealt_out_to_processes(robot, model, tmp_path, monkeypatch):
     assert [folder.name for folder in folders] == names
     alone = train(tmp_path / "alone", robot, arms(model), replace(plan, seeds=(5,)))
     assert all(map(torch.equal, parameters(folders[1::3]), parameters(alone)))
-
-
-def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
-    short = replace(PLAN, steps=320)
-    train(tmp_path, robot, arms(model)[:1], short)
-    with pytest.raises(InputError, match="another run"):
-        train(tmp_path, robot, arms(model)[:1], replace(short, envs=4))
-
-
-def test_progress_says_what_happened(robot, model, tmp_path):
-    (folder, _) = train(tmp_path, robot, arms(model)[:1], PLAN)
-    seen = read_progress(folder)
-    assert tuple(seen) == COLUMNS
-    assert seen["steps"][-1] == PLAN.steps
-    assert seen["episodes"].sum() == 48
-    draw_curves({"a": [folder]}, tmp_path / "curve.png")
-    assert (tmp_path / "curve.png").stat().st_size > 5000
-    assert json.loads((tmp_path / "run.json").read_text())["plan"]["steps"] == PLAN.steps
 
 
 def test_ranges_become_robots(robot, model):

@@ -1,4 +1,4 @@
-"""A policy as a file of arrays, and its evaluation with NumPy."""
+"""A policy as a file of arrays, its evaluation, and a controller of it, with NumPy only."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rl.observer import PAPER, View
+from rl.observer import PAPER, Observer, View
 from sim2real.archives import read_arrays
-from sim2real.arrays import Array32
+from sim2real.arrays import Array32, Mask
 from sim2real.errors import InputError
 from sim2real.structured import finite_number
 
@@ -56,19 +56,61 @@ class Policy:
 def forward(policy: Policy, inputs: NDArray[Any]) -> Array32:
     """Deterministic decisions of a policy, between -1 and 1, shape (..., J).
 
-    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C).
-    ``rl.observer`` converts them to set-points.
-
-    Args:
-        policy: The policy.
-        inputs: Columns of ``policy.view``, shape (..., F).
+    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C), from the
+    columns of ``policy.view``, shape (..., F). ``rl.observer`` converts them to set-points.
     """
     x = np.asarray(inputs, dtype=np.float32)
-    *hidden, output = zip(policy.weights, policy.biases, strict=True)
-    for weight, bias in hidden:
-        x = np.maximum(x @ weight.T + bias, np.float32(0))
-    weight, bias = output
+    *hidden, (weight, bias) = zip(policy.weights, policy.biases, strict=True)
+    for W, b in hidden:
+        x = np.maximum(x @ W.T + b, np.float32(0))
     return np.asarray(np.tanh(x @ weight.T + bias), dtype=np.float32)
+
+
+class PolicyController:
+    """The mean action of a policy, with the observer of its training; robots are asynchronous."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self._start(0)
+
+    def _start(self, n: int) -> None:
+        self._observer = Observer(self.policy.view, self.policy.low, self.policy.high, n)
+        self._since = np.zeros(n, dtype=np.int64)
+        self._fresh = np.ones(n, dtype=bool)
+
+    def reset(self, mask: Mask) -> None:
+        """Reset the robots in ``mask``, shape (E,)."""
+        if len(mask) != len(self._fresh):
+            self._start(len(mask))
+        self._fresh = self._fresh | mask
+
+    def act(self, observation: Array32, gone: int = 1) -> Array32:
+        """Set-points in rad of this control period, shape (E, J).
+
+        Args:
+            observation: The task's columns, shape (E, O).
+            gone: Control periods since the last call; more than one if frames were lost.
+        """
+        if len(observation) != len(self._fresh):
+            self._start(len(observation))
+        limit = self.policy.observation_limit
+        clipped = np.clip(np.asarray(observation, dtype=np.float32), -limit, limit)
+        if self._fresh.any():
+            self._observer.begin(clipped, self._fresh)
+        period = self.policy.view.period
+        self._since = np.where(self._fresh, 0, self._since + gone)
+        due = self._fresh | (self._since >= period)
+        self._since %= period
+        self._fresh = np.zeros_like(self._fresh)
+        if due.any():
+            inputs = self._observer.observe(clipped, due)
+            self._observer.decide(self.decided(inputs), due)
+        tick = self._since[:, None].astype(np.float32)
+        return np.asarray(self._observer.set_points(tick), dtype=np.float32)
+
+    def decided(self, inputs: Array32) -> Array32:
+        """Decisions between -1 and 1 from the policy's columns (E, F)."""
+        return forward(self.policy, inputs)
 
 
 def npz(policy: Policy) -> bytes:
@@ -100,20 +142,25 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
     """
     file = Path(path)
     content = read_arrays(file, "a policy exported as .npz", largest=LARGEST_BYTES)
-    if str(content.get("schema")) not in (SCHEMA, FIRST):
-        raise InputError(file, "schema", repr(str(content.get("schema"))), repr(SCHEMA))
+    schema = str(content.get("schema"))
+    if schema not in (SCHEMA, FIRST):
+        raise InputError(file, "schema", repr(schema), repr(SCHEMA))
     try:
-        count = sum(name.startswith("weight_") for name in content)
+        layers = range(sum(name.startswith("weight_") for name in content))
+        note = json.loads(str(content["provenance"]))
+        if not isinstance(note, dict) or not is_spread(note.get("trained_over", {})):
+            raise ValueError("a provenance that is no object, or without two numbers by parameter")
+        former = schema == FIRST
         policy = Policy(
-            weights=tuple(_numbers(content[f"weight_{k}"]) for k in range(count)),
-            biases=tuple(_numbers(content[f"bias_{k}"]) for k in range(count)),
+            weights=tuple(_numbers(content[f"weight_{k}"]) for k in layers),
+            biases=tuple(_numbers(content[f"bias_{k}"]) for k in layers),
             low=_numbers(content["low_rad"]),
             high=_numbers(content["high_rad"]),
             joints=tuple(map(str, content["joints"])),
             observation=tuple(map(str, content["observation"])),
             observation_limit=_numbers(content["observation_limit"]),
-            view=_view(content),
-            provenance=_provenance(json.loads(str(content["provenance"]))),
+            view=PAPER if former else View.from_content(json.loads(str(content["view"]))),
+            provenance=note,
         )
     except KeyError as error:
         raise InputError(file, str(error.args[0]), "nothing", "an array of that name") from None
@@ -121,18 +168,6 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
         raise InputError(file, "", f"an invalid array ({error})", "finite numbers") from None
     _check(file, policy)
     return policy
-
-
-def _view(content: Mapping[str, NDArray[Any]]) -> View:
-    if str(content["schema"]) == FIRST:
-        return PAPER
-    return View.from_content(json.loads(str(content["view"])))
-
-
-def _provenance(content: Any) -> dict[str, Any]:  # noqa: ANN401 - any JSON
-    if not isinstance(content, dict) or not is_spread(content.get("trained_over", {})):
-        raise ValueError("a provenance that is no object, or without two numbers by parameter")
-    return content
 
 
 def is_spread(content: object) -> bool:
@@ -153,11 +188,10 @@ def _numbers(values: NDArray[Any]) -> Array32:
 
 def _check(file: Path, policy: Policy) -> None:
     """Check the shapes of the layers, from observation to joints."""
-    J = len(policy.joints)
+    J, columns = len(policy.joints), len(policy.observation)
     width = policy.view.size(J)
-    if len(policy.observation) != 5 + 2 * J:
-        expected = f"{5 + 2 * J}, for {J} joints"
-        raise InputError(file, "observation", f"{len(policy.observation)} names", expected)
+    if columns != 5 + 2 * J:
+        raise InputError(file, "observation", f"{columns} names", f"{5 + 2 * J}, for {J} joints")
     if not policy.weights:
         raise InputError(file, "weight_0", "nothing", "an array of that name")
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
@@ -168,11 +202,10 @@ def _check(file: Path, policy: Policy) -> None:
         width = weight.shape[0]
     if width != J:
         raise InputError(file, "joints", f"{J} for {width} outputs", "one per output")
-    columns = (len(policy.observation),)
-    for name, array, shape in (
-        ("low_rad", policy.low, (J,)),
-        ("high_rad", policy.high, (J,)),
+    for name, array, length in (
+        ("low_rad", policy.low, J),
+        ("high_rad", policy.high, J),
         ("observation_limit", policy.observation_limit, columns),
     ):
-        if array.shape != shape:
-            raise InputError(file, name, f"the shape {array.shape}", f"{shape}")
+        if array.shape != (length,):
+            raise InputError(file, name, f"the shape {array.shape}", f"({length},)")
