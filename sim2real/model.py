@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from sim2real.arm.description import Arm, arm_content, arm_from
 from sim2real.clock import SHORTEST_PERIOD_S
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.inference.normal import LEVEL
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
 from sim2real.structured import Fields, finite_number, number_or_infinity, read_json
@@ -53,7 +54,7 @@ class JointModel:
         inertia_kgm2: Moment of inertia of the load, without the rotor; 1 if ``per_inertia``.
         per_inertia: Whether gains are per unit of inertia, because the load is not known.
         load: The load stated by the recordings, if any.
-        interval: 90 % interval by parameter; an end is infinite where the data do not constrain it.
+        interval: Interval by parameter (``Model.interval_level``); an end is infinite where the data do not constrain it.
         correlation: Correlation of the estimates by pair, ``"a, b"``.
         effects: Effects in addition to the law.
         notes: Remarks on these values, one sentence each.
@@ -87,6 +88,7 @@ class Model(NotebookDisplay):
         provenance: Command line, versions, seed and SHA-256 of the inputs.
         arm: The rigid bodies that load the servos of an arm.
         firmware_p_gain: Gain of the firmware to which kp belongs; None where it is not known.
+        interval_level: Probability of the intervals.
     """
 
     joints: Mapping[str, JointModel]
@@ -97,13 +99,14 @@ class Model(NotebookDisplay):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     arm: Arm | None = None
     firmware_p_gain: float | None = None
+    interval_level: float = LEVEL
 
     def __str__(self) -> str:
         """Table of the fitted parameters of every joint, with intervals and errors."""
         return str(from_report("table.fit_report")(self))
 
     def plot(self) -> Figure:
-        """Gains and latency of every joint, with 90 % intervals."""
+        """Gains and latency of every joint, with intervals."""
         figure: Figure = from_report("parameter_plot.parameter_figure")(self)
         return figure
 
@@ -163,6 +166,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         firmware_p_gain=top.number("firmware_p_gain", above=0)
         if "firmware_p_gain" in top
         else None,
+        interval_level=top.number("interval_level", LEVEL, above=0, below=1),
     )
 
 

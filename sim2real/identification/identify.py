@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from sim2real.effects import Effect, named
-from sim2real.errors import InputError, check_choice, check_whole, names_of
+from sim2real.errors import InputError, check_choice, check_level, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.motor_choice import choose_motor, fitted_again
 from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
@@ -102,6 +102,7 @@ def identify(
     if law is not None:
         check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
+    check_level("identify", interval)
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
     recordings, warnings = admitted(at_one_gain(recordings), robot)
@@ -137,6 +138,7 @@ def identify(
         + advice.on_play(recordings),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
+        interval_level=interval,
     )
 
 
