@@ -291,8 +291,8 @@ def design(
     if contexts is not None or again:
         name = "again" if again else "contexts"
         raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
-    from sim2real.design.loads import stated_loads
     from sim2real.design.plan import design as plan
+    from sim2real.design.plan import stated_loads
 
     fitted = None if model is None else model_of(model)
     for note in () if fitted is None else fitted.notes:

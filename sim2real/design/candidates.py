@@ -1,8 +1,7 @@
 """Random commands of several families, all within the limits of a joint.
 
-The families are those of experiments on servos and robots: sums of sines with random phases,
-periodic Fourier series (Swevers et al., IEEE Trans. Robot. Autom. 13 (1997) 730-740), chirps,
-steps and holds, binary signals and splines. Each command draws the parameters of its family.
+Sums of sines with random phases, periodic Fourier series (Swevers et al., IEEE Trans. Robot. Autom.
+13 (1997) 730-740), chirps, steps and holds, binary signals and splines.
 """
 
 from __future__ import annotations
@@ -91,18 +90,9 @@ def draw(
     mixed: float = 0.4,
     highest_hz: float = HIGHEST_HZ,
 ) -> Array:
-    """Random commands within the limits, at rest at both ends.
+    """Random commands within the limits, at rest at both ends, rad, shape (N, T).
 
-    Args:
-        rng: Random number generator.
-        count: Number N of commands; the families take turns.
-        limits: The limits.
-        seconds: Duration, s.
-        mixed: Share of commands that consist of parts of several families.
-        highest_hz: Highest frequency, Hz.
-
-    Returns:
-        Set-points in rad, shape (N, T).
+    The families take turns; the share ``mixed`` consists of parts of several.
     """
     t = limits.times(seconds)
     size = limits.reach_rad * rng.uniform(0.4, 1.1, (count, 1))

@@ -14,14 +14,15 @@ set-point that is lost is an error of the command by its last change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from sim2real.arrays import Array
-from sim2real.design.belief import GAINS, Belief
 from sim2real.design.limits import CommandLimits
+from sim2real.design.prior import GAINS, ServoPrior
 from sim2real.inference.normal import Z90
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.parameters import ROTOR_INERTIA
@@ -31,15 +32,10 @@ from sim2real.servo.trace import Trace
 
 @dataclass(frozen=True)
 class Precision:
-    """Expected precision of F parameters after each of N commands, for D servos.
+    """Expected precision of F parameters after each of N commands, for D servos."""
 
-    Attributes:
-        covariance: Covariance of the logarithms of the parameters, shape (N, D, F, F).
-        rms_torque_Nm: Root mean square of the torque that the motion takes, shape (N, D).
-    """
-
-    covariance: Array
-    rms_torque_Nm: Array
+    covariance: Array  # covariance of the logarithms of the parameters, shape (N, D, F, F)
+    rms_torque_Nm: Array  # root mean square of the torque that the motion takes, shape (N, D)
 
     @property
     def half_width(self) -> Array:
@@ -50,35 +46,23 @@ class Precision:
 
 @dataclass(frozen=True)
 class Information:
-    """Scores commands by how precisely a fit to their recording would determine a servo.
+    """Scores commands by how precisely a fit to their recording would determine a servo."""
 
-    Attributes:
-        belief: Prior of the servo.
-        limits: Limits of the commands.
-        substep_s: Longest sub-step of the rollouts, s.
-        difference: Step of the forward differences, relative to a parameter.
-        features: Number of Fourier features of the errors that repeat with the angle.
-        every: Number of samples per sample at which these errors are evaluated.
-        others: Weight of the mean logarithm of all widths; that of the widest of the gains is 1.
-        threads: CPU threads.
-    """
-
-    belief: Belief
-    limits: CommandLimits
-    substep_s: float = 0.004
-    difference: float = 1e-3
-    features: int = 16
-    every: int = 2
+    prior: ServoPrior  # prior of the servo
+    limits: CommandLimits  # limits of the commands
+    substep_s: float = 0.004  # longest sub-step of the rollouts, s
+    difference: float = 1e-3  # step of the forward differences, relative to a parameter
+    features: int = 16  # number of Fourier features of the errors that repeat with the angle
+    every: int = 2  # number of samples per sample at which these errors are evaluated
+    # weight of the mean logarithm of all widths; that of the widest of the gains is 1
     others: float = 0.3
-    threads: int = 2
-    _waves: tuple[Array, Array] = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Draw the Fourier features once, so that commands are compared on the same ones."""
+    @cached_property
+    def _waves(self) -> tuple[Array, Array]:
+        """Wave numbers and phases, the same for all commands that are compared."""
         rng = np.random.default_rng(0)
-        number = rng.standard_normal(self.features) / self.belief.noise.angle_scale_rad
-        waves = number, rng.uniform(0, 2 * np.pi, self.features)
-        object.__setattr__(self, "_waves", waves)
+        number = rng.standard_normal(self.features) / self.prior.noise.angle_scale_rad
+        return number, rng.uniform(0, 2 * np.pi, self.features)
 
     def __call__(self, commands: Array) -> Array:
         """Score of each command (N, T), shape (N,), see ``scores``."""
@@ -88,15 +72,15 @@ class Information:
         """Scores of commands with these statistics (N, K), shape (N,).
 
         Minus the logarithm of the widest interval of gains and latency, plus a share of that of all
-        parameters, averaged over the servos of the belief. What exceeds the torque budget is
+        parameters, averaged over the servos of the prior. What exceeds the torque budget is
         penalised.
         """
         precision = self.precision_of(statistics)
         log_width = np.log(np.maximum(precision.half_width, 1e-9))
-        gains = [k for k, name in enumerate(self.belief.names) if name in GAINS]
+        gains = [k for k, name in enumerate(self.prior.names) if name in GAINS]
         worst = log_width[:, :, gains].max(axis=2)
         score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
-        known = self.belief.load is not PER_INERTIA
+        known = self.prior.load is not PER_INERTIA
         excess = precision.rms_torque_Nm / (self.limits.rms_torque_Nm if known else np.inf) - 1
         return np.asarray(score - 10 * np.maximum(excess, 0.0).mean(axis=1))
 
@@ -111,7 +95,7 @@ class Information:
         second, so that the parts of different commands, joined, have about the sum of theirs.
         """
         angle, slopes = self.sensitivities(commands)
-        load, period, (number, phase) = self.belief.load, self.limits.period_s, self._waves
+        load, period, (number, phase) = self.prior.load, self.limits.period_s, self._waves
         acceleration = np.diff(angle, 2, axis=2, append=0.0, prepend=0.0) / period**2
         acceleration[:, :, [0, -1]] = 0.0
         torque2 = (load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle)) ** 2
@@ -133,30 +117,29 @@ class Information:
 
     def precision_of(self, statistics: Array) -> Precision:
         """Expected precision after commands with these statistics (N, K)."""
-        noise, D, F = self.belief.noise, len(self.belief.rows), len(self.belief.names)
+        noise, D, F = self.prior.noise, len(self.prior.rows), len(self.prior.names)
         each = statistics.reshape(len(statistics), D, -1)
         gram = each[:, :, : F * F].reshape(-1, D, F, F)
         by_loss = each[:, :, F * F : 2 * F * F].reshape(-1, D, F, F)
         by_angle = each[:, :, 2 * F * F : -1].reshape(-1, D, F, self.features)
         white = noise.white_rad
-        prior = np.diag(1 / self.belief.prior_sd**2 + 1e-3)  # so that it has an inverse
+        prior = np.diag(1 / self.prior.sd**2 + 1e-3)  # so that it has an inverse
         repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
-        precision = gram / white**2 + prior
-        inverse = np.linalg.inv(precision)
+        inverse = np.linalg.inv(gram / white**2 + prior)
         middle = gram / white**2 + (repeated + noise.lost * by_loss) / white**4 + prior
         return Precision(inverse @ middle @ inverse, np.sqrt(each[:, :, -1]))
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
-        belief = self.belief
+        prior = self.prior
         t = self.limits.times(commands.shape[1] * self.limits.period_s)
         still, used = np.zeros(t.size), np.ones(t.size, dtype=bool)
-        traces = [Trace("next", "next", t, c, still, belief.load, used) for c in commands]
-        D, F = len(belief.rows), len(belief.names)
-        rows = np.repeat(belief.rows[:, None], 1 + F, axis=1)
-        for k, column in enumerate(belief.columns):
+        traces = [Trace("next", "next", t, c, still, prior.load, used) for c in commands]
+        D, F = len(prior.rows), len(prior.names)
+        rows = np.repeat(prior.rows[:, None], 1 + F, axis=1)
+        for k, column in enumerate(prior.columns):
             rows[:, 1 + k, column] *= 1 + self.difference
-        simulator = Simulator(traces, self.threads)
+        simulator = Simulator(traces, threads=2)
         flat = rows.reshape(D * (1 + F), -1)
         substep = np.inf if simulator.is_linear(flat) else self.substep_s
         angles = np.array(simulator.angles(flat, substep)).reshape(len(commands), D, 1 + F, t.size)
@@ -164,19 +147,12 @@ class Information:
         return angles[:, :, 0], np.moveaxis(slopes, 2, 3)
 
     def _by_command(self, slopes: Array) -> Array:
-        """Sum over time of slopes (N, D, T, F) times the response to one set-point, same shape.
-
-        Of the linear servo: what a set-point that is lost adds to the gradient of the fit, per rad.
-        """
+        """Sum over time of slopes (N, D, T, F) times the response to one set-point, same shape."""
         out = np.empty_like(slopes)
-        for d, row in enumerate(self.belief.rows):
+        for d, row in enumerate(self.prior.rows):
             inertia = row[3] + row[ROTOR_INERTIA]
             servo = ([row[0]], [inertia, row[1], row[0] + row[4]])
             numerator, denominator, _ = cont2discrete(servo, self.limits.period_s)
             backwards = slopes[:, d, ::-1]
             out[:, d] = lfilter(numerator.ravel(), denominator, backwards, axis=1)[:, ::-1]
         return out
-
-    def of(self, belief: Belief) -> Information:
-        """The same for another belief."""
-        return replace(self, belief=belief)

@@ -32,29 +32,19 @@ do at stall."""
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """Limits of the commands of one joint.
+    """Limits of the commands of one joint."""
 
-    Attributes:
-        joint: Name of the joint.
-        position_rad: Smallest and largest set-point, rad.
-        rate_rad_s: Largest rate of the set-point, the servo's no-load speed, rad/s.
-        torque_Nm: The servo's stall torque, N m; infinite where the data sheet does not state it.
-        rms_torque_Nm: Largest root mean square of the torque over the recording, N m.
-        period_s: Time between set-points, s.
-        resolution_rad: Set-points are multiples of it, rad.
-        rest_s: Time at rest at the beginning and at the end, s.
-        largest_held_rad: Angle beyond which the servo cannot hold its load, rad; infinite where
-            that does not narrow the range.
-    """
-
-    joint: str
-    position_rad: tuple[float, float]
-    rate_rad_s: float
+    joint: str  # name of the joint
+    position_rad: tuple[float, float]  # smallest and largest set-point, rad
+    rate_rad_s: float  # largest rate of the set-point, the servo's no-load speed, rad/s
+    # the servo's stall torque, N m; infinite where the data sheet does not state it
     torque_Nm: float = np.inf
-    rms_torque_Nm: float = np.inf
-    period_s: float = PERIOD_S
-    resolution_rad: float = FINEST_RAD
-    rest_s: float = REST_S
+    rms_torque_Nm: float = np.inf  # largest root mean square of the torque over the recording, N m
+    period_s: float = PERIOD_S  # time between set-points, s
+    resolution_rad: float = FINEST_RAD  # set-points are multiples of it, rad
+    rest_s: float = REST_S  # time at rest at the beginning and at the end, s
+    # angle beyond which the servo cannot hold its load, rad; infinite where that does not narrow
+    # the range
     largest_held_rad: float = np.inf
 
     @property
@@ -175,10 +165,6 @@ def within(commands: Array, limits: CommandLimits) -> Array:
 
     They are clipped to the range, held at rest at both ends, rounded to the resolution, and their
     rate is limited; towards the end the range narrows so that rest is reached in time.
-
-    Args:
-        commands: Set-points in rad, shape (N, T).
-        limits: The limits.
     """
     low, high = limits.ticks
     rest, most = round((low + high) / 2), limits.most_ticks

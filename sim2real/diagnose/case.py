@@ -24,53 +24,33 @@ UNMODELLED_INERTIA = "unmodelled_inertia"
 
 @dataclass(frozen=True)
 class Case:
-    """One robot to diagnose.
+    """One robot to diagnose."""
 
-    Attributes:
-        recordings: What is to be explained.
-        robot: The robot.
-        model: A model to start from; its effects stay part of the plain servo.
-        references: Recordings of the same robot from before. With these the question is what has
-            changed since, not what a servo lacks.
-        effort: Multiple of the simulation budget of the search for combinations of effects.
-        warnings: Findings about the recordings by which the result may be wrong.
-    """
-
-    recordings: Sequence[Recording]
-    robot: Robot
-    model: Model | None = None
+    recordings: Sequence[Recording]  # what is to be explained
+    robot: Robot  # the robot
+    model: Model | None = None  # a model to start from; its effects stay part of the plain servo
+    # earlier recordings of the robot. With these, only what has changed is named
     references: Sequence[Recording] = ()
+    # multiple of the simulation budget of the search for combinations of effects
     effort: float = 1.0
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # findings about the recordings by which the result may be wrong
 
 
 @dataclass(frozen=True)
 class JointCase:
-    """A joint with its recordings.
+    """A joint with its recordings."""
 
-    Attributes:
-        name: Its name.
-        traces: Its recordings.
-        noise: Standard deviation of its sensor's noise, rad.
-        step_rad: Step of its sensor where that is coarser than stated, or None.
-        model: The model of it to start from, or None.
-        references: Its recordings from before, see ``Case``.
-        servo: Its data sheet, or None.
-        stated: Sets of effects that recordings were designed to distinguish; all are tried.
-        effort: As of ``Case``.
-        lacks_rows: Whether rows of its recordings are missing one at a time, so that the times of
-            some set-points are not known.
-    """
-
-    name: str
-    traces: list[Trace]
-    noise: float
-    step_rad: float | None
-    model: JointModel | None = None
-    references: Sequence[Trace] = ()
-    servo: Servo | None = None
+    name: str  # its name
+    traces: list[Trace]  # its recordings
+    noise: float  # standard deviation of its sensor's noise, rad
+    step_rad: float | None  # step of its sensor where that is coarser than stated, or None
+    model: JointModel | None = None  # the model of it to start from, or None
+    references: Sequence[Trace] = ()  # its earlier recordings, see ``Case``
+    servo: Servo | None = None  # its data sheet, or None
+    # sets of effects that recordings were designed to distinguish; all are tried
     stated: Sequence[StatedSet] = ()
-    effort: float = 1.0
+    effort: float = 1.0  # as of ``Case``
+    # whether single rows are missing, so that some set-points have no known time
     lacks_rows: bool = False
 
     @property
@@ -84,7 +64,7 @@ class JointCase:
     def rotor_room_kgm2(self) -> float:
         """Largest inertia of rotor and gears that its data sheet makes likely, beyond the stated.
 
-        0 where its model states it. Where the load is unknown, so is any inertia beside it.
+        0 where its model states it, infinite where the load is unknown.
         """
         if self.traces[0].load is PER_INERTIA:
             return float("inf")
@@ -112,16 +92,23 @@ def prepared(case: Case) -> list[JointCase]:
     joints = []
     for joint in case.robot.joints:
         data = traces(case.recordings, joint.name)
-        if data:
-            check_runs(data, joint.name)
-            noise = sensor_noise(data)
-            step = coarse_step(data, joint.servo.position_step_rad)
-            model = case.model.joints.get(joint.name) if case.model else None
-            references = traces(case.references, joint.name)
-            stated = stated_sets(case.recordings, joint.name)
-            lacks_rows = any(any(dropped_rows(x.t, x.position)) for x in data)
-            given = (model, references, joint.servo, stated, case.effort, lacks_rows)
-            joints.append(JointCase(joint.name, data, noise, step, *given))
+        if not data:
+            continue
+        check_runs(data, joint.name)
+        joints.append(
+            JointCase(
+                joint.name,
+                data,
+                sensor_noise(data),
+                coarse_step(data, joint.servo.position_step_rad),
+                model=case.model.joints.get(joint.name) if case.model else None,
+                references=traces(case.references, joint.name),
+                servo=joint.servo,
+                stated=stated_sets(case.recordings, joint.name),
+                effort=case.effort,
+                lacks_rows=any(any(dropped_rows(x.t, x.position)) for x in data),
+            )
+        )
     if not joints:
         file = case.recordings[0].file
         raise InputError(file, "", "no motion", "commands and angles that change")
@@ -129,13 +116,7 @@ def prepared(case: Case) -> list[JointCase]:
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
-    """The step on which all of a joint's angles lie, where it is well above the stated one, rad.
-
-    Args:
-        traces: The joint's recordings.
-        stated_rad: ``position_step_rad`` of the data sheet.
-    """
+    """The step in rad on which all angles lie, where it is well above the stated one, or None."""
     steps = [trace.quantization_step() for trace in traces]
-    step = min(steps)
-    coarse = step > DECISION.coarse_step_ratio * stated_rad and max(steps) <= 1.1 * step
-    return step if coarse else None
+    coarse = min(steps) > DECISION.coarse_step_ratio * stated_rad
+    return min(steps) if coarse and max(steps) <= 1.1 * min(steps) else None

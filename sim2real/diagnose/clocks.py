@@ -1,8 +1,8 @@
 """Corrects recordings for the drift between the clocks of set-points and angles.
 
-Set-points and angles are stamped by two clocks. Quartz oscillators differ by
-some 20 ppm, by another amount in each recording: a millisecond after half a minute, which a good
-sensor detects, and which needs no action. A larger drift is an effect and is not corrected.
+Quartz oscillators differ by some 20 ppm, by another amount in each recording: a millisecond after
+half a minute, which a good sensor detects, and which needs no action. A larger drift is an effect
+and is not corrected.
 """
 
 from __future__ import annotations
@@ -25,41 +25,33 @@ _DRIFT = COLUMNS.index("clock_drift.s_per_s")
 
 
 def on_one_clock(
-    batch: Batch,
-    joints: Sequence[JointCase],
-    robots: Sequence[Sequence[int]],
-    best: Sequence[Hypothesis],
+    batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
 ) -> list[JointCase]:
     """The joints, their angles as the clock of the set-points would have stamped them.
 
-    Args:
-        batch: The recordings.
-        joints: The joints.
-        robots: Which of them were recorded together.
-        best: What explains each best as yet.
+    ``best`` is what explains each joint best as yet.
     """
-    corrected = list(joints)
-    for robot in robots:
-        files = sorted({trace.file for j in robot for trace in joints[j].traces})
-        information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
-        for j in robot:
-            place = [files.index(trace.file) for trace in joints[j].traces]
-            known, pull = _known(batch, best[j], len(place))
-            information[np.ix_(place, place)] += known
-            slope[place] += pull
-        inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
-        sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-        if (np.abs(inverse @ slope) > DECISION.clock_tolerance + 2 * sd).any():
-            continue
-        prior = np.eye(len(files)) * (2 / DECISION.clock_tolerance) ** 2
-        drift = dict(zip(files, np.linalg.solve(information + prior, slope), strict=True))
-        for j in robot:
-            moved = []
-            for trace in joints[j].traces:
-                angle = _simulated(trace, best[j].fit.servos.theta[0])
-                late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
-                moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
-            corrected[j] = replace(joints[j], traces=moved)
+    files = sorted({trace.file for joint in joints for trace in joint.traces})
+    information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
+    for joint, servo in zip(joints, best, strict=True):
+        place = [files.index(trace.file) for trace in joint.traces]
+        known, pull = _known(batch, servo, len(place))
+        information[np.ix_(place, place)] += known
+        slope[place] += pull
+    inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
+    sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    if (np.abs(inverse @ slope) > DECISION.clock_tolerance + 2 * sd).any():
+        return list(joints)
+    prior = np.eye(len(files)) * (2 / DECISION.clock_tolerance) ** 2
+    drift = dict(zip(files, np.linalg.solve(information + prior, slope), strict=True))
+    corrected = []
+    for joint, servo in zip(joints, best, strict=True):
+        moved = []
+        for trace in joint.traces:
+            angle = _simulated(trace, servo.fit.servos.theta[0])
+            late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
+            moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
+        corrected.append(replace(joint, traces=moved))
     return corrected
 
 
@@ -75,11 +67,7 @@ def _simulated(trace: Trace, theta: Array) -> Array:
 def _known(
     batch: Batch, best: Hypothesis, recordings: int, *, step: float = 1e-4
 ) -> tuple[Array, Array]:
-    """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,).
-
-    After the parameters that all recordings share have taken up what they can. The response to a
-    drift of ``step`` stands for that to any.
-    """
+    """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,)."""
     servos = best.fit.servos
     own = variants(servos)
     kept = [0, *(1 + np.flatnonzero(servos.columns[0] != _DRIFT)), 0]

@@ -43,16 +43,6 @@ def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
     assert again.loads["j1"] == RIVALS.load
 
 
-def test_it_tells_more_than_commands_drawn_at_random(plain):
-    (joint,) = plain.joints
-    random = designed(samples=1.0)
-    assert joint.remaining < random.joints[0].remaining < joint.entropy
-
-
-def test_the_same_seed_makes_the_same_commands(plain):
-    np.testing.assert_array_equal(designed().recording().command, plain.recording().command)
-
-
 def test_what_is_stated_is_the_forecast_of_its_commands(plain):
     (joint,) = plain.joints
     again = forecast(RivalObjective(RIVALS), joint.command)

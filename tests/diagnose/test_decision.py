@@ -53,15 +53,6 @@ def test_a_number_of_a_group_is_read_and_has_its_type(tmp_path):
         read_decision(file)
 
 
-def test_a_number_that_is_missing_is_told(tmp_path):
-    content = json.loads(FILE.read_text())
-    del content["values"]["structured_excess"]
-    file = tmp_path / "decision.json"
-    file.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"values\.structured_excess\.value"):
-        read_decision(file)
-
-
 def row(**more):
     usual = {
         "case": "a", "set": "own", "kind": "null", "joint": "j1", "truth": [], "outside": False,
@@ -92,22 +83,6 @@ def test_a_curve_is_judged_on_plants_left_out(curves):
     assert found.report()["calibration_error"] < 0.08
 
 
-def test_a_quantile_is_that_of_what_misses_nothing(script):
-    rng = np.random.default_rng(0)
-    rows = [row(case=str(k), excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
-    rows += [row(case=f"x{k}", kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
-    value, count, _ = script.values_of(rows)["structured_excess"]
-    assert count == 400
-    assert value == pytest.approx(1.1, abs=0.003)
-
-
-def test_an_effect_that_a_nuisance_is_counts_as_there(script):
-    group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"intercept": 1.0}}
-    there = row(groups=[group], nuisances={"cogging": 3.0})
-    told = script.samples([there, row(groups=[group])], 0.05)["effect"]
-    assert [one.right for one in told] == [True, False]
-
-
 def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     (tmp_path / "sim2real" / "diagnose").mkdir(parents=True)
     (tmp_path / "reports").mkdir()
@@ -122,14 +97,6 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     report = json.loads((tmp_path / "reports" / "decisions.json").read_text())
     assert report["values"]["structured_excess"]["count"] == 60
     assert set(report["odds"]) == set(CURVES)
-
-
-def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
-    fine = [row(case=str(k), step=1.0) for k in range(60)]
-    coarse = [row(case=f"x{k}", step=2.0 + k, truth=["encoder_quantization"]) for k in range(9)]
-    found = script.of_sensors(fine + coarse)
-    assert 1.2 < found["coarse_step_ratio"][0] < 2.0
-    assert found["most_certain"][0] == pytest.approx(10 / 11)
 
 
 def test_the_detection_gain_is_that_from_which_most_are_named(script):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, recording, robot, two
 
+from sim2real.diagnose.calibrated_odds import judged
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, sampled_alike
+from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all
 from sim2real.diagnose.joint_result import includes_zero
-from sim2real.diagnose.missing.calibrated_odds import judged
-from sim2real.diagnose.page.wording import diagnosis
 from sim2real.diagnose.result import percent, write_diagnosis
+from sim2real.diagnose.wording import diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
@@ -117,14 +117,6 @@ def test_the_file_has_every_field_of_the_format(written):
     assert file["next_experiment"] is None
 
 
-def test_the_ladder_has_the_held_out_errors_and_the_noise(explained, written):
-    ladder = explained.ladders["j1.position_rad"]
-    assert written[1]["heldout_ladder"]["j1.position_rad"] == vars(ladder)
-    heldout = explained.effects[0].heldout
-    assert (ladder.baseline, ladder.enriched) == (heldout["rmse_before"], heldout["rmse_after"])
-    assert ladder.noise == explained.mismatch[0].noise
-
-
 def test_page_file_and_terminal_state_one_probability(explained, written):
     (effect,) = explained.effects
     (on_file,) = written[1]["effects"]
@@ -144,16 +136,6 @@ def test_a_notebook_states_no_certainty_that_the_terminal_does_not(explained):
     assert percent(0.998) in line and "100 %" not in line
     page = sure._repr_html_()
     assert "100 %" not in page and html.escape(percent(0.998)) in page.replace("\u00a0", " ")
-
-
-def test_the_verdict_says_what_is_left(explained):
-    (mismatch,) = explained.mismatch
-    after = explained.effects[0].heldout["rmse_after"]
-    assert explained.remaining(mismatch.signal) == after
-    line = str(explained).splitlines()[-1]
-    assert f"{1e3 * mismatch.rmse:.2f} mrad, {1e3 * after:.2f} mrad with the enriched model" in line
-    verdict = diagnosis_section(explained).blocks[0]
-    assert f"{after / mismatch.noise:.1f} times the noise" in verdict.text
 
 
 def test_effects_that_leave_structure_explain_a_part(explained_joint):
@@ -205,16 +187,6 @@ def test_a_model_that_has_the_effect_misses_nothing(explained):
     assert [e.effect for e in found.model.joints["j1"].effects] == ["coulomb_friction"]
 
 
-def test_robots_together_equal_one_at_a_time(explained, clean):
-    cases = [Case(two(), robot("j1")), Case(two(**FRICTION), robot("j1"))]
-    null, found = diagnose_all(cases)
-    assert (null.verdict, found.verdict) == (clean.verdict, explained.verdict)
-    names = [(e.effect, e.component) for e in found.effects]
-    assert names == [(e.effect, e.component) for e in explained.effects]
-    estimates = (d.effects[0].parameters["torque_Nm"].mean for d in (found, explained))
-    assert next(estimates) == pytest.approx(next(estimates), rel=1e-3)
-
-
 def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(explained):
     """Asked to neglect what takes away less than nearly all of the error, friction is neglected."""
     assert explained.negligible == ()
@@ -222,28 +194,6 @@ def test_what_hardly_changes_the_error_is_listed_and_makes_no_verdict(explained)
     assert found.verdict == "consistent"
     assert found.effects == ()
     assert [e.effect for e in found.negligible] == [e.effect for e in explained.effects]
-
-
-def test_robots_sampled_alike_share_a_batch():
-    fast, slow = two(), [thinned(one, 5) for one in two()]
-    done = []
-    groups = list(sampled_alike([fast, slow, fast], done.append))
-    assert [group for group, _ in groups] == [[0, 2], [1]]
-    for _, step in groups:
-        step(1.0)
-    assert done == pytest.approx([2 / 3, 1.0])
-
-
-def test_robots_sampled_otherwise_do_not_change_what_is_said(explained):
-    coarse = [thinned(one, 5) for one in two(**FRICTION)]
-    _, found = diagnose_all([Case(coarse, robot("j1")), Case(two(**FRICTION), robot("j1"))])
-    assert found.effects == explained.effects
-
-
-def thinned(one, factor):
-    """Every so manyeth sample."""
-    rows = np.s_[::factor]
-    return replace(one, t=one.t[rows], command=one.command[rows], position=one.position[rows])
 
 
 def beside(first, second):

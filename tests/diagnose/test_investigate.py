@@ -5,11 +5,11 @@ import pytest
 from simulated import NOISE, recording
 from strange import position_damping, strange
 
+from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.investigate import investigate
-from sim2real.diagnose.missing.servo_search import ledgers_of
+from sim2real.diagnose.investigate import investigate
+from sim2real.diagnose.servo_search import plain_sets
 from sim2real.identification.servo_problem import residual_angles
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import trace
@@ -22,7 +22,7 @@ def test_a_joint_that_is_looked_at_again_keeps_its_place():
     batch = Batch([clean, odd])
     rng = np.random.default_rng(0)
     joints = [JointCase("clean", clean, NOISE, None), JointCase("odd", odd, NOISE, None)]
-    found = investigate(batch, joints, [[0], [1]], ledgers_of(baselines(batch)), rng=rng)
+    found = investigate(batch, joints, plain_sets(baselines(batch)), rng=rng)
     assert found[0].excess < DECISION.structured_excess < found[1].excess
     for finding, noise in zip(found, (NOISE, 3 * NOISE), strict=True):
         left = residual_angles(batch, finding.tried.plain.fit)

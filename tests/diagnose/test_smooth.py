@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, LATENCY, NOISE, PERIOD, row, steps
 
-from sim2real.diagnose.missing.smooth_function import JointMotion, ServoMotion, smooth_function
+from sim2real.diagnose.smooth_function import JointMotion, ServoMotion, smooth_function
 from sim2real.recording import Load
 from sim2real.servo.rollout import rollout, rollout_on
 from sim2real.servo.trace import Trace
@@ -129,12 +129,3 @@ def test_a_wrong_gain_is_no_state_in_another_context():
 
     found = smooth_function(servo([motion(1), motion(2)], thorough=False))
     assert found.evidence(1100.0) < 0
-
-
-def test_shaking_and_jumps_only_where_asked_for(noise_only):
-    quick = smooth_function(servo([plain(1), plain(2)], thorough=False))
-    assert {"shaking", "jump"} <= set(noise_only.shares)
-    assert not {"shaking", "jump"} & set(quick.shares)
-    assert quick.jumps_s == ()
-    for state, share in quick.shares.items():
-        assert share == pytest.approx(noise_only.shares[state])

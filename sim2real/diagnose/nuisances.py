@@ -1,9 +1,8 @@
 """What every servo has: part of the plain servo, before anything is looked for.
 
 A rotor turns with the load that is stated. Cogging and the sensor's eccentricity are common to all
-recordings, and small ones need no action. Left out, their waves pass for any effect. They are
-fitted together with what explains most, so that they do not stand in for it, and kept while they
-are small relative to the noise.
+recordings; left out, their waves pass for any effect. They are fitted together with what explains
+most, so that they do not stand in for it, and kept while they are small relative to the noise.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ import numpy as np
 
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.missing.screening import NUISANCES, candidate
-from sim2real.diagnose.missing.servo_search import Job, ServoSearch
+from sim2real.diagnose.screening import NUISANCES, candidate
+from sim2real.diagnose.servo_search import Job, ServoSearch
 from sim2real.effects import named
 from sim2real.effects.servo.sensor_eccentricity import RANGE_RAD
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
@@ -47,78 +46,58 @@ def size_in_noise(best: Hypothesis, effect: str, noise_rad: float) -> float:
 
 
 def first_look(
-    problem: ServoSearch, ledgers: Sequence[Tried], large: Sequence[float], *, most: int = 4
+    problem: ServoSearch, cases: Sequence[Tried], joints: Sequence[JointCase], *, most: int = 4
 ) -> None:
     """Try what explains each joint best at first sight, with the small nuisances that show with it.
 
-    Args:
-        problem: The search to come.
-        ledgers: One a joint, of plain servos.
-        large: Angle from which a joint's nuisance is a finding, rad.
-        most: Effects that are tried, each added to the plain servo.
+    ``most`` effects are tried, each added to the plain servo.
     """
-    problem.look([(ledger, ledger.base) for ledger in ledgers])
-    jobs = [
-        (ledger, ledger.base | {name}, start)
-        for ledger in ledgers
-        for name, start in problem.additions(ledger, ledger.base, most)
-    ]
-    for (ledger, _, _), refitted in zip(jobs, problem.refit(jobs), strict=True):
-        ledger.keep(refitted)
-    first = {ledger.case: ledger.best for ledger in ledgers}
-    wanted = [ledger for ledger in ledgers if _missing(first[ledger.case].members)]
-    if not wanted:
-        return
-    pairs = [(ledger, first[ledger.case]) for ledger in wanted]
-    jobs = [job for group in _jobs(problem, pairs) for job in group]
-    tried: dict[int, list[Hypothesis]] = {ledger.case: [] for ledger in wanted}
-    for (ledger, _, _), refitted in zip(jobs, problem.refit(jobs), strict=True):
-        tried[ledger.case].append(refitted)
-    for ledger in wanted:
-        ledger.keep(_best(first[ledger.case], tried[ledger.case], large[ledger.case]))
+    problem.look([(tried, tried.base) for tried in cases])
+    problem.try_all(
+        [
+            (tried, tried.base | {name}, start)
+            for tried in cases
+            for name, start in problem.additions(tried, tried.base, most)
+        ]
+    )
+    first = [(tried, tried.best) for tried in cases if not tried.best.members >= NAMES]
+    jobs = _jobs(problem, first)
+    refits = iter(problem.refit([job for group in jobs for job in group]))
+    for (tried, best), group in zip(first, jobs, strict=True):
+        tried.keep(_best(best, [next(refits) for _ in group], _large(joints[tried.case])))
 
 
 def with_nuisances(
     problem: ServoSearch,
-    ledgers: Sequence[Tried],
-    large: Sequence[float],
+    cases: Sequence[Tried],
+    joints: Sequence[JointCase],
     best: Sequence[Hypothesis],
 ) -> list[Tried]:
-    """The ledgers, each plain servo with the nuisances that are small.
+    """The cases, each plain servo with the nuisances that are small.
 
-    Args:
-        problem: The search to come.
-        ledgers: One a joint, of plain servos.
-        large: Angle from which a joint's nuisance is a finding, rad.
-        best: What explained each best before, of these recordings or of such a batch: the nuisances
-            are fitted with it.
+    They are fitted with what explained each joint best before, of these recordings or of such a
+    batch.
     """
-    small = [
-        _small(h, angle) - ledger.base
-        for ledger, h, angle in zip(ledgers, best, large, strict=True)
-    ]
+    large = [_large(joint) for joint in joints]
+    small = [_small(h, x) - tried.base for tried, h, x in zip(cases, best, large, strict=True)]
     wanted = [k for k, names in enumerate(small) if names]
-    if not wanted:
-        return list(ledgers)
     jobs = [
-        (ledgers[k], best[k].members | ledgers[k].base, np.array(best[k].fit.servos.theta[0]))
+        (cases[k], best[k].members | cases[k].base, np.array(best[k].fit.servos.theta[0]))
         for k in wanted
     ]
-    refits = problem.refit(jobs)
     jobs = [
         # Fitted to these recordings, a small one may be a large one after all.
-        (ledgers[k], ledgers[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
-        for k, h in zip(wanted, refits, strict=True)
+        (cases[k], cases[k].base | (small[k] & _small(h, large[k])), h.fit.servos.theta[0])
+        for k, h in zip(wanted, problem.refit(jobs), strict=True)
     ]
-    for ledger, members, _ in jobs:
+    for tried, members, _ in jobs:
         # As fitted together with what explains most, and so they stay.
-        problem.held[ledger.case] = members - ledger.base
-    based = list(ledgers)
-    for k, (ledger, members, _), refitted in zip(wanted, jobs, problem.refit(jobs), strict=True):
-        based[k] = Tried(ledger.case, members)
+        problem.fixed[tried.case] = members - tried.base
+    based = list(cases)
+    for k, (tried, members, _), refitted in zip(wanted, jobs, problem.refit(jobs), strict=True):
         # As part of the base they cost no set their prior.
-        evidence = refitted.evidence - len(members - ledger.base) * LOG_PRIOR
-        based[k].keep(replace(refitted, evidence=evidence))
+        evidence = refitted.evidence - len(members - tried.base) * LOG_PRIOR
+        based[k] = Tried(tried.case, members, {members: replace(refitted, evidence=evidence)})
     return based
 
 
@@ -144,93 +123,73 @@ def states_load(best: Hypothesis, joint: JointCase) -> bool:
 
 
 def with_rotors(
-    problem: ServoSearch, ledgers: Sequence[Tried], joints: Sequence[JointCase]
+    problem: ServoSearch, cases: Sequence[Tried], joints: Sequence[JointCase]
 ) -> list[Tried]:
-    """The ledgers, each plain servo with its rotor where the recordings show one.
+    """The cases, each plain servo with its rotor where the recordings show one.
 
     Every servo has one, and stated loads leave it out: an inertia that the data sheet makes likely
     costs no set its prior.
-
-    Args:
-        problem: The search that was.
-        ledgers: What it tried.
-        joints: The joints.
     """
-    based, jobs, places = list(ledgers), list[Job](), list[int]()
-    for k, (ledger, joint) in enumerate(zip(ledgers, joints, strict=True)):
-        if joint.rotor_room_kgm2 == 0 or ledger.base >= _ROTOR:
+    based, jobs, places = list(cases), list[Job](), list[int]()
+    for k, (tried, joint) in enumerate(zip(cases, joints, strict=True)):
+        if joint.rotor_room_kgm2 == 0 or tried.base >= _ROTOR:
             continue
-        turning = Tried(ledger.case, ledger.base | _ROTOR)
-        others = ledger.plain.evidence + DECISION.nuisance_min_evidence
-        for h in ledger.tried.values():
+        turning = Tried(tried.case, tried.base | _ROTOR)
+        others = tried.plain.evidence + DECISION.nuisance_min_evidence
+        for h in tried.tried.values():
             if h.members >= _ROTOR and states_load(h, joint):
                 turning.keep(replace(h, evidence=h.evidence - LOG_PRIOR))
             else:
                 others = max(others, h.evidence)
         if turning.tried and turning.best.evidence > others:
             based[k] = turning
-            jobs.append((ledger, turning.base, turning.best.fit.servos.theta[0]))
+            jobs.append((tried, turning.base, turning.best.fit.servos.theta[0]))
             places.append(k)
     for k, plain in zip(places, problem.refit(jobs), strict=True):
         based[k].keep(replace(plain, evidence=plain.evidence - LOG_PRIOR))
         if not states_load(based[k].plain, joints[k]):
-            based[k] = ledgers[k]  # no rotor by itself
+            based[k] = cases[k]  # no rotor by itself
     return based
 
 
 def with_rivals(
     problem: ServoSearch,
-    ledgers: Sequence[Tried],
-    large: Sequence[float],
+    cases: Sequence[Tried],
+    joints: Sequence[JointCase],
     *,
     rivals: int = 8,
     promise: float = 2.0,
 ) -> list[Tried]:
-    """Try small nuisances with the likeliest sets of each joint as well.
+    """Try small nuisances with the most probable sets of each joint as well.
 
     One that was not seen with the first explanation speaks for what happens to be shaped like it.
-
-    Args:
-        problem: The search that was.
-        ledgers: What it tried.
-        large: Angle from which a joint's nuisance is a finding, rad.
-        rivals: Sets of effects of each joint that are looked at.
-        promise: Times the gain at first sight that a fit may make.
+    A fit may make ``promise`` times the gain at first sight.
 
     Returns:
-        Those in which other effects are likeliest now.
+        Those in which other effects are most probable now.
     """
-    before = {ledger.case: ledger.best for ledger in ledgers}
-    largest = {ledger.case: angle for ledger, angle in zip(ledgers, large, strict=True)}
-    within = problem.limits.near
+    before = {tried.case: tried.best for tried in cases}
     pairs = [
-        (ledger, h)
-        for ledger in ledgers
-        for h in sorted(ledger.tried.values(), key=lambda h: -h.evidence)[:rivals]
-        if _missing(h.members) and h.evidence > before[ledger.case].evidence - within
+        (tried, h)
+        for tried in cases
+        for h in sorted(tried.tried.values(), key=lambda h: -h.evidence)[:rivals]
+        if not h.members >= NAMES and h.evidence > before[tried.case].evidence - problem.limits.near
     ]
-    behind = [before[ledger.case].evidence - h.evidence for ledger, h in pairs]
+    behind = [before[tried.case].evidence - h.evidence for tried, h in pairs]
     jobs = _jobs(problem, pairs, [max(x / promise, DECISION.nuisance_min_evidence) for x in behind])
     refits = iter(problem.refit([job for group in jobs for job in group]))
-    for (ledger, h), group in zip(pairs, jobs, strict=True):
-        tried = [next(refits) for _ in group]
-        if not tried:
+    for (tried, h), group in zip(pairs, jobs, strict=True):
+        found = [next(refits) for _ in group]
+        if not found:
             continue
-        ledger.keep(_best(h, tried, largest[ledger.case]))
+        large = _large(joints[tried.case])
+        tried.keep(_best(h, found, large))
         # Bent more than any sensor that is in order: no nuisance, and it has no name.
-        bent = [t for t in tried if _BENT in t.members - _small(t, largest[ledger.case])]
+        bent = [t for t in found if _BENT in t.members - _small(t, large)]
         top = max(bent, key=lambda t: t.evidence, default=h)
-        if top.evidence > before[ledger.case].evidence + DECISION.decisive_gain:
-            ledger.keep(top)
-    return [
-        ledger
-        for ledger in ledgers
-        if ledger.best.members - NAMES != before[ledger.case].members - NAMES
-    ]
-
-
-def _missing(members: Set) -> list[str]:
-    return sorted(NAMES - members)
+        if top.evidence > before[tried.case].evidence + DECISION.decisive_gain:
+            tried.keep(top)
+    return [t for t in cases if t.best.members - NAMES != before[t.case].members - NAMES]
 
 
 def _jobs(
@@ -240,14 +199,14 @@ def _jobs(
     *,
     starts_each: int = 2,
 ) -> list[list[Job]]:
-    """For each hypothesis every set of nuisances added to it, from the likeliest waves."""
+    """For each hypothesis every set of nuisances added to it, from the most probable waves."""
     lists = [
-        [candidate(named(n), *problem.strength(ledger)) for n in _missing(h.members)]
-        for ledger, h in pairs
+        [candidate(named(n), *problem.strength(tried)) for n in sorted(NAMES - h.members)]
+        for tried, h in pairs
     ]
     jobs: list[list[Job]] = [[] for _ in pairs]
     for n, (options, seen) in enumerate(zip(lists, problem.screened(pairs, lists), strict=True)):
-        ledger, base = pairs[n]
+        tried, base = pairs[n]
         starts: dict[str, list[np.ndarray]] = {}
         for k, option in enumerate(options):
             mine = np.flatnonzero(seen.candidate == k)
@@ -261,18 +220,23 @@ def _jobs(
                     theta = np.array(base.fit.servos.theta[0])
                     for name in names:
                         theta[columns[name]] = starts[name][min(turn, len(starts[name]) - 1)]
-                    jobs[n].append((ledger, base.members | set(names), theta))
+                    jobs[n].append((tried, base.members | set(names), theta))
     return jobs
 
 
 def _best(first: Hypothesis, tried: Sequence[Hypothesis], large_rad: float) -> Hypothesis:
-    """The likeliest set with those nuisances that are small where all are tried, if worth it."""
+    """The best set with those nuisances that are small where all are tried, if worth it."""
     top = max(tried, key=lambda h: h.evidence)
-    # Where a large wave is likeliest, a small one in its place only stands in for it.
+    # Where a large wave is most probable, a small one in its place only stands in for it.
     small = first.members | _small(top, large_rad)
     sets = [h for h in tried if h.members <= small and _small(h, large_rad) >= h.members & NAMES]
     best = max([first, *sets], key=lambda h: h.evidence)
     return best if best.evidence > first.evidence + DECISION.nuisance_min_evidence else first
+
+
+def _large(joint: JointCase) -> float:
+    """Angle from which a joint's nuisance is a finding, rad."""
+    return DECISION.nuisance_finding_size * joint.noise
 
 
 def _small(hypothesis: Hypothesis, large_rad: float) -> Set:
