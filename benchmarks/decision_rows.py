@@ -207,7 +207,7 @@ def _case(folder: Path) -> Case:
 
 def _row(answer: Row, one: JointFindings, case: Case) -> Row:
     from sim2real.diagnose.calibrated_odds import odds_features
-    from sim2real.diagnose.nuisances import size_in_noise
+    from sim2real.diagnose.effect_search import size_in_noise
     from sim2real.effects import named
 
     finding, best = one.finding, one.finding.best

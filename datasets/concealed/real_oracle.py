@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from real_effects import EFFECTS, Parameters
 from real_files import SERVOS
 
-from sim2real.diagnose.comparison import freed_of_the_common
+from sim2real.diagnose.explained import freed_of_the_common
 from sim2real.identification.fit import best_of, first_guess, residuals
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.noise import noise_floor

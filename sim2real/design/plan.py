@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.design.information import Information, Precision
+from sim2real.design.information import Information, Precision, ServoPrior, prior_of
 from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
-from sim2real.design.prior import ServoPrior, prior_of
 from sim2real.design.search import SearchResult, best
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError

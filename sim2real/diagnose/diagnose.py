@@ -11,12 +11,11 @@ from sim2real.arm.arm_loads import with_arm_loads
 from sim2real.arrays import Array
 from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.calibrated_odds import judged_and_offered
-from sim2real.diagnose.case import Case, JointCase, prepared
-from sim2real.diagnose.clocks import on_one_clock
+from sim2real.diagnose.case import Case, JointCase, on_one_clock, prepared
 from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.effect_search import first_look
 from sim2real.diagnose.investigate import investigate, placed
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.nuisances import first_look
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets

@@ -11,9 +11,14 @@ from sim2real.diagnose.baseline import plain_again
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
-from sim2real.diagnose.effect_search import search, search_again
+from sim2real.diagnose.effect_search import (
+    search,
+    search_again,
+    size_in_noise,
+    states_load,
+    with_rotors,
+)
 from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
-from sim2real.diagnose.nuisances import size_in_noise, states_load, with_rotors
 from sim2real.diagnose.servo_search import ServoSearch
 from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
 from sim2real.effects import CATALOGUE, named

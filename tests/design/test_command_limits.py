@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from violations import violations
 
-from sim2real.design.candidates import FAMILIES, draw
 from sim2real.design.limits import holding, limits_of, within
+from sim2real.design.search import FAMILIES, draw
 from sim2real.errors import InputError
 from sim2real.recording import Load
 from sim2real.robot import Joint, Link, Robot, Servo

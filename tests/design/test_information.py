@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim2real.design.candidates import draw
-from sim2real.design.information import Information
+from sim2real.design.information import AngleError, Information, ServoPrior, prior_of
 from sim2real.design.limits import limits_of, within
-from sim2real.design.prior import AngleError, ServoPrior, prior_of
+from sim2real.design.search import draw
 from sim2real.identification.fit import plain_row, refitted
 from sim2real.model import JointModel, Model
 from sim2real.recording import Load
@@ -65,14 +64,6 @@ def test_expected_widths_are_those_of_fits(commands):
     spread = np.std(fits, axis=0)
     assert np.abs(np.mean(fits, axis=0) - 1).max() < 1e-2
     np.testing.assert_allclose(spread, sd, rtol=0.35)  # 40 fits: 11 %, one standard deviation
-
-
-def test_errors_that_repeat_with_the_angle_widen_intervals(commands):
-    alone, more = (
-        Information(plain(AngleError(1e-3, size, lost=0.0)), LIMITS) for size in (0.0, 2e-3)
-    )
-    ratio = more.precision(commands).half_width / alone.precision(commands).half_width
-    assert (ratio > 1.05).all()
 
 
 def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):

@@ -78,15 +78,6 @@ def test_a_designed_swim_tells_more_than_a_random_one(designed):
     assert body.remaining < body.entropy
 
 
-def test_what_the_error_of_the_twin_imitates_is_told_apart_less():
-    command = draw(np.random.default_rng(1), 1, LIMITS, SECONDS)
-    wide = {name: 20 * sd for name, sd in RIVALS.imitation.items()}
-    apart, imitated = (
-        objective(one).distances(command)[0, 0, 1] for one in (RIVALS, swim_rivals(wide))
-    )
-    assert imitated < 0.5 * apart
-
-
 def test_rivals_of_swims_survive_a_file():
     content = json.loads(json.dumps(RIVALS.content()))
     again = read_swim_rivals(Fields("d.json", "", content))

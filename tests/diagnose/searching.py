@@ -8,8 +8,7 @@ from simulated import NOISE, traced
 
 from sim2real.diagnose.baseline import baselines
 from sim2real.diagnose.case import JointCase
-from sim2real.diagnose.effect_search import search
-from sim2real.diagnose.nuisances import first_look
+from sim2real.diagnose.effect_search import first_look, search
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.identification.servo_problem import Fits, Tried
 from sim2real.servo.batch import Batch

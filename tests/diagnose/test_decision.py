@@ -69,20 +69,6 @@ def test_a_logistic_curve_comes_back(curves):
     assert curves.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
 
 
-def test_a_curve_is_judged_on_plants_left_out(curves):
-    """What says nothing gets no weight worth having, and half of all is stated as half."""
-    rng = np.random.default_rng(0)
-    given = [
-        curves.Sample(
-            f"plant {k % 3}", str(k), {"intercept": 1.0, "noise": rng.normal()}, bool(k % 2)
-        )
-        for k in range(400)
-    ]
-    found = curves.curve(given)
-    assert abs(found.weights["noise"]) < 0.2
-    assert found.report()["calibration_error"] < 0.08
-
-
 def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     (tmp_path / "sim2real" / "diagnose").mkdir(parents=True)
     (tmp_path / "reports").mkdir()
@@ -109,18 +95,3 @@ def test_the_detection_gain_is_that_from_which_most_are_named(script):
         more = {"kind": "single", "truth": ["backlash"], "said": said, "alone": {"backlash": gain}}
         rows.append(row(case=str(k), **more))
     assert script.values_of(rows)["detection_gain"][0] == pytest.approx(15, abs=1.0)
-
-
-def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
-    from benchmarks.decision_sensitivity import alike, sensitivity
-
-    group = {"members": ["backlash"], "features": {"intercept": 1.0}}
-    named, less = (
-        [["backlash"], [[["backlash"], 0.9, 1.0]]],
-        [["backlash"], [[["backlash"], 0.4, 1.0]]],
-    )
-    varied = {"": named, "law_error=0": named, "law_error=0.1": less}
-    rows = [row(case=str(k), groups=[group], varied=varied) for k in range(5)]
-    told = sensitivity(rows, {"law_error": 0.03}, {"intercept": -0.5, "probability": 1.0})
-    assert told["law_error"] == {"value": 0.03, "0": 0, "0.1": 5}
-    assert alike("law_error", told).startswith("from 0 to 0.03 at most 0 of 5 joints")

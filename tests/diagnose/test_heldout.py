@@ -75,14 +75,6 @@ def test_the_right_servo_leaves_noise(three, start):
     assert [x.size for x in found.residuals] == [x.used.sum() for x in three]
 
 
-def test_missing_samples_are_not_scored(three, start):
-    used = np.arange(three[0].t.size) % 10 != 0
-    gappy = replace(three[0], used=used, position=np.where(used, three[0].position, np.nan))
-    (found,) = held_out([[gappy, *three[1:]]], [start])
-    assert found.residuals[0].size == used.sum()
-    assert np.isfinite(found.rmse)
-
-
 def test_nothing_to_hold_out(three, start):
     """The command moves at the very end only."""
     trace = three[0]
@@ -101,3 +93,11 @@ def test_of_a_recording_that_was_designed_only_the_end_is_held_out(three, start,
     _add_errors(errors, [joint], [finding], [[BASE]], "cpu")
     share = np.mean([x.size for x in errors[0][BASE].residuals]) / three[0].t.size
     assert share == pytest.approx(0.25 if designed else 1.0, abs=0.01)
+
+
+def test_missing_samples_are_not_scored(three, start):
+    used = np.arange(three[0].t.size) % 10 != 0
+    gappy = replace(three[0], used=used, position=np.where(used, three[0].position, np.nan))
+    (found,) = held_out([[gappy, *three[1:]]], [start])
+    assert found.residuals[0].size == used.sum()
+    assert np.isfinite(found.rmse)

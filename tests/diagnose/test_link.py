@@ -137,14 +137,6 @@ def test_a_link_says_which_and_on_which_joints():
     assert nothing.gain == 0
 
 
-def test_joints_of_different_recordings_lose_each_its_own():
-    short = recording(9, loss=0.05, t=np.arange(1200) / 50)[0]
-    both = [recording(9, loss=0.05)[0], short]
-    separate = [fit("packet_loss", [given]).gain for given in both]
-    together = fit("packet_loss", *([given] for given in both)).gain
-    assert together == pytest.approx(sum(separate), rel=0.01)
-
-
 def test_gains_that_are_wrong_are_neither():
     jitter, loss = uneven([recording(10, kp=1.1 * KP)[0]])
     assert jitter.gain < 5
@@ -264,13 +256,6 @@ def test_the_filter_sums_over_all_histories(timing):
     track = short_track()
     ((found,),) = EventFilter([[track]], alike=0.0).run([timing], width=2000)
     assert found.loglikelihood == pytest.approx(exact(track, timing), abs=1e-6)
-
-
-def test_models_of_arrivals_are_filtered_each_by_itself():
-    track, timing = short_track(), [Arrivals(delay_sd_s=x) for x in (1e-3, 3e-3, 5e-3)]
-    together = [found.loglikelihood for (found,) in EventFilter([[track]]).run(timing)]
-    alone = [EventFilter([[track]]).run([one])[0][0].loglikelihood for one in timing]
-    assert together == alone and len(set(alone)) == 3
 
 
 def test_propagator_is_the_servo_equation():

@@ -11,7 +11,7 @@ from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, robot, row, tra
 from sim2real.diagnose.baseline import as_read, baselines
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look, diagnose
-from sim2real.diagnose.nuisances import _best, first_look, size_in_noise, with_nuisances
+from sim2real.diagnose.effect_search import _best, first_look, size_in_noise, with_nuisances
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.effects import named
 from sim2real.identification.motor_prior import largest_rotor
@@ -34,11 +34,6 @@ def wavy():
 def test_a_sensor_that_errs_by_a_little_wave_is_a_plain_servo(wavy):
     assert "sensor_eccentricity" in wavy.base
     assert size_in_noise(wavy.plain, "sensor_eccentricity", NOISE) == pytest.approx(4, rel=0.3)
-
-
-def test_the_plain_servo_with_its_wave_is_as_good_as_its_noise(wavy):
-    error = np.sqrt(wavy.plain.fit.error2[0] / wavy.plain.fit.count[0])
-    assert error == pytest.approx(NOISE, rel=0.1)
 
 
 def test_the_base_has_no_prior_that_other_sets_lack():
@@ -99,17 +94,6 @@ def test_waves_stay_where_they_were_seen_when_a_gain_and_an_offset_of_the_sensor
     seen = (1 + GAIN) * q + OFFSET
     np.testing.assert_allclose(torque(after, seen), torque(before, q), atol=1e-9)
     np.testing.assert_array_equal(as_read(before, frozenset({"cogging", *errors})), before)
-
-
-def test_a_weight_beside_cogging_is_no_gain_of_the_sensor():
-    cogging = {"torque_Nm": 0.016, "period_rad": 0.0944, "phase_rad": 0.5}
-    given = {"gravity_load": {"torque_Nm": 0.15}, "cogging": cogging, "noise": NOISE / 3}
-    loads = Load(INERTIA, 0.08, 0.06), Load(2 * INERTIA)
-    traces = [traced(k, "ab"[k], load=load, **given) for k, load in enumerate(loads)]
-    found = searched(2 * NOISE, traces).tried
-    assert found.best.members - found.base == {"gravity_load"}
-    (period,) = found.best.fit.servos.theta[:, COLUMNS.index("cogging.period_rad")]
-    assert period == pytest.approx(0.0944, rel=0.003)
 
 
 @pytest.mark.parametrize(

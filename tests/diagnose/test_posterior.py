@@ -55,9 +55,3 @@ def test_groups_are_swaps_of_one_member():
 def test_an_unlikely_rival_is_no_member():
     result = EffectPosterior(SETS, np.array([0.79, 0.01, 0.15, 0.05]), np.zeros(4))
     assert all("b" not in group.members for group in result.groups(frozenset()))
-
-
-def test_what_a_given_model_has_is_not_named():
-    result = EffectPosterior(SETS[:2], np.array([0.6, 0.4]), np.zeros(2))
-    (group,) = result.groups(frozenset({"x"}))
-    assert group.members == ("a", "b")

@@ -54,14 +54,6 @@ def test_motion_of_its_own_is_something():
     assert excess_of(wave) > 1.3
 
 
-def test_missing_samples_do_not_count():
-    gappy = []
-    for x in wandering(1.0):
-        used = np.random.default_rng(0).random(x.t.size) > 0.02
-        gappy.append(replace(x, used=used, position=np.where(used, x.position, np.nan)))
-    assert excess_of(gappy) == pytest.approx(1.0, abs=0.15)
-
-
 def looked_at(traces):
     batch = Batch([traces])
     return unmodelled(batch, [traces], baselines(batch))[0]
