@@ -197,10 +197,7 @@ def design(
 
 
 def stated_loads(
-    robot: Robot,
-    model: Model | None,
-    inertia: Sequence[str] | None,
-    pendulum: Sequence[str] | None,
+    robot: Robot, model: Model | None, inertia: Sequence[str] | None, pendulum: Sequence[str] | None
 ) -> dict[str, Load]:
     """Loads by joint from ``J=KGM2`` and ``J=KG,M``, see ``importers.loads.with_loads``.
 

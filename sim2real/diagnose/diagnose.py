@@ -112,11 +112,7 @@ def diagnose_all(
 
 
 def examined(
-    case: Case,
-    *,
-    seed: int = 0,
-    device: str = "cpu",
-    progress: Progress = lambda share: None,
+    case: Case, *, seed: int = 0, device: str = "cpu", progress: Progress = lambda share: None
 ) -> tuple[Case, list[JointFindings]]:
     """What is known of each joint of a robot, before it is put into words; as ``diagnose_all``.
 

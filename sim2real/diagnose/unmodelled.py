@@ -153,10 +153,7 @@ def _without(trace: Trace, segments: tuple[Window, ...]) -> Trace:
 
 
 def _motions(
-    batch: Batch,
-    joints: Sequence[Sequence[Trace]],
-    residuals: Array,
-    joint: int,
+    batch: Batch, joints: Sequence[Sequence[Trace]], residuals: Array, joint: int
 ) -> list[JointMotion]:
     """The recordings of a joint, with the simulated angles of its siblings."""
     motions = []

@@ -9,13 +9,7 @@ from simulated import INERTIA, NOISE, column, recording, robot, row, steps, trac
 from sim.commands.diagnose import write_all
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.change import changed, jump_windows, what_changed
-from sim2real.diagnose.contrast import (
-    Contrast,
-    Directions,
-    at_any_time,
-    first_look,
-    first_pairs,
-)
+from sim2real.diagnose.contrast import Contrast, Directions, at_any_time, first_look, first_pairs
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.diagnose import diagnose, diagnose_all
 from sim2real.diagnose.explained import (
