@@ -68,21 +68,19 @@ def diagnose(
     start = None if model is None else model_of(model)
     swims = [recording for recording in read if recording.is_swim]
     if not swims:
-        from sim2real.diagnose import diagnose as diagnose_servos
-        from sim2real.diagnose.rival_sets import with_open_sets
+        from sim2real.diagnose.diagnose import diagnose as diagnose_servos
         from sim2real.progress import progress_bar
 
         if in_water is not None:
             found, expected = "recordings of a bench", "swims in a pool"
             raise InputError("diagnose", "in_water", found, expected)
-        if diagnosis is not None:
-            read = with_open_sets(read, diagnosis)
         with progress_bar("diagnose") as progress:
-            return diagnose_servos.diagnose(
+            return diagnose_servos(
                 read,
                 machine,
                 model=start,
                 references=earlier,
+                earlier=diagnosis,
                 negligible=negligible,
                 effort=effort,
                 seed=seed,

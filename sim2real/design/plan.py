@@ -175,7 +175,7 @@ def design(
             its load nowhere in its range.
     """
     names = _designed_joints(robot, model)
-    limits = {name: limits_of(robot, model, name) for name in names}
+    limits = {name: limits_of(robot, name) for name in names}
     for joint in limits.values():
         check_seconds(seconds, joint)
     designs = {}

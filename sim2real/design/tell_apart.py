@@ -122,7 +122,7 @@ class RivalDesign(NotebookDisplay):
         """The commands as a recording without measured angles, and what they are to tell."""
         rivals = [joint.rivals for joint in self.joints if isinstance(joint.rivals, JointRivals)]
         loads = {one.component: self.context.load(one) for one in rivals}
-        commands = [self._resampled(joint) for joint in self.joints]
+        commands = [joint.command for joint in self.joints]
         context = {"name": self.context.name, **self.context.ratios}
         return next_recording(name, self.t, commands, loads, self.statement | {"context": context})
 
@@ -133,12 +133,6 @@ class RivalDesign(NotebookDisplay):
             "rivals": [joint.content() for joint in self.joints],
             "provenance": dict(self.provenance),
         }
-
-    def _resampled(self, joint: JointForecast) -> Array:
-        """Set-points of a joint at the times of the first one."""
-        t = joint.rivals.period_s * np.arange(joint.command.size)
-        place = np.searchsorted(t, self.t + 1e-9, side="right") - 1
-        return np.asarray(joint.command[place])
 
     def plot(self, joint: str | None = None) -> Figure:
         """Commands of one joint, and over time the differences of what its rival sets predict."""
@@ -313,7 +307,7 @@ def forecast(
 
 def _limits(robot: Robot, rivals: JointRivals, seconds: float) -> CommandLimits:
     """Limits of the commands of a joint, at the period of the recordings so far."""
-    limits = limits_of(robot, None, rivals.component)
+    limits = limits_of(robot, rivals.component)
     limits = replace(limits, period_s=rivals.period_s)
     check_seconds(seconds, limits)
     return limits

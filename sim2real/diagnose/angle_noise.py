@@ -67,7 +67,7 @@ class NoisyJoint:
         return every, sum(int((s.counts & s.rests).sum()) for s in self.segments)
 
     def variance(self, error2: float) -> float:
-        """Likeliest variance of the innovations in motion, in rad2."""
+        """Most probable variance of the innovations in motion, in rad2."""
         return max(error2 / self.counts[0], _LEAST_SD_RAD**2)
 
     def loglikelihood(self, error2: float, ratio: float) -> float:
@@ -81,19 +81,15 @@ class NoisyJoint:
 
     def settled(self, noise: Noise) -> tuple[Noise, float]:
         """The noise with its sizes and ``refit`` at their best, and its log-likelihood."""
-        ratio = self.ratio([whitened(s.corrected(noise.refit), noise.model) for s in self.segments])
+        pairs = [(s, whitened(s.corrected(noise.refit), noise.model)) for s in self.segments]
+        rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
+        moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
+        ratio = 1.0
+        if rest.size and moving.any():
+            ratio = float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
         refit, error2 = self._refitted(replace(noise, ratio=ratio))
         best = Noise(noise.model, ratio, self.variance(error2), refit)
         return best, self.loglikelihood(error2, ratio)
-
-    def ratio(self, innovations: Sequence[Array]) -> float:
-        """Size of innovations (T,) at rest relative to those in motion."""
-        pairs = list(zip(self.segments, innovations, strict=True))
-        rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
-        moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
-        if not rest.size or not moving.any():
-            return 1.0
-        return float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
 
     def remodelled(self, noise: Noise, uncertainty: Array | None = None) -> Noise:
         """The noise with its autoregression refitted to the residuals under its ``refit``.
@@ -112,12 +108,17 @@ class NoisyJoint:
         return replace(noise, model=autoregression(products[None], self.least_gain)[0])
 
     def _refitted(self, noise: Noise) -> tuple[Array, float]:
+        """Best ``refit`` (3,) under this noise, and the weighted square that it leaves."""
         products = np.zeros((4, 4))
         for s in self.segments:
             columns = np.column_stack([s.residual, s.derivatives])
             columns = whitened(columns, noise.model, axis=0) * s.weight(noise.ratio)[:, None]
             products += columns.T @ columns
-        return regress(products)
+        normal = products[1:, 1:]
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
+        refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
+        return refit, float(products[0, 0] - products[0, 1:] @ refit)
 
 
 def with_noise(
@@ -163,7 +164,7 @@ def with_noise(
 def _with_rest(
     segments: Sequence[Segment], model: Array, *, fewest: int = 100
 ) -> tuple[Segment, ...]:
-    """The recordings with the speed below which a sample rests at its likeliest."""
+    """The recordings with the most probable speed below which a sample rests."""
     square = np.concatenate([whitened(s.residual, model)[s.counts] ** 2 for s in segments])
     speeds = [np.abs(s.derivatives[:, 0]) for s in segments]
     speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
@@ -179,12 +180,3 @@ def _with_rest(
         if value < best:
             best, limit = value, float(trial)
     return tuple(replace(s, rests=v <= limit) for s, v in zip(segments, speeds, strict=True))
-
-
-def regress(products: Array) -> tuple[Array, float]:
-    """Best ``refit`` (3,) and the square that it leaves, from inner products of both (4, 4)."""
-    normal = products[1:, 1:]
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
-    refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
-    return refit, float(products[0, 0] - products[0, 1:] @ refit)

@@ -74,7 +74,7 @@ class Decision:
     named: float  # probability from which an effect is named
     negligible: float  # share of the held-out error below whose change an effect does not matter
     min_improvement: float  # share of the held-out error that negligible effects must remove
-    group_share: float  # a rival this probable, relative to the likeliest, is in one group with it
+    group_share: float  # a rival this probable, relative to the first, is in one group with it
     missing_share: float  # share of joints that are expected to miss something; the prior
     prior_sd: float  # prior standard deviation of an effect's parameter, in typical values
     decisive_gain: float  # gain that is never due to chance, however irregular the noise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from sim2real.diagnose.investigate import investigate, placed
 from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.references import against_references, with_known_servos
 from sim2real.diagnose.result import Diagnosis
+from sim2real.diagnose.rival_sets import with_open_sets
 from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lines
 from sim2real.diagnose.wording import diagnosis, with_checks
@@ -41,6 +43,7 @@ def diagnose(
     *,
     model: Model | None = None,
     references: Sequence[Recording] = (),
+    earlier: str | os.PathLike[str] | None = None,
     negligible: float = DECISION.negligible,
     effort: float = 1.0,
     seed: int = 0,
@@ -53,6 +56,7 @@ def diagnose(
         robot: The robot that was recorded.
         model: A model to start from; its effects stay part of the plain servo.
         references: Recordings of the robot from before: then only what has changed since is named.
+        earlier: A diagnosis.json, of which the sets of effects that it left open are tried again.
         negligible: An effect that changes the held-out error by less than this share is listed, and
             makes no verdict.
         effort: Multiple of the simulation budget of the search for combinations of effects.
@@ -65,6 +69,8 @@ def diagnose(
     Raises:
         InputError: If the recordings and the robot do not agree, or no joint moves.
     """
+    if earlier is not None:
+        recordings = with_open_sets(recordings, earlier)
     gain = None if model is None else model.firmware_p_gain
     everything = at_one_gain([*references, *recordings], gain)
     loaded = with_arm_loads(everything, robot, model)

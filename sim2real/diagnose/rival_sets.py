@@ -65,11 +65,6 @@ class OpenSets:
     period_s: float  # time between samples
     sets: tuple[OpenSet, ...]  # the sets
 
-    @property
-    def entropy(self) -> float:
-        """Entropy of the probabilities, in nats."""
-        return entropy(np.array([one.probability for one in self.sets]))
-
 
 def entropy(probability: Array) -> float:
     """Entropy of probabilities (M,), in nats."""

@@ -54,7 +54,7 @@ class Smooth:
     state: str
     gain: float  # log-likelihood that it gains over the plain servo, the noise model at its best
     unknowns: int  # number of coefficients, the frequency of a line among them
-    jumps_s: tuple[float, ...]  # instant of the likeliest jump in each recording
+    jumps_s: tuple[float, ...]  # instant of the most probable jump in each recording
     shares: dict[str, float]  # for each state its gain over the plain servo, less half its unknowns
 
     def evidence(self, count: float) -> float:
@@ -198,7 +198,7 @@ def _shaking(
     shaken_Hz: tuple[float, float] = (0.2, 8.0),
     transform_length: int = 8192,
 ) -> Array:
-    """Angles of torques at the likeliest frequency, a sine and a cosine for each recording."""
+    """Angles of torques at the best frequency, a sine and a cosine for each recording."""
     motions = problem.motions
     left, _ = problem.without_gains(model)
     ends = np.cumsum([int(motion.counts.sum()) for motion in motions])[:-1]
@@ -218,7 +218,7 @@ def _shaking(
 def _jumps(
     problem: _Regression, model: Array, *, spacing_s: float = 0.25
 ) -> tuple[tuple[float, ...], Array]:
-    """The likeliest instant at which the sensor's zero jumps in each recording, and the steps."""
+    """The best instant at which the sensor's zero jumps in each recording, and the steps."""
     left, basis = problem.without_gains(model)
     size = problem.residual.size
     edges = [0, *problem.cuts, size]

@@ -78,23 +78,6 @@ def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
     assert ratio(commands[0]) > 1.2 * ratio(steps) > 1.2
 
 
-def test_loss_widens_intervals_as_much_as_fits_spread(commands):
-    noise, lost, t, rng = 5e-4, 0.02, LIMITS.times(6.0), np.random.default_rng(8)
-    command = commands[0]
-    information = Information(plain(AngleError(noise, 0.0, lost=lost)), LIMITS)
-    sd = np.sqrt(np.diagonal(information.precision(command[None]).covariance[0, 0]))
-    row, used, fits = information.prior.rows[0], np.ones(t.size, bool), []
-    for _ in range(40):
-        sent = command.copy()
-        for k in np.flatnonzero(rng.random(t.size) < lost):
-            sent[k] = sent[k - 1] if k else sent[0]
-        measured = rollout(row[None], t, sent)[0] + noise * rng.normal(size=t.size)
-        fits.append(refitted([Trace("a", "a", t, command, measured, LOAD, used)], row).values)
-    spread = np.std(np.array(fits) / GAINS, axis=0)
-    assert (spread < 1.4 * sd).all()  # the fit is robust against the few large errors
-    assert (spread > 0.25 * sd).all()
-
-
 def test_sums_over_parts_are_those_of_the_whole(commands):
     information = Information(prior_of(ROBOT, None, LIMITS, load=LOAD, draws=2), LIMITS)
     parts = information.statistics(commands, 5)

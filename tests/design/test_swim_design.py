@@ -21,7 +21,7 @@ from sim2real.recording import read_commands
 from sim2real.structured import Fields
 
 RIVALS = swim_rivals()
-LIMITS = SwimLimits(tuple(limits_of(FISH, None, joint.name) for joint in FISH.joints))
+LIMITS = SwimLimits(tuple(limits_of(FISH, joint.name) for joint in FISH.joints))
 SECONDS = 7.0
 FEW = {"seconds": SECONDS, "drawn": 6, "rounds": 1, "threads": 1}
 

@@ -47,25 +47,18 @@ def test_nothing_missing_is_consistent(clean):
     np.testing.assert_allclose(found, (KP, KD, LATENCY), rtol=0.02)
 
 
-def test_dry_friction_is_named(explained):
+def test_dry_friction_is_named_with_its_size(explained):
     assert explained.verdict == "explained"
     (effect,) = explained.effects
     assert (effect.effect, effect.component) == ("coulomb_friction", "j1")
     assert effect.group == ("coulomb_friction",)
     assert effect.probability > 0.85
-    assert "j1" in effect.statement
-    assert "friction" in effect.statement
-
-
-def test_its_size_comes_back(explained):
-    estimate = explained.effects[0].parameters["torque_Nm"]
+    assert "j1" in effect.statement and "friction" in effect.statement
+    estimate = effect.parameters["torque_Nm"]
     assert abs(estimate.mean - 0.05) < 4 * estimate.sd
     assert estimate.q05 < estimate.mean < estimate.q95
     assert estimate.sd < 0.002
-
-
-def test_it_removes_the_error_on_what_was_held_out(explained):
-    heldout = explained.effects[0].heldout
+    heldout = effect.heldout
     assert heldout["rmse_after"] == pytest.approx(NOISE, rel=0.08)
     assert heldout["rmse_before"] > 3 * heldout["rmse_after"]
     assert heldout["recoverable_removed"] > 0.9

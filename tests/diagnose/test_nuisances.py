@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from searching import searched
-from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
 
 from sim2real.diagnose.baseline import as_read, baselines
 from sim2real.diagnose.case import JointCase
@@ -69,12 +69,6 @@ def test_no_small_wave_stands_in_for_a_large_one():
     small = explained(60.0, cogging=0.005)
     assert _best(bare, [small], large_rad=0.01) is small
     assert _best(bare, [small, large], large_rad=0.01) is bare
-
-
-def test_a_small_wave_beside_a_large_one_is_still_a_nuisance():
-    bare, alone = explained(0.0), explained(60.0, sensor_eccentricity=0.002)
-    both = explained(500.0, cogging=0.03, sensor_eccentricity=0.002)
-    assert _best(bare, [alone, both], large_rad=0.01) is alone
 
 
 GAIN, OFFSET = 0.04, 0.012
@@ -191,14 +185,6 @@ def test_an_inertia_that_no_rotor_has_is_found():
     assert [one.effect for one in diagnosed(bench=small).effects] == ["unmodelled_inertia"]
     lighter = {"unmodelled_inertia": {"inertia_kgm2": -0.2 * INERTIA}}
     assert [one.effect for one in diagnosed(**lighter).effects] == ["unmodelled_inertia"]
-
-
-def test_friction_is_named_beside_a_rotor():
-    found = diagnosed(**FRICTION)
-    assert [one.effect for one in found.effects] == ["coulomb_friction"]
-    assert found.verdict == "explained"
-    rotor = found.model.joints["j1"].motor["rotor_inertia_kgm2"]
-    assert rotor == pytest.approx(ROTOR, rel=0.05)
 
 
 def test_play_is_named_alone_where_its_rotor_is_not_in_the_stated_load():
