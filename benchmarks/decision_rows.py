@@ -128,14 +128,15 @@ def measured(
     """What is known of each joint of some cases; their verdicts are written along."""
     from sim2real.diagnose.decision import DECISION
     from sim2real.diagnose.diagnose import examined
-    from sim2real.diagnose.page.wording import diagnosis
     from sim2real.diagnose.result import write_diagnosis
+    from sim2real.diagnose.wording import diagnosis
     from sim2real.model import write_model
 
     start, begin = time.process_time(), time.perf_counter()
     cases = [_case(challenge / "inputs" / answer["case"]) for answer in answers]
     rows = []
-    for answer, (case, joints) in zip(answers, examined(cases, device=device), strict=True):
+    for answer, given in zip(answers, cases, strict=True):
+        case, joints = examined(given, device=device)
         found = diagnosis(case, joints, DECISION.negligible, 0)
         target = verdicts / answer["case"]
         target.mkdir(parents=True, exist_ok=True)
@@ -205,8 +206,8 @@ def _case(folder: Path) -> Case:
 
 
 def _row(answer: Row, one: JointFindings, case: Case) -> Row:
-    from sim2real.diagnose.missing.calibrated_odds import odds_features
-    from sim2real.diagnose.missing.nuisances import size_in_noise
+    from sim2real.diagnose.calibrated_odds import odds_features
+    from sim2real.diagnose.effect_search import size_in_noise
     from sim2real.effects import named
 
     finding, best = one.finding, one.finding.best
@@ -287,15 +288,15 @@ def _varied(joints: Sequence[JointFindings]) -> list[Row]:
     """For each joint, by number and value, the likeliest set and the groups of it."""
     import numpy as np
 
+    from sim2real.diagnose import effect_probabilities as posterior
     from sim2real.diagnose.decision import DECISION
-    from sim2real.diagnose.missing import effect_probabilities as posterior
 
     found: list[Row] = [{} for _ in joints]
     tried = [one.finding.tried for one in joints]
     every = [("", 0.0), *((name, x) for name, values in VARIED.items() for x in values)]
     for name, value in every:
         posterior.DECISION = replace(DECISION, **{name: value}) if name else DECISION
-        some = posterior.posteriors(tried, [range(len(joints))], np.random.default_rng(0))
+        some = posterior.posteriors(tried, np.random.default_rng(0))
         for row, one, probable in zip(found, tried, some, strict=True):
             groups = [[g.members, g.probability, g.stability] for g in probable.groups(one.base)]
             row[f"{name}={value:g}" if name else ""] = [sorted(probable.sets[0]), groups]

@@ -1,4 +1,4 @@
-"""How large changes look where nothing has changed: writes ``diagnose/changed/unchanged.json``.
+"""How large changes look where nothing has changed: writes ``diagnose/unchanged.json``.
 
     python -m benchmarks.unchanged_bank
 
@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim2real.diagnose.changed.change import largest_jump
-from sim2real.diagnose.changed.contrast import BANK, directions, first_look, unit
-from sim2real.diagnose.changed.explained import Explained, explained
-from sim2real.diagnose.changed.references import law_of
+from sim2real.diagnose.change import largest_jump
+from sim2real.diagnose.contrast import BANK, directions, first_look, unit
+from sim2real.diagnose.explained import Explained, explained
+from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
 from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row

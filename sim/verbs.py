@@ -68,21 +68,19 @@ def diagnose(
     start = None if model is None else model_of(model)
     swims = [recording for recording in read if recording.is_swim]
     if not swims:
-        from sim2real.diagnose import diagnose as diagnose_servos
-        from sim2real.diagnose.rival_sets import with_open_sets
+        from sim2real.diagnose.diagnose import diagnose as diagnose_servos
         from sim2real.progress import progress_bar
 
         if in_water is not None:
             found, expected = "recordings of a bench", "swims in a pool"
             raise InputError("diagnose", "in_water", found, expected)
-        if diagnosis is not None:
-            read = with_open_sets(read, diagnosis)
         with progress_bar("diagnose") as progress:
-            return diagnose_servos.diagnose(
+            return diagnose_servos(
                 read,
                 machine,
                 model=start,
                 references=earlier,
+                earlier=diagnosis,
                 negligible=negligible,
                 effort=effort,
                 seed=seed,
@@ -291,8 +289,8 @@ def design(
     if contexts is not None or again:
         name = "again" if again else "contexts"
         raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
-    from sim2real.design.loads import stated_loads
     from sim2real.design.plan import design as plan
+    from sim2real.design.plan import stated_loads
 
     fitted = None if model is None else model_of(model)
     for note in () if fitted is None else fitted.notes:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from real_effects import EFFECTS, Parameters
 from real_files import SERVOS
 
-from sim2real.diagnose.changed.comparison import freed_of_the_common
+from sim2real.diagnose.explained import freed_of_the_common
 from sim2real.identification.first_guess import first_guess
 from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.plain_fit import best_of

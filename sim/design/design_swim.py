@@ -96,7 +96,7 @@ def design_swim(
         raise InputError(file, "swim_rivals", found, f"the {len(robot.joints)} of {robot.name}")
     limits = SwimLimits(
         tuple(
-            replace(limits_of(robot, model, joint.name), period_s=rivals.period_s)
+            replace(limits_of(robot, joint.name), period_s=rivals.period_s)
             for joint in robot.joints
         )
     )

@@ -22,8 +22,7 @@ from sim.inference.in_water import (
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
 from sim.inference.swims import Swim, swim_of
 from sim2real.diagnose.result import Diagnosis
-from sim2real.diagnose.rival_sets import design_of
-from sim2real.diagnose.separation import separations
+from sim2real.diagnose.rival_sets import design_of, separations
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.output import check_writable, provenance

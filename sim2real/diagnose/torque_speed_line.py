@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.diagnose.baseline import with_effects
 from sim2real.diagnose.case import Case, JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.baseline import with_effects
 from sim2real.identification.first_guess import first_guess
 from sim2real.identification.motor_choice import EXPLAINED, fit_limit, without_flat_limit
 from sim2real.identification.plain_fit import best_of
@@ -60,10 +60,7 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
 def _on_its_line(
     traces: Sequence[Trace], servo: Servo, rng: np.random.Generator
 ) -> tuple[JointModel, float] | None:
-    """The servo with its motor's line, and its residual relative to that of the linear servo.
-
-    None if the linear servo explains the recordings.
-    """
+    """The servo with its motor's line, and its residual relative to that of the linear servo."""
     noise = sensor_noise(traces)
     start, others = first_guess(traces, rng)
     plain = best_of(traces, np.vstack([start[None], others]))
@@ -86,12 +83,8 @@ def models_with_limits(
     """Plain models with their motor's limit, of joints that reach it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. Anything
-    large that is missing hides it from a fit of the plain servo. The likelier of the two is chosen.
-
-    Args:
-        batch: The recordings, joint by joint.
-        joints: The joints of the batch.
-        best: What explains each best at first sight.
+    large that is missing hides it from a fit of the plain servo, so it is fitted with ``best``,
+    what explains each joint best at first sight.
     """
     models = {}
     for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):

@@ -75,7 +75,7 @@ def design_figure(t: Array, name: str, joint: JointDesign) -> MplFigure:
     """Plot a command (T,), what it tells over time, and where that comes from."""
     parts = max(round(float(t[-1]) / _PART_S), 1)
     edges = np.linspace(0.0, float(t[-1]), parts + 1)
-    names = [readable_name(parameter) for parameter in joint.belief.names]
+    names = [readable_name(parameter) for parameter in joint.prior.names]
     angle, slopes = joint.information.sensitivities(joint.found.command[None])
     with house_style():
         figure = new_figure(600, printable(f"{name}: designed command and its information"))

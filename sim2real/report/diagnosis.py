@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.diagnose.result import Diagnosis, Experiment, JointSeries, Mismatch, NamedEffect
-from sim2real.diagnose.separation import SEPARATED
+from sim2real.diagnose.rival_sets import SEPARATED
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.diagnosis_plots import (
     command_figure,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.design.tell_apart import ExpectedSeparation, JointForecast, RivalDesign
-from sim2real.diagnose.separation import task
+from sim2real.diagnose.rival_sets import task
 from sim2real.report.diagnosis_what import figure
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import printable

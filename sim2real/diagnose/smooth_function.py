@@ -1,8 +1,8 @@
 """Physics without a name: could any smooth function of one state explain what a fit leaves?
 
-The servo is linearised about its own motion, so that a torque on the shaft moves the angle through
-1 / (I s2 + kd s + kp + gravity), and families of such torques (or of errors of the sensor) are
-fitted by least squares together with the gains, the noise model with them.
+The servo is linearised about its own motion: a torque on the shaft moves the angle through
+1 / (I s2 + kd s + kp + gravity). Families of such torques, or of errors of the sensor, are fitted
+by least squares together with the gains and the noise model.
 """
 
 from __future__ import annotations
@@ -23,64 +23,39 @@ from sim2real.servo.trace import Trace
 
 @dataclass(frozen=True)
 class JointMotion:
-    """One joint of one recording as a fitted servo sees it.
+    """One joint of one recording as a fitted servo sees it."""
 
-    Attributes:
-        trace: The recording, of T samples.
-        angle: Simulated angle in rad, shape (T,).
-        residual: Simulated minus measured angle in rad, 0 where none was measured, shape (T,).
-        counts: Samples whose innovation counts, shape (T,).
-        others: Simulated angles of the other joints in rad, shape (K, T).
-    """
-
-    trace: Trace
-    angle: Array
-    residual: Array
-    counts: Mask
-    others: Array
+    trace: Trace  # the recording, of T samples
+    angle: Array  # simulated angle in rad, shape (T,)
+    residual: Array  # simulated minus measured angle in rad, 0 where none was measured, shape (T,)
+    counts: Mask  # samples whose innovation counts, shape (T,)
+    others: Array  # simulated angles of the other joints in rad, shape (K, T)
 
 
 @dataclass(frozen=True)
 class ServoMotion:
-    """A plain servo, its recordings, and what its noise may be.
+    """A plain servo, its recordings, and what its noise may be."""
 
-    Attributes:
-        motions: Its recordings.
-        kp: Proportional gain, N m/rad.
-        kd: Derivative gain, N m s/rad.
-        latency: Latency, s.
-        least_gain: Smallest gain of the noise's whitening filter.
-        lags: Samples that the noise remembers.
-        thorough: Whether to look for shaking and for jumps as well, which takes longest.
-    """
-
-    motions: Sequence[JointMotion]
-    kp: float
-    kd: float
-    latency: float
-    least_gain: float
-    lags: int
-    thorough: bool = True
+    motions: Sequence[JointMotion]  # its recordings
+    kp: float  # proportional gain, N m/rad
+    kd: float  # derivative gain, N m s/rad
+    latency: float  # latency, s
+    least_gain: float  # smallest gain of the noise's whitening filter
+    lags: int  # samples that the noise remembers
+    thorough: bool = True  # whether to look for shaking and for jumps as well, which takes longest
 
 
 @dataclass(frozen=True)
 class Smooth:
-    """The best smooth function of one state.
+    """The best smooth function of one state."""
 
-    Attributes:
-        state: ``position``, ``speed``, ``error``, ``time``, ``shaking``, ``other_joint``,
-            ``sensor`` or ``jump``.
-        gain: Log-likelihood that it gains over the plain servo, the noise model at its best.
-        unknowns: Number of coefficients, the frequency of a line among them.
-        jumps_s: Instant of the likeliest jump in each recording.
-        shares: For each state its gain over the plain servo, less half its unknowns.
-    """
-
+    # ``position``, ``speed``, ``error``, ``time``, ``shaking``, ``other_joint``, ``sensor`` or
+    # ``jump``
     state: str
-    gain: float
-    unknowns: int
-    jumps_s: tuple[float, ...]
-    shares: dict[str, float]
+    gain: float  # log-likelihood that it gains over the plain servo, the noise model at its best
+    unknowns: int  # number of coefficients, the frequency of a line among them
+    jumps_s: tuple[float, ...]  # instant of the most probable jump in each recording
+    shares: dict[str, float]  # for each state its gain over the plain servo, less half its unknowns
 
     def evidence(self, count: float) -> float:
         """Evidence against the plain servo's."""
@@ -99,31 +74,24 @@ def smooth_function(servo: ServoMotion) -> Smooth:
     jumps: tuple[float, ...] = ()
     if servo.thorough:
         lines = _shaking(problem, model)
-        levels["shaking"], _ = problem.fit(lines, model)
-        unknowns["shaking"] = lines.shape[1] + 2
         jumps, steps = _jumps(problem, model)
-        levels["jump"], _ = problem.fit(steps, model)
-        unknowns["jump"] = 3 * len(jumps)
+        unknowns |= {"shaking": lines.shape[1] + 2, "jump": 3 * len(jumps)}
+        for name, columns in (("shaking", lines), ("jump", steps)):
+            levels[name], _ = problem.fit(columns, model)
     state = max(levels, key=lambda s: levels[s] - 4.0 * unknowns[s])
     shares = {s: level - plain - 0.5 * unknowns[s] for s, level in levels.items()}
     return Smooth(state, levels[state] - plain, unknowns[state], jumps, shares)
 
 
 class _Regression:
-    """Least squares on the residuals of a joint, with its gains and its noise model.
-
-    Args:
-        servo: The plain servo and its recordings.
-    """
+    """Least squares on the residuals of a joint, with its gains and its noise model."""
 
     def __init__(self, servo: ServoMotion) -> None:
         self.servo, self.motions = servo, servo.motions
         self.cuts = np.cumsum([m.residual.size for m in self.motions])[:-1]
         self.residual = np.concatenate([m.residual for m in self.motions])
-        self.filters, self.torques = [], []
-        for m in self.motions:
-            self.filters.append(_torque_filter(servo, m.trace))
-            self.torques.append(_gain_torques(servo, m))
+        self.filters = [_torque_filter(servo, m.trace) for m in self.motions]
+        self.torques = [_gain_torques(servo, m) for m in self.motions]
         self.gains = self.angles(self.torques)
 
     def angles(self, torques: Sequence[Array]) -> Array:
@@ -133,10 +101,7 @@ class _Regression:
         )
 
     def fit(self, columns: Array, model: Array | None, *, rounds: int = 2) -> tuple[float, Array]:
-        """Log-likelihood with gains, columns (N, K) and noise model at their best, and that model.
-
-        Starts from a noise model, or from that of the residuals.
-        """
+        """Log-likelihood with gains, columns (N, K) and noise model at their best; the model."""
         columns = np.hstack([self.gains, columns])
         model = self._noise_model(self.residual) if model is None else model
         level = 0.0
@@ -179,13 +144,8 @@ def _torque_filter(servo: ServoMotion, trace: Trace) -> tuple[Array, Array]:
     inertia, kd = trace.load.inertia_kgm2, servo.kd
     stiffness = trace.gain_factor * servo.kp + trace.load.gravity_Nm
     c = 2 / trace.period_s
-    a = np.array(
-        [
-            inertia * c**2 + kd * c + stiffness,
-            2 * stiffness - 2 * inertia * c**2,
-            inertia * c**2 - kd * c + stiffness,
-        ]
-    )
+    a = inertia * c**2 * np.array([1, -2, 1]) + kd * c * np.array([1, 0, -1])
+    a += stiffness * np.array([1, 2, 1])
     return np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
 
 
@@ -238,7 +198,7 @@ def _shaking(
     shaken_Hz: tuple[float, float] = (0.2, 8.0),
     transform_length: int = 8192,
 ) -> Array:
-    """Angles of torques at the likeliest frequency, a sine and a cosine for each recording."""
+    """Angles of torques at the best frequency, a sine and a cosine for each recording."""
     motions = problem.motions
     left, _ = problem.without_gains(model)
     ends = np.cumsum([int(motion.counts.sum()) for motion in motions])[:-1]
@@ -258,7 +218,7 @@ def _shaking(
 def _jumps(
     problem: _Regression, model: Array, *, spacing_s: float = 0.25
 ) -> tuple[tuple[float, ...], Array]:
-    """The likeliest instant at which the sensor's zero jumps in each recording, and the steps."""
+    """The best instant at which the sensor's zero jumps in each recording, and the steps."""
     left, basis = problem.without_gains(model)
     size = problem.residual.size
     edges = [0, *problem.cuts, size]

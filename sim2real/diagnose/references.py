@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
+from sim2real.diagnose.baseline import BLOCKS, with_effects
 from sim2real.diagnose.case import Case, JointCase, prepared
-from sim2real.diagnose.changed.change import what_changed
-from sim2real.diagnose.changed.explained import way_of
+from sim2real.diagnose.change import what_changed
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.missing.baseline import BLOCKS, with_effects
-from sim2real.diagnose.missing.investigate import ROUNDING, Finding
+from sim2real.diagnose.explained import way_of
+from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Experiment
 from sim2real.identification.first_guess import first_guess
 from sim2real.identification.motor_choice import choose_motor
@@ -26,30 +26,24 @@ from sim2real.servo.parameters import joint_row, stated
 from sim2real.servo.trace import Trace, sensor_noise, traces
 
 
-def with_known_servos(cases: Sequence[Case], rng: np.random.Generator) -> list[Case]:
-    """Cases whose model is the law of the servos that made their references, where none is given.
-
-    Args:
-        cases: The cases.
-        rng: For the scan for a start.
+def with_known_servos(case: Case, rng: np.random.Generator) -> Case:
+    """The case, its model the law of the servos that made its references where none is given.
 
     Raises:
         InputError: If references and robot do not agree, or no joint moves in them.
     """
-    known = list(cases)
-    for k, case in enumerate(cases):
-        if not case.references:
-            continue
-        prepared(replace(case, recordings=case.references, references=()))
-        if case.model is None:
-            joints = {}
-            for joint in case.robot.joints:
-                references = traces(case.references, joint.name)
-                now = traces(case.recordings, joint.name)
-                if references and now:
-                    joints[joint.name] = law_of(references, now, joint.servo, rng)
-            known[k] = replace(case, model=Model(joints=joints))
-    return known
+    if not case.references:
+        return case
+    prepared(replace(case, recordings=case.references, references=()))
+    if case.model is not None:
+        return case
+    joints = {}
+    for joint in case.robot.joints:
+        references = traces(case.references, joint.name)
+        now = traces(case.recordings, joint.name)
+        if references and now:
+            joints[joint.name] = law_of(references, now, joint.servo, rng)
+    return replace(case, model=Model(joints=joints))
 
 
 def law_of(
@@ -58,12 +52,6 @@ def law_of(
     """The law of the servo that made the references.
 
     The motor's, where what it leaves decides; the linear one where repeats or rests explain more.
-
-    Args:
-        references: The joint's references.
-        case: Its recordings in question.
-        servo: Its data sheet.
-        rng: For the scan for a start.
     """
     load = references[0].load
     start, others = first_guess(references, rng)
@@ -76,13 +64,7 @@ def law_of(
 
 
 def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Finding:
-    """The finding in which only what differs from the joint's references is named.
-
-    Args:
-        batch: The recordings that it is of.
-        joint: The joint; one without references keeps its finding.
-        finding: What is missing.
-    """
+    """The finding in which only what differs from the joint's references, if any, is named."""
     references = joint.references
     if not references or joint.model is None or joint.servo is None:
         return finding
@@ -120,10 +102,7 @@ def against_references(batch: Batch, joint: JointCase, finding: Finding) -> Find
 
 
 def _coarser(joint: JointCase) -> float:
-    """Probability that a joint's sensor is coarser than the references', and that is no chance.
-
-    Of all angles on a finer grid one in so many lies on the coarser one.
-    """
+    """Probability that a joint's sensor is coarser than the references', and that is no chance."""
     grid = max(trace.quantization_step() for trace in joint.references)
     if joint.step_rad is None or joint.step_rad <= DECISION.coarse_step_ratio * grid:
         return 0.0

@@ -9,9 +9,9 @@ import numpy as np
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.effect_probabilities import trusted_share
+from sim2real.diagnose.investigate import Finding, is_no_finding
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.missing.effect_probabilities import trusted_share
-from sim2real.diagnose.missing.investigate import Finding, is_no_finding
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.inference.normal import NINE_IN_TEN
@@ -24,19 +24,13 @@ def rival_sets(
 
     Three kinds of sets: the most probable ones; for every further effect that was considered, the
     most probable set that has it; and the most probable set together with one more effect of the
-    largest size that the recordings would not have shown.
-
-    Args:
-        joint: The joint.
-        finding: What was found on it.
-        most: Largest number of sets of the first two kinds.
-        hidden: Largest number of the third.
-        uniform: Share of the probability that is distributed evenly among all sets: the laws of the
-            effects are approximations, so that no probability of a set is certain.
+    largest size that the recordings would not have shown. At most ``most`` of the first two kinds
+    and ``hidden`` of the third. The share ``uniform`` of the probability is distributed evenly:
+    laws of effects are approximations, so that no probability of a set is certain.
     """
     best, plain = finding.best, finding.tried.plain
-    likely = list(_representatives(joint, finding, most))
-    sets = [_fitted(effects, p, h, plain) for effects, p, h in likely]
+    probable = list(_representatives(joint, finding, most))
+    sets = [_fitted(effects, p, h, plain) for effects, p, h in probable]
     sets += _hidden(joint, finding, {one.effects for one in sets}, hidden)
     total = sum(one.probability for one in sets)
     sets = [
@@ -47,29 +41,21 @@ def rival_sets(
         component=joint.name,
         load=joint.traces[0].load,
         period_s=finding.search.batch.period,
-        noise_rad=_innovation(best),
+        noise_rad=float(np.sqrt(best.fit.error2[0] / best.fit.count[0])),
         autoregression=best.fit.autoregression[0],
         sets=tuple(sorted(sets, key=lambda one: -one.probability)),
     )
 
 
-def _innovation(hypothesis: Hypothesis) -> float:
-    """Standard deviation of the innovations of a fit, rad."""
-    return float(np.sqrt(hypothesis.fit.error2[0] / hypothesis.fit.count[0]))
-
-
 def _representatives(
     joint: JointCase, finding: Finding, most: int, *, behind: float = 15.0
 ) -> Iterator[tuple[tuple[str, ...], float, Hypothesis]]:
-    """Names, probability and the likeliest fit of the sets; sets of the same names are one.
-
-    Sets whose evidence is more than ``behind`` below the best are listed only if probable.
-    """
+    """Names, probability and the best fit of the sets; sets of the same names are one."""
     tried, weight = finding.tried.tried, dict[tuple[str, ...], float]()
     trust = trusted_share(finding.best, finding.tried.plain)
     chosen: dict[tuple[str, ...], Hypothesis] = {}
     for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
-        names = stated_effects(joint, finding, tried[members])
+        names = _stated_effects(joint, finding, tried[members])
         weight[names] = weight.get(names, 0.0) + float(p)
         chosen.setdefault(names, tried[members])
     ranked = sorted(weight, key=lambda names: -weight[names])
@@ -77,7 +63,7 @@ def _representatives(
     first = first[:most] or ranked[:1]
     covered = {effect for names in first for effect in names}
     for hypothesis in sorted(tried.values(), key=lambda h: -h.evidence):
-        names = stated_effects(joint, finding, hypothesis)
+        names = _stated_effects(joint, finding, hypothesis)
         if trust * (finding.best.evidence - hypothesis.evidence) > behind:
             break
         if len(first) < most and names not in first and not covered.issuperset(names):
@@ -88,10 +74,10 @@ def _representatives(
         yield names, weight.get(names, 0.0), chosen[names]
 
 
-def stated_effects(joint: JointCase, finding: Finding, hypothesis: Hypothesis) -> tuple[str, ...]:
+def _stated_effects(joint: JointCase, finding: Finding, servo: Hypothesis) -> tuple[str, ...]:
     """Effects of a set that a verdict would state."""
-    added = hypothesis.members - finding.tried.base
-    return tuple(sorted(e for e in added if not is_no_finding(hypothesis, e, joint)))
+    added = servo.members - finding.tried.base
+    return tuple(sorted(e for e in added if not is_no_finding(servo, e, joint)))
 
 
 def _fitted(
@@ -114,15 +100,12 @@ def _fitted(
 def _hidden(
     joint: JointCase, finding: Finding, taken: set[tuple[str, ...]], most: int
 ) -> list[RivalSet]:
-    """The likeliest set with one more effect, of the largest size that would not have been seen.
-
-    The size is one of those that the search has looked at. Its standard deviation is the size.
-    """
+    """The best set with one more effect, of the largest size that would not have been seen."""
     best = finding.best
     posterior = dict(zip(finding.posterior.sets, finding.posterior.probability, strict=True))
     # The best set is improbable where irregular timing explains what its effects would.
     share = float(posterior.get(best.members, 0.0))
-    known = _fitted(stated_effects(joint, finding, best), share, best, finding.tried.plain)
+    known = _fitted(_stated_effects(joint, finding, best), share, best, finding.tried.plain)
     seen, options = finding.search.seen(finding.tried, best.members)
     needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
     found: list[RivalSet] = []
@@ -152,6 +135,6 @@ def set_probabilities(joint: JointFindings) -> dict[frozenset[str], float]:
     finding = joint.finding
     weight: dict[frozenset[str], float] = {}
     for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
-        names = frozenset(stated_effects(joint.joint, finding, finding.tried.tried[members]))
+        names = frozenset(_stated_effects(joint.joint, finding, finding.tried.tried[members]))
         weight[names] = weight.get(names, 0.0) + float(p)
     return weight

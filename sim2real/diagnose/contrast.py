@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.arrays import Array, Mask
-from sim2real.diagnose.changed.explained import DIFFERENCE, GAINS, Explained
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.screening import candidate, candidates
+from sim2real.diagnose.explained import DIFFERENCE, GAINS, Explained
+from sim2real.diagnose.screening import candidate, candidates
 from sim2real.effects import named
 from sim2real.inference.evidence import student
 from sim2real.inference.least_squares import Expansion, expansion, minimise, stacked
@@ -24,50 +23,40 @@ BANK = Path(__file__).with_name("unchanged.json")
 
 @dataclass(frozen=True)
 class Unchanged:
-    """What recordings look like in which nothing has changed, by the way they are explained.
+    """What recordings look like in which nothing has changed, by the way they are explained."""
 
-    Attributes:
-        known: How many of them there are.
-        null: Null size of each effect, mean squares over the references' residual.
-        jump: Largest step of the residual, over the references', that is no sign of anything.
-    """
-
-    known: float
+    known: float  # how many of them there are
+    # null size of each effect, mean squares over the references' residual
     null: Mapping[str, float]
-    jump: float
+    jump: float  # largest step of the residual, over the references', that is no sign of anything
 
 
 def _read_bank() -> dict[str, Unchanged]:
-    """The bank that ``benchmarks/unchanged_bank.py`` made."""
     ways = Fields(BANK, "", read_json(BANK, "sim2real.unchanged/1")).table("ways")
-    bank = {}
-    for way in ways.content:
-        entry = ways.table(way)
-        null = entry.table("null")
-        sizes = {name: null.number(name) for name in null.content}
-        bank[way] = Unchanged(entry.number("known"), sizes, entry.number("jump"))
-    return bank
+    entries = {way: ways.table(way) for way in ways.content}
+    nulls = {way: entry.table("null") for way, entry in entries.items()}
+    return {
+        way: Unchanged(
+            entry.number("known"),
+            {name: nulls[way].number(name) for name in nulls[way].content},
+            entry.number("jump"),
+        )
+        for way, entry in entries.items()
+    }
 
 
 BANKS = _read_bank()
-"""Recordings in which nothing has changed, by the way they are explained."""
+"""Recordings in which nothing has changed, as ``benchmarks/unchanged_bank.py`` found them."""
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Every start of every effect, and of the plain servo's parameters.
+    """Every start of every effect, and of the plain servo's parameters."""
 
-    Attributes:
-        names: Effect or parameter of each, of which there are K.
-        rows: The servo with it, shape (K, P).
-        signed: Whether it means something backwards, too, shape (K,).
-        moved: How it moves the angles of each recording, (K, T) each.
-    """
-
-    names: tuple[str, ...]
-    rows: Array
-    signed: Mask
-    moved: tuple[Array, ...]
+    names: tuple[str, ...]  # effect or parameter of each, of which there are K
+    rows: Array  # the servo with it, shape (K, P)
+    signed: Mask  # whether it means something backwards, too, shape (K,)
+    moved: tuple[Array, ...]  # how it moves the angles of each recording, (K, T) each
 
 
 def directions(of: Explained) -> Directions:
@@ -80,7 +69,7 @@ def directions(of: Explained) -> Directions:
             rows.append(of.row.copy())
             rows[-1][k] += 0.01 if name == "latency_s" else 0.1 * of.row[k]
             names.append(name)
-    for option in candidates(frozenset(present - {"motor"}), kp, inertia):
+    for option in candidates(present - {"motor"}, kp, inertia):
         for start in option.starts if not option.effect.everywhere else ():
             rows.append(of.row.copy())
             rows[-1][option.columns] = start
@@ -93,15 +82,10 @@ def directions(of: Explained) -> Directions:
 
 
 def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array, Array]:
-    """Free each direction in some recordings only, what the law shares in all.
+    """Free each direction in the recordings ``own`` only, what the law shares in all.
 
     Least squares, linear in all parameters, one variance for all recordings. Where it is free in
     references, the case is left out: what changed there is nothing that references leave.
-
-    Args:
-        of: The recordings.
-        by: The directions.
-        own: Those in which it is free.
 
     Returns:
         What it takes away from them, as a mean square in rad2, its size in multiples of the start,
@@ -140,39 +124,25 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
 
 @dataclass(frozen=True)
 class Contrast:
-    """What a change of each effect would explain of a joint's case.
+    """What a change of each effect would explain of a joint's case."""
 
-    Attributes:
-        effects: The effects, and parameters of the plain servo, of which there are N.
-        gone: Mean square that each takes away from the case, rad2, shape (N,).
-        remaining: Mean square that each leaves, shape (N,).
-        size: How far each lies, in multiples of its start, shape (N,).
-        rows: The case's servo with each, shape (N, P).
-        usual: What each takes away where nothing has changed, in ``unit``, by the bank, (N,).
-        in_references: The sum of what each takes away from the references, rad2, shape (N,).
-        known: Unchanged recordings behind the null sizes, of the bank and in all.
-        scale2: Mean square residual of the references.
-        law: Whether these are explained by a law, which may fit few of them too well.
-    """
-
-    effects: tuple[str, ...]
-    gone: Array
-    remaining: Array
-    size: Array
-    rows: Array
-    usual: Array
-    in_references: Array
-    known: tuple[float, float]
-    scale2: float
-    law: bool = False
+    effects: tuple[str, ...]  # the effects, and parameters of the plain servo, of which there are N
+    gone: Array  # mean square that each takes away from the case, rad2, shape (N,)
+    remaining: Array  # mean square that each leaves, shape (N,)
+    size: Array  # how far each lies, in multiples of its start, shape (N,)
+    rows: Array  # the case's servo with each, shape (N, P)
+    usual: Array  # what each takes away where nothing has changed, in ``unit``, by the bank, (N,)
+    in_references: Array  # the sum of what each takes away from the references, rad2, shape (N,)
+    known: tuple[float, float]  # unchanged recordings behind the null sizes, of the bank and in all
+    scale2: float  # mean square residual of the references
+    law: bool = False  # whether these are explained by a law, which may fit few of them too well
 
     @property
     def null(self) -> Array:
         """Mean square that each takes away where nothing has changed, rad2, shape (N,)."""
         bank, every = self.known
-        return (
-            self.usual * unit(self.law, self.scale2, self.remaining) * bank + self.in_references
-        ) / every
+        of_bank = self.usual * unit(self.law, self.scale2, self.remaining) * bank
+        return np.asarray((of_bank + self.in_references) / every)
 
     @property
     def evidence(self) -> Array:
@@ -180,7 +150,7 @@ class Contrast:
         return student(self.gone / self.null, self.known[1])
 
     @property
-    def misfit(self) -> Array:
+    def behind(self) -> Array:
         """What each explains less than the best does, in nats, shape (N,).
 
         A law is not quite what a servo does: it may be wrong by a share of what it explains.
@@ -191,12 +161,7 @@ class Contrast:
 
 
 def contrast(of: Explained, by: Directions) -> Contrast:
-    """Weigh a change of each effect against none, to first order.
-
-    Args:
-        of: The joint's case and its references.
-        by: The changes.
-    """
+    """Weigh a change of each effect against none, to first order."""
     unchanged = BANKS[of.way]
     names = tuple(dict.fromkeys(by.names))
     place = [np.flatnonzero([n == name for n in by.names]) for name in names]
@@ -210,12 +175,17 @@ def contrast(of: Explained, by: Directions) -> Contrast:
     if of.way == "repeat":
         usual *= np.mean([at_any_time(of.residuals[r], by.moved[r][best]) for r in seen], axis=0)
     looks = [first_look(of, by, [r])[0] for r in seen]
-    before = np.array([sum(float(look[mine].max()) for look in looks) for mine in place])
-    rows = of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None]
-    known = unchanged.known, unchanged.known + len(seen)
-    law = of.way == "law"
     return Contrast(
-        names, gone[best], remaining[best], size[best], rows, usual, before, known, of.scale2, law
+        effects=names,
+        gone=gone[best],
+        remaining=remaining[best],
+        size=size[best],
+        rows=of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None],
+        usual=usual,
+        in_references=np.array([sum(float(x[mine].max()) for x in looks) for mine in place]),
+        known=(unchanged.known, unchanged.known + len(seen)),
+        scale2=of.scale2,
+        law=of.way == "law",
     )
 
 
@@ -225,12 +195,10 @@ def straight(of: Explained) -> float:
 
 
 def unit(law: bool, scale2: float, remaining: Array) -> Array:
-    """What null sizes are multiples of, rad2, shape (N,).
+    """What null sizes are multiples of, rad2, shape (N,): what is left, at least ``scale2``.
 
-    Args:
-        law: Whether the recordings are explained by a law.
-        scale2: Mean square residual of the references.
-        remaining: Mean square that effects leave of the case, shape (N,).
+    That of references alone where no law explains the recordings. ``remaining`` is the mean square
+    that effects leave of the case, shape (N,).
     """
     return np.maximum(remaining, scale2) if law else np.full(remaining.shape, scale2)
 
@@ -288,19 +256,17 @@ def fitted(
 ) -> tuple[Array, float]:
     """Fit effects, or parameters of the plain servo, to the case; the servo itself stays.
 
-    Args:
-        of: The recordings.
-        effects: Names of the effects.
-        starts: Servos to start from, shape (P,) each.
-        evaluations: Evaluations of each fit at most.
+    ``starts`` are servos to start from, shape (P,) each.
 
     Returns:
         The servo with these effects, shape (P,), and the mean square that it leaves, rad2.
     """
     bounds = zip(*(_bounds(of, name) for name in effects), strict=True)
     columns, low, high, scale = (np.concatenate(x) for x in bounds)
-    box = low / scale, high / scale
+    columns = columns.astype(int)
+    low, high = low / scale, high / scale
     base = of.simulated(of.row[None], of.case)
+    noise = np.sqrt(of.scale2)
 
     def residuals(x: Array) -> Array:
         rows = np.tile(of.row, (len(x), 1))
@@ -309,17 +275,15 @@ def fitted(
         parts = [(of.residuals[r] - m)[:, of.seen(r)] for r, m in zip(of.case, moved, strict=True)]
         return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
 
-    noise = np.sqrt(of.scale2)
-
     def about(x: Array) -> Expansion:
-        step = np.where(x + DIFFERENCE > box[1], -DIFFERENCE, DIFFERENCE)
+        step = np.where(x + DIFFERENCE > high, -DIFFERENCE, DIFFERENCE)
         error, *others = residuals(np.vstack([x, x + np.diag(step)])) / noise
         return expansion(error, ((np.array(others) - error) / step[:, None]).T)
 
     minimum = minimise(
         lambda points, _: stacked([about(x) for x in points]),
         np.array([start[columns] / scale for start in starts]),
-        *(np.tile(ends, (len(starts), 1)) for ends in box),
+        *(np.tile(ends, (len(starts), 1)) for ends in (low, high)),
         evaluations=evaluations,
         settled=1e-3,
     )
@@ -329,12 +293,12 @@ def fitted(
     return best, 2 * float(minimum.expansion.loss[k]) * of.scale2 / max(of.count(of.case), 1)
 
 
-def _bounds(of: Explained, name: str) -> tuple[NDArray[np.integer], Array, Array, Array]:
+def _bounds(of: Explained, name: str) -> tuple[Array, Array, Array, Array]:
     """Columns of an effect's parameters, their bounds, and their natural sizes, shape (K,) each."""
     if name not in GAINS:
         option = candidate(named(name), float(of.row[0]), of.traces[0].load.inertia_kgm2)
-        return option.columns, option.low, option.high, option.unit
+        return option.columns.astype(float), option.low, option.high, option.unit
     column = GAINS.index(name)
     value = max(float(of.row[column]), 1e-6)
-    high, unit = (0.5, 0.02) if name == "latency_s" else (30 * value, value)
-    return np.array([column]), np.zeros(1), np.array([high]), np.array([unit])
+    high, size = (0.5, 0.02) if name == "latency_s" else (30 * value, value)
+    return np.array([column]), np.zeros(1), np.array([high]), np.array([size])

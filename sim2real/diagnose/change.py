@@ -1,9 +1,8 @@
 """What has changed, given how recordings of an unchanged servo differ among themselves.
 
-Every servo lacks some physics, and what it lacks looks different in each recording: an effect that
-is freed in one reference alone explains something there, though nothing has changed. How large each
-effect looks in unchanged recordings is its *null size*: the mean square of the angles that it takes
-away, over the references' residual. It is read off a bank of unchanged recordings of other servos
+What a servo lacks looks different in each recording: an effect that is freed in one reference alone
+explains something there, though nothing has changed. How much, as a mean square over the
+references' residual, is its *null size*. It is read off recordings of other unchanged servos
 (``unchanged.json``) and off the case's own references, and the case is judged by it with Student's
 tails, references being few.
 """
@@ -17,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from sim2real.arrays import Array
-from sim2real.diagnose.changed.contrast import (
+from sim2real.diagnose.contrast import (
     BANKS,
     Contrast,
     Directions,
@@ -27,18 +26,11 @@ from sim2real.diagnose.changed.contrast import (
     fitted,
     straight,
 )
-from sim2real.diagnose.changed.explained import (
-    Explained,
-    energy,
-    explained,
-    loss,
-    misstated,
-    settled,
-)
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.link.link_effect import IrregularTiming, LinkData, link
-from sim2real.diagnose.missing.effect_probabilities import EffectPosterior, Group
-from sim2real.diagnose.missing.unmodelled import Windows
+from sim2real.diagnose.effect_probabilities import EffectPosterior, Group
+from sim2real.diagnose.explained import Explained, energy, explained, loss, misstated, settled
+from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.unmodelled import Windows
 from sim2real.identification.servo_problem import Set
 from sim2real.inference.evidence import student
 from sim2real.inference.segments import Window
@@ -53,25 +45,18 @@ _MOST = 10
 
 @dataclass(frozen=True)
 class Change:
-    """What has changed on a joint.
+    """What has changed on a joint."""
 
-    Attributes:
-        groups: What it is, likeliest first; an effect and those that it is confused with, then
-            parameters of the plain servo that may be set anew instead. There is at least one.
-            Nothing is resampled: stability repeats probability.
-        probability: Of each effect, and of each parameter of the plain servo.
-        row: Parameters of the case with what is likeliest, shape (P,).
-        nameless: Probability that there is something that no effect explains.
-        windows: Where that is, for each recording, if it has an end or a beginning.
-        link: Irregular timing of the link since, or None.
-    """
-
+    # what it is, most probable first; an effect and those that it is confused with, then parameters
+    # of the plain servo that may be set anew instead. There is at least one. Nothing is resampled:
+    # stability repeats probability
     groups: tuple[Group, ...]
-    probability: Mapping[str, float]
-    row: Array
-    nameless: float = 0.0
+    probability: Mapping[str, float]  # of each effect, and of each parameter of the plain servo
+    row: Array  # parameters of the case with what is most probable, shape (P,)
+    nameless: float = 0.0  # probability that there is something that no effect explains
+    # where that is, for each recording, if it has an end or a beginning
     windows: Windows | None = None
-    link: IrregularTiming | None = None
+    link: IrregularTiming | None = None  # irregular timing of the link since, or None
 
     def posterior(self, base: Set) -> EffectPosterior:
         """The probabilities as those of sets of effects, nothing more than ``base`` among them."""
@@ -89,15 +74,7 @@ def what_changed(
     servo: Servo,
     step_rad: float = 0.0,
 ) -> Change:
-    """What of a joint differs from its references.
-
-    Args:
-        references: The joint's references.
-        case: Its recordings in question.
-        row: Parameters of the servo as the references tell it, shape (P,).
-        servo: Its data sheet.
-        step_rad: Step of the case's sensor.
-    """
+    """What of a joint differs from its references, whose servo has the parameters ``row`` (P,)."""
     of = explained(references, case, row, servo)
     load = misstated(of)
     if load is not None:
@@ -110,12 +87,7 @@ def what_changed(
 
 
 def changed(of: Explained, step_rad: float = 0.0) -> Change:
-    """What has changed in the case: each effect alone, two where a repeat shows two, or nothing.
-
-    Args:
-        of: The recordings, explained.
-        step_rad: Step of the case's sensor, which is no jump.
-    """
+    """What has changed in the case: each effect alone, two where a repeat shows two, or nothing."""
     by = directions(of)
     effects = first = contrast(of, by)
     if first.evidence.max() > DECISION.change.min_evidence:
@@ -150,10 +122,7 @@ def changed(of: Explained, step_rad: float = 0.0) -> Change:
 
 
 def _refined(of: Explained, effects: Contrast, by: Directions) -> Contrast:
-    """The contrast of its likeliest changes, each fitted to the case.
-
-    At least one effect is among them, and every parameter of the plain servo.
-    """
+    """The contrast of its most probable changes, each fitted to the case."""
     ranked = [int(k) for k in np.argsort(-effects.gone)]
     first = next(k for k in ranked if effects.effects[k] not in BASE)
     parameters = [k for k in ranked[_MOST:] if effects.effects[k] in BASE]
@@ -192,7 +161,7 @@ def _without(of: Explained, row: Array) -> Explained:
 
 def _single(of: Explained, effects: Contrast) -> Change:
     """One change, or none, or one that has no name."""
-    weight = effects.evidence - effects.misfit
+    weight = effects.evidence - effects.behind
     best = int(np.argmax(weight))
     sure = float(expit(effects.evidence[best] + LOG_PRIOR))
     strange = 0.0
@@ -221,7 +190,7 @@ def _single(of: Explained, effects: Contrast) -> Change:
 def _group(probability: Mapping[str, float]) -> Group:
     """Effects that are indistinguishable, and parameters of the plain servo that may have changed.
 
-    The likeliest is an effect; where a parameter is so much likelier that the two are
+    The most probable is an effect; where a parameter is so much more probable that the two are
     distinguishable, no parameter is listed with it.
     """
     order = sorted(probability, key=lambda n: -probability[n])
@@ -313,10 +282,6 @@ def jump_windows(of: Explained, step_rad: float = 0.0) -> Windows | None:
 
     To the recording's end where there is but one jump, or where the residual stays far larger than
     before. None where there are none.
-
-    Args:
-        of: The recordings, explained.
-        step_rad: Step of the case's sensor, which is no jump.
     """
     usual = max(largest_jump(of, range(of.references)), step_rad)
     if usual <= 0:
@@ -353,17 +318,13 @@ def _lasting(of: Explained, windows: Windows) -> bool:
 
 
 def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) -> Change | None:
-    """Jitter of the link that no repeat has, or None.
-
-    The noise remembers ``lags`` samples; ``least_gain`` of its whitening filter at frequency 0 is
-    1, so that it takes nothing for itself that repeats may have from the link, too.
-    """
+    """Jitter of the link that no repeat has, or None."""
     period = of.traces[0].period_s
     links = []
     for r, trace in enumerate(of.traces):
         seen = replace(trace, used=of.seen(r))
         residual = Residual(seen, -np.nan_to_num(of.residuals[r]), *of.row[:3].tolist())
-        links.append(link(LinkData(((residual,),), lags, least_gain)))
+        links.append(link_of(LinkData(((residual,),), lags, least_gain)))
     late = [u.value if u.effect == "latency_jitter" else 0.0 for u in links]
     worst = max(of.case, key=lambda r: late[r])
     if late[worst] > period / 2:  # set-points would overtake each other

@@ -1,6 +1,6 @@
 """Autoregressive noise of an angle, with normal innovations of two sizes: in motion and at rest.
 
-It is the alternative against which irregular timing of set-points is tested.
+Irregular timing of set-points is tested against it.
 """
 
 from __future__ import annotations
@@ -24,21 +24,13 @@ _REST_SHARES = np.linspace(0.1, 0.8, 8)
 
 @dataclass(frozen=True)
 class Segment:
-    """One recording of one joint.
+    """One recording of one joint."""
 
-    Attributes:
-        source: The recording.
-        derivatives: Of the angle, as ``gain_derivatives`` returns them.
-        residual: Simulated minus measured angle in rad, 0 where not used, shape (T,).
-        counts: Samples whose innovations count, shape (T,).
-        rests: Samples at which the joint is at rest, shape (T,).
-    """
-
-    source: Residual
-    derivatives: Array
-    residual: Array
-    counts: Mask
-    rests: Mask
+    source: Residual  # the recording
+    derivatives: Array  # of the angle, as ``gain_derivatives`` returns them
+    residual: Array  # simulated minus measured angle in rad, 0 where not used, shape (T,)
+    counts: Mask  # samples whose innovations count, shape (T,)
+    rests: Mask  # samples at which the joint is at rest, shape (T,)
 
     def weight(self, ratio: float) -> Array:
         """One over the size of the noise relative to that in motion, 0 where not counted, (T,)."""
@@ -51,34 +43,22 @@ class Segment:
 
 @dataclass(frozen=True)
 class Noise:
-    """Autoregressive noise with innovations of two sizes.
+    """Autoregressive noise with innovations of two sizes."""
 
-    Attributes:
-        model: Coefficients, shape (p,).
-        ratio: Standard deviation of the innovations at rest, relative to those in motion.
-        variance: Of the innovations in motion, in rad2.
-        refit: How far the latency in s and the logarithms of kd and kp are too large, shape (3,).
-    """
-
-    model: Array
-    ratio: float
-    variance: float
+    model: Array  # coefficients, shape (p,)
+    ratio: float  # standard deviation of the innovations at rest, relative to those in motion
+    variance: float  # of the innovations in motion, in rad2
+    # how far the latency in s and the logarithms of kd and kp are too large, shape (3,)
     refit: Array
 
 
 @dataclass(frozen=True)
 class NoisyJoint:
-    """All recordings of one joint, and the noise that best explains what a fit leaves of them.
+    """All recordings of one joint, and the noise that best explains what a fit leaves of them."""
 
-    Attributes:
-        segments: The recordings.
-        noise: The noise.
-        least_gain: Least gain of the whitening filter at frequency 0.
-    """
-
-    segments: tuple[Segment, ...]
-    noise: Noise
-    least_gain: float
+    segments: tuple[Segment, ...]  # the recordings
+    noise: Noise  # the noise
+    least_gain: float  # least gain of the whitening filter at frequency 0
 
     @cached_property
     def counts(self) -> tuple[int, int]:
@@ -87,7 +67,7 @@ class NoisyJoint:
         return every, sum(int((s.counts & s.rests).sum()) for s in self.segments)
 
     def variance(self, error2: float) -> float:
-        """Likeliest variance of the innovations in motion, in rad2."""
+        """Most probable variance of the innovations in motion, in rad2."""
         return max(error2 / self.counts[0], _LEAST_SD_RAD**2)
 
     def loglikelihood(self, error2: float, ratio: float) -> float:
@@ -101,27 +81,21 @@ class NoisyJoint:
 
     def settled(self, noise: Noise) -> tuple[Noise, float]:
         """The noise with its sizes and ``refit`` at their best, and its log-likelihood."""
-        ratio = self.ratio([whitened(s.corrected(noise.refit), noise.model) for s in self.segments])
+        pairs = [(s, whitened(s.corrected(noise.refit), noise.model)) for s in self.segments]
+        rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
+        moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
+        ratio = 1.0
+        if rest.size and moving.any():
+            ratio = float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
         refit, error2 = self._refitted(replace(noise, ratio=ratio))
         best = Noise(noise.model, ratio, self.variance(error2), refit)
         return best, self.loglikelihood(error2, ratio)
 
-    def ratio(self, innovations: Sequence[Array]) -> float:
-        """Size of innovations (T,) at rest relative to those in motion."""
-        pairs = list(zip(self.segments, innovations, strict=True))
-        rest = np.concatenate([e[s.counts & s.rests] for s, e in pairs])
-        moving = np.concatenate([e[s.counts & ~s.rests] for s, e in pairs])
-        if not rest.size or not moving.any():
-            return 1.0
-        return float(np.clip(np.sqrt(np.mean(rest**2) / np.mean(moving**2)), *RATIOS))
-
     def remodelled(self, noise: Noise, uncertainty: Array | None = None) -> Noise:
         """The noise with its autoregression refitted to the residuals under its ``refit``.
 
-        Args:
-            noise: The noise.
-            uncertainty: Lag products that an uncertain part of the residuals adds in motion and at
-                rest, in rad2, shape (2, p + 1, p + 1).
+        An uncertain part of the residuals adds lag products in motion and at rest, in rad2, shape
+        (2, p + 1, p + 1).
         """
         p = noise.model.size
         products = np.zeros((p + 1, p + 1))
@@ -134,12 +108,17 @@ class NoisyJoint:
         return replace(noise, model=autoregression(products[None], self.least_gain)[0])
 
     def _refitted(self, noise: Noise) -> tuple[Array, float]:
+        """Best ``refit`` (3,) under this noise, and the weighted square that it leaves."""
         products = np.zeros((4, 4))
         for s in self.segments:
             columns = np.column_stack([s.residual, s.derivatives])
             columns = whitened(columns, noise.model, axis=0) * s.weight(noise.ratio)[:, None]
             products += columns.T @ columns
-        return regress(products)
+        normal = products[1:, 1:]
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
+        refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
+        return refit, float(products[0, 0] - products[0, 1:] @ refit)
 
 
 def with_noise(
@@ -150,11 +129,8 @@ def with_noise(
     Innovations are smaller at rest where the sensor is coarser than its noise. With one size,
     larger innovations in motion would pass for irregular timing.
 
-    Args:
-        recordings: Residuals of its recordings.
-        lags: Order p of the autoregression.
-        least_gain: Least gain of the whitening filter at frequency 0.
-        iterations: Refits of the noise at most.
+    ``lags`` is the order of the autoregression, ``least_gain`` the least gain of the whitening
+    filter at frequency 0.
 
     Raises:
         ValueError: If no more samples count than the autoregression has coefficients.
@@ -188,7 +164,7 @@ def with_noise(
 def _with_rest(
     segments: Sequence[Segment], model: Array, *, fewest: int = 100
 ) -> tuple[Segment, ...]:
-    """The recordings with the speed below which a sample rests at its likeliest."""
+    """The recordings with the most probable speed below which a sample rests."""
     square = np.concatenate([whitened(s.residual, model)[s.counts] ** 2 for s in segments])
     speeds = [np.abs(s.derivatives[:, 0]) for s in segments]
     speed = np.concatenate([v[s.counts] for v, s in zip(speeds, segments, strict=True)])
@@ -204,16 +180,3 @@ def _with_rest(
         if value < best:
             best, limit = value, float(trial)
     return tuple(replace(s, rests=v <= limit) for s, v in zip(segments, speeds, strict=True))
-
-
-def regress(products: Array) -> tuple[Array, float]:
-    """Best ``refit`` (3,) and what it leaves of the first variable's square.
-
-    Args:
-        products: Inner products of the residual and the columns of ``refit``, shape (4, 4).
-    """
-    normal = products[1:, 1:]
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / np.outer(size, size) + 1e-10 * np.eye(3)
-    refit = np.linalg.solve(scaled, products[1:, 0] / size) / size
-    return refit, float(products[0, 0] - products[0, 1:] @ refit)

@@ -2,53 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
-from sim2real.diagnose.missing.screening import FITTED
+from sim2real.diagnose.screening import FITTED
 from sim2real.identification.servo_problem import Hypothesis, Set, Tried
 
 
 @dataclass(frozen=True)
 class Group:
-    """One thing that was left out, and the effects that it may be, likeliest first.
+    """One thing that was left out."""
 
-    Attributes:
-        members: The effects.
-        probability: That one of them is there.
-        stability: Share of bootstraps in which a set with one of them came first.
-    """
-
-    members: tuple[str, ...]
-    probability: float
-    stability: float
+    members: tuple[str, ...]  # the effects that it may be, most probable first
+    probability: float  # that one of them is there
+    stability: float  # share of bootstraps in which a set with one of them came first
 
 
 @dataclass(frozen=True)
 class EffectPosterior:
-    """Probabilities over the sets that were tried on one joint.
+    """Probabilities over the sets that were tried on one joint."""
 
-    Attributes:
-        sets: The sets, likeliest first.
-        probability: Of each, shape (M,).
-        first: Share of bootstraps in which it came first, shape (M,).
-    """
-
-    sets: tuple[Set, ...]
-    probability: Array
-    first: Array
+    sets: tuple[Set, ...]  # the sets, most probable first
+    probability: Array  # of each, shape (M,)
+    first: Array  # share of bootstraps in which it came first, shape (M,)
 
     def inclusion(self, *effects: str) -> float:
         """Probability that at least one of these effects is there."""
-        there = [bool(s & set(effects)) for s in self.sets]
-        return float(self.probability[np.array(there, dtype=bool)].sum())
+        return float(self.probability[self._with(effects)].sum())
 
     def groups(self, base: Set) -> tuple[Group, ...]:
-        """The effects of the likeliest set, each with those that could stand in for it."""
+        """The effects of the most probable set, each with those that could stand in for it."""
         best = self.sets[0]
         weight = dict(zip(self.sets, self.probability, strict=True))
         taken = set(best)
@@ -63,28 +50,22 @@ class EffectPosterior:
             rivals = [f for f in sorted(rivals, key=lambda f: -swaps[f]) if f not in taken]
             taken.update(rivals)
             members = (effect, *rivals)
-            there = np.array([bool(s & set(members)) for s in self.sets])
-            groups.append(Group(members, self.inclusion(*members), float(self.first[there].sum())))
+            first = float(self.first[self._with(members)].sum())
+            groups.append(Group(members, self.inclusion(*members), first))
         return tuple(groups)
 
+    def _with(self, effects: Sequence[str]) -> Array:
+        """Mask of the sets that have one of these effects, shape (M,)."""
+        return np.array([not s.isdisjoint(effects) for s in self.sets], dtype=bool)
 
-def posteriors(
-    found: Sequence[Tried], robots: Sequence[Sequence[int]], rng: np.random.Generator
-) -> list[EffectPosterior]:
-    """Probabilities of the sets of each joint, given what the robot's other joints say.
 
-    Args:
-        found: What was tried, joint by joint.
-        robots: Which joints share a supply and a link.
-        rng: For the bootstrap.
-    """
+def posteriors(found: Sequence[Tried], rng: np.random.Generator) -> list[EffectPosterior]:
+    """Probabilities of the sets of each joint of a robot, given what its other joints say."""
     separate = [posterior(tried, rng) for tried in found]
-    after = list(separate)
-    for robot in robots:
-        for j in robot:
-            odds = _shared_odds([separate[i] for i in robot if i != j])
-            after[j] = posterior(found[j], rng, odds)
-    return after
+    return [
+        posterior(tried, rng, _shared_odds([*separate[:j], *separate[j + 1 :]]))
+        for j, tried in enumerate(found)
+    ]
 
 
 def _shared_odds(others: Sequence[EffectPosterior]) -> dict[str, float]:
@@ -103,7 +84,7 @@ def _shared_odds(others: Sequence[EffectPosterior]) -> dict[str, float]:
 def posterior(
     found: Tried,
     rng: np.random.Generator,
-    log_odds: dict[str, float] | None = None,
+    log_odds: Mapping[str, float] | None = None,
     *,
     bootstraps: int = 200,
 ) -> EffectPosterior:
@@ -112,29 +93,22 @@ def posterior(
     Averaging keeps a model that is best by a little, or in a few segments only, from being called
     certain. Source: Huggins, Miller, Reproducible model selection using bagged posteriors, Bayesian
     Analysis 18 (2023) 79-104. In each bootstrap the parameters are refitted to first order.
-
-    Args:
-        found: What was tried on the joint.
-        rng: For the bootstrap.
-        log_odds: Additions to the log prior odds of effects, from what else is known.
-        bootstraps: How many.
+    ``log_odds`` adds to the log prior odds of effects.
     """
     tried = sorted(found.tried.values(), key=lambda h: -h.evidence)
     tried = [h for h in tried if h.evidence > tried[0].evidence - 40.0]
     extra = np.array([sum((log_odds or {}).get(e, 0.0) for e in h.members) for h in tried])
     blocks = tried[0].fit.gram.shape[1]
     used = np.flatnonzero(tried[0].fit.gram[0, :, 0, 0] > 0)
-    draws = rng.multinomial(used.size, np.full(used.size, 1 / used.size), size=bootstraps)
     weights = np.zeros((bootstraps, blocks))
-    weights[:, used] = draws
+    weights[:, used] = rng.multinomial(used.size, np.full(used.size, 1 / used.size), bootstraps)
     scores = np.stack([h.fit.resampled(weights) for h in tried])
     fixed = np.array([h.evidence - float(h.fit.loglikelihood[0]) for h in tried])
     # A refit to a resampled record gains half a unit a parameter more than one to a new record.
     fixed -= 0.5 * np.array([h.fit.servos.columns.shape[1] for h in tried])
     scores *= trusted_share(tried[0], found.plain)
     total = scores + (fixed + extra)[:, None]
-    total -= total.max(axis=0)
-    share = np.exp(total)
+    share = np.exp(total - total.max(axis=0))
     share /= share.sum(axis=0)
     probability = share.mean(axis=1)
     first = np.bincount(total.argmax(axis=0), minlength=len(tried)) / bootstraps

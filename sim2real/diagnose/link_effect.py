@@ -1,4 +1,4 @@
-"""Do set-points arrive at irregular times, or not at all? The likelier of the two effects."""
+"""Do set-points arrive at irregular times, or not at all? The more probable of the two effects."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from typing import TypeVar
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.diagnose.angle_noise import Noise, NoisyJoint, Segment, with_noise
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, Segment, with_noise
 from sim2real.inference.correlated_noise import whitened
 from sim2real.inference.normal import SD_PER_MEDIAN
-from sim2real.processes import shared
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
 from sim2real.servo.linearised import Residual, servo_modes
 
@@ -44,85 +43,26 @@ class LinkData:
 
 
 @dataclass(frozen=True)
-class LinkScore:
-    """How likely held-out recordings are under a link that was fitted to the others, in nats.
-
-    No model predicts when set-points are lost or late. So a link is scored by the likelihood of
-    recordings, and not by the error of one simulation.
-
-    Attributes:
-        loglikelihood: Of all held-out recordings.
-        expected: What the fitted model expects of it: the mean over recordings drawn from it.
-        sd: Standard deviation over such recordings.
-        without: Log-likelihood of the held-out recordings if set-points arrive regularly.
-        samples: Number of samples.
-    """
-
-    loglikelihood: float
-    expected: float
-    sd: float
-    without: float
-    samples: int
-
-    @property
-    def error_ratio(self) -> float:
-        """Error of predictions one sample ahead, relative to what the model expects.
-
-        Of normal innovations whose standard deviation is larger by a factor r, the log-likelihood
-        of n samples is smaller by n (r^2 - 1) / 2.
-        """
-        missing = max(self.expected - self.loglikelihood, 0.0)
-        return float(np.sqrt(1 + 2 * missing / max(self.samples, 1)))
-
-    def at_noise(self, *, sds: float = 2.0, largest_ratio: float = 1.1) -> bool:
-        """Whether the model leaves noise only: it expected as much, or the error is near that."""
-        as_drawn = self.expected - self.loglikelihood <= sds * self.sd
-        return as_drawn or self.error_ratio <= largest_ratio
-
-
-@dataclass(frozen=True)
 class IrregularTiming:
-    """Irregular timing that explains a part of a robot's residuals.
+    """Irregular timing that explains a part of a robot's residuals."""
 
-    Attributes:
-        effect: ``latency_jitter`` or ``packet_loss``.
-        gain: Log-likelihood gained over noise alone, in nats.
-        value: The effect's parameter: halfwidth in s, or probability.
-        sd: Its standard deviation; infinite where nothing is found.
-        shares: Gain at each joint by itself.
-        common: Whether a set-point is lost for all joints at once.
-        burst: Mean number of set-points that are lost in succession.
-        correlation: Of successive delays.
-        lost_s: For each joint, by recording, when set-points were lost that it would have shown.
-        unexplained: For each joint, by recording, the residual in rad without what the irregular
-            timing is expected to do, shape (T,).
-        arrivals: How set-points arrive.
-        noise_models: Of the residual of each joint.
-        score: Log-likelihood of held-out recordings; None where nothing was held out.
-    """
-
-    effect: str
-    gain: float = 0.0
-    value: float = 0.0
-    sd: float = np.inf
-    shares: tuple[float, ...] = ()
-    common: bool = False
-    burst: float = 1.0
-    correlation: float = 0.0
+    effect: str  # ``latency_jitter`` or ``packet_loss``
+    gain: float = 0.0  # log-likelihood gained over noise alone, in nats
+    value: float = 0.0  # the effect's parameter: halfwidth in s, or probability
+    sd: float = np.inf  # its standard deviation; infinite where nothing is found
+    shares: tuple[float, ...] = ()  # gain at each joint by itself
+    common: bool = False  # whether a set-point is lost for all joints at once
+    burst: float = 1.0  # mean number of set-points that are lost in succession
+    correlation: float = 0.0  # of successive delays
+    # for each joint, by recording, when set-points were lost that it would have shown
     lost_s: tuple[tuple[Array, ...], ...] = ()
+    # for each joint, by recording, the residual in rad without what the irregular timing is
+    # expected to do, shape (T,)
     unexplained: tuple[tuple[Array, ...], ...] = ()
-    arrivals: Arrivals = Arrivals()
-    noise_models: tuple[Noise, ...] = ()
-    score: LinkScore | None = None
 
 
-def links(robots: Sequence[LinkData]) -> list[IrregularTiming]:
-    """The likelier of the two effects on every robot's link; ``gain`` 0 below what is noticed."""
-    return shared(link, robots)
-
-
-def link(robot: LinkData) -> IrregularTiming:
-    """The likelier of the two effects on one robot's link."""
+def link_of(robot: LinkData) -> IrregularTiming:
+    """The better of the two effects on one robot's link; ``gain`` 0 below what is noticed."""
     joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
     samples = sum(joint.counts[0] for joint in joints)
     negligible = DECISION.link.negligible_gain * samples if robot.noticed else 0.0
@@ -143,7 +83,7 @@ def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
 
 
 _Alternation = tuple[EventFilter, Arrivals, list[Filtered]]
-"""A filter, the likeliest arrivals, and what the filter finds with them."""
+"""A filter, the most probable arrivals, and what the filter finds with them."""
 
 
 class LinkFit:
@@ -153,37 +93,18 @@ class LinkFit:
     Journal of Time Series Analysis 3 (1982) 253-264. It begins from two guesses of the noise,
     since an autoregression can take any deviation for noise.
 
-    Args:
-        joints: The joints.
-        effect: ``latency_jitter`` or ``packet_loss``.
-        common: Whether one packet carries the set-points of all joints.
-        start: A fit to similar recordings to start from, instead of the guesses.
-
     Attributes:
         gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
         arrivals: How set-points arrive.
         noise_models: Of the residual of each joint.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[NoisyJoint],
-        effect: str,
-        *,
-        common: bool,
-        start: IrregularTiming | None = None,
-    ) -> None:
+    def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
         self.joints, self.effect, self.common = joints, effect, common
         self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
         self.noise_models = [joint.noise for joint in joints]
         # The filter's log-likelihood counts the squares, that of the noise alone does not.
         alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
-        if start is not None:
-            total, self.arrivals, self.noise_models = self._climb(
-                list(start.noise_models), start.arrivals, steps=4
-            )
-            self.gain = total - alone
-            return
         starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
         begun = [self._alternated(noise_models, self.arrivals) for noise_models in starts]
         if max(_total(results) for _, _, results in begun) < alone:
@@ -192,7 +113,7 @@ class LinkFit:
             self._climb(noise_models, self.arrivals, steps=2, first=first)
             for noise_models, first in zip(starts, begun, strict=True)
         ]
-        total, arrivals, noise_models = max(guesses, key=lambda guess: guess[0])
+        _, arrivals, noise_models = max(guesses, key=lambda guess: guess[0])
         total, arrivals, noise_models = self._climb(noise_models, arrivals, steps=6)
         if total > alone:
             self.gain, self.arrivals, self.noise_models = total - alone, arrivals, noise_models
@@ -204,10 +125,7 @@ class LinkFit:
         steps: int,
         first: _Alternation | None = None,
     ) -> tuple[float, Arrivals, list[Noise]]:
-        """The best log-likelihood, arrivals and noise models of a few alternations.
-
-        ``first`` is the first alternation, where it is known.
-        """
+        """The best log-likelihood, arrivals and noise models of a few alternations."""
         best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noise_models)
         for step in range(steps):
             known = first if step == 0 else None
@@ -247,9 +165,9 @@ class LinkFit:
         return before, results
 
     def _delays(self, events: EventFilter, arrivals: Arrivals) -> tuple[Arrivals, list[Filtered]]:
-        """The likeliest size and correlation of the delays, of a grid that is finer once known."""
+        """The best size and correlation of the delays, of a grid that is finer once known."""
 
-        def likeliest(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
+        def best_of(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
             options = [
                 Arrivals(delay_sd_s=float(sd), correlation=float(r))
                 for sd in sizes
@@ -260,9 +178,9 @@ class LinkFit:
 
         if arrivals.delay_sd_s:
             near = np.unique(np.clip(arrivals.correlation + CORRELATION_STEPS, 0.0, 0.95))
-            return likeliest(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
-        middle = likeliest(HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
-        others = likeliest(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
+            return best_of(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
+        middle = best_of(HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
+        others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
         return max(middle, others, key=lambda pair: _total(pair[1]))
 
     def _by_joint(self, values: Sequence[T]) -> list[list[T]]:
@@ -308,16 +226,17 @@ class LinkFit:
     def result(self) -> IrregularTiming:
         """The effect, its standard deviation and gain at each joint, and what it explains."""
         arrivals, events = self.arrivals, self._filter(self.noise_models)
-        name = "delay_sd_s" if self.effect == "latency_jitter" else "loss"
+        jitter = self.effect == "latency_jitter"
+        name = "delay_sd_s" if jitter else "loss"
         factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
         options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
         results = events.run(options)
         below, here, above = map(_total, results)
         curvature = (2 * here - below - above) / _STEP**2
         burst = 1 / (1 - arrivals.repeated_loss)
-        value = arrivals.delay_sd_s * np.sqrt(3) if name == "delay_sd_s" else arrivals.long_run_loss
+        value = float(arrivals.delay_sd_s * np.sqrt(3) if jitter else arrivals.long_run_loss)
         # What is not known of the length of bursts adds to the standard deviation of a loss.
-        widened = float(value) * np.sqrt(2 - 1 / burst)
+        widened = value * np.sqrt(2 - 1 / burst)
         explained = self._explained(events, arrivals, results[1])
         of_joints = [results[1]] * len(self.joints) if self.common else self._by_joint(results[1])
         lost_s = tuple(
@@ -332,7 +251,7 @@ class LinkFit:
         return IrregularTiming(
             self.effect,
             self.gain,
-            float(value),
+            value,
             float(widened / np.sqrt(curvature)) if curvature > 0 else np.inf,
             tuple(share.gain for share in shares),
             self.common,
@@ -343,8 +262,6 @@ class LinkFit:
                 tuple(s.corrected(noise.refit) for s in joint.segments)
                 for (joint, _), noise in zip(explained, self.noise_models, strict=True)
             ),
-            arrivals,
-            tuple(self.noise_models),
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.arrays import Array, Mask
-from sim2real.diagnose.missing.screening import NUISANCES, candidate
+from sim2real.diagnose.screening import NUISANCES, candidate
 from sim2real.effects import named
 from sim2real.identification.first_guess import servos_at
 from sim2real.identification.servo_problem import (
@@ -26,10 +26,10 @@ from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_
 
 BLOCKS = 20
 """Blocks of each recording for bootstraps."""
-_SENSOR = ("sensor_gain", "sensor_offset")
-_ERRORS = [COLUMNS.index("sensor_gain.gain"), COLUMNS.index("sensor_offset.offset_rad")]
+_SENSOR = {"sensor_gain": "gain", "sensor_offset": "offset_rad"}
 _WAVES = [
-    (COLUMNS.index(f"{e.name}.period_rad"), COLUMNS.index(f"{e.name}.phase_rad")) for e in NUISANCES
+    [COLUMNS.index(f"{effect.name}.{name}_rad") for name in ("period", "phase")]
+    for effect in NUISANCES
 ]
 """Columns of the waves of the angle that every servo has."""
 
@@ -43,11 +43,7 @@ def baselines(
 ) -> Fits:
     """Fit the plain servo to every joint of a batch, with no guess by hand.
 
-    Args:
-        batch: The recordings.
-        given: Models to start from as well, one a joint, where there are any.
-        candidates: Servos that are simulated to find where fits start.
-        refined: Fits that are refined with the noise's autoregression.
+    Starts are ``candidates`` servos, and ``given`` models, one a joint, where there are any.
     """
     J, K = batch.recordings.size, candidates
     inertia = batch.load[batch.first_signal, 0]
@@ -56,8 +52,8 @@ def baselines(
     joint = np.repeat(np.arange(J, dtype=np.int32), K)
     problems = Problems(joint, theta.reshape(J * K, 1, -1), np.zeros((J * K, 1)))
     white = np.zeros((J * K, batch.lags))
-    rough_looks = batch.evaluate(problems, autoregression=white, rough=True)
-    best = np.argsort(rough_looks.square[:, 0].reshape(J, K), axis=1)[:, :6]
+    looks = batch.evaluate(problems, autoregression=white, rough=True)
+    best = np.argsort(looks.square[:, 0].reshape(J, K), axis=1)[:, :6]
     starts = np.take_along_axis(theta, best[:, :, None], axis=1)
     if any(given):
         known = starts[:, :1].copy()
@@ -78,13 +74,7 @@ def baselines(
 
 
 def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> Fits:
-    """Fit the plain servos that are known of such a batch to this one.
-
-    Args:
-        batch: The recordings.
-        known: What was tried on each joint.
-        bases: Effects that each joint's given model has.
-    """
+    """Fit the plain servos that are known of such a batch to this one; bases are as given."""
     servos = []
     for j, (tried, base) in enumerate(zip(known, bases, strict=True)):
         plain = tried.plain.fit.servos
@@ -95,17 +85,12 @@ def plain_again(batch: Batch, known: Sequence[Tried], bases: Sequence[Set]) -> F
 
 
 def with_effects(
-    plain: Servos, effects: Set, theta: Array, inertia: float, held: Set = frozenset()
+    plain: Servos, effects: Set, theta: Array, inertia: float, fixed: Set = frozenset()
 ) -> Servos:
-    """A servo whose gains, latency and parameters of effects are free.
+    """A servo whose gains, latency, line and parameters of effects are free, from a row (P,).
 
-    Args:
-        plain: The plain servo, of one row; its gains, latency and line are free, and effects are
-            scaled to its kp.
-        effects: Effects whose parameters are free; others of ``theta`` are dropped.
-        theta: Where to start, shape (P,).
-        inertia: Inertia that the effects are scaled to, kg m2.
-        held: Those of the effects that stay as they are in ``theta``.
+    Effects are scaled to the kp of the plain servo and an inertia in kg m2; those that are
+    ``fixed`` stay as they are in ``theta``, and other effects are dropped.
     """
     kp = float(plain.theta[0, 0])
     options = [candidate(named(e), kp, inertia) for e in sorted(effects) if named(e).fitted]
@@ -113,7 +98,7 @@ def with_effects(
     row[:FIRST_EFFECT_COLUMN] = theta[:FIRST_EFFECT_COLUMN]
     for option in options:
         row[option.columns] = theta[option.columns]
-    added = [option for option in options if option.effect.name not in held]
+    added = [option for option in options if option.effect.name not in fixed]
     own = own_parameters(plain)
     free = (
         np.concatenate([getattr(plain, field)[0, own], *(getattr(c, field) for c in added)])[None]
@@ -132,10 +117,12 @@ def as_read(theta: Array, members: Set) -> Array:
     """A row (P,) whose waves of the angle are as the sensor shows them, where its errors leave.
 
     Where a gain or an offset of the sensor is not among the members, what stands for it bends the
-    servo as much; so waves stay where they were seen. No fit mends a period that is off by some of
-    its waves.
+    servo as much. No fit mends a period that is off by some of its waves.
     """
-    gain, offset = np.where([name in members for name in _SENSOR], 0.0, theta[_ERRORS])
+    gain, offset = (
+        0.0 if effect in members else theta[COLUMNS.index(f"{effect}.{name}")]
+        for effect, name in _SENSOR.items()
+    )
     row = theta.copy()
     for period, phase in _WAVES:
         if row[period] > 0 and (gain or offset):

@@ -10,12 +10,7 @@ from scipy.signal import lfilter
 
 from sim2real.arrays import Array
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.smooth_function import (
-    JointMotion,
-    ServoMotion,
-    Smooth,
-    smooth_function,
-)
+from sim2real.diagnose.smooth_function import JointMotion, ServoMotion, Smooth, smooth_function
 from sim2real.identification.servo_problem import Fits, minimise, residual_angles
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.segments import Window, inside, robust_sd, windows
@@ -28,42 +23,27 @@ Windows = tuple[tuple[Window, ...], ...]
 
 @dataclass(frozen=True)
 class Unmodelled:
-    """What could be missing, without a name.
+    """What could be missing, without a name."""
 
-    Attributes:
-        excess: Energy of the plain fit's residual that is neither noise nor slow wander, in
-            variances of the noise; about 1 where nothing is missing.
-        smooth: The best smooth function of one state.
-        windows: Segments outside which the plain servo fits, for each recording; None if there
-            are none.
-        windows_evidence: Evidence, against the plain servo's, of something of its own in these
-            segments; -inf without them.
-    """
-
+    # energy of the plain fit's residual that is neither noise nor slow wander, in variances of the
+    # noise; about 1 where nothing is missing
     excess: float
-    smooth: Smooth
+    smooth: Smooth  # the best smooth function of one state
+    # segments outside which the plain servo fits, for each recording, or None
     windows: Windows | None
+    # evidence, against the plain servo's, of something of its own in these segments; -inf without
+    # them
     windows_evidence: float
 
 
-def unmodelled(
-    batch: Batch, joints: Sequence[Sequence[Trace]], robots: Sequence[Sequence[int]], plain: Fits
-) -> list[Unmodelled]:
-    """Look for physics without a name in every joint of a batch.
-
-    Args:
-        batch: The recordings.
-        joints: The same, as traces.
-        robots: Which joints belong together.
-        plain: The fit of the plain servo, one a joint.
-    """
+def unmodelled(batch: Batch, joints: Sequence[Sequence[Trace]], plain: Fits) -> list[Unmodelled]:
+    """Look for physics without a name in the joints of a robot, beside their plain servos."""
     residuals, excesses = beyond_noise(batch, joints, plain)
     suspects = [j for j in range(len(joints)) if excesses[j] > DECISION.noise_like_excess]
     separate = _intermittent(batch, joints, plain, residuals, suspects)
-    siblings = {j: [i for i in robot if i != j] for robot in robots for j in robot}
     servos = []
     for j, (kp, kd, latency) in enumerate(plain.servos.theta[:, :3].tolist()):
-        motions = _motions(batch, joints, residuals, j, siblings[j])
+        motions = _motions(batch, joints, residuals, j)
         noise = batch.least_gain, batch.lags
         servos.append(ServoMotion(motions, kp, kd, latency, *noise, thorough=j in suspects))
     nowhere: tuple[Windows | None, float] = (None, -np.inf)
@@ -173,11 +153,7 @@ def _without(trace: Trace, segments: tuple[Window, ...]) -> Trace:
 
 
 def _motions(
-    batch: Batch,
-    joints: Sequence[Sequence[Trace]],
-    residuals: Array,
-    joint: int,
-    siblings: Sequence[int],
+    batch: Batch, joints: Sequence[Sequence[Trace]], residuals: Array, joint: int
 ) -> list[JointMotion]:
     """The recordings of a joint, with the simulated angles of its siblings."""
     motions = []
@@ -186,19 +162,14 @@ def _motions(
         counts[: batch.lags] = False
         others = [
             simulated_angle(residuals[i, k], other)
-            for i in siblings
-            for k, other in enumerate(joints[i])
-            if other.file == trace.file and other.t.size == trace.t.size
+            for i, sibling in enumerate(joints)
+            for k, other in enumerate(sibling)
+            if i != joint and other.file == trace.file and other.t.size == trace.t.size
         ]
-        motions.append(
-            JointMotion(
-                trace,
-                simulated_angle(residuals[joint, r], trace),
-                residuals[joint, r, : trace.t.size],
-                counts,
-                np.array(others).reshape(len(others), trace.t.size),
-            )
-        )
+        angle = simulated_angle(residuals[joint, r], trace)
+        siblings_angles = np.array(others).reshape(len(others), trace.t.size)
+        own = residuals[joint, r, : trace.t.size]
+        motions.append(JointMotion(trace, angle, own, counts, siblings_angles))
     return motions
 
 

@@ -1,20 +1,21 @@
 """Recordings as their references explain them.
 
 The prediction of an unchanged recording is, in this order, the mean residual of references with the
-same command (``repeat``), where the references came to rest if the servo is sampled slowly
-(``rest``), or the servo's law with the references' parameters (``law``).
+same command (``repeat``), where the references came to rest if the servo is sampled slowly, so that
+it is mostly seen at rest (``rest``), or the servo's law with the references' parameters (``law``).
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from sim2real.arrays import Array, Mask
-from sim2real.diagnose.changed.comparison import alignment, beside_rest, freed_of_the_common
 from sim2real.diagnose.decision import DECISION
 from sim2real.effects import CATALOGUE
 from sim2real.identification.priors import motor_prior
@@ -26,6 +27,8 @@ from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 Way = Literal["repeat", "rest", "law"]
+Rest = tuple[float, float]
+"""Set-point in rad, and the side from which the servo came, 0 if unknown."""
 
 DIFFERENCE = 1e-3
 """Step of the forward differences, in units of the parameter."""
@@ -34,30 +37,20 @@ GAINS = BASE[:3]
 
 @dataclass(frozen=True)
 class Explained:
-    """Recordings of a joint, the references first, and their residuals.
+    """Recordings of a joint, the references first, and their residuals."""
 
-    Attributes:
-        way: How they are explained.
-        traces: The recordings.
-        references: Number of references.
-        residuals: Measured minus explained angles in rad, NaN where not looked at, (T,) each.
-        row: Parameters of the servo, shape (P,).
-        shared: Derivatives of the angles by what the law shares among all, (T, F) each; F is 0
-            where no law explains them.
-        precision: Precision of the prior of these parameters, shape (F, F).
-        variance: Variance of a sample relative to that prior, with correlation counted, rad2.
-        scale2: Mean square residual of the references, at least that of rounding, rad2.
-    """
-
-    way: Way
-    traces: tuple[Trace, ...]
-    references: int
+    way: Way  # how they are explained
+    traces: tuple[Trace, ...]  # the recordings
+    references: int  # number of references
+    # measured minus explained angles in rad, NaN where not looked at, (T,) each
     residuals: tuple[Array, ...]
-    row: Array
+    row: Array  # parameters of the servo, shape (P,)
+    # derivatives of the angles by what the law shares among all, (T, F) each; F is 0 where no law
+    # explains them
     shared: tuple[Array, ...]
-    precision: Array
-    variance: float
-    scale2: float
+    precision: Array  # precision of the prior of these parameters, shape (F, F)
+    variance: float  # variance of a sample relative to that prior, with correlation counted, rad2
+    scale2: float  # mean square residual of the references, at least that of rounding, rad2
 
     @property
     def case(self) -> list[int]:
@@ -102,14 +95,7 @@ def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
 def explained(
     references: Sequence[Trace], case: Sequence[Trace], row: Array, servo: Servo
 ) -> Explained:
-    """Explain all recordings of a joint by its references.
-
-    Args:
-        references: The joint's references.
-        case: The joint's recordings in question.
-        row: Parameters of the servo, shape (P,).
-        servo: Its data sheet.
-    """
+    """Explain recordings of a joint by its references, and by a servo of a row (P,)."""
     traces, R = (*references, *case), len(references)
     way, step = way_of(references, case), servo.position_step_rad
     shared, precision = tuple(np.zeros((trace.t.size, 0)) for trace in traces), np.zeros((0, 0))
@@ -132,11 +118,16 @@ def explained(
     known = [
         x[np.isfinite(x)] for x, is_known in zip(residuals, predicted, strict=False) if is_known
     ]
-    values = np.concatenate([*known, np.zeros(0)])
-    scale2 = max(float(np.mean(values**2)) if values.size else 0.0, smallest2)
+    scale2 = max(_mean_square(known), smallest2)
     correlated = [correlation_samples(x) for x in known] if way == "law" else []
     variance = scale2 * (float(np.mean(correlated)) if correlated else 1.0)
     return Explained(way, traces, R, tuple(residuals), row, shared, precision, variance, scale2)
+
+
+def _mean_square(parts: Sequence[Array]) -> float:
+    """Mean square of all values; 0 without any."""
+    values = np.concatenate([*parts, np.zeros(0)])
+    return float(np.mean(values**2)) if values.size else 0.0
 
 
 def _law_errors(
@@ -173,16 +164,12 @@ def _derivatives(
         now = rows[1 + k, column]
         rows[1 + k, column] = now * np.exp(step) if p.log else now + step
     slopes = [(a[1:] - a[:1]).T / DIFFERENCE for a in simulated(traces, rows, row)]
-    relative = np.array([p.typical for p in parameters]) / np.array(
-        [p.prior_sd for p in parameters]
-    )
-    return tuple(slopes), np.diag(relative**2)
+    return tuple(slopes), np.diag([(p.typical / p.prior_sd) ** 2 for p in parameters])
 
 
 def energy(of: Explained) -> float:
     """Mean square residual of the case, rad2; 0 where nothing is looked at."""
-    values = np.concatenate([of.residuals[r][of.seen(r)] for r in of.case])
-    return float(np.mean(values**2)) if values.size else 0.0
+    return _mean_square([of.residuals[r][of.seen(r)] for r in of.case])
 
 
 def loss(of: Explained) -> float:
@@ -234,3 +221,114 @@ def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
     residuals = (*of.residuals[: of.references], *_law_errors(case, of.row))
     with_known = replace(of, traces=(*references, *case), residuals=residuals)
     return tuple(effects), row, 0.5 * (loss(of) - loss(with_known)) / of.variance
+
+
+def freed_of_the_common(
+    traces: Sequence[Trace], residuals: Sequence[Array], references: int
+) -> tuple[list[Trace], Mask]:
+    """Traces corrected by the residuals of other references with the same command.
+
+    Physics that a model lacks is in both recordings of one command, and not in their difference.
+    ``residuals`` are simulated minus measured angles in rad, the references first.
+
+    Returns:
+        The traces, with angles corrected by the mean residual of those references, NaN at times
+        that none of them covers; and a mask of the traces that have such references.
+    """
+    freed = list(traces)
+    for r, trace in enumerate(traces):
+        common = []
+        for other, residual in zip(traces[:references], residuals, strict=False):
+            lag, difference = (0.0, np.inf) if other is trace else alignment(trace, other)
+            if difference < DECISION.change.same_command:
+                used = other.used
+                known = other.t[used], residual[: used.size][used]
+                common.append(np.interp(trace.t + lag, *known, np.nan, np.nan))
+        if common:
+            mean = np.ma.masked_invalid(common).mean(axis=0).filled(np.nan)
+            freed[r] = replace(trace, position=trace.position + mean)
+    return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
+
+
+def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[float, float]:
+    """How much later the other's command comes, s, and how far both then differ.
+
+    The difference is a root mean square, in standard deviations of the first command.
+    """
+    size = float(np.std(trace.command))
+    if size == 0:
+        return 0.0, np.inf
+
+    def difference(lag: float) -> float:
+        inside = (trace.t + lag >= other.t[0]) & (trace.t + lag <= other.t[-1])
+        if inside.mean() < DECISION.change.same_command_overlap:
+            return float("inf")
+        moved = np.interp(trace.t[inside] + lag, other.t, other.command) - trace.command[inside]
+        return float(np.sqrt(np.mean(moved**2))) / size
+
+    largest = DECISION.change.same_command_lag_s
+    lags = np.linspace(-largest, largest, lags_tried)
+    coarse = [difference(float(lag)) for lag in lags]
+    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
+    if not np.isfinite(coarse[k]):
+        return 0.0, np.inf
+    ends = (float(lags[k]) - step, float(lags[k]) + step)
+    fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    if fine.fun < coarse[k]:
+        return float(fine.x), float(fine.fun)
+    return float(lags[k]), coarse[k]
+
+
+def beside_rest(
+    traces: Sequence[Trace], references: int, step_rad: float
+) -> tuple[list[Array], float]:
+    """Angles less those at which the references came to rest, in rad.
+
+    Returns:
+        For each recording the difference from the mean of the other references after the same
+        set-point and from the same side, NaN in motion and where no reference rested, shape (T,);
+        and the mean square by which angles of one reference differ after one set-point, rad2.
+    """
+    rests = [_rests(trace, step_rad) for trace in traces]
+    levels = []
+    for trace, keys in zip(traces[:references], rests, strict=False):
+        angles: defaultdict[Rest, list[float]] = defaultdict(list)
+        for k, key in keys.items():
+            angles[key].append(float(trace.position[k]))
+        levels.append({key: np.array(values) for key, values in angles.items()})
+    spread = [values - values.mean() for level in levels for values in level.values()]
+    within = float(np.mean(np.concatenate(spread) ** 2)) if spread else 0.0
+    differences = []
+    for r, (trace, keys) in enumerate(zip(traces, rests, strict=True)):
+        difference = np.full(trace.t.size, np.nan)
+        for k, key in keys.items():
+            same = [
+                np.concatenate(values).mean()
+                for q, level in enumerate(levels)
+                if q != r and (values := [x for at, x in level.items() if _same_rest(at, key)])
+            ]
+            if same:
+                difference[k] = trace.position[k] - np.mean(same)
+        differences.append(difference)
+    return differences, within
+
+
+def _rests(trace: Trace, step_rad: float) -> dict[int, Rest]:
+    """The samples of a recording that are at rest."""
+    change = np.diff(trace.command, prepend=trace.command[:1])
+    settling = DECISION.change.settling_samples
+    recent = np.convolve(change != 0, np.ones(settling + 1))[: change.size] > 0
+    steps = np.abs(np.diff(trace.position))
+    quiet = steps < DECISION.change.rest_steps * max(step_rad, 1e-9)
+    still = trace.used & ~recent & np.append(True, quiet) & np.append(quiet, True)
+    still[:settling] = False
+    last = np.maximum.accumulate(np.where(change != 0, np.arange(change.size), 0))
+    grid = DECISION.change.same_set_point_rad
+    command, side = np.round(trace.command / grid) * grid, np.sign(change[last])
+    return {int(k): (float(command[k]), float(side[k])) for k in np.flatnonzero(still)}
+
+
+def _same_rest(rest: Rest, other: Rest) -> bool:
+    """Whether two rests have one set-point and sides that may be the same."""
+    near = abs(rest[0] - other[0]) < 2 * DECISION.change.same_set_point_rad
+    return near and rest[1] * other[1] >= 0
