@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Sequence
-from numbers import Integral
+from numbers import Integral, Real
 from os import PathLike
 
 _LONGEST_SHOWN = 80  # characters of a value in a message
@@ -60,6 +60,16 @@ def check_whole(call: str, argument: str, value: object, least: int = 0) -> None
     whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
     if not whole:
         raise InputError(call, argument, shown(value), f"a whole number of at least {least}")
+
+
+def check_level(call: str, value: object) -> None:
+    """Check that the probability of intervals is a number between 0 and 1.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if not isinstance(value, Real) or isinstance(value, bool) or not 0 < float(value) < 1:
+        raise InputError(call, "interval", shown(value), "a number between 0 and 1")
 
 
 def check_effort(call: str, value: object) -> None:

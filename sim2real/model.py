@@ -54,7 +54,8 @@ class JointModel:
         inertia_kgm2: Moment of inertia of the load, without the rotor; 1 if ``per_inertia``.
         per_inertia: Whether gains are per unit of inertia, because the load is not known.
         load: The load stated by the recordings, if any.
-        interval: Interval by parameter (``Model.interval_level``); an end is infinite where the data do not constrain it.
+        interval: Interval by parameter, of ``Model.interval_level``; an end is infinite where the
+            data do not constrain it.
         correlation: Correlation of the estimates by pair, ``"a, b"``.
         effects: Effects in addition to the law.
         notes: Remarks on these values, one sentence each.
@@ -153,6 +154,9 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")
     servos = {name: _read_joint(joints.table(name)) for name in joints.labels()}
+    level = top.number("interval_level", LEVEL, above=0)
+    if level >= 1:
+        raise top.error("interval_level", "a number between 0 and 1")
     if top.content.get(_ROTOR_IN_LOAD, True):
         servos = {name: _with_added_rotor(joint) for name, joint in servos.items()}
     return Model(
@@ -166,7 +170,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         firmware_p_gain=top.number("firmware_p_gain", above=0)
         if "firmware_p_gain" in top
         else None,
-        interval_level=top.number("interval_level", LEVEL, above=0, below=1),
+        interval_level=level,
     )
 
 

@@ -142,6 +142,19 @@ def identify(
     )
 
 
+def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
+    """The model of one joint from all its recordings, without intervals and notes.
+
+    Args:
+        data: The recordings.
+        servo: Its data sheet.
+        seed: Seed of the search.
+    """
+    sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
+    found = _Joint(sheet, [], 1.0, seed).fit(data)
+    return _joint_model(found.best, {}, None, data[0].load, (), found.motor)
+
+
 def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
     """The joint's data sheet; None for the linear law.
 
@@ -295,7 +308,7 @@ def _figures(best: Fit, noise: float) -> dict[str, float | None]:
 def _joint_model(
     best: Fit,
     ends: dict[str, tuple[float, float]],
-    spread: Uncertainty,
+    spread: Uncertainty | None,
     load: Load,
     notes: tuple[str, ...],
     motor: Fit | None,
@@ -307,15 +320,17 @@ def _joint_model(
         if effect and effect != "motor":
             effects.setdefault(effect, {})[parameter] = float(value)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
-    pairs = combinations(range(len(best.names)), 2)
+    correlation = {}
+    if spread is not None:
+        for i, j in combinations(range(len(best.names)), 2):
+            pair = f"{best.names[i]}, {best.names[j]}"
+            correlation[pair] = float(spread.correlation[i, j])
     fitted = motor is None or any(name.startswith("motor.") for name in best.names)
     return replace(
         model,
         law="pd" if motor is None else motor.law,
         motor=motor_of(best.row if fitted or motor is None else motor.row),
         interval=ends,
-        correlation={
-            f"{best.names[i]}, {best.names[j]}": float(spread.correlation[i, j]) for i, j in pairs
-        },
+        correlation=correlation,
         notes=notes,
     )
