@@ -101,13 +101,10 @@ def swum(
     reality = read_reality(options.reality, cell_m=options.reality_cell_m)
     reality = replace(reality, at_once=options.at_once or reality.at_once)
     testbeds = make_testbeds(robot, arms, plan, ranges, reality)
-
-    def known(*_: Any) -> list[Path]:  # noqa: ANN401 - as ``train`` is called
-        return [folders[f"{arm}-{seed}"] for arm in names for seed in plan.seeds]
-
+    agents = [folders[f"{arm}-{seed}"] for arm in names for seed in plan.seeds]
     return ablate(
-        options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
-        longest=options.longest, trainer=known,
+        options.out, robot, names, agents, plan, testbeds, repeats=options.repeats,
+        seed=options.seed, longest=options.longest,
     )  # fmt: skip
 
 

@@ -22,12 +22,13 @@ from scipy.stats import spearmanr
 
 from benchmarks.forecast_realities import AGENTS, POOL, task_of
 from benchmarks.harness import command_line, spread
+from rl.experiments.statistics import interval
+from rl.experiments.testbeds import SimulationSettings
 from rl.forecast.causes import group_of, ranked
 from rl.forecast.diagnosed import Diagnosed, Possible
 from rl.forecast.make import named_controllers
 from rl.forecast.realities import DEVIATIONS, Realities, draw_realities
-from rl.forecast.statistics import interval
-from rl.forecast.swims import SimulationSettings, swim
+from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials, update
 from rl.randomize import numbers_of, with_density
 from sim.inference.law_error import LAW_ERROR
@@ -127,9 +128,8 @@ def one_reality(seed: int, draws: int, seconds: float) -> dict[str, Any]:
     settings = SimulationSettings(at_once=draws)
 
     def swum(realities: Realities, trials: int) -> dict[str, Array]:
-        found = swim(robot, task_of(seconds), realities, controllers, trials=trials, seed=seed,
-                     settings=settings)  # fmt: skip
-        return {name: x[0] for name, x in found.figures.items()}
+        trial = Forecaster(robot, task_of(seconds), realities, trials, seed, settings)
+        return {name: x[0] for name, x in trial.swim(controllers).figures.items()}
 
     def width(figures: Mapping[str, Array], weights: Array) -> Array:
         return np.array([np.ptp(interval(figures[name], weights)[1:]) for name in JUDGED])

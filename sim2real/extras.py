@@ -33,7 +33,6 @@ _LIBRARIES = {
     "rerun": ("rerun-sdk", "view"),
     "mcap": ("mcap", "view"),
     "ray": ("Ray", "cluster"),
-    "tensorboard": ("TensorBoard", "tensorboard"),
 }
 """Name and extra of each optional library, by module."""
 

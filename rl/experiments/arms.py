@@ -92,14 +92,7 @@ def one_density(robot: Robot) -> list[float]:
 def model_of(
     techniques: Techniques, model: Model, robot: Robot, enriched: Model | None = None
 ) -> Model:
-    """The simulator that an arm trains in.
-
-    Args:
-        techniques: The techniques of the arm.
-        model: The calibrated model.
-        robot: The robot.
-        enriched: The model with the diagnosed effects; default: the calibrated model.
-    """
+    """The simulator that an arm trains in; ``enriched`` is the model with diagnosed effects."""
     chosen = with_density(enriched if techniques.effects and enriched else model, robot)
     if not techniques.density:
         chosen = replace(chosen, body={**chosen.body, "normalised_density": one_density(robot)})
@@ -116,17 +109,9 @@ def arm_of(
     enriched: Model | None = None,
     reality: Model | None = None,
 ) -> Arm:
-    """An arm to train.
+    """An arm of ``ARMS`` to train; "ceiling" needs the true parameters of the reality.
 
     Ranges of a technique that the arm does not use are omitted, as they contain its results.
-
-    Args:
-        name: One of ``ARMS``.
-        model: The calibrated model.
-        robot: The robot.
-        ranges: Randomization ranges.
-        enriched: The model with the diagnosed effects.
-        reality: True parameters of the reality, for the arm "ceiling".
     """
     techniques = ARMS[name]
     if name == "midway":

@@ -10,7 +10,6 @@ from rl.controllers.tuned import PACES, TUNED, tuned
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
 from rl.deploy.forward import read_npz
-from rl.sac.sampled import SampledController
 from sim2real.errors import InputError
 
 CONTROLLERS = ("pnl", "adrc")
@@ -18,10 +17,7 @@ CONTROLLERS = ("pnl", "adrc")
 
 
 def with_price(name: str) -> tuple[str, float | None]:
-    """The file and the price of energy in a name ``FILE.zip@PRICE``.
-
-    Args:
-        name: Name of a controller; returned unchanged if it contains no price.
+    """The file and the price of energy in a name ``FILE.zip@PRICE``, or the name and no price.
 
     Raises:
         InputError: If the price is no number.
@@ -48,16 +44,11 @@ def controller_of(
     n_envs: int,
     *,
     gains: Path | None = None,
-    sampled: bool = False,
 ) -> Controller:
     """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
 
-    Args:
-        name: Policy file or controller; for ``FILE.zip@PRICE`` see ``set_price``.
-        limits_rad: Lowest and highest angle of each joint.
-        n_envs: Number of robots.
-        gains: File of the tuned gains; default: those tuned in the twin.
-        sampled: Whether actions are sampled from a ``.zip`` policy, as in training.
+    For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of tuned gains, by default of
+    those tuned in the twin.
 
     Raises:
         InputError: If it is neither, or was not trained for the price.
@@ -81,6 +72,4 @@ def controller_of(
     if len(policy.joints) != len(limits_rad):
         joints = f"{len(policy.joints)} joints"
         raise InputError(name, "joints", joints, f"{len(limits_rad)}, as the robot has")
-    if sampled and not name.endswith(".npz"):
-        return SampledController(path, price=price)
     return PolicyController(policy)

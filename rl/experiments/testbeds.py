@@ -1,44 +1,54 @@
-"""Testbeds of the ablation: the simulator of an arm, or a reality not used in training."""
+"""Where policies are tested: a simulator, or a reality not used in training."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from rl.controllers import Controller
-from rl.experiments.evaluate import Episodes, run_episodes
-from rl.experiments.real_episodes import Starts, run_real_episodes
-from rl.experiments.reality import RealityFile
-from rl.make import Fidelity, make_world, own_stream
+from rl.experiments.episodes import Episodes, run_episodes
+from rl.experiments.reality import RealityFile, RealWorld, Starts
+from rl.make import Fidelity, draws_of, make_world, own_stream
 from rl.sac.train import digest
 from rl.task import Task
-from rl.world import Draws
+from rl.world import Draws, World
 from sim2real.arrays import Array, Array32, Index, Mask
+from sim2real.model import Model
+from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
+UNSEEN = 10_000
+"""Offset of the seed, so that trials do not use robots drawn in training."""
 
-class Testbed(Protocol):
-    """A simulator or reality that policies are tested in."""
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """How robots are simulated.
+
+    Attributes:
+        fidelity: ``twin`` or ``fluid``.
+        device, threads: Device and CPU threads.
+        cell_m: Side of a cell of the fluid.
+        at_once: Draws of a forecast in a batch; the results of each are kept in its file.
+    """
+
+    fidelity: Fidelity = "twin"
+    device: str = "cpu"
+    threads: int = 1
+    cell_m: float = 0.02
+    at_once: int = 50
 
     @property
-    def name(self) -> str:
-        """``simulation`` or ``reality``."""
+    def world(self) -> dict[str, Any]:
+        """Arguments of ``make_world``."""
+        return {k: x for k, x in vars(self).items() if k != "at_once"}
 
-    @property
-    def description(self) -> str:
-        """What it is, in a few words."""
 
-    def key(self) -> str:
-        """SHA-256 of all that determines the results in it."""
-
-    def swim(
-        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
-    ) -> Episodes:
-        """One episode of each robot."""
+IN_TWIN = SimulationSettings()
 
 
 class Controllers:
@@ -69,43 +79,91 @@ class Controllers:
         return action
 
     def _shares(self) -> list[tuple[Controller, Index]]:
-        shares = [
-            (controller, np.flatnonzero(self.owner == k))
-            for k, controller in enumerate(self.controllers)
-        ]
-        return [share for share in shares if len(share[1])]
+        rows = [np.flatnonzero(self.owner == k) for k in range(len(self.controllers))]
+        return [(c, r) for c, r in zip(self.controllers, rows, strict=True) if len(r)]
+
+
+def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
+    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
+    placed = task.place(np.random.default_rng(seed), repeats, J)
+    return Starts(*(np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in placed))
+
+
+def simulate(
+    robot: Robot,
+    task: Task,
+    starts: Starts,
+    draws: Sequence[Draws],
+    controller: Controller,
+    settings: SimulationSettings,
+    *,
+    seed: int,
+    name: str,
+    watched: Callable[[World], Callable[[Mask], None]] | None = None,
+    **options: Any,  # noqa: ANN401 - those of ``make_world``
+) -> Episodes:
+    """One episode of each robot in the fluid or the twin, all at once.
+
+    ``watched`` makes of the world what is called at every step, see ``run_episodes``.
+    """
+    with own_stream(settings.device):
+        world = make_world(
+            robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
+            seed=seed, **settings.world, **options,
+        )  # fmt: skip
+        watch = None if watched is None else watched(world)
+        return run_episodes(world, controller, name=name, watch=watch)
+
+
+def run_trials(
+    robot: Robot,
+    model: Model,
+    ranges: Ranges | None,
+    task: Task,
+    controllers: Mapping[str, Controller],
+    *,
+    episodes: int = 50,
+    seed: int = 0,
+    settings: SimulationSettings = IN_TWIN,
+) -> dict[str, Episodes]:
+    """Run the same starts, targets and robots with every controller, in one batch.
+
+    Robots and noise are drawn from the ranges; without ranges all robots are the model.
+    """
+    drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
+    models = list(drawn.models) * (episodes if ranges is None else 1)
+    draws = [Draws((m,), drawn.noise) for m in models[:episodes]] * len(controllers)
+    starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
+    steering = Controllers(list(controllers.values()), episodes)
+    swims = simulate(robot, task, starts, draws, steering, settings, seed=seed, name=task.name)
+    return {name: swims.of(steering.owner == k) for k, name in enumerate(controllers)}
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """The fluid or the twin.
+    """The fluid or the twin as a testbed.
 
     Attributes:
         name: ``simulation`` or ``reality``.
         draws: Robot and noise of each agent, in the agents' order.
-        fidelity: ``twin`` or ``fluid``.
-        cell_m: Side of a cell of the fluid.
+        settings: How they are simulated.
         options: Further options of the simulator.
-        device, threads: Device and CPU threads of the simulation.
     """
 
     name: str
     draws: Sequence[Draws]
-    fidelity: Fidelity
-    cell_m: float
-    options: Mapping[str, Any]
-    device: str = "cpu"
-    threads: int = 1
+    settings: SimulationSettings
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def description(self) -> str:
         """What it is, in a few words."""
-        water = f"fluid, cells of {100 * self.cell_m:g} cm"
-        return f"the library's laws in the {water if self.fidelity == 'fluid' else 'twin'}"
+        water = f"fluid, cells of {100 * self.settings.cell_m:g} cm"
+        return f"the library's laws in the {water if self.settings.fidelity == 'fluid' else 'twin'}"
 
     def key(self) -> str:
-        """SHA-256 of robots and simulator settings."""
-        settings = (self.fidelity, self.cell_m, dict(self.options))
+        """SHA-256 of robots and simulator settings, which determine the results in it."""
+        settings = (self.settings.fidelity, self.settings.cell_m, dict(self.options))
         content = repr(([digest(draws) for draws in self.draws], settings))
         return hashlib.sha256(content.encode()).hexdigest()
 
@@ -113,29 +171,15 @@ class Simulated:
         self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
     ) -> Episodes:
         """One episode of each robot, all at once."""
-
-        def place(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-            del rng, n, J
-            return starts.pose, starts.joint, starts.targets
-
-        with own_stream(self.device):
-            world = make_world(
-                robot, replace(task, place=place), self.draws, n_envs=len(controller.owner),
-                fidelity=self.fidelity, device=self.device, cell_m=self.cell_m,
-                threads=self.threads, seed=seed, **self.options,
-            )  # fmt: skip
-            return run_episodes(world, controller, name=self.name)
+        return simulate(
+            robot, task, starts, self.draws, controller, self.settings, seed=seed, name=self.name,
+            **self.options,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Real:
-    """A user-defined reality.
-
-    Attributes:
-        file: Its Python file.
-        device: Device of a simulated surrogate.
-        name: ``reality``.
-    """
+    """A user-defined reality as a testbed, which may be simulated on a device."""
 
     file: RealityFile
     device: str = "cpu"
@@ -165,37 +209,29 @@ class Real:
             rows = np.arange(first, first + n)
             swims = rows < total
             rows = np.minimum(rows, total - 1)
-            episodes = run_real_episodes(
-                reality, controller.of(rows), robot, task, starts.of(rows), swims=swims,
-                name=str(self.file.path),
-            )  # fmt: skip
-            parts.append(subset(episodes, swims))
+            world = RealWorld(
+                reality, robot, task, starts.of(rows), swims=swims, name=str(self.file.path)
+            )
+            parts.append(run_episodes(world, controller.of(rows), name="reality").of(swims))
         return _joined(parts)
 
 
-def subset(episodes: Episodes, mask: Mask) -> Episodes:
-    """The episodes of some of the robots, ``which`` of shape (E,)."""
-    e = episodes
-    return Episodes(
-        e.pose[:, mask], e.rate[:, mask], e.value[:, mask], e.reached[mask], e.steps[mask],
-        e.targets[mask],
-    )  # fmt: skip
+Testbed = Simulated | Real
 
 
 def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def padded(values: Array) -> Array:
-        padding = [(0, T - len(values)), *[(0, 0)] * (values.ndim - 1)]
-        return np.pad(values, padding, constant_values=np.nan)
+    def padded_of(name: str) -> Array:
+        values = [getattr(part, name) for part in parts]
+        padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
+        whole = [np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)]
+        return np.concatenate(whole, axis=1)
 
-    return Episodes(
-        np.concatenate([padded(part.pose) for part in parts], axis=1),
-        np.concatenate([padded(part.rate) for part in parts], axis=1),
-        np.concatenate([padded(part.value) for part in parts], axis=1),
-        *(
-            np.concatenate([getattr(part, key) for part in parts])
-            for key in ("reached", "steps", "targets")
-        ),
+    pose, rate, value = (padded_of(name) for name in ("pose", "rate", "value"))
+    reached, steps, targets = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("reached", "steps", "targets")
     )
+    return Episodes(pose, rate, value, reached, steps, targets)

@@ -26,11 +26,7 @@ from sim2real.structured import Fields, read_json
 class Possible:
     """An effect outside the rival sets of servos: named, or considered and not named.
 
-    Attributes:
-        effect: Its identifier.
-        component: The joint, or the part of the body.
-        probability: Probability that it is present.
-        mean, sd: Of its parameters by name.
+    The component is a joint, or a part of the body; ``mean`` and ``sd`` are of its parameters.
     """
 
     effect: str
@@ -41,8 +37,8 @@ class Possible:
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        known: dict[str, Effect | BodyEffect] = {effect.name: effect for effect in CATALOGUE}
-        known |= {effect.name: effect for effect in BODY}
+        known: dict[str, Effect | BodyEffect] = {e.name: e for e in CATALOGUE}
+        known |= {e.name: e for e in BODY}
         if self.effect not in known:
             expected = "an effect of servo or body"
             raise InputError("diagnosis", "effects", repr(self.effect), expected)

@@ -26,17 +26,13 @@ class Inexact:
     Velocities of the body in its own frame have a relative error and a disturbance, joints a
     disturbance of their set-points. The simulator's state is not changed: the pool is alike
     everywhere, so that the path is integrated anew from the changed velocities.
-
-    Attributes:
-        simulated: The simulator.
-        robot, n_envs, outside: Those of the simulator.
     """
 
     def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
-        """Wrap a simulator.
+        """Wrap a simulator of E robots that are all reset at the same time.
 
         Args:
-            simulator: The simulator of E robots, all reset at the same time.
+            simulator: The simulator.
             law: Relative errors of surge, sway and yaw rate, shape (E, 3).
             disturbance: Of surge and sway in m/s, yaw rate in rad/s and set-points in rad, shape
                 (T, E, 3 + J); repeated after T periods.
@@ -116,13 +112,8 @@ def disturbances(
 ) -> Array32:
     """Stationary random signals, first-order autoregressive, shape (periods, n, K).
 
-    Args:
-        sd: Standard deviation of each signal, shape (K,).
-        periods: Control periods.
-        n: Robots.
-        rng: Random number generator.
-        correlation_s: Time constant of the autocorrelation; by default a third of a tail beat, as
-            residuals of simulated swims change with the beat.
+    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, as
+    residuals of simulated swims change with the beat.
     """
     keep = float(np.exp(-CONTROL_S / correlation_s))
     white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
@@ -136,14 +127,8 @@ def blocks(
     """Signals made of blocks of recorded residuals, shape (periods, n, K) (a block bootstrap).
 
     Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block stay together, so that their correlation
-    is kept, too.
-
-    Args:
-        residuals: Residuals of each recording, shape (T, K), at every control period.
-        periods: Control periods.
-        n: Robots.
-        rng: Random number generator.
-        length: Control periods of a block; by default two seconds.
+    is kept, too. Residuals of each recording, shape (T, K), are at every control period; a block is
+    ``length`` periods, two seconds.
     """
     length = min(length, *(len(one) for one in residuals))
     starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]

@@ -11,15 +11,19 @@ import numpy as np
 
 from rl.controllers import Controller
 from rl.deploy.controller import PolicyController
+from rl.experiments.episodes import FIGURES
 from rl.experiments.named import controller_of, shown, with_price
-from rl.forecast import swims
+from rl.experiments.testbeds import SimulationSettings
 from rl.forecast.diagnosed import read_diagnosed
-from rl.forecast.figures import FIGURES
-from rl.forecast.forecast import Forecast
-from rl.forecast.limits import limit_of
-from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
-from rl.forecast.residuals import residuals_of
-from rl.forecast.swims import SimulationSettings
+from rl.forecast.forecast import Forecast, limit_of
+from rl.forecast.realities import (
+    Realities,
+    check_ranges,
+    draw_realities,
+    residuals_of,
+    sample_of,
+)
+from rl.forecast.swims import Forecaster
 from rl.forecast.trials import read_trials
 from rl.sac.recipes import RECIPES
 from rl.task import CONTROL_S, Task
@@ -72,11 +76,9 @@ def make_forecast(
     origin = provenance([*inputs, *recordings, *_files(policies)], seed)
     swimmers = [origin["inputs"][str(path)] for path in _files(policies)]
     key = repr((drawn.digest(residuals), swimmers, robot, task.name, steps, settings))
+    forecaster = Forecaster(robot, task, drawn, count[1], seed, settings, residuals)
     with progress_bar("forecast") as progress:
-        swum = swims.swim(
-            robot, task, drawn, controllers, trials=count[1], seed=seed, settings=settings,
-            residuals=residuals, file=kept, key=key, progress=progress,
-        )  # fmt: skip
+        swum = forecaster.swim(controllers, file=kept, key=key, progress=progress)
     made = Forecast(
         robot=robot.name,
         task=task.name,
@@ -97,10 +99,7 @@ def make_forecast(
     if film is not None:
         best = made.ranking()[0][0]
         names = three_draws(made, best, settings.at_once)
-        swims.film(
-            film, names, robot, task, drawn, controllers[best], trials=count[1], seed=seed,
-            settings=settings, residuals=residuals,
-        )  # fmt: skip
+        forecaster.film(film, names, controllers[best])
     return made
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rl.experiments.ablation_report import picture
-from rl.forecast.figures import FIGURES
+from rl.experiments.episodes import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Film, Note, Section, Table, write_page
@@ -27,13 +27,7 @@ def write_forecast_page(
     *,
     film: str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write the page: intervals, paths, ranking, and what to measure and randomize next.
-
-    Args:
-        forecast: The forecast.
-        path: The page.
-        film: Film of three draws; a GIF is embedded.
-    """
+    """Write the page: intervals, paths, ranking, what to do next; a GIF of three draws is in it."""
     N = len(forecast.parameters)
     title = f"Forecast of {forecast.robot}"
     subtitle = f"The task “{forecast.task}” in {N} realities that agree with what is known"
@@ -51,15 +45,7 @@ def write_forecast_page(
 
 def sections(forecast: Forecast) -> list[Section]:
     """Sections of the page."""
-    rows = []
-    for policy in forecast.policies:
-        for figure, measure in FIGURES.items():
-            mean, low, high = forecast.interval(policy, figure)
-            _, least, most = forecast.interval(policy, figure, 1)
-            shape = measure.digits
-            next_trial = "" if figure == "success" else f"{least:{shape}} to {most:{shape}}"
-            cells = (f"{mean:{shape}}", f"{low:{shape}} to {high:{shape}}", next_trial)
-            rows.append((policy, measure.label, *cells))
+    rows = [(x.policy, FIGURES[x.figure].label, *x.texts) for x in forecast.rows()]
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
         "The interval of the mean is that of many trials of the real robot; that of the next trial "
@@ -129,12 +115,11 @@ def interval_figure(forecast: Forecast) -> Figure:
         figure = new_figure(70 + 34 * K, "Intervals of time and energy")
         panels = figure.subplots(1, 2, sharey=True)
         for axes, name in zip(panels, ("time_s", "energy"), strict=True):
-            for y, policy in enumerate(forecast.policies):
-                mean, low, high = forecast.interval(policy, name)
-                _, least, most = forecast.interval(policy, name, 1)
-                axes.plot([least, most], [y, y], color=MUTED, lw=1.0)
-                axes.plot([low, high], [y, y], color=ACCENT, lw=3.0)
-                axes.plot([mean], [y], "o", color=ACCENT, ms=4)
+            rows = [row for row in forecast.rows() if row.figure == name]
+            for y, row in enumerate(rows):
+                axes.plot(row.next_trial_90, [y, y], color=MUTED, lw=1.0)
+                axes.plot(row.mean_90, [y, y], color=ACCENT, lw=3.0)
+                axes.plot([row.mean], [y], "o", color=ACCENT, ms=4)
             axes.set_yticks(range(K), forecast.policies)
             axes.set_ylim(K - 0.5, -0.5)
             axes.margins(x=0.06)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rl.forecast.statistics import effective, expected, normal_scores
+from rl.experiments.statistics import effective, expected, normal_scores
 from sim2real.arrays import Array
 from sim2real.csv_columns import read_table
 from sim2real.errors import InputError
@@ -61,13 +61,8 @@ class Update:
 def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Trials]:
     """Read a CSV with a row for each trial: policy, success, and of time_s, energy, reward some.
 
-    A trial without arrival (``success`` 0) counts with the full time of the task, whatever
-    ``time_s`` says; its energy is that of the full time.
-
-    Args:
-        path: The CSV.
-        policies: Names of the forecast's policies.
-        limit_s: Full time of the task.
+    A trial without arrival (``success`` 0) counts with the full time of the task, ``limit_s``,
+    whatever ``time_s`` says; its energy is that of the full time.
 
     Raises:
         InputError: If a column or a value is missing, or a policy is not of the forecast.
@@ -117,12 +112,8 @@ def update(
     all trials. The mean of a policy's n trials is normal about the mean of a draw, with the
     covariance of simulated trials in one reality, or their own scatter where that is larger, by
     1 / n. Where few draws agree, the likelihood is flattened until ``least`` of them count:
-    intervals then are wider than they need be, and not too narrow by chance.
-
-    Args:
-        trials: Trials, by policy.
-        figures: The forecast's figures, shape (K, N, T) each.
-        least: Least effective number of draws.
+    intervals then are wider than they need be, and not too narrow by chance. Figures are those of
+    the forecast, shape (K, N, T) each.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import pickle
 from pathlib import Path
 
 import pytest
 
 from sim2real.cli import main
+from sim2real.errors import InputError
 
 pytest.importorskip("torch", reason="the extra 'rl' is not installed")
 
@@ -94,3 +96,10 @@ def test_the_options_offer_every_name_that_there_is(name):
     assert offered, "a command of these has names to offer"
     for option, choices in offered.items():
         assert set(choices) == set(known[option])
+
+
+def test_an_input_error_keeps_its_parts_on_the_way_from_another_process():
+    error = InputError("a.csv", "row 1", "x", "y")
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.file, again.where, again.found, again.expected) == ("a.csv", "row 1", "x", "y")
+    assert str(again) == str(error)

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import rl.forecast.swims
-from rl.forecast.causes import first_order, narrowed_by_trials, ranked
+import rl.experiments.testbeds
+from rl.experiments.episodes import measured
+from rl.experiments.statistics import best, effective, expected, interval
+from rl.experiments.testbeds import SimulationSettings
+from rl.forecast.causes import first_order, narrowed_by_trials, ranked, training_ranges
 from rl.forecast.diagnosed import Diagnosed, Possible
+from rl.forecast.forecast import limit_of
 from rl.forecast.inexact import Inexact, blocks, disturbances
-from rl.forecast.limits import limit_of
 from rl.forecast.make import named_controllers
 from rl.forecast.realities import DEVIATIONS, draw_realities, unexplained
-from rl.forecast.statistics import best, effective, expected, interval
-from rl.forecast.swims import SimulationSettings, film, measured, swim
-from rl.forecast.training_ranges import training_ranges
+from rl.forecast.swims import Forecaster
 from rl.forecast.trials import Trials, read_trials, update
-from rl.forecast.twin_error import TwinError
 from rl.randomize import draw_models, spread_of
 from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.law import FITTED
@@ -213,12 +213,12 @@ def test_draws_are_joint_and_have_the_error_of_the_law(robot, model):
     posterior["covariance"] = [[1e-4, -0.9e-4], [-0.9e-4, 1e-4]]
     body = {"twin": {"along": 0.3, "linear": 0.2, "slender": 3.6}, "posterior": posterior}
     known = (robot, replace(model, body=body), RANGES, sample(rng), 400, rng)
-    made = draw_realities(*known, forecast_error=TwinError((0.2, 0.0)))
+    made = draw_realities(*known, energy_error=(0.2, 0.0))
     pair = made.values[:, [made.names.index(n) for n in posterior["names"]]]
     assert abs(np.corrcoef(pair.T)[0, 1] + 0.9) < 0.05
     assert abs(pair[:, 0].mean() - 0.3) < 0.005
-    assert 0.03 < made.velocity_error[:, 0].std() < 0.1
-    assert np.allclose(made.energy_error, np.expm1(0.2))
+    assert 0.03 < made.law[:, 0].std() < 0.1
+    assert np.allclose(made.law[:, 3], np.expm1(0.2))
     slender = {one.body["twin"]["slender"] for one in made.models}
     assert slender == {3.6}, "a coefficient that was not fitted keeps its value in the calibration"
 
@@ -321,26 +321,15 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     rng, task = np.random.default_rng(9), shortened(TASKS["near"], 15)
     drawn = draw_realities(robot, model, RANGES, sample(rng), 6, rng)
     policies = named_controllers([str(POLICY), "pnl"], robot)
+    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(at_once=3))
     runs = []
-    episodes = rl.forecast.swims.run_episodes
+    episodes = rl.experiments.testbeds.run_episodes
     monkeypatch.setattr(
-        rl.forecast.swims, "run_episodes", lambda *a, **k: runs.append(1) or episodes(*a, **k)
+        rl.experiments.testbeds, "run_episodes", lambda *a, **k: runs.append(1) or episodes(*a, **k)
     )
 
     def go(file, progress=lambda share: None):
-        settings = SimulationSettings(at_once=3)
-        return swim(
-            robot,
-            task,
-            drawn,
-            policies,
-            trials=2,
-            seed=1,
-            settings=settings,
-            file=file,
-            shown=4,
-            progress=progress,
-        )
+        return forecaster.swim(policies, file=file, shown=4, progress=progress)
 
     def stop(share):
         if share > 0.4:
@@ -362,10 +351,10 @@ def test_a_film_shows_the_trials_that_were_forecast(robot, model, tmp_path):
     rng, task = np.random.default_rng(13), shortened(TASKS["near"], 25)
     drawn = draw_realities(robot, model, RANGES, sample(rng), 4, rng)
     policies = named_controllers(["pnl"], robot)
-    call = {"trials": 2, "seed": 1, "settings": SimulationSettings(at_once=3)}
-    swum = swim(robot, task, drawn, policies, **call)
+    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(at_once=3))
+    swum = forecaster.swim(policies)
     path, names = tmp_path / "three.gif", {2: "good", 0: "median", 1: "bad"}
-    again = film(path, names, robot, task, drawn, policies["pnl"], **call)
+    again = forecaster.film(path, names, policies["pnl"])
     filmed = measured(again, task)["energy"].reshape(3, 2)
     assert np.array_equal(filmed, swum.figures["energy"][0, :3])
     with Image.open(path) as frames:

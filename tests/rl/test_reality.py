@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.forward import Policy
-from rl.experiments.evaluate import run_episodes
-from rl.experiments.real_episodes import Starts, run_real_episodes
-from rl.experiments.reality import read_reality
+from rl.experiments.episodes import run_episodes
+from rl.experiments.reality import RealWorld, Starts, read_reality
 from rl.experiments.testbeds import Controllers, Real
 from rl.make import make_world
 from rl.metrics import energy
@@ -72,6 +70,10 @@ def ahead(n, away=0.2, J=3):
 TURN = TASKS["turn"]
 
 
+def run_real_episodes(reality, controller, robot, task, starts):
+    return run_episodes(RealWorld(reality, robot, task, starts), controller)
+
+
 def test_arrival_reward_and_velocity_come_from_what_is_seen(glider, robot):
     reality = read_reality(glider())(robot, 2, 0, "cpu")
     still = Still()
@@ -96,7 +98,7 @@ def test_it_leaves_the_pool_at_a_loss(glider, robot):
 
 def test_waypoints_are_reached_one_after_the_other(glider, robot):
     reality = read_reality(glider())(robot, 1, 0, "cpu")
-    starts = replace(ahead(1), targets=np.array([[[0.2, 0.0], [0.4, 0.0]]]))
+    starts = ahead(1)._replace(targets=np.array([[[0.2, 0.0], [0.4, 0.0]]]))
     found = run_real_episodes(reality, Still(), robot, TURN, starts)
     assert found.reached.tolist() == [2]
     assert np.isclose(found.time_s[0], 3.52, atol=0.021)
@@ -239,7 +241,7 @@ def test_what_a_file_makes_is_looked_at(glider, robot, tmp_path):
         read_reality(path)(robot, 1, 0, "cpu")
     reality = read_reality(glider())(robot, 2, 0, "cpu")
     with pytest.raises(InputError, match="shapes"):
-        run_real_episodes(reality, Still(), robot, TURN, replace(ahead(3), pose=np.zeros((2, 3))))
+        run_real_episodes(reality, Still(), robot, TURN, ahead(3)._replace(pose=np.zeros((2, 3))))
 
 
 def test_the_key_knows_file_neighbours_and_options(tmp_path):
