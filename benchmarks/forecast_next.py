@@ -31,7 +31,6 @@ from rl.forecast.realities import DEVIATIONS, Realities, draw_realities
 from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials, update
 from rl.randomize import numbers_of, with_density
-from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import with_values
 from sim2real.arrays import Array
 from sim2real.effects import BODY, find
@@ -78,10 +77,9 @@ def known_of(robot: Robot, rng: np.random.Generator, n: int) -> tuple[Realities,
     parameters = find(BODY, effect, "effects").parameters
     size = {p.name: p.typical * between(rng, 0.5, 3.0) for p in parameters}
     maybe = Possible(effect, material, 0.5, size, {k: x / 2 for k, x in size.items()})
-    error = replace(LAW_ERROR, shares=LAW_ERROR.shares * between(rng, 0.1, 1.0))
     drawn = draw_realities(
         robot, model, Ranges(tuple(entries)), sample, n + 1, rng,
-        diagnosed=Diagnosed((), (maybe,), {}), error=error,
+        diagnosed=Diagnosed((), (maybe,), {}),
     )  # fmt: skip
     truth = with_values(drawn.models[n], {f"{name}.{k}": x for k, x in maybe.drawn(rng).items()})
     rest = replace(drawn, models=drawn.models[:n], values=drawn.values[:n], law=drawn.law[:n])

@@ -186,11 +186,6 @@ def read_arm(
     truth: Path | None,
 ) -> Arm:  # fmt: skip
     """An arm from the files of the command."""
-    return arm_of(
-        name,
-        read_model(model),
-        read_robot(robot),
-        read_ranges(ranges),
-        None if enriched is None else read_model(enriched),
-        read_model(truth or reality) if name == "ceiling" else None,
-    )
+    found = None if enriched is None else read_model(enriched)
+    true = read_model(truth or reality) if name == "ceiling" else None
+    return arm_of(name, read_model(model), read_robot(robot), read_ranges(ranges), found, true)

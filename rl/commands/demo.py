@@ -21,7 +21,6 @@ from rl.experiments.ablation_report import markdown, sections, write_report
 from rl.experiments.episodes import run_episodes
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
-from rl.experiments.pretrained import POLICY, read_pretrained
 from rl.make import make_world
 from rl.task import TASKS, shortened
 from rl.world import Draws
@@ -79,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
         except BaseException:
             second_process.shutdown(wait=False, cancel_futures=True)
             raise
-    table = sections(results, replace(demo_pool.QUICK, seeds=()))
+    table = sections(results, demo_pool.QUICK)
     ablation = Section("A quick ablation", table[0].lead, [
         _note(options), *(block for one in table[:-1] for block in one.blocks),
     ])  # fmt: skip
@@ -143,14 +142,12 @@ def _pool(
         title = f"{demo_pool.QUICK.steps} steps of each of {demo_pool.SEEDS} seeds of 4 arms"
         with _stage("ablate", f"{title}, in the twin"):
             results = demo_pool.ablated(
-                folder, out, options.seed, fitted.model, gathered.ranges, None
+                folder, out, options.seed, fitted.model, gathered.ranges, pretrained=False
             )
-        seeds: tuple[int, ...] = ()
     else:
-        seeds = read_pretrained(folder / demo_pool.PRETRAINED).seeds
-        title = f"{len(seeds)} seeds of 4 arms, trained beforehand, in the twin"
+        title = "4 arms, trained beforehand, in the twin"
         results = _received(next(stages), "ablate", title)
-    write_report(results, replace(demo_pool.QUICK, seeds=seeds), out, fitted.model.provenance)
+    write_report(results, demo_pool.QUICK, out, fitted.model.provenance)
     print(markdown(results))
     swims = swims_section(missing, [swim], by_followed_twin(robot), robot)
     servos = read_model(folder / "model.json")
@@ -190,7 +187,7 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
     if options.train:
         (policy,) = (out / "train").glob(f"*/{best}/policy.zip")
     else:
-        policy = options.pool / demo_pool.PRETRAINED / best / POLICY
+        policy = options.pool / demo_pool.PRETRAINED / best / "policy.npz"
     film, robot = check_writable(options.out / "swim.gif"), demo_pool.robot_in(options.pool)
     limits = [joint.limits_rad for joint in robot.joints]
     with _stage("swim", "the policy with all techniques, in the fluid"):

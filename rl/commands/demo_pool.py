@@ -20,9 +20,8 @@ from typing import Any
 import torch
 
 from rl.commands.ablate import make_testbeds
-from rl.experiments.ablation import ablate
+from rl.experiments.ablation import ablate, read_pretrained
 from rl.experiments.arms import PAPER, arm_of
-from rl.experiments.pretrained import Pretrained, read_pretrained
 from rl.sac.recipes import plan_of
 from rl.sac.train import train_in_parts
 from sim.calibration.swim_parameters import twin_parameters
@@ -93,26 +92,26 @@ def ranges_of(folder: Path) -> Gathered:
 def tested(folder: Path, out: Path, seed: int) -> dict[str, Any]:
     """The ablation of the pretrained agents, after the stages above."""
     model, ranges = calibrated(folder).model, ranges_of(folder).ranges
-    return ablated(folder, out, seed, model, ranges, read_pretrained(folder / PRETRAINED))
+    return ablated(folder, out, seed, model, ranges, pretrained=True)
 
 
 def ablated(
-    folder: Path, out: Path, seed: int, model: Model, ranges: Ranges, agents: Pretrained | None
+    folder: Path, out: Path, seed: int, model: Model, ranges: Ranges, *, pretrained: bool
 ) -> dict[str, Any]:
-    """Result of ``ablate`` in the twin; without pretrained agents, of some trained here.
+    """Result of ``ablate`` in the twin, of pretrained agents or of some trained here.
 
     ``seed`` is that of starts and noise, and the first seed of agents that are trained.
     """
     robot = robot_in(folder)
     arms = [arm_of(name, model, robot, ranges) for name in PAPER]
-    seeds = tuple(range(seed, seed + SEEDS)) if agents is None else agents.seeds
-    plan = replace(QUICK, seeds=seeds)
-    if agents is None:
-        found = train_in_parts(out / "train", robot, arms, plan, first=agents_in(folder))
+    if pretrained:
+        agents, seeds = read_pretrained(folder / PRETRAINED, PAPER)
+        plan = replace(QUICK, seeds=seeds)
     else:
-        found = agents.agents(PAPER)
+        plan = replace(QUICK, seeds=tuple(range(seed, seed + SEEDS)))
+        agents = train_in_parts(out / "train", robot, arms, plan, first=agents_in(folder))
     testbeds = make_testbeds(robot, arms, plan, ranges, read_model(folder / "reality.json"))
-    return ablate(out, robot, PAPER, found, plan, testbeds, seed=seed, repeats=REPEATS)
+    return ablate(out, robot, PAPER, agents, plan, testbeds, seed=seed, repeats=REPEATS)
 
 
 def agents_in(folder: Path) -> list[Path]:

@@ -2,11 +2,16 @@
 
 Every testbed writes a file to the folder of the run and is skipped if that file is of the same
 policies and settings.
+
+A folder of pretrained agents, small enough to ship, holds ``ARM-SEED/policy.npz`` of each (only its
+policy, see ``rl.deploy.forward``), the ``model.json`` and ``ranges.json`` that they were trained
+for, and ``agents.json``: the plan, the SHA-256 of every file and the provenance.
 """
 
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,15 +21,20 @@ import numpy as np
 
 from rl.deploy.controller import PolicyController
 from rl.deploy.export import read_zip
-from rl.deploy.forward import Policy, read_npz
+from rl.deploy.forward import Policy, npz, read_npz
 from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, Testbed, same_starts
 from rl.sac.train import Plan
 from rl.task import TASKS, Task
 from sim2real.arrays import Array
-from sim2real.output import write_json
+from sim2real.errors import InputError
+from sim2real.model import Model, write_model
+from sim2real.output import write_json, write_whole
+from sim2real.ranges.entry import Ranges, write_ranges
 from sim2real.robot import Robot
-from sim2real.structured import read_json
+from sim2real.structured import Fields, read_json
+
+LISTING = "agents.json"
 
 
 def turn_of(plan: Plan, longest: int | None = None) -> Task:
@@ -131,3 +141,53 @@ def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str
         for rows in rows_of
     ]
     return {"agents": agents, "targets": episodes.targets[rows_of[0], 0].tolist()}
+
+
+def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tuple[int, ...]]:
+    """Folders of pretrained agents, all seeds of the first arm, then those of the next; the seeds.
+
+    Raises:
+        InputError: If an agent is missing, or its file differs from the listed one.
+    """
+    path = folder / LISTING
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "pretrained agents")
+    listing = Fields(path, "", read_json(path))
+    listed, plan = listing.table("files"), listing.table("plan")
+    seeds = plan.content.get("seeds")
+    if not isinstance(seeds, list):
+        raise plan.error("seeds", "those of a training")
+    names = [f"{arm}-{seed}" for arm in arms for seed in seeds]
+    for name in names:
+        file = folder / name / "policy.npz"
+        sha256 = listed.content.get(f"{name}/policy.npz")
+        if sha256 is None or not file.is_file():
+            raise InputError(file, "", "no such agent", f"one of {LISTING}")
+        if _sha256(file) != sha256:
+            raise InputError(file, "", "another file", f"the one listed in {LISTING}")
+    return [folder / name for name in names], tuple(seeds)
+
+
+def write_pretrained(
+    folder: Path, agents: Sequence[Path], plan: Plan, model: Model, ranges: Ranges,
+    note: dict[str, Any],
+) -> Path:  # fmt: skip
+    """Write the policies of trained agents, ``ARM-SEED`` each, and their listing.
+
+    Agents already in the folder are removed. ``model`` and ``ranges`` are those of the training.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*/policy.npz"):
+        shutil.rmtree(old.parent)
+    write_model(model, folder / "model.json")
+    write_ranges(ranges, folder / "ranges.json")
+    for agent in agents:
+        write_whole(folder / agent.name / "policy.npz", npz(policy_in(agent)))
+    names = ["model.json", "ranges.json", *(f"{agent.name}/policy.npz" for agent in agents)]
+    files = {name: _sha256(folder / name) for name in names}
+    content = {"plan": plan.content(), "files": files, "provenance": note}
+    return write_json(folder / LISTING, content)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

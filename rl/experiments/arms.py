@@ -35,13 +35,9 @@ rad."""
 
 @dataclass(frozen=True)
 class Techniques:
-    """Switches of one configuration.
+    """Techniques of an arm: without servo joints are ``STIFF``, without density links are alike.
 
-    Attributes:
-        servo: Gains and latency as identified, else ``STIFF``.
-        density: Normalised density as measured, else the same density for all links.
-        randomization: Episodes drawn from the ranges, else all with the same model.
-        effects: Whether the model includes the diagnosed effects.
+    Without randomization all episodes have the same model, with effects the diagnosed ones.
     """
 
     servo: bool = True

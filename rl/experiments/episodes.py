@@ -83,10 +83,6 @@ class Episodes:
         """Seconds until the last waypoint, shape (E,); NaN where it was not reached."""
         return np.where(self.success, CONTROL_S * self.steps, np.nan)
 
-    def turned_s(self, angle_rad: float = np.pi / 2) -> Array:
-        """Seconds until the heading has changed by an angle, shape (E,); NaN if it never does."""
-        return _first_s(np.abs(self.pose[:, :, 2] - self.pose[0, :, 2]) >= angle_rad)
-
     def faced_s(self, within_rad: float = np.pi / 6) -> Array:
         """Seconds until the head points at the first target, shape (E,); NaN if it never does."""
         way = self.targets[None, :, 0] - self.pose[:, :, :2]
@@ -184,6 +180,12 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
     def error(values: Array) -> float:
         return float(values.std() / np.sqrt(len(values)))
 
+    turned, path = episodes.pose[:, :, 2], episodes.pose[:, :, :2]
+    arrivals = {
+        "time_s": mean(episodes.time_s),
+        "energy": mean(used, won),
+        "path_m": mean(figures["path_m"], won),
+    }
     return {
         "episodes": len(won),
         "success": float(won.mean()),
@@ -194,12 +196,8 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
         "time_error_s": error(time),
         "energy": float(used.mean()),
         "energy_error": error(used),
-        "arrivals": {
-            "time_s": mean(episodes.time_s),
-            "energy": mean(used, won),
-            "path_m": mean(figures["path_m"], won),
-        },
-        "turned_90_s": mean(episodes.turned_s()),
+        "arrivals": arrivals,
+        "turned_90_s": mean(_first_s(np.abs(turned - turned[0]) >= np.pi / 2)),
         "faced_target_s": mean(episodes.faced_s()),
-        "turning_radius_m": mean(turning_radius(episodes.pose[:, :, :2], episodes.pose[:, :, 2])),
+        "turning_radius_m": mean(turning_radius(path, turned)),
     }

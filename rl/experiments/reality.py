@@ -6,27 +6,15 @@ defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
-        return reality    # with the two methods below
+        return reality    # with the methods of ``Reality``
 
     AT_ONCE = 1           # if the number of robots at a time is limited, or:
     def at_once(**options): return 1       # the same, as a function of the options of make
 
-and the object that ``make`` returns has::
-
-    reality.reset(pose, joint)    # poses (n, 3), joint angles (n, J): place robots at rest
-    reality.step(desired)         # desired joint angles (n, J), held for 0.02 s
-
-Both return measurements: poses (n, 3), x and y of the head's centre of mass in m and its
-heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN where
-there is none. A robot whose episode is over is commanded to straight joints. Velocities,
-observations, arrival and reward are computed from measurements, as on the real robot. A surrogate
-can add::
-
-    reality.rate()                # present true joint rates (n, J) in rad/s
-
-With this method the energy is computed from true rates, as in the simulator: rates estimated from
-five samples of reported angles miss half of it. Without it, energies of simulation and reality must
-not be compared. An example is ``datasets/pool/reality.py``.
+A robot whose episode is over is commanded to straight joints. A surrogate can add a method
+``reality.rate()``, present true joint rates (n, J) in rad/s, from which the energy is computed as
+in the simulator: rates estimated from five samples of reported angles miss half of it. Without it,
+energies of simulation and reality must not be compared. An example is ``datasets/pool/reality.py``.
 """
 
 from __future__ import annotations
@@ -70,13 +58,18 @@ class Starts(NamedTuple):
 
 
 class Reality(Protocol):
-    """Robots that can be moved and measured."""
+    """n robots that can be moved and measured.
+
+    Both methods return measurements: poses (n, 3), x and y of the head's centre of mass in m and
+    its heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN
+    where there is none.
+    """
 
     def reset(self, pose: Array, joint: Array) -> tuple[Array, Array]:
-        """Place the robots at rest; measured poses and joint angles."""
+        """Place the robots at rest at poses (n, 3) with joint angles (n, J)."""
 
     def step(self, desired: Array) -> tuple[Array, Array]:
-        """Command angles for a control period; poses and joint angles measured after it."""
+        """Command joint angles (n, J), held for 0.02 s."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +81,7 @@ class RealityFile:
         sha256: Hash of these files.
         options: Options of its ``make``, including defaults.
         at_once: Maximum number of robots at a time; None if unlimited.
-        make: Called as ``make(robot, n, seed, device, **options)``.
+        make: The function of the file.
     """
 
     files: tuple[Path, ...]

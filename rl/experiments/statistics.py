@@ -144,12 +144,8 @@ undiscounted sum does not penalise time and favours slow turns."""
 class Difference:
     """Return with all techniques minus that of an arm, over S pairs of agents with the same seed.
 
-    Attributes:
-        mean: Positive if the arm is worse.
-        low, high: Ends of the 90 % interval (Student's, S - 1 degrees of freedom); infinite for one
-            pair.
-        sd: Standard deviation over the pairs; NaN for one.
-        pairs: Number of pairs S.
+    The mean is positive if the arm is worse. The 90 % interval is Student's with S - 1 degrees of
+    freedom, infinite for one pair, for which the standard deviation over the pairs is NaN.
     """
 
     mean: float
@@ -168,10 +164,8 @@ def paired(first: Array, second: Array) -> Difference:
     """Difference of two arms, given the mean of each agent over the same trials, shape (S,)."""
     d = first - second
     S, mean = len(d), float(d.mean())
-    if S < 2:
-        return Difference(mean, -np.inf, np.inf, float("nan"), S)
-    sd = float(d.std(ddof=1))
-    margin = float(student.ppf(0.95, S - 1)) * sd / S**0.5
+    sd = float(d.std(ddof=1)) if S > 1 else np.nan
+    margin = float(student.ppf(0.95, S - 1)) * sd / S**0.5 if S > 1 else np.inf
     return Difference(mean, mean - margin, mean + margin, sd, S)
 
 

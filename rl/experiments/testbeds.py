@@ -27,13 +27,9 @@ UNSEEN = 10_000
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """How robots are simulated.
+    """How robots are simulated: ``twin`` or ``fluid``, CPU threads, side of a cell of the fluid.
 
-    Attributes:
-        fidelity: ``twin`` or ``fluid``.
-        device, threads: Device and CPU threads.
-        cell_m: Side of a cell of the fluid.
-        at_once: Draws of a forecast in a batch; the results of each are kept in its file.
+    ``at_once`` draws of a forecast are in a batch; the results of each are kept in its file.
     """
 
     fidelity: Fidelity = "twin"
@@ -141,13 +137,9 @@ def run_trials(
 
 @dataclass(frozen=True)
 class Simulated:
-    """The fluid or the twin as a testbed.
+    """The fluid or the twin as a testbed, named ``simulation`` or ``reality``.
 
-    Attributes:
-        name: ``simulation`` or ``reality``.
-        draws: Robot and noise of each agent, in the agents' order.
-        settings: How they are simulated.
-        options: Further options of the simulator.
+    It has the draws of each agent, in the agents' order, and further options of the simulator.
     """
 
     name: str

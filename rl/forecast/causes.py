@@ -12,6 +12,14 @@ from rl.forecast.realities import DEVIATIONS
 from rl.forecast.trials import Trials, update
 from sim2real.arrays import Array
 
+_MEASURED_BY = {
+    "law of the twin": "calibrate in the fluid (sim2real calibrate --fluid)",
+    "latency": "record steps through the robot's own link, on several days",
+    "density": "weigh the links",
+    "water": "record further swims in the pool and calibrate with them",
+    "effects of the body": "record the swim that sim2real diagnose suggests",
+}
+
 
 @dataclass(frozen=True)
 class Measurement:
@@ -37,17 +45,16 @@ class Measurement:
 def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
     """What a parameter of a reality belongs to, and what measures it."""
     head, _, tail = parameter.partition(".")
-    if parameter in DEVIATIONS:
-        return "law of the twin", "calibrate in the fluid (sim2real calibrate --fluid)"
-    if head in joints and tail == "latency_s":
-        return "latency", "record steps through the robot's own link, on several days"
-    if head in joints:
+    if head in joints and tail != "latency_s":
         return f"servo {head}", f"record {head} on the bench, as sim2real design suggests"
-    if parameter.startswith("body.normalised_density"):
-        return "density", "weigh the links"
-    if head == "twin":
-        return "water", "record further swims in the pool and calibrate with them"
-    return "effects of the body", "record the swim that sim2real diagnose suggests"
+    kind = (
+        "law of the twin" if parameter in DEVIATIONS
+        else "latency" if head in joints
+        else "density" if parameter.startswith("body.normalised_density")
+        else "water" if head == "twin"
+        else "effects of the body"
+    )  # fmt: skip
+    return kind, _MEASURED_BY[kind]
 
 
 def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
@@ -95,12 +102,12 @@ def shares_of(
     As ``first_order`` of the normal scores of trials (N, T), divided by the share of the variance
     that is not the chance of single trials.
     """
-    reliable, scores = reliability(values), normal_scores(values)
+    reliable, scores, N = reliability(values), normal_scores(values), len(weights)
     if reliable <= 0:
         return dict.fromkeys(groups, 0.0)
-    rows = np.arange(len(weights))
+    rows = np.arange(N)
     if not np.allclose(weights, weights[0]):
-        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
+        rows = np.random.default_rng(0).choice(N, N, p=weights)
     found = first_order(parameters[rows], expected(scores)[rows], groups)
     whole = max(reliable, sum(found.values()))
     return {name: share / whole for name, share in found.items()}
@@ -230,6 +237,4 @@ def _advice(
     room = slack * (drawn[1] - drawn[0])
     less = trained[0] > drawn[0] + room or trained[1] < drawn[1] - room
     more = trained[0] < drawn[0] - room or trained[1] > drawn[1] + room
-    return {(True, True): "move", (True, False): "widen", (False, True): "narrow"}.get(
-        (less, more), "keep"
-    )
+    return ("move" if more else "widen") if less else "narrow" if more else "keep"

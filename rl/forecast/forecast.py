@@ -26,13 +26,9 @@ SCHEMA = "sim2real.forecast/1"
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit of a figure.
+    """A limit of a figure, at least or at most a value in its unit.
 
-    Attributes:
-        figure: Name of the figure.
-        above: Whether the figure must be at least the value, else at most.
-        value: The value, in the figure's unit.
-        share: Share of the trials that must keep it; None for the next trial.
+    It is kept by a ``share`` of the trials, or, if that is None, by the next trial.
     """
 
     figure: str
@@ -130,8 +126,8 @@ class Forecast(NotebookDisplay):
     @property
     def weights(self) -> Array:
         """Weights of the realities, shape (N,), with sum 1."""
-        N = len(self.parameters)
-        return np.full(N, 1 / N) if self.update is None else self.update.weights
+        even = np.full(len(self.parameters), 1 / len(self.parameters))
+        return even if self.update is None else self.update.weights
 
     def interval(
         self, policy: str, figure: str, trials: float = np.inf, level: float = 0.9
@@ -201,7 +197,13 @@ class Forecast(NotebookDisplay):
             }
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
-        out: dict[str, Any] = {
+        update = self.update and {
+            "trials": self.update.trials,
+            "effective_realities": self.update.effective,
+            "p_value": self.update.p_value,
+            "contradicted": self.update.contradicted,
+        }
+        return {
             "schema": SCHEMA,
             "robot": self.robot,
             "task": self.task,
@@ -212,18 +214,10 @@ class Forecast(NotebookDisplay):
             "ranking": [{"policy": p, "best": chance} for p, chance in self.ranking()],
             "next": [vars(one) for one in self.next_measurements()],
             "train_next": [vars(one) for one in self.next_ranges()],
-            "update": None,
+            "update": update,
             "notes": list(self.notes),
             "provenance": dict(self.provenance),
         }
-        if self.update is not None:
-            out["update"] = {
-                "trials": self.update.trials,
-                "effective_realities": self.update.effective,
-                "p_value": self.update.p_value,
-                "contradicted": self.update.contradicted,
-            }
-        return out
 
     def __str__(self) -> str:
         """Intervals of each policy, the ranking, and what to do next."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from rl.forecast.diagnosed import Diagnosed
 from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
-from sim.inference.law_error import LAW_ERROR, LawError
+from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import Coefficients, by_twin, simulated, swim_of, with_values
 from sim2real.arrays import Array
 from sim2real.errors import InputError
@@ -77,26 +77,22 @@ def draw_realities(
     rng: np.random.Generator,
     *,
     diagnosed: Diagnosed | None = None,
-    error: LawError = LAW_ERROR,
-    energy_error: tuple[float, float] | None = None,
 ) -> Realities:
     """Draw n realities, with the noise of the ranges.
 
-    Velocities of a calibrated body have the relative error of the twin, and their energy has
-    ``energy_error``, mean and standard deviation of its logarithm, by default ``TWIN_ERROR``; a
-    body that was not calibrated has laws as different as those of the robots in ``error``.
+    Velocities and energy of a calibrated body have the relative error of the twin; a body that was
+    not calibrated has laws as different as those of the robots in ``LAW_ERROR``.
     """
     models = draw_models(model, ranges, robot, n, rng, sample)
     if diagnosed is not None:
         models = [diagnosed.drawn(one, rng) for one in models]
-    models = _with_bodies(models, model, error, rng)
+    models = _with_bodies(models, model, rng)
     law = np.zeros((n, 4))
     if "twin" in model.body:
         # the mean speed and turn are slow; sway is zero on average, what matters of it is its beat
-        law[:, :3] = rng.standard_normal((n, 3)) * error.shares[(0, 1, 2), (0, 1, 0)]
-        learned = read_json(TWIN_ERROR)["energy"]
-        mean, sd = energy_error or (learned["mean"], learned["sd"])
-        law[:, 3] = np.expm1(rng.normal(mean, sd, n))
+        law[:, :3] = rng.standard_normal((n, 3)) * LAW_ERROR.shares[(0, 1, 2), (0, 1, 0)]
+        energy = read_json(TWIN_ERROR)["energy"]
+        law[:, 3] = np.expm1(rng.normal(energy["mean"], energy["sd"], n))
     names, table = parameters_of(models)
     varied = table.std(axis=0) > 1e-9 * np.abs(table).mean(axis=0)
     names = [name for name, one in zip(names, varied, strict=True) if one]
@@ -108,19 +104,11 @@ def draw_realities(
         swims = any(signal.startswith("body.") for signal in diagnosed.fit)
         fit = {**fit, **diagnosed.fit} if swims else {**diagnosed.fit, **fit}
     joints = [joint.name for joint in robot.joints]
-    return Realities(
-        models=tuple(models),
-        noise=noise_of(ranges, joints),
-        names=tuple(names),
-        values=table,
-        law=law,
-        unexplained=unexplained(fit, joints),
-    )
+    noise, rest = noise_of(ranges, joints), unexplained(fit, joints)
+    return Realities(tuple(models), noise, tuple(names), table, law, rest)
 
 
-def _with_bodies(
-    models: Sequence[Model], model: Model, error: LawError, rng: np.random.Generator
-) -> list[Model]:
+def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator) -> list[Model]:
     """Models with bodies drawn from their calibration, or from laws of other robots.
 
     A calibration fits latencies together with the body, so that they are drawn together; the
@@ -149,10 +137,10 @@ def _with_bodies(
             mean = np.array([np.mean(ends[k]) for k in names])
             sd = np.array([np.ptp(ends[k]) / (2 * _NORMAL_90) for k in names])
         else:
-            names = [k for k in error.usual if k in error.unknown]
+            names = [k for k in LAW_ERROR.usual if k in LAW_ERROR.unknown]
             law = vars(Coefficients.of(model.body))
-            mean = np.array([error.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
-            sd = np.array([error.unknown[k] for k in names])
+            mean = np.array([LAW_ERROR.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
+            sd = np.array([LAW_ERROR.unknown[k] for k in names])
         drawn = mean + sd * rng.standard_normal((len(models), len(names)))
     drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
     rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)

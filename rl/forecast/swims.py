@@ -1,4 +1,7 @@
-"""Policies swim in drawn realities; results are kept, so that an interrupted forecast resumes."""
+"""Policies swim in drawn realities, in a simulator with the errors that it is known to have.
+
+Results are kept, so that an interrupted forecast resumes.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,15 @@ import contextlib
 import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from scipy.signal import lfilter
+from torch.utils.dlpack import from_dlpack
 
 from rl.controllers import Controller
 from rl.experiments.episodes import FIGURES, Episodes, measured
@@ -19,14 +25,17 @@ from rl.experiments.film import Film
 from rl.experiments.reality import Starts
 from rl.experiments.statistics import interval
 from rl.experiments.testbeds import SimulationSettings, simulate
-from rl.forecast.inexact import Inexact, blocks, disturbances
 from rl.forecast.realities import Realities
-from rl.task import Task
+from rl.task import CONTROL_S, Task
 from rl.world import Draws, World
+from sim.robot.effects import Outside
+from sim.robot.live import Live, Simulator
+from sim.view.plane import front_ends
 from sim.view.video import Video
 from sim2real.archives import read_arrays
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.errors import InputError
+from sim2real.model import Model
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
@@ -55,15 +64,8 @@ class SimulatedTrials:
 class Forecaster:
     """Trials of policies in drawn realities; starts, noise and disturbances are common to them.
 
-    Attributes:
-        robot: The robot.
-        task: The task.
-        realities: The realities.
-        trials: Trials in each reality.
-        seed: Seed of starts, noise and disturbances.
-        settings: How they are simulated.
-        residuals: Residuals of recordings, of which the disturbances are made; without them, random
-            signals of the size that the fit leaves unexplained.
+    There are ``trials`` in each reality. Disturbances are made of the ``residuals`` of recordings;
+    without them, they are random signals of the size that the fit leaves unexplained.
     """
 
     robot: Robot
@@ -83,14 +85,10 @@ class Forecaster:
         shown: int = 20,
         progress: Progress = lambda share: None,
     ) -> SimulatedTrials:
-        """Run all policies in all realities.
+        """Run all policies in all realities; the paths in the first ``shown`` are kept.
 
-        Args:
-            controllers: The policies.
-            file: Results so far; trials in it are not run again if its key is the same.
-            key: All that determines the results besides the policies and their number of trials.
-            shown: Number of realities whose paths are kept.
-            progress: Called with the share that is done.
+        Results so far are in ``file``: trials in it are not run again if its ``key`` is the same,
+        all that determines the results besides names and number of policies and trials.
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(shown, N), -(-(self.task.steps + 1) // 5)
@@ -189,11 +187,8 @@ def predict_arms(
 ) -> dict[str, Any]:  # fmt: skip
     """Forecast of every arm of an ablation, the mean over its agents in each reality.
 
-    Args:
-        forecaster: The realities and the task.
-        arms: The agents of each arm.
-        file: File of the trials so far, which are not run again if their key is the same.
-        key: Digest of the agents.
+    ``file`` keeps the trials, which are not run again if ``key``, a digest of the agents, is the
+    same.
 
     Returns:
         By arm and figure its mean with a 90 % interval; ``loses`` is the reward of the arm "all"
@@ -215,3 +210,124 @@ def predict_arms(
     for arm in out.keys() - {"all"} if "all" in out else ():
         out[arm]["loses"] = interval(mean["all"]["reward"] - mean[arm]["reward"], even)
     return out
+
+
+class Inexact:
+    """Robots of a simulator whose motion differs from the simulated one as measured motion does.
+
+    Velocities of the body in its own frame have a relative error and a disturbance, joints a
+    disturbance of their set-points. The simulator's state is not changed: the pool is alike
+    everywhere, so that the path is integrated anew from the changed velocities.
+    """
+
+    def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
+        """Wrap a simulator of E robots that are all reset at the same time.
+
+        Args:
+            simulator: The simulator.
+            law: Relative errors of surge, sway and yaw rate, shape (E, 3).
+            disturbance: Of surge and sway in m/s, yaw rate in rad/s and set-points in rad, shape
+                (T, E, 3 + J); repeated after T periods.
+        """
+        self.simulated, self._live = simulator, simulator.live()
+        self.robot, self.n_envs = simulator.robot, simulator.n_envs
+        self._q, self._command = from_dlpack(self._live.q), from_dlpack(self._live.command)
+        device = self._q.device
+        self._factor = 1.0 + torch.as_tensor(law, dtype=torch.float64, device=device)
+        self._disturbance = torch.as_tensor(disturbance, dtype=torch.float32, device=device)
+        self._shown = self._q.clone()
+        self._period = 0
+
+    @property
+    def outside(self) -> Outside:
+        """Effects on the robots."""
+        return self.simulated.outside
+
+    def live(self) -> Live:
+        """The live state, with the changed path."""
+        shown: Any = self._shown
+        return replace(self._live, q=shown)
+
+    @property
+    def hull(self) -> Any:  # noqa: ANN401 - a Hull, of every simulator but the protocol
+        """Shape of the links."""
+        simulated: Any = self.simulated
+        return simulated.hull
+
+    def links(self, robot: int) -> Array:
+        """Front end and heading of each link of one robot on the changed path, shape (L, 3)."""
+        bodies: Any = getattr(self.simulated, "bodies", self.simulated)
+        links = front_ends(bodies.chain, bodies.motion, np.zeros(2), robot)
+        head, shown = (q[robot, :3].cpu().numpy() for q in (self._q, self._shown))
+        turn = shown[2] - head[2]
+        c, s = np.cos(turn), np.sin(turn)
+        links[:, :2] = (links[:, :2] - head[:2]) @ np.array([[c, s], [-s, c]]) + shown[:2]
+        links[:, 2] += turn
+        return links
+
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
+        """As the simulator's."""
+        self.simulated.adopt(which, models)
+
+    def reset(
+        self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
+    ) -> None:
+        """As the simulator's."""
+        self.simulated.reset(mask, pose, joint)
+        self._shown.copy_(self._q)
+        self._period = 0
+
+    def advance(self) -> None:
+        """Advance by one control period."""
+        disturbance = self._disturbance[self._period % len(self._disturbance)].double()
+        self._period += 1
+        before = self._q[:, :3].clone()
+        self._command += disturbance[:, 3:]
+        self.simulated.advance()
+        step = self._q[:, :3] - before
+        step[:, :2] = _turned(step[:, :2], -(before[:, 2] + step[:, 2] / 2))
+        step = step * self._factor + CONTROL_S * disturbance[:, :3]
+        step[:, :2] = _turned(step[:, :2], self._shown[:, 2] + step[:, 2] / 2)
+        self._shown[:, :3] += step
+        self._shown[:, 3:] = self._q[:, 3:]
+
+
+def _turned(vectors: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
+    """Vectors (E, 2) turned by angles (E,)."""
+    c, s = torch.cos(angle), torch.sin(angle)
+    x, y = vectors.unbind(1)
+    return torch.stack([c * x - s * y, s * x + c * y], dim=1)
+
+
+def disturbances(
+    sd: Array, periods: int, n: int, rng: np.random.Generator, *, correlation_s: float = 0.3
+) -> Array32:
+    """Stationary random signals, first-order autoregressive, shape (periods, n, K).
+
+    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, as
+    residuals of simulated swims change with the beat.
+    """
+    keep = float(np.exp(-CONTROL_S / correlation_s))
+    white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
+    white[1:] *= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0) * sd, dtype=np.float32)
+
+
+def blocks(
+    residuals: Sequence[Array], periods: int, n: int, rng: np.random.Generator, *, length: int = 100
+) -> Array32:
+    """Signals made of blocks of recorded residuals, shape (periods, n, K) (a block bootstrap).
+
+    Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block stay together, so that their correlation
+    is kept, too. Residuals of each recording, shape (T, K), are at every control period; a block is
+    ``length`` periods, two seconds.
+    """
+    length = min(length, *(len(one) for one in residuals))
+    starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]
+    chosen = rng.integers(len(starts), size=(-(-periods // length), n))
+    out = np.empty((len(chosen) * length, n, residuals[0].shape[1]), dtype=np.float32)
+    for b, row in enumerate(chosen):
+        for e, pick in enumerate(row):
+            r, t = starts[pick]
+            out[b * length : (b + 1) * length, e] = residuals[r][t : t + length]
+    return out[:periods]

@@ -13,9 +13,8 @@ import pytest
 from rl.commands import demo_pool
 from rl.commands.demo_pool import PRETRAINED, agents_in
 from rl.deploy.export import read_zip
-from rl.experiments.ablation import policy_in
+from rl.experiments.ablation import LISTING, policy_in, read_pretrained, write_pretrained
 from rl.experiments.arms import PAPER
-from rl.experiments.pretrained import LISTING, read_pretrained, write_pretrained
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.ranges.entry import read_ranges
@@ -40,10 +39,9 @@ def kept(tmp_path):
 
 def test_kept_agents_act_as_those_that_were_trained(kept):
     folder, plan = kept
-    found = read_pretrained(folder)
-    assert found.seeds == (0, 1)
-    assert found.plan == plan.content()
-    agents = found.agents(["all"])
+    agents, seeds = read_pretrained(folder, ["all"])
+    assert seeds == plan.seeds
+    assert json.loads((folder / LISTING).read_text())["plan"] == plan.content()
     for agent, trained in zip(agents, agents_in(POOL), strict=True):
         ours, theirs = policy_in(agent), read_zip(trained)
         assert all(map(np.array_equal, ours.weights, theirs.weights))
@@ -53,26 +51,26 @@ def test_kept_agents_act_as_those_that_were_trained(kept):
 
 def test_agents_that_are_missing_or_changed_are_refused(kept):
     folder, _ = kept
-    found = read_pretrained(folder)
     with pytest.raises(InputError, match="no such agent"):
-        found.agents(["no-servo"])
+        read_pretrained(folder, ["no-servo"])
     shutil.copy(folder / "all-0" / "policy.npz", folder / "all-1" / "policy.npz")
     with pytest.raises(InputError, match="another file"):
-        found.agents(["all"])
+        read_pretrained(folder, ["all"])
     (folder / LISTING).write_text("{}")
-    with pytest.raises(InputError, match="plan of a training"):
-        read_pretrained(folder)
+    with pytest.raises(InputError, match="seeds"):
+        read_pretrained(folder, ["all"])
     (folder / LISTING).unlink()
     with pytest.raises(InputError, match="no such file"):
-        read_pretrained(folder)
+        read_pretrained(folder, ["all"])
 
 
 def test_the_shipped_agents_are_those_of_the_demos_plan():
     """Every arm and seed, small, and from the files and the plan that the demo has today."""
     folder = POOL / PRETRAINED
-    found = read_pretrained(folder)
-    assert found.plan == replace(demo_pool.QUICK, seeds=tuple(range(demo_pool.SEEDS))).content()
+    read_pretrained(folder, PAPER)
     listing = json.loads((folder / LISTING).read_text())
+    plan = replace(demo_pool.QUICK, seeds=tuple(range(demo_pool.SEEDS)))
+    assert listing["plan"] == plan.content()
     names = {f"{arm}-{seed}/policy.npz" for arm in PAPER for seed in range(demo_pool.SEEDS)}
     assert names <= listing["files"].keys()
     assert sum(file.stat().st_size for file in folder.rglob("*.*")) < 2_000_000
