@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from rl.experiments.ablation import ablate, policy_in, turn_of, weights_digest
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.reality import RealityFile, read_reality
-from rl.experiments.testbeds import Real, Simulated, SimulationSettings, Testbed
+from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
 from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
 from rl.forecast.swims import Forecaster, predict_arms
 from rl.randomize import noise_of
@@ -50,9 +51,9 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("ablate", "--first", "--executor with it", "one of the two")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
     drawn = realities_of(options, robot, model, ranges) if options.forecast else None
-    simulated = options.truth is not None or isinstance(reality, Model)
+    known = options.truth is not None or isinstance(reality, Model)
     missing = {"all-and-effects"} if options.enriched is None else set()
-    missing |= set() if simulated else {"ceiling"}
+    missing |= set() if known else {"ceiling"}
     names = options.arms or [name for name in ARMS if name not in {*missing, "none", "midway"}]
     if "ceiling" in missing & set(names):
         raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
@@ -140,18 +141,16 @@ def make_testbeds(
     """
     draws = [arm.draws for arm in arms for _ in plan.seeds]
     settings = SimulationSettings(plan.fidelity, plan.device, plan.threads, plan.cell_m)
-    simulation = Simulated("simulation", draws, settings)
+    simulation = simulated("simulation", draws, settings)
     if isinstance(reality, RealityFile):
-        return [simulation, Real(reality, plan.device)]
+        return [simulation, real(reality, plan.device)]
     noise = noise_of(ranges, [joint.name for joint in robot.joints])
     finer: dict[str, Any] = {"substeps": 16}
     if plan.fidelity == "fluid":
         finer = {"smagorinsky": 0.14, "viscosity_m2_s": 4e-5}
-    settings = SimulationSettings(
-        plan.fidelity, plan.device, plan.threads, cell_m or plan.cell_m / 2
-    )
-    real = [Draws((reality,), noise)] * len(draws)
-    return [simulation, Simulated("reality", real, settings, finer)]
+    settings = replace(settings, cell_m=cell_m or plan.cell_m / 2)
+    true = [Draws((reality,), noise)] * len(draws)
+    return [simulation, simulated("reality", true, settings, **finer)]
 
 
 def train_jobs(options: argparse.Namespace, arms: Sequence[str], plan: Plan) -> list[Path]:

@@ -217,19 +217,13 @@ _COMMANDS = {
     "demo": (_demo, "--out reports/demo"),
     "train": (_train, f"--quick {_FISH} --out runs/quick"),
     "evaluate": (_evaluate, f"policy.zip pnl --task turn {_FISH}"),
-    "ablate": (
-        _ablate,
-        f"{_FISH} --ranges ranges.json --reality reality.py --out runs/ablation",
-    ),
+    "ablate": (_ablate, f"{_FISH} --ranges ranges.json --reality reality.py --out runs/ablation"),
     "forecast": (
         _forecast,
         f"policy.zip {_FISH} --ranges ranges.json --limit 'time_s<=6@0.95' --out forecast.json",
     ),
     "export": (_export, "policy.zip --out policy.npz --format npz c"),
-    "swim": (
-        _swim,
-        "policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv",
-    ),
+    "swim": (_swim, "policy.npz --target 1.2,-0.4 --port udp://192.168.4.1:4210 --out swim.csv"),
 }
 """Options of each command, and those of its example."""
 COMMANDS = tuple(

@@ -78,7 +78,7 @@ def ablate(
     weights = weights_digest(agents)
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
-        inputs = (weights, robot, testbed.key(), task.energy, task.steps, repeats, seed, discount)
+        inputs = (weights, robot, testbed.key, task.energy, task.steps, repeats, seed, discount)
         key = hashlib.sha256(repr(inputs).encode()).hexdigest()
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:

@@ -39,11 +39,7 @@ def shown(name: str) -> str:
 
 
 def controller_of(
-    name: str,
-    limits_rad: Sequence[tuple[float, float]],
-    n_envs: int,
-    *,
-    gains: Path | None = None,
+    name: str, limits_rad: Sequence[tuple[float, float]], n_envs: int, *, gains: Path | None = None
 ) -> Controller:
     """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
 

@@ -38,7 +38,7 @@ from rl.deploy.link import SILENCE_S, Telemetry
 from rl.deploy.measurements import Measurements
 from rl.task import CONTROL_S, Task, bonus, effort, observation_bounds, progress
 from rl.world import Step
-from sim2real.arrays import Array, Index, Mask
+from sim2real.arrays import Array, Index
 from sim2real.errors import InputError
 from sim2real.robot import Robot
 
@@ -189,22 +189,14 @@ class RealWorld:
     device = torch.device("cpu")
 
     def __init__(
-        self,
-        reality: Reality,
-        robot: Robot,
-        task: Task,
-        starts: Starts,
-        *,
-        swims: Mask | None = None,
-        name: str = "reality",
+        self, reality: Reality, robot: Robot, task: Task, starts: Starts, *, name: str = "reality"
     ) -> None:
-        """Robots outside ``swims`` (n,) do not move; ``name`` is that of the reality in errors."""
+        """Take over the robots of a reality; ``name`` is its name in errors."""
         self.n_envs, J = starts.joint.shape
         self.task, self.targets = task, torch.as_tensor(starts.targets)
         self._reality, self._starts, self._name = reality, starts, name
         self._limits = np.array([joint.limits_rad for joint in robot.joints]).T
         self._bound = np.array(observation_bounds(J), dtype=np.float32)
-        self._swims = np.ones(self.n_envs, dtype=bool) if swims is None else swims
 
     def reset(self) -> Tensor:
         """Start all episodes; the first observations, shape (n, O).
@@ -215,7 +207,7 @@ class RealWorld:
         """
         n = self.n_envs
         self._observers = [Measurements(self._bound) for _ in range(n)]
-        self._going, self._periods = self._swims.copy(), 0
+        self._going, self._periods = np.ones(n, dtype=bool), 0
         self._reached = np.zeros(n, dtype=np.int64)
         self._observation = np.zeros((n, len(self._bound)), dtype=np.float32)
         self._look(self._reality.reset(self._starts.pose, self._starts.joint))
@@ -240,7 +232,7 @@ class RealWorld:
         for e in np.flatnonzero(reached.numpy() & self._going & ~arrived).tolist():
             self._observe(e)
         blind = np.array([observer.blind_s > SILENCE_S for observer in self._observers])
-        ended = torch.as_tensor(arrived | ~self._swims) | outside
+        ended = torch.as_tensor(arrived) | outside
         self._going = self._going & ~(ended.numpy() | blind)
         seen, count = torch.from_numpy(self._observation), torch.from_numpy(self._reached.copy())
         return Step(seen, value, used, ending, ended, torch.as_tensor(blind), count, seen)

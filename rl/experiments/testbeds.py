@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -135,93 +135,70 @@ def run_trials(
     return {name: swims.of(steering.owner == k) for k, name in enumerate(controllers)}
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """The fluid or the twin as a testbed, named ``simulation`` or ``reality``.
+class Testbed(NamedTuple):
+    """A simulator or a reality: ``swim`` runs one episode of each robot.
 
-    It has the draws of each agent, in the agents' order, and further options of the simulator.
+    ``name`` is ``simulation`` or ``reality``, ``description`` says in a few words what it is, and
+    ``key`` is the SHA-256 of all that determines the results in it.
     """
 
     name: str
-    draws: Sequence[Draws]
-    settings: SimulationSettings
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def description(self) -> str:
-        """What it is, in a few words."""
-        water = f"fluid, cells of {100 * self.settings.cell_m:g} cm"
-        return f"the library's laws in the {water if self.settings.fidelity == 'fluid' else 'twin'}"
-
-    def key(self) -> str:
-        """SHA-256 of robots and simulator settings, which determine the results in it."""
-        settings = (self.settings.fidelity, self.settings.cell_m, dict(self.options))
-        content = repr(([digest(draws) for draws in self.draws], settings))
-        return hashlib.sha256(content.encode()).hexdigest()
-
-    def swim(
-        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
-    ) -> Episodes:
-        """One episode of each robot, all at once."""
-        return simulate(
-            robot, task, starts, self.draws, controller, self.settings, seed=seed, name=self.name,
-            **self.options,
-        )  # fmt: skip
+    description: str
+    key: str
+    swim: Callable[[Controllers, Robot, Task, Starts, int], Episodes]
 
 
-@dataclass(frozen=True)
-class Real:
-    """A user-defined reality as a testbed, which may be simulated on a device."""
+def simulated(
+    name: str,
+    draws: Sequence[Draws],
+    settings: SimulationSettings,
+    **options: Any,  # noqa: ANN401 - those of the simulator
+) -> Testbed:
+    """The fluid or the twin, with robot and noise of each agent, in the agents' order."""
 
-    file: RealityFile
-    device: str = "cpu"
-    name: str = "reality"
+    def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
+        return simulate(robot, task, starts, draws, who, settings, seed=seed, name=name, **options)
 
-    @property
-    def description(self) -> str:
-        """What it is, in a few words."""
-        options = "".join(f", {key} {value}" for key, value in self.file.options.items())
-        return f"{self.file.path.name}{options}; rewards from what camera and servos show"
+    fluid = settings.fidelity == "fluid"
+    water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
+    content = ([digest(one) for one in draws], (settings.fidelity, settings.cell_m, options))
+    key = hashlib.sha256(repr(content).encode()).hexdigest()
+    return Testbed(name, f"the library's laws in the {water}", key, swim)
 
-    def key(self) -> str:
-        """SHA-256 of the file, its imports from its folder, and its options."""
-        content = repr((self.file.sha256, sorted(self.file.options.items())))
-        return hashlib.sha256(content.encode()).hexdigest()
 
-    def swim(
-        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
-    ) -> Episodes:
-        """One episode of each robot, at most ``at_once`` robots at a time."""
-        total = len(controller.owner)
-        groups = -(-total // (self.file.at_once or total))
-        n = -(-total // groups)
-        reality = self.file(robot, n, seed, self.device)
+def real(file: RealityFile, device: str = "cpu") -> Testbed:
+    """A user-defined reality, which may be simulated on a device.
+
+    Its robots swim in groups of equal size, of at most ``at_once``.
+    """
+
+    def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
+        total = len(who.owner)
+        n = max(n for n in range(1, (file.at_once or total) + 1) if total % n == 0)
+        reality = file(robot, n, seed, device)
         parts = []
-        for first in range(0, total, n):
-            rows = np.arange(first, first + n)
-            swims = rows < total
-            rows = np.minimum(rows, total - 1)
-            world = RealWorld(
-                reality, robot, task, starts.of(rows), swims=swims, name=str(self.file.path)
-            )
-            parts.append(run_episodes(world, controller.of(rows), name="reality").of(swims))
+        for rows in np.arange(total).reshape(-1, n):
+            world = RealWorld(reality, robot, task, starts.of(rows), name=str(file.path))
+            parts.append(run_episodes(world, who.of(rows), name="reality"))
         return _joined(parts)
 
-
-Testbed = Simulated | Real
+    options = "".join(f", {key} {value}" for key, value in file.options.items())
+    description = f"{file.path.name}{options}; rewards from what camera and servos show"
+    content = repr((file.sha256, sorted(file.options.items())))
+    return Testbed("reality", description, hashlib.sha256(content.encode()).hexdigest(), swim)
 
 
 def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def padded_of(name: str) -> Array:
+    def recorded(name: str) -> Array:
         values = [getattr(part, name) for part in parts]
         padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
         whole = [np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)]
         return np.concatenate(whole, axis=1)
 
-    pose, rate, value = (padded_of(name) for name in ("pose", "rate", "value"))
+    pose, rate, value = (recorded(name) for name in ("pose", "rate", "value"))
     reached, steps, targets = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("reached", "steps", "targets")

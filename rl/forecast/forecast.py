@@ -130,14 +130,14 @@ class Forecast(NotebookDisplay):
         return even if self.update is None else self.update.weights
 
     def interval(
-        self, policy: str, figure: str, trials: float = np.inf, level: float = 0.9
+        self, policy: str, figure: str, trials: float = np.inf
     ) -> tuple[float, float, float]:
-        """Mean and central interval of a figure's mean over a number of trials.
+        """Mean and central 90 % interval of a figure's mean over a number of trials.
 
         By default there are so many that chance within a reality averages out.
         """
         values = self.figures[figure][self.policies.index(policy)]
-        return interval(values, self.weights, trials, level)
+        return interval(values, self.weights, trials)
 
     def probability(self, policy: str, limit: Limit) -> float:
         """Probability that a limit is kept by the next trial, or by a share of the trials."""
@@ -153,18 +153,18 @@ class Forecast(NotebookDisplay):
         chance = best(scores, self.weights)
         return [(self.policies[k], float(chance[k])) for k in np.argsort(-mean, kind="stable")]
 
-    def next_measurements(self, policy: str | None = None) -> list[Measurement]:
-        """Measurements by how much they narrow the intervals of a policy, by default the best."""
-        k = self.policies.index(policy or self.ranking()[0][0])
+    def next_measurements(self) -> list[Measurement]:
+        """Measurements by how much they narrow the intervals of the best policy."""
+        k = self.policies.index(self.ranking()[0][0])
         figures = {name: self.figures[name][k] for name in ("success", "time_s", "energy")}
         return ranked(self.names, self.parameters, figures, self.weights, self.joints)
 
-    def next_ranges(self, policy: str | None = None) -> list[TrainingRange]:
-        """Ranges to train with next, by the share of the figure that policies are ranked by.
+    def next_ranges(self) -> list[TrainingRange]:
+        """Ranges to train the best policy with next, by the share of the figure that ranks it.
 
-        The policy is by default the best; there are none for a controller that is not learned.
+        There are none for a controller that is not learned.
         """
-        policy = policy or self.ranking()[0][0]
+        policy = self.ranking()[0][0]
         if policy not in self.trained:
             return []
         values = self.figures[self.rank_by][self.policies.index(policy)]

@@ -22,10 +22,7 @@ def _forecast(forecast: Forecast) -> Section:
 
 
 def write_forecast_page(
-    forecast: Forecast,
-    path: str | os.PathLike[str],
-    *,
-    film: str | os.PathLike[str] | None = None,
+    forecast: Forecast, path: str | os.PathLike[str], *, film: str | os.PathLike[str] | None = None
 ) -> None:
     """Write the page: intervals, paths, ranking, what to do next; a GIF of three draws is in it."""
     N = len(forecast.parameters)

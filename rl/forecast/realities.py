@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.posterior.posteriors import JointSample, read_sample
-from sim2real.ranges.entry import Range, Ranges
+from sim2real.ranges.entry import Ranges
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.structured import read_json
@@ -193,36 +193,19 @@ def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.
         InputError: If a value of the model is further outside, or a joint is not of the model.
     """
     known = numbers_of(model)
-    shared = ranges.named("command_latency_s")
     for entry in ranges.entries:
         joint, _, tail = entry.parameter.partition(".")
-        if tail == "latency_offset_s" and shared is not None:
-            at, value = _shifted(shared, entry), known.get(f"{joint}.latency_s")
-        else:
-            at, value = entry, known.get(entry.parameter)
         if tail == "latency_offset_s" and joint not in model.joints:
             joints = ", ".join(model.joints)
             raise InputError(path, entry.parameter, "a joint not of the model", joints)
-        if value is None:
-            continue
-        low, high = _ends(at)
+        low, high = entry.first, entry.second
+        if entry.distribution == "normal":
+            low, high = (entry.first + side * _NORMAL_90 * entry.second for side in (-1, 1))
+        value = known.get(entry.parameter, low)
         slack = widths * (high - low) + 0.05 * abs(value)
         if not low - slack <= value <= high + slack:
             found = f"{low:.4g} to {high:.4g}"
             raise InputError(path, entry.parameter, found, f"the model's {value:.4g} within")
-
-
-def _ends(entry: Range) -> tuple[float, float]:
-    if entry.distribution == "uniform":
-        return entry.first, entry.second
-    margin = _NORMAL_90 * entry.second
-    return entry.first - margin, entry.first + margin
-
-
-def _shifted(shared: Range, offset: Range) -> Range:
-    """The range of one joint's latency: that of all, by its offset."""
-    (low, high), (least, most) = _ends(shared), _ends(offset)
-    return replace(shared, distribution="uniform", first=low + least, second=high + most)
 
 
 def residuals_of(recordings: Sequence[Recording], model: Model, robot: Robot) -> list[Array]:

@@ -11,7 +11,7 @@ from rl.deploy.controller import PolicyController
 from rl.deploy.forward import Policy
 from rl.experiments.episodes import run_episodes
 from rl.experiments.reality import RealWorld, Starts, read_reality
-from rl.experiments.testbeds import Controllers, Real
+from rl.experiments.testbeds import Controllers, real
 from rl.make import make_world
 from rl.metrics import energy
 from rl.task import TASKS, observation_bounds, observation_names, shortened
@@ -168,12 +168,12 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
 
 def test_robots_are_swum_in_groups(glider, robot):
     wanted = None
-    for at_once in ("None", "2", "3"):
-        place = Real(read_reality(glider(at_once=at_once)))
+    for at_once in ("None", "2", "4"):
+        place = real(read_reality(glider(at_once=at_once)))
         starts = Starts(
-            np.zeros((5, 3)), np.zeros((5, 3)), np.linspace(0.1, 0.5, 5)[:, None, None] * [1.0, 0.0]
+            np.zeros((6, 3)), np.zeros((6, 3)), np.linspace(0.1, 0.5, 6)[:, None, None] * [1.0, 0.0]
         )
-        found = place.swim(Controllers([Still()], 5), robot, TURN, starts, seed=0)
+        found = place.swim(Controllers([Still()], 6), robot, TURN, starts, 0)
         assert found.success.all()
         told = (found.reward.tolist(), found.steps.tolist())
         assert wanted in (None, told)
@@ -249,17 +249,17 @@ def test_the_key_knows_file_neighbours_and_options(tmp_path):
     (tmp_path / "unused.py").write_text("x = 1")
     path = tmp_path / "mine.py"
     path.write_text("from wall import HARD\ndef make(robot, n, seed, device, cell_m=0.01): ...")
-    first = Real(read_reality(path)).key()
-    assert Real(read_reality(path)).key() == first
-    assert Real(read_reality(path, cell_m=0.01)).key() == first
-    assert Real(read_reality(path, cell_m=0.02)).key() != first
+    first = real(read_reality(path)).key
+    assert real(read_reality(path)).key == first
+    assert real(read_reality(path, cell_m=0.01)).key == first
+    assert real(read_reality(path, cell_m=0.02)).key != first
     (tmp_path / "unused.py").write_text("x = 2")
-    assert Real(read_reality(path)).key() == first
+    assert real(read_reality(path)).key == first
     (tmp_path / "wall.py").write_text("HARD = 2")
-    second = Real(read_reality(path)).key()
+    second = real(read_reality(path)).key
     assert second != first
     path.write_text(path.read_text() + "\n")
-    assert Real(read_reality(path)).key() not in (first, second)
+    assert real(read_reality(path)).key not in (first, second)
 
 
 def test_neighbours_are_forgotten_and_others_of_their_name_kept(tmp_path, monkeypatch):
