@@ -62,12 +62,6 @@ def test_bad_options_are_refused_in_one_line(more, said, tmp_path, capsys):
     assert line.count("\n") == 1
 
 
-def test_a_policy_that_is_none_is_refused(tmp_path, capsys):
-    (tmp_path / "policy.zip").write_text("none")
-    assert main(["evaluate", str(tmp_path / "policy.zip"), *FILES, "--episodes", "1"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_a_reality_that_is_none_is_refused_before_any_training(tmp_path, capsys):
     bad, out = tmp_path / "bad.py", tmp_path / "run"
     bad.write_text("def make(robot, n, seed, device): ...")

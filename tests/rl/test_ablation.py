@@ -62,6 +62,8 @@ def test_an_arm_differs_from_all_techniques_in_its_own_technique_alone(robot, mo
     assert not np.allclose(even.body["normalised_density"], every.body["normalised_density"])
     length = np.array([link.length_m for link in robot.links])
     assert np.isclose(np.array(one_density(robot)) @ length, length.sum()), "the same total"
+    (none,) = arm_of("none", model, robot, RANGES).draws.models
+    assert (none.joints, none.body) == (stiff.joints, even.body)
 
 
 def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
@@ -74,6 +76,10 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
     assert len(alone.models) == 1
     assert alone.noise.position_m == 0.0
     assert arm_of("all", model, robot, RANGES).draws.noise.position_m == 0.002
+    real = replace(model, joints={k: replace(v, latency_s=0.2) for k, v in model.joints.items()})
+    ceiling = arm_of("ceiling", model, robot, RANGES, reality=real).draws
+    assert {j.latency_s for m in ceiling.models for j in m.joints.values()} == {0.2}
+    assert ceiling.noise.position_m == 0.002
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +105,16 @@ def run(ablated, trained, tmp_path):
     """Does an ablation again whose agents are trained."""
     shutil.copytree(trained, tmp_path / "run")
     return lambda reality=None: ablated(tmp_path / "run", reality)
+
+
+def test_an_agent_knows_what_it_was_trained_over(trained):
+    every, stiff = (
+        read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
+        for name in ("all", "no-servo")
+    )
+    low, high = every["j1.kp_Nm_per_rad"]
+    assert 1.9 < low < 1.95 and 2.25 < high < 2.3
+    assert stiff["j1.kp_Nm_per_rad"] == [STIFF.kp_Nm_per_rad] * 2
 
 
 def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
@@ -167,35 +183,15 @@ def test_each_arm_is_forecast_beside_what_it_does(run, tmp_path, robot, model, m
     for arm in forecast.values():
         assert arm["reward"][1] < arm["reward"][0] < arm["reward"][2]
     write_report({**found, "forecast": forecast}, PLAN, folder, {"inputs": {}, "versions": {}})
-    assert "reward, forecast" in (folder / "index.html").read_text()
-    cell = f"| {forecast['all']['reward'][0]:.2f}; "
-    assert cell in (folder / "ablation.md").read_text()
-
-
-def test_an_agent_knows_what_it_was_trained_over(trained):
-    every, stiff = (
-        read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
-        for name in ("all", "no-servo")
-    )
-    low, high = every["j1.kp_Nm_per_rad"]
-    assert 1.9 < low < 1.95 and 2.25 < high < 2.3
-    assert stiff["j1.kp_Nm_per_rad"] == [STIFF.kp_Nm_per_rad] * 2
-
-
-def test_the_report_is_written(run, tmp_path):
-    found = run()
-    write_report(found, PLAN, tmp_path / "run", {"inputs": {}, "versions": {}})
-    page = (tmp_path / "run" / "index.html").read_text()
-    assert "no servo calibration" in page
-    assert "No arm reached the target" in page
-    table = json.loads((tmp_path / "run" / "ablation.json").read_text())["table"]
-    assert [row["arm"] for row in table] == ["all", "no-servo"]
-    assert markdown(found).count("\n") == 7
-    loss = differences(found)["no-servo"]
-    assert json.loads((tmp_path / "run" / "ablation.json").read_text())["losses"] == {
-        "no-servo": pytest.approx(asdict(loss))
-    }
-    assert f"{loss.mean:+.2f}" in page
+    page, written = (folder / "index.html").read_text(), (folder / "ablation.md").read_text()
+    for words in ("reward, forecast", "no servo calibration", "No arm reached the target"):
+        assert words in page
+    assert f"| {forecast['all']['reward'][0]:.2f}; " in written
+    assert markdown(found) in written
+    content, loss = json.loads((folder / "ablation.json").read_text()), differences(found)
+    assert [row["arm"] for row in content["table"]] == ["all", "no-servo"]
+    assert content["losses"] == {"no-servo": pytest.approx(asdict(loss["no-servo"]))}
+    assert f"{loss['no-servo'].mean:+.2f}" in page
 
 
 def test_a_loss_has_one_sign_in_table_and_figure():
@@ -225,12 +221,6 @@ def test_a_loss_has_one_sign_in_table_and_figure():
 
 
 TURN = {"reward": [1.0], "success": [True], "time_s": [1.0], "energy": [1.0]}
-
-
-def test_no_technique_is_the_old_simulator(robot, model):
-    (first,) = arm_of("none", model, robot, RANGES).draws.models
-    assert all(joint == STIFF for joint in first.joints.values())
-    assert np.allclose(first.body["normalised_density"], one_density(robot))
 
 
 def test_what_arms_go_on_from_lies_half_way(robot, model):
@@ -284,13 +274,6 @@ def test_the_seeds_needed_are_those_that_make_intervals_narrow():
         for one in [paired(first[k : k + count], np.zeros(count))]
     ]
     assert np.mean(widths) == pytest.approx(told["a"].mean / 3, rel=0.35)
-
-
-def test_the_ceiling_learns_in_realitys_own_parameters(robot, model):
-    real = replace(model, joints={k: replace(v, latency_s=0.2) for k, v in model.joints.items()})
-    arm = arm_of("ceiling", model, robot, RANGES, reality=real)
-    assert {j.latency_s for m in arm.draws.models for j in m.joints.values()} == {0.2}
-    assert arm.draws.noise.position_m == 0.002
 
 
 def test_the_bootstrap_knows_agents_from_repeats():
