@@ -23,9 +23,8 @@ from harness import command_line
 
 import sim2real as s2r
 from rl.commands.ablate import make_testbeds
-from rl.experiments.ablation import ablate
+from rl.experiments.ablation import ablate, arm_of
 from rl.experiments.ablation_report import markdown, write_report
-from rl.experiments.arms import arm_of
 from rl.experiments.reality import read_reality
 from rl.observer import View
 from rl.sac.settings import Settings

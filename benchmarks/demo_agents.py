@@ -16,8 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
-from rl.experiments.ablation import write_pretrained
-from rl.experiments.arms import PAPER
+from rl.experiments.ablation import PAPER, write_pretrained
 from rl.sac.train import Plan
 from sim2real.errors import InputError
 from sim2real.model import read_model

@@ -127,7 +127,7 @@ def one_reality(seed: int, draws: int, seconds: float) -> dict[str, Any]:
 
     def swum(realities: Realities, trials: int) -> dict[str, Array]:
         trial = Forecaster(robot, task_of(seconds), realities, trials, seed, settings)
-        return {name: x[0] for name, x in trial.swim(controllers).figures.items()}
+        return {name: x[0] for name, x in trial.swim(controllers).items()}
 
     def width(figures: Mapping[str, Array], weights: Array) -> Array:
         return np.array([np.ptp(interval(figures[name], weights)[1:]) for name in JUDGED])

@@ -231,7 +231,8 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
 
     def swum(drawn: Realities, policies: Any, residuals: Any = ()) -> dict[str, Array]:  # noqa: ANN401
         trial = Forecaster(robot, task, drawn, 2, 1, simulation, residuals)
-        return dict(trial.swim(policies).figures)
+        found = trial.swim(policies)
+        return {name: found[name] for name in FIGURES}
 
     model = with_density(model, robot)
     diagnosed = read_diagnosed(diagnosis)

@@ -14,9 +14,8 @@ import torch
 
 from rl.controllers import Controller
 from rl.deploy.controller import PolicyController
-from rl.experiments.ablation import ablate, policy_in, turn_of, weights_digest
+from rl.experiments.ablation import ARMS, ablate, arm_of, policy_in, turn_of, weights_digest
 from rl.experiments.ablation_report import markdown, write_report
-from rl.experiments.arms import ARMS, arm_of
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
 from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of

@@ -20,8 +20,7 @@ from typing import Any
 import torch
 
 from rl.commands.ablate import make_testbeds
-from rl.experiments.ablation import ablate, read_pretrained
-from rl.experiments.arms import PAPER, arm_of
+from rl.experiments.ablation import PAPER, ablate, arm_of, read_pretrained
 from rl.sac.recipes import plan_of
 from rl.sac.train import train_in_parts
 from sim.calibration.swim_parameters import twin_parameters

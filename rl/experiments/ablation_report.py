@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rl.experiments.arms import TITLES
+from rl.experiments.ablation import TITLES
 from rl.experiments.paths import aligned, paths_figure
 from rl.experiments.statistics import OUTCOME, Difference, bootstrap, differences, seeds_needed
 from rl.sac.curve import draw_curves

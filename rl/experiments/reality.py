@@ -20,14 +20,13 @@ energies of simulation and reality must not be compared. An example is ``dataset
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import inspect
+import runpy
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -115,8 +114,8 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
     Raises:
         InputError: If it cannot be run, or has no valid ``make``.
     """
-    module, files = _run(path)
-    make = getattr(module, "make", None)
+    content, files = _run(path)
+    make = content.get("make")
     if not callable(make):
         raise InputError(path, "make", "nothing to call", "make(robot, n, seed, device, **options)")
     try:
@@ -127,8 +126,8 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
         raise InputError(path, "make", str(error), expected) from None
     own_parameters = list(signature.parameters.values())[4:]
     defaults = {p.name: p.default for p in own_parameters if p.default is not p.empty}
-    at_once = getattr(module, "AT_ONCE", None)
-    if callable(by_options := getattr(module, "at_once", None)):
+    at_once = content.get("AT_ONCE")
+    if callable(by_options := content.get("at_once")):
         at_once = by_options(**{**defaults, **options})
     if at_once is not None and (type(at_once) is not int or at_once < 1):
         raise InputError(path, "AT_ONCE", repr(at_once), "a number of robots, at least 1")
@@ -138,22 +137,17 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
     return RealityFile(tuple(files), digest.hexdigest(), {**defaults, **options}, at_once, make)
 
 
-def _run(path: Path) -> tuple[ModuleType, list[Path]]:
-    """The module, and its files: the file itself, then those imported from its folder."""
+def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
+    """Names in the file, and its files: the file itself, then those imported from its folder."""
     if not path.is_file():
         raise InputError(path, "", "no such file", "a Python file that defines make")
-    spec = importlib.util.spec_from_file_location(_NAME, path)
-    if spec is None or spec.loader is None:
-        raise InputError(path, "", "no Python file", "one that ends in .py")
-    module = importlib.util.module_from_spec(spec)
     with _neighbours(path) as imported:
-        sys.modules[_NAME] = module  # dataclasses look their module up by its name
         try:
-            spec.loader.exec_module(module)
+            content = runpy.run_path(str(path), run_name=_NAME)
         except Exception as error:
             problem = f"{type(error).__name__}: {error}"
             raise InputError(path, "", problem, "a Python file that can be run") from None
-    return module, [path, *imported]
+    return content, [path, *imported]
 
 
 @contextmanager

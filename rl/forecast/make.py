@@ -75,9 +75,9 @@ def make_forecast(
         swum = forecaster.swim(controllers, file=kept, key=key, progress=progress)
     joints = tuple(joint.name for joint in robot.joints)
     made = Forecast(
-        robot.name, task.name, tuple(controllers), joints, swum.figures, drawn.names, drawn.values,
-        swum.paths, swum.targets, rank_by, _trained(controllers), stated,
-        notes=_notes(model, drawn, bool(residuals)), provenance=origin,
+        robot.name, task.name, tuple(controllers), joints, {name: swum[name] for name in FIGURES},
+        drawn.names, drawn.values, swum["paths"], swum["targets"], rank_by, _trained(controllers),
+        stated, notes=_notes(model, drawn, bool(residuals)), provenance=origin,
     )  # fmt: skip
     made = made.after(observed) if observed else made
     if film is not None:

@@ -45,22 +45,6 @@ Makers = Mapping[str, Callable[[int], Controller]]
 
 
 @dataclass(frozen=True)
-class SimulatedTrials:
-    """Results of K policies in N realities, T trials in each.
-
-    Attributes:
-        figures: Each of ``FIGURES``, shape (K, N, T).
-        paths: Positions of the first trial in the first realities, every 0.1 s, in m, NaN after the
-            end, shape (K, n, S, 2).
-        targets: Waypoints of these trials in m, shape (n, W, 2).
-    """
-
-    figures: Mapping[str, Array]
-    paths: Array
-    targets: Array
-
-
-@dataclass(frozen=True)
 class Forecaster:
     """Trials of policies in drawn realities; starts, noise and disturbances are common to them.
 
@@ -84,11 +68,16 @@ class Forecaster:
         key: str = "",
         shown: int = 20,
         progress: Progress = lambda share: None,
-    ) -> SimulatedTrials:
-        """Run all policies in all realities; the paths in the first ``shown`` are kept.
+    ) -> dict[str, Array]:
+        """Run all K policies in all N realities.
 
         Results so far are in ``file``: trials in it are not run again if its ``key`` is the same,
         all that determines the results besides names and number of policies and trials.
+
+        Returns:
+            Each of ``FIGURES``, shape (K, N, T); of the first trial in the first ``shown``
+            realities ``paths``, positions every 0.1 s in m, NaN after the end, shape (K, n, S, 2),
+            and ``targets``, waypoints in m, shape (n, W, 2).
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(shown, N), -(-(self.task.steps + 1) // 5)
@@ -117,8 +106,7 @@ class Forecaster:
                         np.savez_compressed(stream, **content)
                         write_whole(file, stream.getvalue())
                 progress((part * K + k + 1) / (K * parts))
-        figures = {name: table[name] for name in FIGURES}
-        return SimulatedTrials(figures, table["paths"], table["targets"])
+        return table
 
     def film(
         self, path: Path, names: Mapping[int, str], controller: Callable[[int], Controller]
@@ -198,11 +186,11 @@ def predict_arms(
     task, N = forecaster.task, len(forecaster.realities.models)
     inputs = (key, forecaster.realities.digest(), forecaster.robot, task.name, task.energy,
               task.steps, forecaster.settings)  # fmt: skip
-    figures = forecaster.swim(each, file=file, key=repr(inputs)).figures
+    swum = forecaster.swim(each, file=file, key=repr(inputs))
     even, first, mean = np.full(N, 1 / N), 0, {}
     for arm, of_arm in arms.items():
         own = slice(first, first := first + len(of_arm))
-        mean[arm] = {figure: x[own].mean(axis=0) for figure, x in figures.items()}
+        mean[arm] = {figure: swum[figure][own].mean(axis=0) for figure in FIGURES}
     out: dict[str, Any] = {
         arm: {figure: interval(x, even) for figure, x in of_arm.items()}
         for arm, of_arm in mean.items()

@@ -15,7 +15,7 @@ from sim2real.errors import InputError
 pytest.importorskip("torch", reason="the extra 'rl' is not installed")
 
 from rl.commands.options import COMMANDS
-from rl.experiments.arms import ARMS
+from rl.experiments.ablation import ARMS
 from rl.sac.recipes import RECIPES
 from rl.task import TASKS, shortened
 

@@ -13,9 +13,8 @@ import pytest
 import rl.experiments.testbeds
 from rl.commands.ablate import make_testbeds, predict_agents
 from rl.deploy.export import read_zip
-from rl.experiments.ablation import ablate, turn_of
+from rl.experiments.ablation import ARMS, STIFF, ablate, arm_of, model_of, one_density, turn_of
 from rl.experiments.ablation_report import difference_figure, markdown, tables, write_report
-from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
 from rl.experiments.episodes import Episodes
 from rl.experiments.reality import read_reality
 from rl.experiments.statistics import bootstrap, differences, paired, seeds_needed

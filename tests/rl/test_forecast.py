@@ -332,10 +332,9 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     runs.clear()
     resumed = go(file)
     assert len(runs) == 2
-    for name in whole.figures:
-        assert np.array_equal(whole.figures[name], resumed.figures[name])
-    assert np.array_equal(whole.paths, resumed.paths, equal_nan=True)
-    assert not np.allclose(whole.figures["energy"][0], whole.figures["energy"][1])
+    for name, found in whole.items():
+        assert np.array_equal(found, resumed[name], equal_nan=True)
+    assert not np.allclose(whole["energy"][0], whole["energy"][1])
 
 
 def test_a_film_shows_the_trials_that_were_forecast(robot, model, tmp_path):
@@ -347,7 +346,7 @@ def test_a_film_shows_the_trials_that_were_forecast(robot, model, tmp_path):
     path, names = tmp_path / "three.gif", {2: "good", 0: "median", 1: "bad"}
     again = forecaster.film(path, names, policies["pnl"])
     filmed = measured(again, task)["energy"].reshape(3, 2)
-    assert np.array_equal(filmed, swum.figures["energy"][0, :3])
+    assert np.array_equal(filmed, swum["energy"][0, :3])
     with Image.open(path) as frames:
         assert frames.n_frames == 13 and frames.size[0] == 3 * 320
         first = np.array(frames.convert("L"), dtype=int)

@@ -13,8 +13,7 @@ import pytest
 from rl.commands import demo_pool
 from rl.commands.demo_pool import PRETRAINED, agents_in
 from rl.deploy.export import read_zip
-from rl.experiments.ablation import LISTING, policy_in, read_pretrained, write_pretrained
-from rl.experiments.arms import PAPER
+from rl.experiments.ablation import LISTING, PAPER, policy_in, read_pretrained, write_pretrained
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.ranges.entry import read_ranges
