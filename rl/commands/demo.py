@@ -199,12 +199,13 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
         with Video(film) as video, Film(video, world, {0: name}, width=480) as watch:
             trial = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
     time_s = float(trial.time_s[0])
-    arrives = f"It arrives after {time_s:.1f} s."
-    missed = f"It has not arrived after {LONGEST / 50:.0f} s."
+    outcome = f"It has not arrived after {LONGEST / 50:.0f} s."
+    if np.isfinite(time_s):
+        outcome = f"It arrives after {time_s:.1f} s."
     lead = (
         "Of the agents with all techniques, the one with the highest return in simulation turns by "
         "180° and swims to a target behind it, in a lattice-Boltzmann fluid with cells of 2 cm. "
-        f"It was trained in the twin only. {arrives if np.isfinite(time_s) else missed}"
+        f"It was trained in the twin only. {outcome}"
     )
     caption = (
         "From above: the robot, its path, the target, and the vorticity of the water around it."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rl.experiments.ablation_report import picture
 from rl.experiments.episodes import FIGURES
@@ -12,8 +12,10 @@ from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Film, Note, Section, Table, write_page
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+_PATHS = (
+    "The first trial in twenty realities, with the start at the right and the target at the left; "
+    "grey where it is not reached."
+)
 
 
 @result_section.register
@@ -48,7 +50,7 @@ def sections(forecast: Forecast) -> list[Section]:
         "The interval of the mean is that of many trials of the real robot; that of the next trial "
         "contains the chance of a single one. Trials without arrival count with the full time."
     )
-    blocks: list[Block] = [picture(interval_figure(forecast)), Table(header, rows, caption)]
+    blocks: list[Block] = [Table(header, rows, caption)]
     blocks += [
         Note("info", f"{policy}: P({limit}) = {forecast.probability(policy, limit):.2f}")
         for policy in forecast.policies
@@ -60,12 +62,7 @@ def sections(forecast: Forecast) -> list[Section]:
         blocks.insert(0, Note(kind, forecast.verdict))
     out = [
         Section("What to expect", "", blocks),
-        Section(
-            "Paths",
-            "The first trial in twenty realities, with the start at the right and the target at "
-            "the left; grey where it is not reached.",
-            [picture(forecast.plot())],
-        ),
+        Section("Paths", _PATHS, [picture(forecast.plot())]),
     ]
     if len(forecast.policies) > 1:
         order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
@@ -101,24 +98,3 @@ def _range(ends: tuple[float, float] | None) -> str:
         return "not stated"
     low, high = (f"{x:.3g}" for x in ends)
     return low if low == high else f"{low} to {high}"
-
-
-def interval_figure(forecast: Forecast) -> Figure:
-    """Intervals of the mean (thick) and of the next trial (thin) of each policy."""
-    from sim2real.report.style import ACCENT, MUTED, house_style, new_figure
-
-    K = len(forecast.policies)
-    with house_style():
-        figure = new_figure(70 + 34 * K, "Intervals of time and energy")
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, name in zip(panels, ("time_s", "energy"), strict=True):
-            rows = [row for row in forecast.rows() if row.figure == name]
-            for y, row in enumerate(rows):
-                axes.plot(row.next_trial_90, [y, y], color=MUTED, lw=1.0)
-                axes.plot(row.mean_90, [y, y], color=ACCENT, lw=3.0)
-                axes.plot([row.mean], [y], "o", color=ACCENT, ms=4)
-            axes.set_yticks(range(K), forecast.policies)
-            axes.set_ylim(K - 0.5, -0.5)
-            axes.margins(x=0.06)
-            axes.set_xlabel(FIGURES[name].label)
-    return figure
