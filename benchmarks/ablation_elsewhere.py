@@ -23,9 +23,8 @@ from harness import command_line
 
 import sim2real as s2r
 from rl.commands.ablate import make_testbeds
-from rl.experiments.ablation import ablate
+from rl.experiments.ablation import ablate, arm_of
 from rl.experiments.ablation_report import markdown, write_report
-from rl.experiments.arms import arm_of
 from rl.experiments.reality import read_reality
 from rl.observer import View
 from rl.sac.plan import Plan, Settings
@@ -100,13 +99,10 @@ def swum(
     reality = read_reality(options.reality, cell_m=options.reality_cell_m)
     reality = replace(reality, at_once=options.at_once or reality.at_once)
     testbeds = make_testbeds(robot, arms, plan, ranges, reality)
-
-    def known(*_: Any) -> list[Path]:  # noqa: ANN401 - as ``train`` is called
-        return [folders[f"{arm}-{seed}"] for arm in names for seed in plan.seeds]
-
+    agents = [folders[f"{arm}-{seed}"] for arm in names for seed in plan.seeds]
     return ablate(
-        options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
-        longest=options.longest, trainer=known,
+        options.out, robot, names, agents, plan, testbeds, repeats=options.repeats,
+        seed=options.seed, longest=options.longest,
     )  # fmt: skip
 
 

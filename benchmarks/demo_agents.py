@@ -16,9 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
-from rl.experiments.arms import PAPER
-from rl.experiments.pretrained import write_pretrained
-from rl.sac.plan import Plan
+from rl.experiments.ablation import PAPER, write_pretrained
+from rl.sac.train import Plan
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import provenance

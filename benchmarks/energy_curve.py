@@ -27,12 +27,12 @@ from training_tables import group_of
 import sim2real as s2r
 from rl.controllers import Controller
 from rl.controllers.classical import PACES
-from rl.experiments.evaluate import summary
+from rl.experiments.episodes import summary
 from rl.experiments.named import controller_of
-from rl.experiments.trials import run_trials
+from rl.experiments.testbeds import SimulationSettings, run_trials
 from rl.make import draws_of
-from rl.sac.plan import RECIPES, Arm, plan_of
-from rl.sac.train import train
+from rl.sac.plan import RECIPES, plan_of
+from rl.sac.train import Arm, train
 from rl.task import TASKS
 from sim2real.output import provenance, write_json
 from sim2real.ranges.entry import read_ranges
@@ -95,7 +95,10 @@ def make(options: argparse.Namespace) -> None:
                 name = f"{kind}-{pace}"
                 controllers[name] = controller_of(name, limits, n, gains=options.gains)
         own = replace(TASKS[task], energy=RECIPES["default"].energy)
-        swims = run_trials(robot, model, ranges, own, controllers, episodes=n, seed=7, **water)
+        swims = run_trials(
+            robot, model, ranges, own, controllers, episodes=n, seed=7,
+            settings=SimulationSettings(**water),
+        )  # fmt: skip
         results = {name: summary(one, own) for name, one in swims.items()}
         content = {"task": task, "fidelity": options.fidelity, "randomized": True}
         content |= {"results": results, "provenance": provenance([], options.seed)}

@@ -19,8 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rl.forecast import twin_error
-from rl.forecast.realities import DEVIATIONS
+from rl.forecast.realities import DEVIATIONS, TWIN_ERROR
 from sim2real.arrays import Array
 from sim2real.output import write_json
 
@@ -59,7 +58,7 @@ def main() -> None:
         print("without water", g, *robust(np.array(others)))
     middle, sd = robust(np.array([x for values in ratio.values() for x in values]))
     origin = {"waters": len(ratio), "realities": realities}
-    write_json(twin_error.FILE, {"from": origin, "energy": {"mean": middle, "sd": sd}})
+    write_json(TWIN_ERROR, {"from": origin, "energy": {"mean": middle, "sd": sd}})
 
 
 if __name__ == "__main__":

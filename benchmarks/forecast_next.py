@@ -22,15 +22,15 @@ from scipy.stats import spearmanr
 
 from benchmarks.forecast_realities import AGENTS, POOL, task_of
 from benchmarks.harness import command_line, spread
+from rl.experiments.statistics import interval
+from rl.experiments.testbeds import SimulationSettings
 from rl.forecast.causes import group_of, ranked
 from rl.forecast.diagnosed import Diagnosed, Possible
 from rl.forecast.make import named_controllers
 from rl.forecast.realities import DEVIATIONS, Realities, draw_realities
-from rl.forecast.statistics import interval
-from rl.forecast.swims import SimulationSettings, swim
+from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials, update
 from rl.randomize import numbers_of, with_density
-from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import with_values
 from sim2real.arrays import Array
 from sim2real.effects import BODY, find
@@ -77,10 +77,9 @@ def known_of(robot: Robot, rng: np.random.Generator, n: int) -> tuple[Realities,
     parameters = find(BODY, effect, "effects").parameters
     size = {p.name: p.typical * between(rng, 0.5, 3.0) for p in parameters}
     maybe = Possible(effect, material, 0.5, size, {k: x / 2 for k, x in size.items()})
-    error = replace(LAW_ERROR, shares=LAW_ERROR.shares * between(rng, 0.1, 1.0))
     drawn = draw_realities(
         robot, model, Ranges(tuple(entries)), sample, n + 1, rng,
-        diagnosed=Diagnosed((), (maybe,), {}), error=error,
+        diagnosed=Diagnosed((), (maybe,), {}),
     )  # fmt: skip
     truth = with_values(drawn.models[n], {f"{name}.{k}": x for k, x in maybe.drawn(rng).items()})
     rest = replace(drawn, models=drawn.models[:n], values=drawn.values[:n], law=drawn.law[:n])
@@ -127,9 +126,8 @@ def one_reality(seed: int, draws: int, seconds: float) -> dict[str, Any]:
     settings = SimulationSettings(at_once=draws)
 
     def swum(realities: Realities, trials: int) -> dict[str, Array]:
-        found = swim(robot, task_of(seconds), realities, controllers, trials=trials, seed=seed,
-                     settings=settings)  # fmt: skip
-        return {name: x[0] for name, x in found.figures.items()}
+        trial = Forecaster(robot, task_of(seconds), realities, trials, seed, settings)
+        return {name: x[0] for name, x in trial.swim(controllers).items()}
 
     def width(figures: Mapping[str, Array], weights: Array) -> Array:
         return np.array([np.ptp(interval(figures[name], weights)[1:]) for name in JUDGED])

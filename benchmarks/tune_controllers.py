@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 from harness import command_line
+from rl.experiments.evaluate import run_episodes
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
@@ -38,7 +39,6 @@ from rl.controllers.classical import (
     PNLGains,
     ProportionalNavigation,
 )
-from rl.experiments.evaluate import run_episodes
 from rl.make import make_world
 from rl.metrics import energy
 from rl.task import CONTROL_S, TASKS, Task

@@ -26,9 +26,9 @@ from tqdm import tqdm
 from tune_controllers import BOUNDS, KINDS, LIMITS, MODEL, PRICES, ROBOT, as_toml
 
 from rl.controllers.classical import TUNED
-from rl.experiments.evaluate import Episodes, spent
-from rl.experiments.real_episodes import Starts
-from rl.experiments.testbeds import Controllers, Simulated
+from rl.experiments.episodes import Episodes, spent
+from rl.experiments.reality import Starts
+from rl.experiments.testbeds import Controllers, SimulationSettings, simulate
 from rl.make import draws_of
 from rl.task import TASKS, Task
 from rl.world import Draws
@@ -80,10 +80,9 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
     starts = TASK.place(np.random.default_rng(seed), S, len(LIMITS))
     n = len(SEARCHES) * C
     tiled = Starts(*(np.tile(x, (n, *[1] * (x.ndim - 1))) for x in starts))
-    testbed = Simulated("fluid", own * n, options.fidelity, options.cell_m, {}, options.device)
-    episodes = testbed.swim(
-        Controllers(controllers, n * S // len(controllers)), ROBOT, TASK, tiled, seed
-    )
+    settings = SimulationSettings(options.fidelity, options.device, cell_m=options.cell_m)
+    steering = Controllers(controllers, n * S // len(controllers))
+    episodes = simulate(ROBOT, TASK, tiled, own * n, steering, settings, seed=seed, name="fluid")
     table = costs(episodes, np.concatenate(price)).reshape(len(SEARCHES), C, S)
     return dict(zip(SEARCHES, table, strict=True))
 

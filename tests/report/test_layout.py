@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rl.experiments.differences import Difference
 
 from rl.experiments.ablation_report import OUTCOME, TITLES, difference_figure, return_figure
-from rl.experiments.differences import Difference
 from sim.cases.case import Curve
 from sim.view.calibration_plot import comparison
 from sim.view.report import curve_figure

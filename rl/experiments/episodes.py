@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +16,28 @@ from rl.metrics import energy, path_length, turning_radius
 from rl.task import CONTROL_S, Task
 from rl.world import World
 from sim2real.arrays import Array, Mask
+
+if TYPE_CHECKING:
+    from rl.experiments.reality import RealWorld
+
+
+class Measure(NamedTuple):
+    """How a figure is shown and compared: label, unit in files, 1 where more is better else -1."""
+
+    label: str
+    unit: str
+    better: int
+    digits: str
+
+
+FIGURES = {
+    "success": Measure("share that arrives", "", 1, ".2f"),
+    "time_s": Measure("time (s)", "s", -1, ".2f"),
+    "energy": Measure("energy (rad²/s²)", "rad2/s2", -1, ",.0f"),
+    "reward": Measure("reward", "", 1, ".1f"),
+    "path_m": Measure("path (m)", "m", -1, ".2f"),
+}
+"""The figures of a trial by name, in the order of tables; see ``measured``."""
 
 
 @dataclass(frozen=True)
@@ -61,33 +83,34 @@ class Episodes:
         """Seconds until the last waypoint, shape (E,); NaN where it was not reached."""
         return np.where(self.success, CONTROL_S * self.steps, np.nan)
 
-    def turned_s(self, angle_rad: float = np.pi / 2) -> Array:
-        """Seconds until the heading has changed by an angle, shape (E,); NaN if it never does."""
-        turned = np.abs(self.pose[:, :, 2] - self.pose[0, :, 2]) >= angle_rad
-        return np.where(turned.any(axis=0), CONTROL_S * turned.argmax(axis=0), np.nan)
-
     def faced_s(self, within_rad: float = np.pi / 6) -> Array:
         """Seconds until the head points at the first target, shape (E,); NaN if it never does."""
         way = self.targets[None, :, 0] - self.pose[:, :, :2]
         bearing = np.arctan2(way[..., 1], way[..., 0]) - self.pose[:, :, 2]
-        facing = np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad
-        return np.where(facing.any(axis=0), CONTROL_S * facing.argmax(axis=0), np.nan)
+        return _first_s(np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad)
+
+    def of(self, mask: Mask) -> Episodes:
+        """The episodes of some of the robots, ``mask`` of shape (E,)."""
+        pose, rate, value = (x[:, mask] for x in (self.pose, self.rate, self.value))
+        counts = self.reached[mask], self.steps[mask]
+        return Episodes(pose, rate, value, *counts, self.targets[mask])
+
+
+def _first_s(true: Mask) -> Array:
+    """Seconds until the first true row of (T, E), shape (E,); NaN if there is none."""
+    return np.where(true.any(axis=0), CONTROL_S * true.argmax(axis=0), np.nan)
 
 
 def run_episodes(
-    world: World,
+    world: World | RealWorld,
     controller: Controller,
     *,
     name: str = "swim",
     watch: Callable[[Mask], None] | None = None,
 ) -> Episodes:
-    """Run one episode of every robot of a world.
+    """Run one episode of every robot of a world; all are reset.
 
-    Args:
-        world: The robots; all are reset.
-        controller: Their controller.
-        name: Label of the progress bar.
-        watch: Called at the start and after every step with the robots that took part in it, (E,).
+    ``watch`` is called at the start and after every step with the robots that took part, (E,).
     """
     E = world.n_envs
     observation = world.reset()
@@ -132,12 +155,22 @@ def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
     return time, np.where(episodes.success, used, used * extrapolation)
 
 
+def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
+    """Each of ``FIGURES``, shape (E,); ``success`` is 1 or 0, time and energy as in ``spent``."""
+    time, used = spent(episodes, task)
+    return {
+        "success": episodes.success.astype(np.float64),
+        "time_s": time,
+        "energy": used,
+        "reward": episodes.reward,
+        "path_m": path_length(episodes.pose[:, :, :2]),
+    }
+
+
 def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
     """The metrics of the paper over all episodes: means, some with standard errors."""
-    heading = episodes.pose[:, :, 2]
-    radius = turning_radius(episodes.pose[:, :, :2], heading)
-    won = episodes.success
-    time, used = spent(episodes, task)
+    figures, won = measured(episodes, task), episodes.success
+    time, used = figures["time_s"], figures["energy"]
 
     def mean(values: Array, where: Mask | None = None) -> float | None:
         chosen = values if where is None else values[where]
@@ -147,6 +180,12 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
     def error(values: Array) -> float:
         return float(values.std() / np.sqrt(len(values)))
 
+    turned, path = episodes.pose[:, :, 2], episodes.pose[:, :, :2]
+    arrivals = {
+        "time_s": mean(episodes.time_s),
+        "energy": mean(used, won),
+        "path_m": mean(figures["path_m"], won),
+    }
     return {
         "episodes": len(won),
         "success": float(won.mean()),
@@ -157,12 +196,8 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
         "time_error_s": error(time),
         "energy": float(used.mean()),
         "energy_error": error(used),
-        "arrivals": {
-            "time_s": mean(episodes.time_s),
-            "energy": mean(used, won),
-            "path_m": mean(path_length(episodes.pose[:, :, :2]), won),
-        },
-        "turned_90_s": mean(episodes.turned_s()),
+        "arrivals": arrivals,
+        "turned_90_s": mean(_first_s(np.abs(turned - turned[0]) >= np.pi / 2)),
         "faced_target_s": mean(episodes.faced_s()),
-        "turning_radius_m": mean(radius),
+        "turning_radius_m": mean(turning_radius(path, turned)),
     }

@@ -1,14 +1,20 @@
-"""Predictive distributions from trials in drawn realities: N draws, T trials in each.
+"""Statistics of trials: predictive distributions, and differences of agents paired by seed.
 
-A figure differs between realities (variance B) and between trials in one reality (variance W), the
-variance components of a one-way layout with random effects (Searle, Casella and McCulloch, Variance
-Components, 1992, ch. 3). More trials average W away and not B.
+Predictive distributions come from N drawn realities with T trials in each. A figure differs between
+realities (variance B) and between trials in one reality (variance W), the variance components of a
+one-way layout with random effects (Searle, Casella and McCulloch, Variance Components, 1992, ch.
+3). More trials average W away and not B.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from scipy.stats import beta, norm, rankdata
+from scipy.stats import t as student
 
 from sim2real.arrays import Array, Mask
 
@@ -30,9 +36,6 @@ def reliability(values: Array) -> float:
 
     That of normal scores (Saltelli and Sobol, Reliab. Eng. Syst. Saf. 50 (1995) 225, of ranks), as
     one failure in hundreds of trials would be most of the variance within realities.
-
-    Args:
-        values: A figure, shape (N, T).
     """
     between, within = between_within(normal_scores(values))
     return float(between / max(between + within / values.shape[1], 1e-12))
@@ -44,9 +47,6 @@ def expected(values: Array) -> Array:
     The means of T trials are drawn towards their mean until the share of their variance that is the
     chance of single trials is gone. Shares of trials (values of 0 and 1) have a beta distribution
     between realities.
-
-    Args:
-        values: A figure, shape (N, T).
     """
     if _binary(values):
         return _shares(values)
@@ -79,14 +79,9 @@ def _shares(values: Array, least: float = 0.1) -> Array:
 
 
 def means(values: Array, trials: float = np.inf) -> Array:
-    """Draws of the mean of a number of trials in one reality.
+    """Draws of the mean of a number of trials in one reality, M for each reality, shape (N, M).
 
-    Args:
-        values: A figure, shape (N, T).
-        trials: Number of trials; by default so many that only the reality counts.
-
-    Returns:
-        Shape (N, M), with M draws for each reality; within the range of the figure.
+    They are within the range of the figure. With infinitely many trials only the reality counts.
     """
     centre = expected(values)[:, None]
     if _binary(values):
@@ -116,12 +111,7 @@ def interval(
 
     The mean of many trials can be beyond a quantile of its distribution where that is very skewed,
     as that of a rate of success which is 1 in nearly all realities; the interval then ends at it.
-
-    Args:
-        values: A figure, shape (N, T).
-        weights: Of the draws, shape (N,), with sum 1.
-        trials: Number of trials.
-        level: Probability of the interval.
+    ``weights`` of the draws, shape (N,), have sum 1.
     """
     drawn = means(values, trials)
     low, high = quantiles(drawn, weights, np.array([0.5 - level / 2, 0.5 + level / 2]))
@@ -131,13 +121,9 @@ def interval(
 
 
 def best(scores: Array, weights: Array) -> Array:
-    """Probability of each of K policies that its mean is the largest, shape (K,).
+    """Probability of each of K policies that its mean score (K, N, T) is the largest, shape (K,).
 
     Starts and disturbances are the same for all policies, so that what they have in common cancels.
-
-    Args:
-        scores: Shape (K, N, T).
-        weights: Of the draws, shape (N,), with sum 1.
     """
     drawn = np.stack([expected(one) for one in scores])
     winner: Mask = drawn == drawn.max(axis=0)
@@ -147,3 +133,86 @@ def best(scores: Array, weights: Array) -> Array:
 def effective(weights: Array) -> float:
     """Effective number of draws (Kong, Liu and Wong, J. Am. Stat. Assoc. 89 (1994) 278)."""
     return float(weights.sum() ** 2 / (weights @ weights))
+
+
+OUTCOME = "return"
+"""Compared quantity: the rewards of a turn discounted as in training, which agents maximise. The
+undiscounted sum does not penalise time and favours slow turns."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Return with all techniques minus that of an arm, over S pairs of agents with the same seed.
+
+    The mean is positive if the arm is worse. The 90 % interval is Student's with S - 1 degrees of
+    freedom, infinite for one pair, for which the standard deviation over the pairs is NaN.
+    """
+
+    mean: float
+    low: float
+    high: float
+    sd: float
+    pairs: int
+
+    @property
+    def significant(self) -> bool:
+        """Whether the interval excludes zero."""
+        return self.low > 0 or self.high < 0
+
+
+def paired(first: Array, second: Array) -> Difference:
+    """Difference of two arms, given the mean of each agent over the same trials, shape (S,)."""
+    d = first - second
+    S, mean = len(d), float(d.mean())
+    sd = float(d.std(ddof=1)) if S > 1 else np.nan
+    margin = float(student.ppf(0.95, S - 1)) * sd / S**0.5 if S > 1 else np.inf
+    return Difference(mean, mean - margin, mean + margin, sd, S)
+
+
+def differences(results: Mapping[str, Any]) -> dict[str, Difference]:
+    """Differences in reality of "all" and each other arm in the result of ``ablate``, by arm."""
+    table: dict[str, dict[int, float]] = {}
+    for agent in results["agents"]:
+        mean = float(np.mean(agent["reality"][OUTCOME]))
+        table.setdefault(agent["arm"], {})[agent["seed"]] = mean
+    reference = table.pop("all", {})
+    out = {}
+    for arm, outcomes in table.items():
+        seeds = [seed for seed in reference if seed in outcomes]
+        if seeds:
+            samples = (np.array([rows[s] for s in seeds]) for rows in (reference, outcomes))
+            out[arm] = paired(*samples)
+    return out
+
+
+def seeds_needed(
+    losses: Mapping[str, Difference], *, most: int = 200, width: float = 1 / 3
+) -> dict[str, int | None]:
+    """Pairs for an interval as narrow as a share ``width`` of the largest difference, by arm.
+
+    Computed from the present spread over pairs; None if unknown or more than ``most``.
+    """
+    largest = max((abs(loss.mean) for loss in losses.values()), default=0.0)
+    pairs = np.arange(2, most + 1)
+    widths = 2 * student.ppf(0.95, pairs - 1) / np.sqrt(pairs)  # for a spread of 1
+    return {
+        arm: next((int(S) for S, w in zip(pairs, widths * loss.sd, strict=True)
+                   if w <= width * largest), None)
+        for arm, loss in losses.items()
+    }  # fmt: skip
+
+
+def bootstrap(
+    values: Sequence[Sequence[float]], rng: np.random.Generator, draws: int = 4000
+) -> tuple[float, float, float]:
+    """Mean with a 90 % bootstrap interval of one list of repeats for each agent.
+
+    Agents are resampled, then their repeats.
+    """
+    table = np.array(values, dtype=np.float64)
+    A, R = table.shape
+    agents = rng.integers(A, size=(draws, A))
+    repeats = rng.integers(R, size=(draws, A, R))
+    means = table[agents[:, :, None], repeats].mean(axis=(1, 2))
+    low, high = np.quantile(means, [0.05, 0.95])
+    return float(table.mean()), float(low), float(high)
