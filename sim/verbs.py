@@ -14,7 +14,7 @@ from sim2real.errors import InputError, check_choice, check_effort, check_whole
 from sim2real.verbs import model_of, recordings_or_commands, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
-    from sim.calibration.calibration import Calibration
+    from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.design.plan import Design
     from sim2real.design.tell_apart import RivalDesign
@@ -99,7 +99,7 @@ def diagnose(
         raise InputError("diagnose", "diagnosis", "swims in a pool", "recordings of a bench")
     from dataclasses import replace
 
-    from sim.inference.recorded_swims import diagnose_recorded_swims
+    from sim.inference.diagnose_swims import diagnose_recorded_swims
     from sim2real.plausible import admitted
 
     _, warnings = admitted([*swims, *earlier], machine)
@@ -142,7 +142,7 @@ def calibrate(
     """
     from dataclasses import replace
 
-    from sim.calibration.calibration import FluidSettings, calibrate_body
+    from sim.inference.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance
     from sim2real.plausible import admitted

@@ -31,8 +31,7 @@ from rl.experiments.ablation_report import (
 from rl.experiments.differences import differences
 from rl.experiments.pretrained import Pretrained, read_pretrained
 from sim.commands.diagnose import write_all
-from sim.inference.followed import by_followed_twin
-from sim.inference.swims import by_twin
+from sim.inference.swims import by_followed_twin, by_twin
 from sim.view.calibration_page import calibration_section
 from sim.view.diagnosis_page import swims_section
 from sim2real.check import check

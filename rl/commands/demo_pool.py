@@ -21,11 +21,10 @@ from rl.experiments.arms import PAPER, arm_of
 from rl.experiments.pretrained import Pretrained, drift, read_pretrained
 from rl.sac.recipes import plan_of
 from rl.sac.train import Plan, train_in_parts
-from sim.calibration.swim_parameters import twin_parameters
-from sim.calibration.twin_fit import Calibrated, calibrate
+from sim.inference.calibration import Calibrated, calibrate
 from sim.inference.diagnose_swims import diagnose_swims
-from sim.inference.followed import by_followed_twin
-from sim.inference.swims import Swim, by_twin, swim_of
+from sim.inference.swim_parameters import twin_parameters
+from sim.inference.swims import Swim, by_followed_twin, by_twin, swim_of
 from sim2real.diagnose.result import Diagnosis
 from sim2real.errors import InputError
 from sim2real.model import Model, read_model

@@ -9,16 +9,14 @@ from good_input import message
 from rival_swims import FISH, POOL, SERVOS, swim_rivals, swim_set
 from violations import violations
 
-from sim.design.design_swim import design_swim
+from sim.design.design_swim import SwimObjective, design_swim
 from sim.design.swim_commands import SwimLimits, draw, within
-from sim.design.swim_objective import SwimObjective
 from sim.fluid.tank import POOL_M
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.design.limits import limits_of
-from sim2real.diagnose.swim_rivals import read_swim_rivals
+from sim2real.diagnose.swim_rivals import swim_rivals_of_file
 from sim2real.recording import read_commands
-from sim2real.structured import Fields
 
 RIVALS = swim_rivals()
 LIMITS = SwimLimits(tuple(limits_of(FISH, None, joint.name) for joint in FISH.joints))
@@ -101,12 +99,6 @@ def test_the_difference_over_time_begins_when_the_robot_moves():
     assert difference[:40].max() < 0.2 * difference[50:].max()
 
 
-def test_rivals_of_swims_survive_a_file():
-    content = json.loads(json.dumps(RIVALS.content()))
-    again = read_swim_rivals(Fields("d.json", "", content))
-    assert again.content() == RIVALS.content()
-
-
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     for name in ("robot.toml", "model.json"):
@@ -119,6 +111,11 @@ def files(tmp_path, monkeypatch):
 def write(folder, rivals):
     content = {"schema": "sim2real.diagnosis/1", "rival_sets": [], "model": "model.json"}
     (folder / "diagnosis.json").write_text(json.dumps(content | {"swim_rivals": rivals}))
+
+
+def test_rivals_of_swims_survive_a_file(files):
+    again, model = swim_rivals_of_file("diagnosis.json")
+    assert (again.content(), model) == (RIVALS.content(), "model.json")
 
 
 def design(*more):

@@ -10,18 +10,17 @@ from swimming_robots import FISH, LAW, servos
 from test_calibrate import SENT, TIMES
 
 import sim.inference.coordinates as places
-from sim.calibration.swim_parameters import candidates
-from sim.calibration.swim_problem import seen
-from sim.inference import law_error, twin_search
-from sim.inference.blocks import Blocks, bounds, spectrum
-from sim.inference.coordinates import WATER_FORCES, Coordinates, in_fit
+from sim.inference import law_error
+from sim.inference import searched as search
+from sim.inference.coordinates import WATER_FORCES, Coordinates
 from sim.inference.diagnose_swims import diagnose_swims
-from sim.inference.followed import by_followed_twin
 from sim.inference.law_error import LAW_ERROR, read_law_error
-from sim.inference.searched import learned, searched
+from sim.inference.searched import SwimSearch, learned, searched
+from sim.inference.signal_error import Blocks, spectrum
 from sim.inference.swim_decision import decide
-from sim.inference.swims import by_twin, swim_of, with_values
-from sim.inference.twin_search import TwinSwims
+from sim.inference.swim_parameters import candidates
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import block_bounds, by_followed_twin, by_twin, swim_of, with_values
 from sim2real.body import observed, values
 from sim2real.cli import main
 from sim2real.recording import Recording
@@ -76,7 +75,7 @@ def skin():
     Of each such fit the coordinates, and where the fit to the whole swim and this one came to lie.
     """
     seen = []
-    held = TwinSwims.held
+    held = SwimProblem.held
 
     def told(self, members, fit, share):
         found, left = held(self, members, fit, share)
@@ -85,7 +84,7 @@ def skin():
 
     with pytest.MonkeyPatch.context() as patch:
         only(patch, NAMES)
-        patch.setattr(TwinSwims, "held", told)
+        patch.setattr(SwimProblem, "held", told)
         return diagnosed(SKIN_LEFT_OUT), seen
 
 
@@ -145,14 +144,14 @@ def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
     only(monkeypatch, ("camera_latency", "pose_filter"))
     listed = places.candidates(FISH)
     monkeypatch.setattr(places, "candidates", lambda robot: sorted(listed, reverse=True))
-    monkeypatch.setattr(twin_search, "FIRST", 1)
-    hopes = TwinSwims.additions
+    monkeypatch.setattr(search, "FIRST", 1)
+    hopes = SwimSearch.additions
 
     def filter_first(self, ledger, members, most):
         found = hopes(self, ledger, members, 2)
         return [one for one in found if members or one[0].name == "pose_filter"]
 
-    monkeypatch.setattr(TwinSwims, "additions", filter_first)
+    monkeypatch.setattr(SwimSearch, "additions", filter_first)
     found = diagnosed({"camera_latency.latency_s": 0.12})
     assert [one.effect for one in found.effects if one.probability > 0.5] == ["camera_latency"]
 
@@ -187,7 +186,7 @@ def test_coordinates_give_back_what_they_stand_for():
 def test_blocks_keep_what_errors_are_worth():
     rng = np.random.default_rng(0)
     errors = rng.standard_normal((3, 500, 6))
-    edges = bounds(500, 0.02)
+    edges = block_bounds(500, 0.02)
     assert np.sum(spectrum(errors, edges) ** 2) == pytest.approx(np.sum(errors**2))
     blocks = Blocks.of(swum({}))
     loose = blocks.weights(2 * LAW_ERROR.shares)
@@ -218,22 +217,6 @@ def test_every_decision_has_a_name_and_a_reason(file):
     names = {n if n in content["reasons"] else re.split("[: ]", n)[0] for n in content["decisions"]}
     assert names == set(content["reasons"])
     assert all(content["reasons"].values())
-
-
-def test_a_file_that_numbers_its_weights_decides_alike(tmp_path):
-    """Files of before the weights had names."""
-    content = json.loads(law_error.FILE.read_text())
-    now, old = content["decisions"], {}
-    for new, before in (("name", "odds"), ("unlisted", "strange"), ("anything", "there")):
-        own = [value for name, value in now.items() if name.startswith(f"{new}: ")]
-        old |= {f"{before} {k}": value for k, value in enumerate(own)}
-    usual = [value for name, value in now.items() if name.startswith("usual misfit ")]
-    old |= {f"usual misfit {k // 3} {k % 3}": value for k, value in enumerate(usual)}
-    thresholds = ("cost", "temperature", "alike", "held_gain", "flagged from", "usual wave")
-    old |= {name: now[name] for name in thresholds}
-    path = tmp_path / "law_error.json"
-    path.write_text(json.dumps(content | {"decisions": old}))
-    assert read_law_error(path).decisions == LAW_ERROR.decisions
 
 
 def test_what_predicts_worse_is_not_offered():
@@ -315,14 +298,14 @@ def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
 def test_slopes_that_are_renewed_are_those_that_a_fit_moves(few):
     simulate = by_followed_twin(FISH)
     before = learned([], servos(), FISH, simulate)
-    problem = TwinSwims(Coordinates.of(FISH, servos()), [swum({})], simulate, before)
+    problem = SwimProblem(Coordinates.of(FISH, servos()), [swum({})], simulate, before)
     c = problem.coordinates
     members = frozenset(e for e in c.effects if e.name == "pool_current")
     x = c.nominal
     _, known = problem.slope(x)
     x[c.of_effect(*members)] = 0.02
     (_, whole), (_, part) = problem.slope(x), problem.slope(x, known, members)
-    own = in_fit(c.columns, members)
+    own = c.in_fit(members)
     np.testing.assert_allclose(part.slope[:, own], whole.slope[:, own], atol=1e-9)
     np.testing.assert_array_equal(part.slope[:, ~own], known.slope[:, ~own])
 
@@ -332,10 +315,10 @@ def test_what_is_there_is_not_passed_off_as_error(few):
     simulate = by_followed_twin(FISH)
     before = learned([], servos(), FISH, simulate, IN_WATER)
     strong = swum(SKIN_LEFT_OUT)
-    problem = TwinSwims(Coordinates.of(FISH, servos()), [strong], simulate, before)
+    problem = SwimProblem(Coordinates.of(FISH, servos()), [strong], simulate, before)
     plain = problem.plain()
     step = np.abs(problem.seems(plain.members, plain.fit))
-    absent = ~in_fit(problem.coordinates.columns, plain.members)
+    absent = ~problem.coordinates.in_fit(plain.members)
     usual = np.sqrt(np.diag(before.covariance))[absent]
     assert (step[absent] <= 3.001 * usual).all()
     assert (step[absent] > 2.999 * usual).any()
@@ -352,7 +335,7 @@ def test_a_skin_that_would_have_to_push_is_no_evidence():
         if column.effect and column.effect[0] in WATER_FORCES
     )
     swim = swum({"j1.kp_Nm_per_rad": 1.3 * servos().joints["j1"].kp_Nm_per_rad})
-    problem = TwinSwims(c, [swim], simulate, before)
+    problem = SwimProblem(c, [swim], simulate, before)
     plain = problem.plain()
     for effect in c.effects:
         if effect.name in ("skin_elasticity", "linear_drag"):
@@ -373,7 +356,7 @@ def test_swims_that_agree_tell_a_robot_that_is_steady():
             signals = swims[k].signals * [1 + sign * share, 1, 1, 1, 1, 1]
             swims[k] = replace(swims[k], signals=signals)
         known = learned(swims, servos(), FISH, simulate, usual)
-        return known.imitation[speed] / usual.imitation(c)[speed]
+        return known.imitation[speed] / usual.prior(c).imitation[speed]
 
     assert scale(0.0) < 0.9 < 1.1 < scale(0.1)
 
@@ -384,16 +367,6 @@ def test_a_shape_without_a_name_makes_it_abstain():
     assert said.verdict == "unexplained"
     assert all(one.probability < 0.5 for one in said.named)
     assert all(probability < 0.5 for _, probability in said.rivals)
-
-
-def test_a_mean_over_two_seconds_stands_beside_the_signals():
-    t = np.arange(600) * 0.02
-    signals = np.stack([np.sin(2 * np.pi * t), 0.01 * t, 0 * t, t, t, t], axis=1)
-    both = seen(signals[None])[0]
-    assert both.shape == (600, 9)
-    assert (both[:, :6] == signals).all()
-    assert np.abs(both[50:-50, 6]).max() < 0.02
-    assert both[50:-50, 7] == pytest.approx(signals[50:-50, 1], abs=2e-4)
 
 
 def test_swims_need_a_model_and_no_bench_beside_them(tmp_path, capsys):

@@ -8,9 +8,7 @@ from swimming_robots import FISH, servos
 from test_calibrate import SENT
 from test_diagnose_swims import swum
 
-from sim.calibration.emulator import steps_of
 from sim.inference.coordinates import WATER, Coordinates
-from sim.inference.followed import by_followed_twin
 from sim.inference.in_water import (
     InWater,
     by_twin_in_water,
@@ -23,8 +21,8 @@ from sim.inference.in_water import (
 )
 from sim.inference.law_error import IN_WATER, read_law_error
 from sim.inference.searched import changed, learned
-from sim.inference.swims import by_twin, with_values
-from sim.inference.twin_search import TwinSwims
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import by_followed_twin, by_twin, steps_of, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
 from sim2real.body import values
@@ -124,7 +122,7 @@ def test_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water
     swim = swum({})
     simulate = by_twin_in_water(FISH, model, water)
     before = learned([], model, FISH, simulate, KNOWN)
-    problem = TwinSwims(c, [swim], simulate, before)
+    problem = SwimProblem(c, [swim], simulate, before)
 
     def change(begun=None, **given):
         x = c.nominal
@@ -156,13 +154,15 @@ def test_what_is_wrong_of_a_change_all_along_is_no_evidence(water):
     swim = swum({})
     x = c.nominal
     x[c.place["skin_elasticity.stiffness_Nm_per_rad"]] = 1.2
-    plain = TwinSwims(c, [swim], simulate, before)
+    plain = SwimProblem(c, [swim], simulate, before)
     change = changed(plain, x)
-    doubting = TwinSwims(c, [swim], simulate, before, doubted=change)
+    doubting = SwimProblem(c, [swim], simulate, before, doubted=change)
     assert doubting.coordinates.columns[-1].name.startswith("error.doubt.")
     none = frozenset()
     wrong = replace(swim, signals=swim.signals + 0.1 * change[0] * [0, 0, 0, 1, 1, 1])
-    told = [TwinSwims(c, [wrong], simulate, before, doubted=given) for given in ((), tuple(change))]
+    told = [
+        SwimProblem(c, [wrong], simulate, before, doubted=given) for given in ((), tuple(change))
+    ]
     at = [one.evidence(none, one.at(one.centre(none))) for one in told]
     size = [one.evidence(none, one.at(one.centre(none))) for one in (plain, doubting)]
     assert size[0] - at[0] > 3 * (size[1] - at[1]) > 0
