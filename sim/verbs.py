@@ -322,7 +322,7 @@ def _telling_apart(
                     "progress": progress}  # fmt: skip
     swims = swim_rivals_of_file(diagnosis)
     if swims is not None:
-        from sim.design.design_swim import design_swim
+        from sim.inference.design_swim import design_swim
 
         if contexts is not None:
             found, expected = "--contexts with a diagnosis of swims", "no --contexts"

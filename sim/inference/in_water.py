@@ -254,11 +254,7 @@ def robot_in_water(
 ) -> tuple[Model, SwimSimulator]:
     """A model and a simulator corrected by simulations in the fluid; without files, the twin alone.
 
-    Args:
-        robot: The robot.
-        model: The servos of these simulations.
-        files: Files by ``write_water``; the law is taken from the first.
-        options: Options of the twin.
+    The files are by ``write_water``; the law is taken from the first. ``options`` are the twin's.
     """
     if not files:
         return model, by_followed_twin(robot, **options)

@@ -167,12 +167,7 @@ class _Sets:
 
 
 def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
-    """Decide which effects are reported, and the verdict.
-
-    Args:
-        raw: Output of ``searched.raw``; ``referred`` is whether there were reference swims.
-        numbers: ``decisions`` of ``law_error.json``.
-    """
+    """Decide which effects are reported, and the verdict, from the output of ``searched.raw``."""
     sets = _Sets.of(raw, numbers)
     evidence = sets.evidence
     some = [s for s in sets.held_out if s]

@@ -18,11 +18,11 @@ from itertools import chain
 import numpy as np
 from scipy.fft import idct
 
-from sim.design.swim_commands import SwimLimits, draw, usual, within
 from sim.fluid.tank import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
 from sim.inference.signal_error import Blocks
+from sim.inference.swim_commands import SwimLimits, draw, usual, within
 from sim.inference.swims import SUBSTEPS, PoseNoise, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
@@ -138,15 +138,9 @@ def design_swim(
 class SwimObjective:
     """Scores of the commands of a swim that begins in the middle of the pool, heading along x.
 
-    Args:
-        rivals: The sets.
-        model: Servos, and the twin's law and its error where the diagnosis has learned them.
-        robot: The robot.
-        limits: Limits of its commands.
-        uniform: Share of the probability that is distributed evenly among the sets: the laws of
-            the effects are approximations, so that no probability of a set is certain.
-        threads: CPU threads.
-        file: The file that the sets come from, for messages.
+    A share ``uniform`` of the probability is distributed evenly among the sets: the laws of the
+    effects are approximations, so that no probability of a set is certain. The model has the
+    servos, and the twin's law and its error where the diagnosis has learned them.
 
     Attributes:
         probability: Probabilities of the M sets, shape (M,).
@@ -179,17 +173,11 @@ class SwimObjective:
         self._blocks: Blocks | None = None
 
     def __call__(self, commands: Array, *, penalty: float = 10.0) -> Array:
-        """Minus the entropy that remains, in nats, less a penalty where limits are exceeded.
+        """Scores of set-points (N, T, J) in rad, shape (N,); -inf where a simulation diverges.
 
-        Where the penalty applies, the swim is not simulated for all sets, and the entropy is that
-        before it.
-
-        Args:
-            commands: Set-points in rad, shape (N, T, J).
-            penalty: Nats for a torque of twice what is allowed, or a path 1 m outside.
-
-        Returns:
-            Shape (N,); -inf where a simulation diverges.
+        Minus the entropy that remains, in nats, or that before the swim, less the penalty, where
+        limits are exceeded: ``penalty`` for a torque of twice what is allowed or a path 1 m
+        outside.
         """
         tracks = self._tracks(commands)
         excess = np.sum(list(self.excesses(commands, tracks).values()), axis=0)
@@ -202,11 +190,7 @@ class SwimObjective:
         """By limit, how much the likeliest set exceeds it, relative or in m, each (N,); 0 if kept.
 
         The head stays a body's length from the walls: its path is known roughly. Torques are those
-        of the servos' gains; set-points arrive late.
-
-        Args:
-            commands: Set-points in rad, shape (N, T, J).
-            tracks: Their simulation, as ``_tracks`` returns it.
+        of the servos' gains; set-points (N, T, J) arrive late. ``tracks`` is from ``_tracks``.
         """
         tracks = self._tracks(commands) if tracks is None else tracks
         angles, period = tracks[:, :, 3:], self._limits.period_s
@@ -235,13 +219,7 @@ class SwimObjective:
     def difference(self, command: Array, i: int, j: int) -> Array:
         """Difference of two sets' predictions over time that refitted parameters leave, (T,).
 
-        Args:
-            command: Set-points in rad, shape (T, J).
-            i: Index of the first set.
-            j: Index of the second set.
-
-        Returns:
-            The norm over all signals, in standard deviations of a sample's noise.
+        For set-points (T, J): the norm over all signals, in standard deviations of the noise.
         """
         rows, blocks = self._whitened(command, self._tracks(command[None])[0])
         vectors, M = rows.T @ self._vectors, self.probability.size

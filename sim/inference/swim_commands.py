@@ -57,14 +57,7 @@ def within(commands: Array, limits: SwimLimits) -> Array:
 
 
 def draw(rng: np.random.Generator, count: int, limits: SwimLimits, seconds: float) -> Array:
-    """Random commands of a swim within the limits, shape (N, T, J).
-
-    Args:
-        rng: Random number generator.
-        count: Number N of commands.
-        limits: The limits.
-        seconds: Duration, s.
-    """
+    """Random commands of a swim within the limits, shape (N, T, J)."""
     t, joints = limits.joints[0].times(seconds), len(limits.joints)
     shapes = np.array([_swim(rng, t, joints) for _ in range(count)])
     return within(limits.rest_rad + limits.reach_rad * shapes, limits)
