@@ -66,14 +66,9 @@ def diagnose_recorded_swims(
 ) -> Diagnosis:
     """Diagnose swims in the twin or, with ``in_water``, relative to the fluid.
 
-    Args:
-        recordings: Pool recordings of one robot in one pool.
-        model: The servos.
-        robot: The robot.
-        references: Swims of the same robot in which nothing is known to be missing.
-        in_water: File of the fluid's simulations; they are made where it does not exist.
-        device: Warp device of the fluid. On a GPU the fluid simulates the swims again with the
-            effects that the first search found.
+    Other arguments are those of ``diagnose_swims``. ``in_water`` is the file of the fluid's
+    simulations, which are made where it does not exist; on a GPU as ``device`` the fluid simulates
+    the swims again with the effects that the first search found.
 
     Raises:
         InputError: If the file holds the simulations of other swims.

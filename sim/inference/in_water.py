@@ -106,15 +106,8 @@ def simulate_in_water(
 ) -> InWater:
     """Simulate the commands of swims in the fluid, in one batch.
 
-    Args:
-        robot: The robot.
-        model: Its servos, identified on a bench; one model for all swims, or one for each.
-        swims: Recordings whose commands and initial poses are used: speed in a box of cells depends
-            on the heading by some percent. Their measurements are not used.
-        cell_m: Side of a cell.
-        device: Warp device.
-        variants: Variants of the fluid.
-        threads: CPU threads.
+    Of the swims commands and initial poses are used: speed in a box of cells depends on the heading
+    by some percent. ``model`` is one for all swims, or one for each.
     """
     longest = max(len(swim.command) for swim in swims)
     padded = [np.pad(s.command, ((0, longest - len(s.command)), (0, 0)), "edge") for s in swims]

@@ -66,7 +66,7 @@ class SwimSearch(SwimProblem):
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects with the largest predicted evidence when added to a set, by its linear model."""
-        fits = [ledger.tried[members].fit, *self._first_fits(members)]
+        fits = [ledger.tried[members].fit, *([] if members else self._first_fits)]
         promise: dict[Candidate, float] = {}
         for effect in self.coordinates.effects:
             if effect not in members:
@@ -75,12 +75,10 @@ class SwimSearch(SwimProblem):
         order = sorted(promise, key=lambda effect: -promise[effect])
         return [(effect, fits[0]) for effect in order[: most or FIRST]]
 
-    def _first_fits(self, members: Members) -> list[Fit]:
-        """Another start for fits from the plain model: the first linearised fit.
-
-        A law that was adapted to swims with a missing effect is a bad start for a fit of it.
-        """
-        return [] if members or self.first_fit is None else [self.first_fit]
+    @property
+    def _first_fits(self) -> list[Fit]:
+        """Another start of single effects: a law adapted to swims that have it is a bad one."""
+        return [] if self.first_fit is None else [self.first_fit]
 
     def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
         """The best fit, with the columns of effects outside ``members`` reset."""
@@ -92,9 +90,8 @@ class SwimSearch(SwimProblem):
     def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
         """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
         initial = [(members, fit) for _, members, fit in jobs]
-        for _, members, _ in jobs:
-            if len(members) == 1:
-                initial += [(members, fit) for fit in self._first_fits(frozenset())]
+        singles = [members for _, members, _ in jobs if len(members) == 1]
+        initial += [(members, fit) for members in singles for fit in self._first_fits]
         initial = self._with_other_sizes(initial)
         best: dict[Members, Fit] = {}
         for (members, _), fit in zip(initial, self.fitted(initial), strict=True):
@@ -121,9 +118,8 @@ class SwimSearch(SwimProblem):
                     of.append(k)
         out = list(initial)
         best = [self.linear(members, fit).loss for members, fit in initial]
-        for x, rows, k in zip(
-            trials, self.rows(np.array(trials)) if trials else (), of, strict=True
-        ):
+        tried = self.rows(np.array(trials)) if trials else ()
+        for x, rows, k in zip(trials, tried, of, strict=True):
             members, fit = initial[k]
             start = replace(fit, x=x, rows=rows)
             predicted = self.linear(members, start).loss

@@ -76,19 +76,15 @@ def test_a_designed_swim_tells_more_than_a_random_one(designed):
     assert body.remaining < body.entropy
 
 
-def test_sets_of_the_same_prediction_are_not_told_apart():
+def test_what_is_alike_or_imitated_by_the_error_of_the_twin_is_told_apart_less():
     same = replace(RIVALS, sets=(RIVALS.sets[0], replace(RIVALS.sets[0], probability=0.4)))
+    wide = swim_rivals({name: 20 * sd for name, sd in RIVALS.imitation.items()})
     command = draw(np.random.default_rng(1), 1, LIMITS, SECONDS)
-    assert objective(same).distances(command)[0, 0, 1] == pytest.approx(0.0, abs=1e-6)
-    assert objective().distances(command)[0, 0, 1] > 0.1
-
-
-def test_what_the_error_of_the_twin_imitates_is_told_apart_less():
-    command = draw(np.random.default_rng(1), 1, LIMITS, SECONDS)
-    wide = {name: 20 * sd for name, sd in RIVALS.imitation.items()}
-    apart, imitated = (
-        objective(one).distances(command)[0, 0, 1] for one in (RIVALS, swim_rivals(wide))
+    alike, apart, imitated = (
+        objective(one).distances(command)[0, 0, 1] for one in (same, RIVALS, wide)
     )
+    assert alike == pytest.approx(0.0, abs=1e-6)
+    assert apart > 0.1
     assert imitated < 0.5 * apart
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from swimming_robots import FISH, servos
-from test_calibrate import SENT, swum
+from test_calibrate import swum
 
 from sim.inference.calibration import FluidSettings, calibrate_in_fluid
 from sim.inference.coordinates import signals_of
@@ -68,15 +68,6 @@ def test_rollouts_that_were_stopped_are_left_out_and_most_must_be_whole():
     assert np.isfinite(track).all()
     with pytest.raises(InputError, match="5 of 8 rollouts stopped"):
         emulator(stopping(*range(5)), [swim], servos(), some("form_drag"), count=8)
-
-
-def test_a_path_comes_back_from_its_steps():
-    start = np.array([0.3, -0.2, 0.9])
-    track = TWIN([servos()], SENT, start)
-    swim = replace(recorded({}), start=start)
-    same = emulator(lambda models, *_: np.tile(track, (8, 1, 1)), [swim], servos(),
-                    some("form_drag"), count=8)  # fmt: skip
-    assert same([servos()], swim) == pytest.approx(track, abs=1e-9)
 
 
 def test_what_was_put_in_comes_out_of_the_emulator():

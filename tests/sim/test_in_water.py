@@ -48,26 +48,17 @@ def water():
     return InWater(WATER, {key(swum({})): steps})
 
 
-def test_where_nothing_changes_the_fluid_swims(water):
+def test_the_fluid_swims_and_the_twin_adds_what_is_changed(water):
+    """Shares of other waters are added in full, an effect changes what it changes of the twin."""
     swim, model = swum({}), water.of(servos())
-    (track,) = by_twin_in_water(FISH, model, water)([model], swim)
-    np.testing.assert_allclose(speeds(track[None])[0], water.steps[key(swim)][0], atol=1e-9)
-
-
-def test_other_waters_are_shares_of_a_way(water):
-    swim, model = swum({}), water.of(servos())
-    half = with_values(model, {"water.cells": 0.5})
-    (track,) = by_twin_in_water(FISH, model, water)([half], swim)
-    first, way = water.steps[key(swim)][:2]
-    np.testing.assert_allclose(speeds(track[None])[0], first + 0.5 * way, atol=1e-9)
-
-
-def test_an_effect_changes_what_it_changes_of_the_twin(water):
-    swim, model = swum({}), water.of(servos())
+    other = with_values(model, {"water.cells": 0.5})
     stiff = with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3})
-    found = speeds(by_twin_in_water(FISH, model, water)([model, stiff], swim))
+    same, half, changed = speeds(by_twin_in_water(FISH, model, water)([model, other, stiff], swim))
     alone = speeds(by_followed_twin(FISH)([model, stiff], swim))
-    np.testing.assert_allclose(found[1] - found[0], alone[1] - alone[0], atol=1e-9)
+    first, way = water.steps[key(swim)][:2]
+    np.testing.assert_allclose(same, first, atol=1e-9)
+    np.testing.assert_allclose(half, first + 0.5 * way, atol=1e-9)
+    np.testing.assert_allclose(changed - same, alone[1] - alone[0], atol=1e-9)
 
 
 def test_commands_that_the_fluid_has_not_simulated_are_an_error(water):
@@ -85,19 +76,13 @@ def test_the_heading_in_which_a_swim_began_counts():
 
 
 def test_the_fluid_swims_again_with_all_but_places_and_the_camera(water):
+    """With these effects the twin then returns the simulation."""
     found = {"skin_elasticity.stiffness_Nm_per_rad": 0.3, "form_drag.coefficient": 0.2}
     other = {"tether.stiffness_N_per_m": 0.1, "camera_scale.ratio": 0.1, "pool_current.u_m_s": 0.1}
-    model = water.of(servos())
+    swim, model = swum({}), water.of(servos())
     there = with_fluid_effects(model, with_values(model, found | other | {"twin.across": 9.0}))
     assert values(there) == found
     assert Coefficients.of(there.body) == Coefficients.of(model.body)
-
-
-def test_with_the_simulated_effects_the_twin_returns_the_simulation(water):
-    swim, model = swum({}), water.of(servos())
-    there = with_fluid_effects(
-        model, with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3})
-    )
     again = replace(water, steps={k: 1.1 * one for k, one in water.steps.items()})
     (track,) = by_twin_in_water(FISH, there, again)([there], swim)
     np.testing.assert_allclose(speeds(track[None])[0], again.steps[key(swim)][0], atol=1e-9)
