@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from sim.inference.coordinates import ERROR, Coordinates, SwimSimulator
+from sim.inference.coordinates import ERROR, Coordinates
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import (
     BANDS,
@@ -37,9 +37,9 @@ from sim.inference.law_error import (
     LawError,
     read_law_error,
 )
-from sim.inference.linear_fit import together
-from sim.inference.swims import swim_of
-from sim.inference.twin_search import SwimPrior, TwinSwims
+from sim.inference.searched import together
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import SwimSimulator, swim_of
 from sim2real.arrays import Array
 from sim2real.model import Model, read_model
 from sim2real.output import write_json
@@ -80,7 +80,7 @@ class Near:
     point: Array
 
 
-def near(problem: TwinSwims, x: Array) -> dict[str, Array]:
+def near(problem: SwimProblem, x: Array) -> dict[str, Array]:
     """Unweighted residuals and derivatives of a swim at a point (F,)."""
     fit, weight, blocks = problem.at(x), problem.weights[0].ravel(), problem.blocks[0]
     return {
@@ -94,10 +94,10 @@ def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> N
     """A robot's swims in which nothing is missing, near the fit of its references."""
     robot, model, simulate = placed(folder, files)
     challenge, c = folder.parents[1], Coordinates.of(robot, model)
-    usual = SwimPrior(*known.prior(c), known.imitation(c), known.shares)
+    usual = known.prior(c)
     paths = sorted(folder.glob("ref_*.csv"))
     references = [swim_of(read_recording(p), robot) for p in paths]
-    x = TwinSwims(c, references, simulate, usual).plain().fit.x
+    x = SwimProblem(c, references, simulate, usual).plain().fit.x
     for case in nulls:
         held = challenge / "heldout" / case / "b.csv"
         paths += [folder / case / "a.csv", *([held] if len(files) != 1 else [])]
@@ -105,7 +105,7 @@ def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> N
     law = np.array([one.kind.startswith("twin.") for one in c.columns])
     zero = np.where(law & (not files), 0.0, c.nominal)
     return Near(
-        [near(TwinSwims(c, [swim], simulate, usual), x) for swim in swims],
+        [near(SwimProblem(c, [swim], simulate, usual), x) for swim in swims],
         [one.kind for one in c.columns], [one.nominal for one in c.columns],
         np.array([one.step for one in c.columns]), x - zero,
     )  # fmt: skip

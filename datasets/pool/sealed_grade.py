@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sim.inference.coordinates import SwimSimulator, signals_of
+from sim.inference.coordinates import signals_of
 from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
-from sim.inference.swims import swim_of
+from sim.inference.swims import SwimSimulator, swim_of
 from sim2real.model import read_model
 from sim2real.output import write_json
 from sim2real.recording import read_recording

@@ -25,8 +25,7 @@ from rl.make import make_world
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.commands.diagnose import write_all
-from sim.inference.followed import by_followed_twin
-from sim.inference.swims import by_twin
+from sim.inference.swims import by_followed_twin, by_twin
 from sim.view.calibration_page import calibration_section
 from sim.view.diagnosis_page import swims_section
 from sim.view.video import Video

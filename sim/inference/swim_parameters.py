@@ -1,12 +1,17 @@
-"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera."""
+"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera.
+
+Here are their bounds, sizes and priors; ``coordinates`` has those of products of parameters.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 from sim.robot.appended import area_sd
 from sim.robot.swimmer import least_viscosity
+from sim.twin.law import Coefficients
 from sim.twin.twin import FITTED
 from sim2real.body import body_effect
 from sim2real.effects import BODY, CAMERA
@@ -30,31 +35,32 @@ class Candidate(NamedTuple):
     free: tuple[Parameter, ...]
 
 
+SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 AREAS = "appendage_area"
 """Error of what the robot file states, which a calibration fits: no physics that it leaves out."""
-_LEAST = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
+_CALIBRATED = ("across", "along", "added_mass", "linear", "thrust", "wake", "wake_s")
+"""Coefficients of the law that a calibration fits: a few swims do not distinguish the others from
+these, and they could conceal a missing effect."""
+_USUAL = {"across": 1.0, "along": 0.2, "added_mass": 0.2, "linear": 0.2}
 """Least usual values of coefficients, for those whose fitted values are smaller."""
+_LAW_SD = {"thrust": 0.5, "wake": 0.3, "wake_s": FITTED.wake_s}
+_HIGHEST = {"thrust": 2.0, "wake": 0.95, "wake_s": 10.0}
+"""Prior standard deviations and upper bounds that are not multiples of the usual value."""
 
 
-def law_parameters() -> list[Parameter]:
-    """Coefficients of the twin's law, within a small factor of those fitted to the fluid.
-
-    The other coefficients (``slender``, ``head`` and so on) keep the values fitted to the fluid: a
-    few swims do not distinguish them from these, and they could conceal a missing effect.
-    """
+def law_parameters(
+    law: Coefficients = FITTED, names: Sequence[str] = _CALIBRATED
+) -> list[Parameter]:
+    """Coefficients of the twin's law, about those of ``law``."""
     out = []
-    for name, least in _LEAST.items():
-        value = float(getattr(FITTED, name))
-        usual = max(value, least)
-        out.append(
-            _about(f"twin.{name}", value, 0.5 * usual, (0.05 * value, 20 * usual), 2 * usual)
-        )
-    return [
-        *out,
-        _about("twin.thrust", FITTED.thrust, 0.1, (0.0, 2.0), 0.5),
-        _about("twin.wake", FITTED.wake, 0.1, (0.0, 0.95), 0.3),
-        _about("twin.wake_s", FITTED.wake_s, 0.3 * FITTED.wake_s, (0.05, 10.0), FITTED.wake_s),
-    ]
+    for name in names:
+        value = float(getattr(law, name))
+        size = max(abs(value), 0.1)
+        usual = max(size, _USUAL.get(name, 0.0))
+        high, sd = _HIGHEST.get(name, 20 * usual), _LAW_SD.get(name, 2 * usual)
+        low = 0.05 if name == "wake_s" else 0.0
+        out.append(Parameter(f"twin.{name}", low, high, 0.4 * size, value, sd))
+    return out
 
 
 def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
@@ -64,15 +70,14 @@ def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list
     latency can differ, e.g. with a radio link.
     """
     out = []
-    names = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s") if gains else ("latency_s",)
     for joint in robot.joints:
         servo = model.joints[joint.name]
-        for name in names:
+        for name in SERVO if gains else SERVO[2:]:
             value = float(getattr(servo, name))
             size = max(abs(value), 1e-3)
-            sd = 0.5 if name == "latency_s" else 0.1
-            full = f"{joint.name}.{name}"
-            out.append(_about(full, value, 0.2 * size, (0.05 * size, 20 * size), sd * size))
+            sd = (0.5 if name == "latency_s" else 0.1) * size
+            bounds = (0.1 * size, 5 * size)
+            out.append(Parameter(f"{joint.name}.{name}", *bounds, 0.2 * size, value, sd))
     return out
 
 
@@ -80,15 +85,6 @@ def twin_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[
     """Parameters of a calibration in the twin: its law, the appendages' areas, the servos."""
     servos = servo_parameters(model, robot, gains=gains)
     return [*law_parameters(), *appendage_parameters(robot), *servos]
-
-
-def body_parameters(robot: Robot) -> list[Parameter]:
-    """Parameters of the body for a calibration: drag, friction, added mass and centre of mass."""
-    out = effect_parameters("form_drag") + effect_parameters("linear_drag")
-    for material in sorted({link.material or "" for link in robot.links}):
-        out += effect_parameters("surface_friction", material)
-    out += appendage_parameters(robot)
-    return out + effect_parameters("added_mass") + effect_parameters("com_offset")
 
 
 def appendage_parameters(robot: Robot) -> list[Parameter]:
@@ -108,19 +104,22 @@ def effect_parameters(effect: str, material: str | None = None) -> list[Paramete
     prefix = f"{effect}.{material}" if described.by_material else effect
     out = []
     for k, p in enumerate(described.parameters):
-        start = 0.0 if k == 0 or p.low < 0 else p.typical
-        start = max(start, p.low)
+        start = max(0.0 if k == 0 or p.low < 0 else p.typical, p.low)
         name, sd = f"{prefix}.{p.name}", 4 * p.typical
         out.append(Parameter(name, p.low, p.high, p.typical, start, sd, unit=p.unit))
     return out
 
 
 def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
-    """Parameters of the water for cells of a size."""
-    free = [p for p in body_parameters(robot) if not p.name.startswith("com_offset")]
+    """Drag, friction and added mass of the body, and the viscosity for cells of a size."""
+    out = effect_parameters("form_drag") + effect_parameters("linear_drag")
+    for material in _materials(robot):
+        out += effect_parameters("surface_friction", material)
+    out += appendage_parameters(robot) + effect_parameters("added_mass")
     least = least_viscosity(cell_m)
     bounds = (least, 20 * least)
-    return [*free, _about("water.viscosity_m2_s", 1.2 * least, 0.4 * least, bounds, 0.6 * least)]
+    viscosity = ("water.viscosity_m2_s", *bounds, 0.4 * least, 1.2 * least, 0.6 * least)
+    return [*out, Parameter(*viscosity)]
 
 
 def candidates(robot: Robot) -> list[Candidate]:
@@ -130,17 +129,12 @@ def candidates(robot: Robot) -> list[Candidate]:
     for effect in effects:
         if effect.name == AREAS:
             continue
-        if effect.by_material:
-            for material in sorted({link.material or "" for link in robot.links}):
-                free = tuple(effect_parameters(effect.name, material))
-                out.append(Candidate(effect.name, material or "body", free))
-        else:
-            component = "camera" if isinstance(effect, CameraEffect) else "body"
-            out.append(Candidate(effect.name, component, tuple(effect_parameters(effect.name))))
+        component = "camera" if isinstance(effect, CameraEffect) else "body"
+        for material in _materials(robot) if effect.by_material else [None]:
+            free = tuple(effect_parameters(effect.name, material))
+            out.append(Candidate(effect.name, material or component, free))
     return out
 
 
-def _about(
-    name: str, nominal: float, size: float, bounds: tuple[float, float], prior_sd: float
-) -> Parameter:
-    return Parameter(name, *bounds, size, nominal, prior_sd)
+def _materials(robot: Robot) -> list[str]:
+    return sorted({link.material or "" for link in robot.links})
