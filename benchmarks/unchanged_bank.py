@@ -11,13 +11,12 @@ repeats are judged by what their references leave.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import ROOT, real_recordings
 from sim2real.diagnose.changed.change import largest_jump
 from sim2real.diagnose.changed.contrast import BANK, directions, first_look, unit
 from sim2real.diagnose.changed.explained import Explained, explained
@@ -26,8 +25,6 @@ from sim2real.output import write_json
 from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row
 
-ROOT = Path(__file__).parents[1]
-REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
 SAFETY = 4.0
 """On mean squares: banks are small, and the next servo is another."""
 JUMPS = {"law": 4.0, "rest": 4.0, "repeat": 25.0}
@@ -76,7 +73,7 @@ def bank() -> Iterator[tuple[str, Explained]]:
     from real_files import SERVOS
     from real_oracle import powered, trace
 
-    groups = backgrounds(REAL)
+    groups = backgrounds(real_recordings())
     for group, cases in (("xl330_200", [3]), ("xl330_800", [3]), ("single", range(4))):
         logs = [powered(log) for log in groups[group]]
         for k in cases:

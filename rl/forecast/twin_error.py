@@ -1,6 +1,6 @@
 """Error of energy in forecasts by the twin, learned from trials in several waters.
 
-``twin_error.json`` is made by ``benchmarks/forecast_energy.py``.
+``twin_error.json`` is made by ``benchmarks/forecast_realities.py``.
 """
 
 from __future__ import annotations

@@ -142,18 +142,3 @@ def test_the_detection_gain_is_that_from_which_most_are_named(script):
         more = {"kind": "single", "truth": ["backlash"], "said": said, "alone": {"backlash": gain}}
         rows.append(row(case=str(k), **more))
     assert script.values_of(rows)["detection_gain"][0] == pytest.approx(15, abs=1.0)
-
-
-def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
-    from benchmarks.decision_sensitivity import alike, sensitivity
-
-    group = {"members": ["backlash"], "features": {"intercept": 1.0}}
-    named, less = (
-        [["backlash"], [[["backlash"], 0.9, 1.0]]],
-        [["backlash"], [[["backlash"], 0.4, 1.0]]],
-    )
-    varied = {"": named, "law_error=0": named, "law_error=0.1": less}
-    rows = [row(case=str(k), groups=[group], varied=varied) for k in range(5)]
-    told = sensitivity(rows, {"law_error": 0.03}, {"intercept": -0.5, "probability": 1.0})
-    assert told["law_error"] == {"value": 0.03, "0": 0, "0.1": 5}
-    assert alike("law_error", told).startswith("from 0 to 0.03 at most 0 of 5 joints")
