@@ -111,7 +111,7 @@ class Fluid:
         self.covered.corner = wp.zeros(1, dtype=wp.vec4i, device=self.device)
         self.covered.share = wp.zeros(1, dtype=wp.float32, device=self.device)
         self.covered.face = wp.zeros(1, dtype=wp.vec4, device=self.device)
-        self.covered.more = wp.zeros(1, dtype=wp.vec3, device=self.device)
+        self.covered.leak = wp.zeros(1, dtype=wp.float32, device=self.device)
         for name in ("back", "water", "beyond"):
             setattr(self.covered, name, wp.zeros(1, dtype=wp.vec4, device=self.device))
         self.covered.links = wp.zeros(1, dtype=wp.vec2i, device=self.device)

@@ -236,7 +236,6 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             share = friction(faster * slip, float(rough[e, link]), touch)
             share *= faster * covered.back[slot][3]
             covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
-            covered.more[slot] = wp.vec3()
             even = share * (1.0 + m[0])
             u -= wp.dot(u, o) * o
             add_matrix(
@@ -276,7 +275,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         pose: wp.array2d(dtype=wp.vec4),
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
-        kept: wp.array2d(dtype=wp.float32),
+        kept: wp.array(dtype=wp.float32),
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
@@ -288,7 +287,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             place, slot, link, r, body = listed_cell(e, 0, i, covered, box, twist, centre)
             at = wp.vec3(float(place[0]), float(place[1]), float(place[2]))
             n = place[3]
-            leak = kept[e, link]
+            leak = kept[e]
             head = pose[e, link]
             lateral = wp.vec3(-head[3], head[2], 0.0)
             off = wp.dot(wp.vec3(at[0] - head[0], at[1] - head[1], 0.0), lateral)
@@ -296,7 +295,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             other = covered.back[slot][3]
             links = water_links(n, flags, box, other > 0.0, off, lateral)
             covered.links[slot] = links
-            covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
+            covered.leak[slot] = leak
             face = covered.face[slot]
             o = wp.vec3(face[0], face[1], face[2])
             depth = face[3]
@@ -363,7 +362,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             links = covered.links[slot]
             face = covered.face[slot]
             across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-            leak = covered.more[slot][0]
+            leak = covered.leak[slot]
             out = emitted(p, links[0], face, covered.water[slot], across, leak)
             if links[1] != 0:
                 face = covered.back[slot]

@@ -86,9 +86,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         """Change of velocity by the body where the water lacks this velocity."""
         face = covered.face[slot]
         o = wp.vec3(face[0], face[1], face[2])
-        held = covered.share[slot]
-        across = held - wp.floor(held) - face[3]
-        return face[3] * lack + across * wp.dot(o, lack) * o + covered.more[slot]
+        return face[3] * (lack - wp.dot(o, lack) * o)
 
     @wp.kernel(
         enable_backward=False,

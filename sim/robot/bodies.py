@@ -152,8 +152,8 @@ class Bodies:
         grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
         grid.sums = room((E, L, SUMS), wp.int64)
-        grid.kept = room((E, L), wp.float32)
-        grid.memory, grid.whole = wp.float32(MEMORY), int(wall.ghosts)
+        grid.kept = room((E,), wp.float32)
+        grid.memory = wp.float32(MEMORY)
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
@@ -181,15 +181,16 @@ class Bodies:
         cells = E * square
         covered.corner = grid.corner = room((E,), wp.vec4i)
         covered.share = room((cells,), wp.float32)
-        covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
-        ghosts = cells if wall.ghosts else 1
+        covered.face = room((cells,), wp.vec4)
+        ghosts = cells if wall.slip else 1
+        covered.leak = room((ghosts,), wp.float32)
         covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
         covered.links = room((ghosts,), wp.vec2i)
         covered.count = room((2 * E,), wp.int32)
         covered.listed = room((2 * E, ghosts // E), wp.int32)
-        covered.damping = DAMPING if wall.ghosts else 0.0
+        covered.damping = DAMPING if wall.slip else 0.0
         self._touch = wall.touch(hull.body_length, units)
-        made = ghost_kernels if wall.ghosts else cover_kernel
+        made = ghost_kernels if wall.slip else cover_kernel
         self._cover = made(fluid.lattice, fluid.storage, fluid.wide)
         self.place(np.zeros((E, N)))
 
@@ -241,7 +242,7 @@ class Bodies:
         self._sum_over_covered(water)
         moved = [*robots, self.target, self.friction, fluid.stopped]
         self._launch(advance, fluid.boxes, moved)
-        if self.wall.ghosts:
+        if self.wall.slip:
             sent = [*water, self.grid.twist, self.grid.centre, fluid.stopped]
             self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), sent)
         fluid.collide_and_stream()
@@ -251,10 +252,9 @@ class Bodies:
         """The fluid's sums over each link (``coupling.SUMS``)."""
         fluid, grid, covered = self.fluid, self.grid, self.fluid.covered
         place, sums = [grid.pose, grid.twist, grid.centre], [grid.sums, fluid.stopped]
-        surface = [self._touch, self.chain.rough]
         columns = self._side**2
-        if not self.wall.ghosts:
-            inputs = [*water, self.middle, *surface, grid.kept, *place, *self._shape, *sums]
+        if not self.wall.slip:
+            inputs = [*water, self.middle, grid.pose, grid.centre, *self._shape, *sums]
             self._launch(self._cover, (fluid.boxes, columns), inputs, BLOCK)
             return
         covered.count.zero_()
@@ -262,7 +262,8 @@ class Bodies:
         parts = (fluid.boxes, -(-covered.tall // covered.layers), columns)
         self._launch(self._cover.mark, parts, [*inputs, self._touch, fluid.stopped], BLOCK)
         listed = (fluid.boxes, covered.lanes)
-        self._launch(self._cover.shear, listed, [*water, *surface, *place[1:], *sums])
+        rough = [self._touch, self.chain.rough]
+        self._launch(self._cover.shear, listed, [*water, *rough, *place[1:], *sums])
         self._launch(self._cover.cover, listed, [*water, *place, grid.kept, *sums])
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401

@@ -162,8 +162,8 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     pose_links(e, chain, s)
     move_links(e, s)
     s.fresh[e] = 1
+    grid.kept[e] = 0.0
     for k in range(chain.length.shape[0]):
-        grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
         hold(e, k, chain, s)
         s.inner[e, k] = wp.vec3d()
@@ -264,7 +264,7 @@ def advance(
     for k in range(L):
         passed += wp.float64(grid.sums[e, k, 24])
         weight += wp.float64(grid.sums[e, k, 25])
-    leak = float(passed / weight)
+    grid.kept[e] = grid.kept[e] + (float(passed / weight) - grid.kept[e]) / grid.memory
     for k in range(L):
         V = s.twist[e, k]
         hold(e, k, chain, s)
@@ -274,14 +274,6 @@ def advance(
         inner = vector(e, k, 21, unit, grid) + matrix(e, k, 9, unit, grid) * V
         inner += (full - K) * (V - s.before[e, k])
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
-        share = float(0.0)
-        if (
-            grid.sums[e, k, 25] > wp.int64(0) and s.fresh[e] == 0
-        ):  # inner cells that moved with the body
-            share = float(wp.float64(grid.sums[e, k, 24]) / wp.float64(grid.sums[e, k, 25]))
-        if grid.whole != 0:
-            share = leak
-        grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
         grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
         for i in range(wp.static(SUMS)):

@@ -329,7 +329,7 @@ class Swimmer:
     def _sponge(self) -> None:
         tank, fluid = self.tank, self.fluid
         if not tank.sponge:
-            if self.bodies.wall.ghosts:
+            if self.bodies.wall.slip:
                 fluid.level()
             return
         reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))

@@ -1,10 +1,14 @@
 """Bodies in the fluid: what must be conserved, what must be equal, what is known exactly."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from sim.cases import driven_cylinder, hard_commands, momentum
-from sim.cases.swimming import SYMMETRIC, Gait, swim
+from benchmarks.validation.case import Where
+from benchmarks.validation.conservation import momentum, send, shake
+from benchmarks.validation.still import driven_cylinder
+from benchmarks.validation.swimmers import SYMMETRIC, advance, swim, wave
 from sim.fluid.fluid import Fluid
 from sim.lattice.units import Units
 from sim.lattice.velocities import D2Q9, D3Q19
@@ -38,32 +42,24 @@ def water(side=80, boxes=1, **more):
     return Fluid(D2Q9, (side, side), viscosity=0.02, smagorinsky=0.1, boxes=boxes, **more)
 
 
-def send(bodies, angles):
-    """Set-points in force from the start, shape (3,) or (E, 3)."""
-    sent = bodies.motion.sent.numpy()
-    sent[:, :, 0] = angles
-    bodies.motion.sent.assign(sent)
-    bodies.motion.newest.fill_(0)
-
-
 STIFF = (("kp_Nm_per_rad", 4.0), ("kd_Nms_per_rad", 400.0))
 
 
 def test_momentum_of_body_and_water_is_conserved():
-    for figure in momentum.run(quick=True).figures:
+    for figure in momentum(Where(quick=True)).figures:
         assert figure.met, figure
 
 
 def test_servos_pay_for_all_motion():
-    found = hard_commands.shake(1.0, 3, np.random.default_rng(1))
-    lost = found.work - found.kinetic
-    assert np.all(found.stopped == -1)
-    assert np.all(lost > 0) and np.all(found.kinetic[-1] > 1e-3)
-    assert np.all(np.diff(lost, axis=0) > -1e-3 * found.work[-1])
+    work, kinetic, stopped = shake(1.0, 3, np.random.default_rng(1))
+    lost = work - kinetic
+    assert np.all(stopped == -1)
+    assert np.all(lost > 0) and np.all(kinetic[-1] > 1e-3)
+    assert np.all(np.diff(lost, axis=0) > -1e-3 * work[-1])
 
 
 def test_a_driven_cylinder_moves_as_stokes_says():
-    figure = driven_cylinder.run(quick=True).figures[0]
+    figure = driven_cylinder(Where(quick=True)).figures[0]
     assert figure.met, figure
 
 
@@ -200,7 +196,7 @@ def test_the_rotated_robot_swims_the_rotated_way():
 
 def test_a_wave_swims_head_first_and_its_reverse_hardly():
     more = {"box": (4.0, 3.0), "steps": 600, "cycles": 4}
-    forward, reverse = swim([Gait(), Gait(wave=-1.0)], 26, **more).advance()
+    forward, reverse = advance(swim([wave, partial(wave, ahead=-1.0)], 26, **more))
     assert forward > 0.08
     assert reverse < forward / 2
 

@@ -3,7 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.cases import cavity, taylor_green
+from benchmarks.validation.case import Where
+from benchmarks.validation.still import taylor_green, vortices
+from benchmarks.validation.streams import cavity
 from sim.fluid.fluid import Fluid
 from sim.lattice.cell import INLET, MOVING, OUTLET, SLIP, SOLID
 from sim.lattice.velocities import D2Q9, D3Q19
@@ -142,7 +144,7 @@ def test_turning_and_mirroring_the_start_turns_and_mirrors_the_flow(lattice):
 def test_a_stream_carries_vortices_along_unchanged(lattice):
     """Galilean invariance, but for the third power of the speed that such lattices lack."""
     n, steps, carried = 32, 160, {}
-    density, u, strain = taylor_green.vortices(n, 0.0, (0, 1))
+    density, u, strain = vortices(n, 0.0, (0, 1))
     for stream in (0.0, 0.05, 0.1):
         fluid = Fluid(lattice, (n, n, 1), viscosity=0.02)
         fluid.set(density, u + np.array([stream, 0, 0]), strain)
@@ -166,14 +168,9 @@ def test_half_precision_stays_close_to_single(lattice):
     assert np.any(half[1] != single[1])
 
 
-def test_vortices_decay_as_they_should():
-    case = taylor_green.run(quick=True)
-    assert [figure.quantity for figure in case.figures if not figure.met] == []
-
-
-def test_lid_drives_the_published_vortex():
-    case = cavity.run(quick=True)
-    assert [figure.quantity for figure in case.figures if not figure.met] == []
+@pytest.mark.parametrize("run", [taylor_green, cavity])
+def test_published_cases_are_met(run):
+    assert [figure.quantity for figure in run(Where(quick=True)).figures if not figure.met] == []
 
 
 @BOTH
