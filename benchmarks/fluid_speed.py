@@ -26,7 +26,6 @@ from sim.twin.twin import Twin
 from sim2real.model import JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
 
-BYTES = {"float32": 4, "float16": 2}
 SERVO = Servo("lx824", 1.67, 5.24, 0.00419)
 ROBOT = Robot(
     "three-joint fish",
@@ -61,31 +60,26 @@ def main() -> None:
     copy = copied(device, 2**20 if options.tiny else (2**28 if device.is_cuda else 2**26))
     note(what="copy", GB_s=copy / 1e9)
     for lattice, size in empty_boxes(device.is_cuda, options.tiny):
-        for storage in ("float32", "float16"):
-            for threads in (1,) if device.is_cuda else (1, options.threads):
-                fluid = Fluid(
-                    lattice, size, viscosity=0.01, storage=storage, device=str(device),
-                    threads=threads,
-                )  # fmt: skip
-                rate = fluid.cells * paced(device, partial(graph_steps, fluid), 10)
-                used = rate * traffic(lattice, storage)
-                note(what="empty", lattice=lattice.name, size=size, storage=storage,
-                     threads=threads, MLUPS=rate / 1e6, share_of_copy=used / copy)  # fmt: skip
+        for threads in (1,) if device.is_cuda else (1, options.threads):
+            fluid = Fluid(lattice, size, viscosity=0.01, device=str(device), threads=threads)
+            rate = fluid.cells * paced(device, partial(graph_steps, fluid), 10)
+            used = rate * traffic(lattice)
+            note(what="empty", lattice=lattice.name, size=size, threads=threads,
+                 MLUPS=rate / 1e6, share_of_copy=used / copy)  # fmt: skip
     for cell, boxes in batches(device.is_cuda, options.tiny):
-        for storage in ("float32", "float16") if device.is_cuda else ("float32",):
-            for E in boxes:
-                note(**swimming(cell, E, storage, str(device), options.threads, copy))
+        for E in boxes:
+            note(**swimming(cell, E, str(device), options.threads, copy))
     if not device.is_cuda:
-        flat = swimming(0.02, 1, "float32", "cpu", options.threads, copy, dimensions=2)
+        flat = swimming(0.02, 1, "cpu", options.threads, copy, dimensions=2)
         note(**flat)
     note(what="twin", robots=256, times_real_time=twin(256, options.device))
     if options.out:
         options.out.write_text(json.dumps({"device": device.name, "rows": rows}, indent=1))
 
 
-def traffic(lattice: Lattice, storage: str) -> int:
+def traffic(lattice: Lattice) -> int:
     """Bytes that one update of one cell reads and writes: its populations and its flag."""
-    return 2 * lattice.Q * BYTES[storage] + 1
+    return 2 * lattice.Q * 4 + 1
 
 
 def empty_boxes(cuda: bool, tiny: bool) -> list[tuple[Lattice, tuple[int, ...]]]:
@@ -123,7 +117,6 @@ def graph_steps(fluid: Fluid) -> None:
 def swimming(
     cell: float,
     E: int,
-    storage: str,
     device: str,
     threads: int,
     copy: float,
@@ -132,7 +125,7 @@ def swimming(
     """Control steps a second of E robots that swim, each its own wave."""
     swimmer = Swimmer(
         ROBOT, MODEL, n_envs=E, device=device, cell_m=cell, dimensions=dimensions,
-        storage=storage, threads=threads,
+        threads=threads,
     )  # fmt: skip
     lag, amplitude = 1.2 * np.arange(3), np.array([0.3, 0.45, 0.6])
     phase = np.linspace(0, 2 * np.pi, E, endpoint=False)[:, None]
@@ -153,11 +146,11 @@ def swimming(
     rate = paced(swimmer.fluid.device, step, 1)
     lattice = swimmer.fluid.lattice
     updates = rate * E * swimmer.fluid.cells * swimmer.substeps
-    memory = lattice.Q * BYTES[storage] + 1 + 4
+    memory = 4 * lattice.Q + 1 + 4
     return {
-        "what": "swimming", "lattice": lattice.name, "cell_m": cell, "boxes": E, "storage": storage,
+        "what": "swimming", "lattice": lattice.name, "cell_m": cell, "boxes": E,
         "cells": swimmer.fluid.cells, "substeps": swimmer.substeps, "control_steps_s": E * rate,
-        "MLUPS": updates / 1e6, "share_of_copy": updates * traffic(lattice, storage) / copy,
+        "MLUPS": updates / 1e6, "share_of_copy": updates * traffic(lattice) / copy,
         "MB_per_box": swimmer.fluid.cells * memory / 1e6,
         "stopped": int((swimmer.state().stopped >= 0).sum()), "seconds": 0.02 * state["k"],
     }  # fmt: skip

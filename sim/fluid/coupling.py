@@ -76,9 +76,9 @@ def add_vector(
 
 
 @cache
-def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that marks the cells a body covers and sums over them."""
-    pop = populations(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.lattice.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box, Covered
 from sim.lattice.kernels import kernels
-from sim.lattice.populations import allocate, is_wide, most_cells
+from sim.lattice.populations import MOST_CELLS, allocate, is_wide
 from sim.lattice.velocities import Lattice
 from sim.lattice.walls import let_out, wall_kernels
 from sim2real.arrays import Array32, Integers
@@ -53,7 +53,6 @@ class Fluid:
         wall_velocity: Array32 | None = None,
         magic: float = 3 / 16,
         smagorinsky: float = 0.0,
-        storage: str = "float32",
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
@@ -72,7 +71,6 @@ class Fluid:
             magic: Product of the two relaxation times, each minus a half; 3/16 puts a straight
                 no-slip wall exactly half-way between cells.
             smagorinsky: Constant of the sub-grid viscosity; 0 for none.
-            storage: ``float32``, or ``float16`` for half the memory and traffic.
             device: Warp device.
             threads: CPU threads; slabs of cells share the work.
 
@@ -88,18 +86,18 @@ class Fluid:
         viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
-        if boxes * self.cells > most_cells(storage):
+        if boxes * self.cells > MOST_CELLS:
             found = f"{boxes * self.cells} cells in {boxes} boxes"
-            expected = f"at most {most_cells(storage)} in one batch of {storage}"
+            expected = f"at most {MOST_CELLS} in one batch"
             raise InputError("fluid", "size", found, expected)
         self.wide = is_wide(lattice, boxes * self.cells)
-        self.kernels = kernels(lattice, storage, self.wide, self.device.is_cuda)
-        self._mirror, self._walls, self._openings = wall_kernels(lattice, storage, self.wide)
+        self.kernels = kernels(lattice, self.wide, self.device.is_cuda)
+        self._mirror, self._walls, self._openings = wall_kernels(lattice, self.wide)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
         self.box.cells, self.box.total = self.cells, boxes * self.cells
-        self.magic, self.smagorinsky, self.storage = magic, smagorinsky, storage
-        self.f: Any = allocate(lattice, storage, self.wide, self.box.total, self.device)
+        self.magic, self.smagorinsky = magic, smagorinsky
+        self.f: Any = allocate(lattice, self.wide, self.box.total, self.device)
         above = viscous / CS2
         self.tau = self._put((above + 0.5).astype(np.float32))
         rates = np.stack([1 / (above + 0.5), above / (above / 2 + magic)], axis=1)

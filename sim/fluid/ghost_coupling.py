@@ -110,9 +110,9 @@ def listed_cell(
 
 
 @cache
-def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
+def ghost_kernels(lattice: Lattice, wide: bool) -> GhostKernels:
     """The kernels for a lattice."""
-    pop, ghost = populations(lattice, storage, wide), ghosts(lattice, storage, wide)
+    pop, ghost = populations(lattice, wide), ghosts(lattice, wide)
     Stored, load = pop.Stored, pop.load
     neighbours, moments, store = pop.neighbours, pop.moments, pop.store
     water_at, emitted, sent = ghost.water_at, ghost.emitted, ghost.sent

@@ -35,11 +35,11 @@ class Collision:
 
 
 @cache
-def collision(lattice: Lattice, storage: str, wide: bool) -> Collision:
+def collision(lattice: Lattice, wide: bool) -> Collision:
     """The functions for a lattice."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
     solid = lattice.dimensions == 3
-    Vector = populations(lattice, storage, wide).Vector
+    Vector = populations(lattice, wide).Vector
 
     @wp.func
     def along(m: wp.vec3, x: float, y: float, z: float) -> float:

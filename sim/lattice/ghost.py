@@ -50,10 +50,10 @@ class Ghosts(NamedTuple):
 
 
 @cache
-def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
+def ghosts(lattice: Lattice, wide: bool) -> Ghosts:
     """The functions for a lattice."""
     c, w, Q = lattice.velocities, lattice.weights, lattice.Q
-    pop = populations(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     neighbours, moments = pop.neighbours, pop.moments
 

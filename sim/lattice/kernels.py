@@ -1,4 +1,4 @@
-"""The fluid's Warp kernels: one source for every lattice, storage type and device."""
+"""The fluid's Warp kernels: one source for every lattice and device."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -30,7 +30,7 @@ FAST = (1 - SUPERSONIC**0.5) ** 2
 
 @dataclass(frozen=True)
 class Kernels:
-    """Kernels for one lattice, storage type and width of memory.
+    """Kernels for one lattice and width of memory.
 
     Attributes:
         step: Collide and stream.
@@ -50,10 +50,10 @@ class Kernels:
 
 
 @cache
-def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
+def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Kernels:
     """Compile the kernels for a lattice; on CUDA with its fast divisions and roots."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    pop, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
+    pop, collide = populations(lattice, wide), collision(lattice, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
     neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
     subgrid_rates, relaxed, pushed = collide.rates, collide.relaxed, collide.pushed
@@ -86,7 +86,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         """Change of velocity by the body where the water lacks this velocity."""
         face = covered.face[slot]
         o = wp.vec3(face[0], face[1], face[2])
-        return face[3] * (lack - wp.dot(o, lack) * o)
+        return face[3] * lack - face[3] * wp.dot(o, lack) * o
 
     @wp.kernel(
         enable_backward=False,

@@ -61,10 +61,10 @@ def _velocity(x: list[int]) -> Velocity:
 
 
 @cache
-def wall_kernels(lattice: Lattice, storage: str, wide: bool) -> tuple[Any, Any, Any]:
+def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any, Any]:
     """Kernels for free-slip walls, for the other walls, and for the flow through openings."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    pop = populations(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
     neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
     exchanges = mirrors(lattice)

@@ -191,7 +191,7 @@ class Bodies:
         covered.damping = DAMPING if wall.slip else 0.0
         self._touch = wall.touch(hull.body_length, units)
         made = ghost_kernels if wall.slip else cover_kernel
-        self._cover = made(fluid.lattice, fluid.storage, fluid.wide)
+        self._cover = made(fluid.lattice, fluid.wide)
         self.place(np.zeros((E, N)))
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:

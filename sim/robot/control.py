@@ -11,19 +11,15 @@ from sim.lattice.velocities import Lattice
 from sim.robot.chain import RING, Chain, Motion
 from sim2real.servo.effect_chain import arrival_time
 
-HISTORY = 16
-"""Number of control periods whose states are stored, to analyse why a box was stopped."""
-
 
 @wp.kernel(enable_backward=False)
 def send(
     command: wp.array2d(dtype=wp.float64),
     chain: Chain,
     s: Motion,
-    history: wp.array3d(dtype=wp.float64),
     stopped: wp.array(dtype=wp.int32),
 ):
-    """Send a set-point to joint k of robot e, and store the robot's state."""
+    """Send a set-point to joint k of robot e."""
     e, k = wp.tid()
     if stopped[e] >= 0:
         return
@@ -41,12 +37,6 @@ def send(
     s.sent[e, k, slot] = command[e, k] + chain.trim[e, k]
     s.arrival[e, k, slot] = arrives
     s.newest[e, k] = number
-    if k == 0:
-        size = s.q.shape[1]
-        row = number % wp.static(HISTORY)
-        for i in range(size):
-            history[e, row, i] = s.q[e, i]
-            history[e, row, size + i] = s.v[e, i]
 
 
 @wp.kernel(enable_backward=False)
@@ -68,9 +58,9 @@ def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
 
 
 @cache
-def calm(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+def calm(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that brings boxes to rest."""
-    pop = populations(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, write = pop.Stored, pop.write
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -15,8 +15,8 @@ from sim.fluid.tank import WINDOW_M, Tank, pool, window
 from sim.fluid.wall import SLIP, Wall
 from sim.lattice.units import WATER_M2_S, Units
 from sim.lattice.velocities import D2Q9, D3Q19
-from sim.robot.bodies import FREE, KINEMATIC, Bodies
-from sim.robot.control import HISTORY, calm, remember, send
+from sim.robot.bodies import FREE, Bodies
+from sim.robot.control import calm, remember, send
 from sim.robot.effects import outside
 from sim.robot.live import Live
 from sim.robot.rows import changed, masses, servo_rows
@@ -102,12 +102,9 @@ class Swimmer:
         box_m: tuple[float, float, float] = WINDOW_M,
         walls: bool = False,
         wall: Wall = SLIP,
-        depth_m: float | None = None,
         viscosity_m2_s: float | Array | None = None,
         smagorinsky: float = SMAGORINSKY,
         substeps: int | None = None,
-        hull: Hull | None = None,
-        storage: str = "float32",
         threads: int = 1,
     ) -> None:
         """Create the boxes, with the robots straight, at rest, at the origin, heading along x.
@@ -124,15 +121,10 @@ class Swimmer:
             walls: Whether the box has walls; otherwise it moves with the robot.
             wall: Wall model: by default slip along the surface with skin friction as a stress, for
                 robots of decimetres; ``NO_SLIP`` if cells resolve the boundary layer.
-            depth_m: Depth of the robot's centre below the surface, with its heights scaled for
-                neutral buoyancy. By default it floats at the draught of its mass; a robot that
-                would sink swims at half depth.
             viscosity_m2_s: Viscosity of the fluid away from the wall, one or one for each box, at
                 least that of water, 1e-6; by default the model's or ``least_viscosity``.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Time steps per control period, even; by default from ``TOP_SPEED_M_S``.
-            hull: Shape of the links; by default from the robot's file.
-            storage: ``float32`` or ``float16`` for the populations.
             threads: CPU threads.
 
         Raises:
@@ -143,9 +135,9 @@ class Swimmer:
         if len(models) != n_envs:
             raise InputError("swimmer", "model", f"{len(models)} models", f"{n_envs}, one a box")
         flat = dimensions == 2
-        self.hull = hull if hull is not None else hull_of(robot)
+        self.hull = hull_of(robot)
         _check(robot, self.hull, box_m, cell_m)
-        self.hull, depth, self.surface_m = _submerged(robot, self.hull, flat, depth_m, box_m[2])
+        self.hull, depth, self.surface_m = _submerged(robot, self.hull, flat, box_m[2])
         if substeps is None:
             substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:
@@ -166,7 +158,6 @@ class Swimmer:
             walls=self.tank.walls,
             normals=self.tank.normals,
             smagorinsky=smagorinsky,
-            storage=storage,
             device=device,
             threads=threads,
         )
@@ -191,9 +182,6 @@ class Swimmer:
         self.step_count = 0
         J = len(robot.joints)
         self._command: Any = wp.zeros((n_envs, J), dtype=wp.float64, device=self.fluid.device)
-        self.history: Any = wp.zeros(
-            (n_envs, HISTORY, 2 * (3 + J)), dtype=wp.float64, device=self.fluid.device
-        )
         self._graphs: dict[int, Any] = {}
         self.reset()
 
@@ -223,7 +211,7 @@ class Swimmer:
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         fluid, motion = self.fluid, self.bodies.motion
         self._launch(
-            calm(fluid.lattice, fluid.storage, fluid.wide),
+            calm(fluid.lattice, fluid.wide),
             (E, fluid.cells),
             [on_device, fluid.f, fluid.flags, fluid.box, fluid.stopped],
         )
@@ -263,7 +251,7 @@ class Swimmer:
                 found = f"{values[row].tolist()} in environment {row}"
                 raise InputError("swimmer", "command", found, "finite angles")
             self._command.assign(np.ascontiguousarray(values))
-        self._run(FREE)
+        self.advance()
 
     def live(self) -> Live:
         """The live state, on the device."""
@@ -272,58 +260,27 @@ class Swimmer:
 
     def advance(self) -> None:
         """Advance by one control period with the set-points in ``live().command``."""
-        self._run(FREE)
-
-    def follow(self, joint: Array, rate: Array | None = None) -> None:
-        """Advance by one control period with prescribed joints; the body stays free.
-
-        Args:
-            joint: Angles at the period's end, shape (E, J) or (J,).
-            rate: Rates at its end, likewise, for a cubic through angles and rates at both ends;
-                at constant rates where None.
-        """
-        motion = self.bodies.motion
-        q, v = motion.q.numpy()[:, 3:], motion.v.numpy()[:, 3:]
-        end = np.broadcast_to(joint, q.shape)
-        time = np.arange(self.substeps + 1) / self.substeps
-        if rate is None:
-            path = q + (end - q) * time[:, None, None]
-        else:
-            s = time[:, None, None]
-            path = (
-                q * (1 + 2 * s) * (1 - s) ** 2
-                + CONTROL_S * v * s * (1 - s) ** 2
-                + end * s * s * (3 - 2 * s)
-                + CONTROL_S * np.broadcast_to(rate, q.shape) * s * s * (s - 1)
-            )
-        for rates in np.diff(path, axis=0) / self.units.step_s:
-            self.bodies.prescribe(np.concatenate([np.zeros((self.n_envs, 3)), rates], axis=1))
-            self.bodies.step(KINEMATIC)
-        self._sponge()
-        self.step_count += 1
-
-    def _run(self, mode: int) -> None:
         device = self.fluid.device
         if not device.is_cuda:
-            self._period(mode)
+            self._period()
         elif self.fluid.t in self._graphs:
             wp.capture_launch(self._graphs[self.fluid.t])
         else:
-            self._period(mode)  # compiles every kernel, which a capture must not
+            self._period()  # compiles every kernel, which a capture must not
             with wp.ScopedCapture(device=device) as capture:
-                self._period(mode)
+                self._period()
             self._graphs[self.fluid.t] = capture.graph
         self.step_count += 1
 
-    def _period(self, mode: int) -> None:
+    def _period(self) -> None:
         bodies = self.bodies
         self._launch(
             send,
             (self.n_envs, len(self.robot.joints)),
-            [self._command, bodies.chain, bodies.motion, self.history, self.fluid.stopped],
+            [self._command, bodies.chain, bodies.motion, self.fluid.stopped],
         )
         for _ in range(self.substeps):
-            bodies.step(mode)
+            bodies.step(FREE)
         self._sponge()
 
     def _sponge(self) -> None:
@@ -368,17 +325,16 @@ def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
     return np.array(array.numpy())
 
 
-def _submerged(
-    robot: Robot, hull: Hull, flat: bool, depth_m: float | None, water_m: float
-) -> tuple[Hull, float, float]:
-    """The hull, the depth that replaces its heights in 2D, and the depth of its middle."""
+def _submerged(robot: Robot, hull: Hull, flat: bool, water_m: float) -> tuple[Hull, float, float]:
+    """The hull, the depth that replaces its heights in 2D, and the depth of its middle.
+
+    A robot floats at the draught of its mass; one that would sink swims at half depth.
+    """
     mass = sum(link.mass_kg for link in robot.links)
-    if depth_m is None and not flat:
-        depth_m = draught(hull, mass, robot.appendages)
-        if depth_m is not None:
-            return hull, 0.0, depth_m
-    hull, depth = afloat(hull, mass, flat, robot.appendages)
-    return hull, depth, water_m / 2 if depth_m is None else depth_m
+    depth_m = None if flat else draught(hull, mass, robot.appendages)
+    if depth_m is not None:
+        return hull, 0.0, depth_m
+    return *afloat(hull, mass, flat, robot.appendages), water_m / 2
 
 
 def _check(robot: Robot, hull: Hull, box_m: tuple[float, float, float], cell_m: float) -> None:

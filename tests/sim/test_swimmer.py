@@ -90,22 +90,14 @@ def test_latency_is_what_the_model_says():
     assert max(moved[:2]) < 1e-9 < moved[2]
 
 
-def test_following_goes_where_it_is_told():
-    swimmer = small()
-    swimmer.follow(np.array([0.1, 0.0, -0.1]), np.array([1.0, 0.0, -1.0]))
-    state = swimmer.state()
-    assert state.joint[0] == pytest.approx([0.1, 0.0, -0.1])
-    assert 0.5 < state.rate[0, 0] < 4.5  # the last step of the cubic; evenly it would be 5
-
-
-@pytest.mark.parametrize(("dimensions", "depth_m"), [(2, None), (3, None), (3, 0.15)])
-def test_a_robot_floats(dimensions, depth_m):
-    box = {"cell_m": 0.01, "box_m": (0.8, 0.8, 0.3), "depth_m": depth_m}
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_a_robot_floats(dimensions):
+    box = {"cell_m": 0.01, "box_m": (0.8, 0.8, 0.3)}
     swimmer = Swimmer(FISH, servos(), dimensions=dimensions, **box)
     surface = np.inf
     if dimensions == 3:
         surface = (swimmer.tank.size[2] - 0.5 - swimmer.bodies.middle) * 0.01
-        assert surface == pytest.approx(0.15) if depth_m else abs(surface) < 0.01
+        assert abs(surface) < 0.01
     volume = displaced(swimmer.hull, 0.005, 0.0, dimensions == 2, surface)[:, 0].sum()
     volume *= swimmer.units.depth_m if dimensions == 2 else 1.0
     mass = sum(link.mass_kg for link in FISH.links)
