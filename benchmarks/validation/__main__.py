@@ -18,7 +18,7 @@ from benchmarks.validation.case import Case, Where
 from benchmarks.validation.conservation import hard_commands, momentum
 from benchmarks.validation.slender import plate, spheroid
 from benchmarks.validation.still import driven_cylinder, settling_sphere, taylor_green
-from benchmarks.validation.streams import cavity, channel_cylinder, moving_cylinder
+from benchmarks.validation.streams import cavity, moving_cylinder
 from benchmarks.validation.swimmers import anguilliform, foil
 from sim.fluid.fluid import find_device
 from sim2real.output import provenance, write_json
@@ -27,7 +27,7 @@ from sim2real.report.page import Section, Table, write_page
 CASES: dict[str, Callable[[Where], Case]] = {
     run.__name__: run
     for run in (
-        taylor_green, cavity, driven_cylinder, settling_sphere, channel_cylinder, moving_cylinder,
+        taylor_green, cavity, driven_cylinder, settling_sphere, moving_cylinder,
         spheroid, plate, foil, momentum, hard_commands, anguilliform,
     )
 }  # fmt: skip

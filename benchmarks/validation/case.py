@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim.fluid.fluid import Fluid
-from sim.lattice.units import Units
-from sim.lattice.velocities import Lattice
+from sim.lattice.velocities import Lattice, Units
 from sim.robot.bodies import HELD, Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim2real.arrays import Array
@@ -141,38 +140,9 @@ def forces(bodies: Bodies, rates: Iterable[Array]) -> Array:
     return out
 
 
-class Ramp:
-    """Raises a fluid's inlets from rest to their velocity, along a cosine.
-
-    After a sudden start pressure waves persist in a box with walls.
-    """
-
-    def __init__(self, fluid: Fluid, steps: int) -> None:
-        """Stop the inlets of ``fluid``; they have their velocity after ``steps`` steps."""
-        self._fluid, self._steps = fluid, steps
-        self._velocity: Any = fluid.wall_velocity.numpy().copy()
-        self.at(0)
-
-    def at(self, step: int) -> None:
-        """Set the velocity at this step; does nothing after the ramp."""
-        if step <= self._steps:
-            share = 0.5 - 0.5 * np.cos(np.pi * step / self._steps)
-            self._fluid.wall_velocity.assign((share * self._velocity).astype(np.float32))
-
-
 def amplitude(values: Array, period: int) -> Array:
     """Amplitudes of signals (T, ...) at a period of so many samples, beside a straight line."""
     t = 2 * np.pi / period * np.arange(len(values))
     basis = np.stack([np.cos(t), np.sin(t), np.ones_like(t), t], axis=1)
     fit = np.linalg.lstsq(basis, values, rcond=None)[0]
     return np.asarray(np.hypot(fit[0], fit[1]))
-
-
-def frequency(time: Array, signal: Array) -> float:
-    """Frequency of upward crossings of the mean; NaN for less than two."""
-    c = signal - signal.mean()
-    before = np.flatnonzero((c[:-1] < 0) & (c[1:] >= 0))
-    if before.size < 2:
-        return float("nan")
-    rise = time[before] + (time[1] - time[0]) * c[before] / (c[before] - c[before + 1])
-    return float((rise.size - 1) / (rise[-1] - rise[0]))

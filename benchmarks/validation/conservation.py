@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.validation.case import CPU, LATTICE, Case, Figure, Where, chain, neutral
 from sim.fluid.fluid import CS2, Fluid
 from sim.fluid.wall import NO_SLIP, Wall
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9, D3Q19, Lattice
+from sim.lattice.velocities import D2Q9, D3Q19, Lattice, Units
 from sim.robot.bodies import Bodies
 from sim.robot.shape import Hull
 from sim.robot.swimmer import CONTROL_S, LEAST_VISCOSITY, SMAGORINSKY

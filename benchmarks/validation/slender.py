@@ -17,8 +17,7 @@ from benchmarks.validation.case import (
     prescribed,
 )
 from sim.fluid.wall import Wall
-from sim.lattice.units import WATER_KG_M3, WATER_M2_S, Units
-from sim.lattice.velocities import D3Q19
+from sim.lattice.velocities import D3Q19, WATER_KG_M3, WATER_M2_S, Units
 from sim.robot.bodies import KINEMATIC, Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim2real.arrays import Array

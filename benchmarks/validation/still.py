@@ -11,8 +11,7 @@ from scipy.special import kv
 from benchmarks.validation.case import CPU, LATTICE, Case, Figure, Where, amplitude, ball
 from sim.fluid.fluid import CS2, Fluid
 from sim.lattice.cell import SLIP, SOLID
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9, D3Q19, Lattice
+from sim.lattice.velocities import D2Q9, D3Q19, Lattice, Units
 from sim.robot.bodies import VIRTUAL_MASS, Bodies, Masses, inset_at
 from sim2real.arrays import Array
 

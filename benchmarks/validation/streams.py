@@ -8,17 +8,13 @@ from benchmarks.validation.case import (
     CPU,
     Case,
     Figure,
-    Ramp,
     Where,
     ball,
     forces,
-    frequency,
     prescribed,
 )
-from sim.fluid.fluid import CS2
-from sim.lattice.cell import INLET, MOVING, OUTLET, SOLID
+from sim.lattice.cell import MOVING, SOLID
 from sim.lattice.velocities import D2Q9
-from sim.robot.bodies import HELD, inset_at
 from sim2real.arrays import Array
 
 _LID = 0.1
@@ -73,86 +69,6 @@ def cavity(where: Where = CPU) -> Case:
         "Ghia, Ghia and Shin, J. Comput. Phys. 48 (1982) 387",
         f"{', '.join(f'{n}' for n in cells.values())} cells a side, lid at {_LID:g} cells a step, "
         f"until steady within {_STEADY:g} a turnover",
-        figures,
-    )
-
-
-LENGTH, HEIGHT, CENTRE = 22.0, 4.1, (2.0, 2.0)
-"""Of the channel, in diameters of its cylinder; speeds are in mean speeds of the stream."""
-DRAG, LIFT, PRESSURE = 5.57953523384, 0.010618948146, 0.11752016697
-"""Case 2D-1; the pressure between the cylinder's front and back is in the benchmark's own Pa."""
-LEAST_DRAG, MOST_DRAG, LIFT_SWING, STROUHAL = 3.164263, 3.227393, 2.007871, 0.301841
-"""Case 2D-2."""
-_PASCAL = 0.2**2
-"""Density times the square of the mean speed in case 2D-1, in the benchmark's units."""
-_PEAK = 0.075
-"""Largest speed of the inflow in cells a step."""
-_MEAN = 2 / 3 * _PEAK
-_RAISED, _LOOKS = 8.0, 100
-
-
-def hold(reynolds: float, diameter: int, time: float, where: Where) -> tuple[Array, Array, float]:
-    """Times in diameters over the mean speed, coefficients of drag and lift (T, 2), and pressure.
-
-    The pressure is the difference of front and back at the end, over density and mean speed
-    squared. The row y = 0 is the wall on either side.
-    """
-    size = (round(LENGTH * diameter) + 2, round(HEIGHT * diameter) + 1)
-    walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
-    walls[0], normals[0] = INLET, 1
-    walls[-1], normals[-1] = OUTLET, 0
-    walls[:, 0] = SOLID
-    across = (np.arange(size[1]) - 0.5) / (size[1] - 1)
-    velocity = np.zeros((*size, 3), np.float32)
-    velocity[0, 1:, 0] = (4 * _PEAK * across * (1 - across))[1:]
-    viscosity = _MEAN * diameter / reynolds
-    more = {"walls": walls, "normals": normals, "wall_velocity": velocity}
-    fluid = where.fluid(D2Q9, size, viscosity=viscosity, **more)
-    x, y = (c * diameter + 0.5 for c in CENTRE)
-    start, inset = np.array([[x, y, 0.0]]), inset_at(viscosity)
-    cylinder = prescribed(fluid, ball(diameter / 2), start, inset=inset)
-    ramp = Ramp(fluid, round(_RAISED * diameter / _MEAN))
-    every = max(1, round(diameter / _MEAN / _LOOKS))
-    looks = round(time * diameter / _MEAN / every)
-    force = np.zeros((looks, 2))
-    for k in range(looks):
-        ramp.at(k * every)
-        for _ in range(every):
-            cylinder.step(HELD)
-        force[k] = cylinder.motion.force.numpy()[0, 0, :2]
-    density = fluid.moments()[0][0, :, :, 0].astype(np.float64)
-    row = density[:, [int(y), int(y) + 1]].mean(axis=1)
-    front, back = np.interp([x - diameter / 2, x + diameter / 2], np.arange(row.size), row)
-    times = (np.arange(looks) + 1) * every * _MEAN / diameter
-    return times, force / (0.5 * _MEAN**2 * diameter), float((front - back) * CS2 / _MEAN**2)
-
-
-def channel_cylinder(where: Where = CPU) -> Case:
-    """The DFG benchmark's case 2D-1, and, if not quick, also 2D-2."""
-    diameter = 10 if where.quick else (60 if where.gpu else 30)
-    t, force, pressure = hold(20.0, diameter, 14.0 if where.quick else 20.0, where)
-    drag, lift = force[t > t[-1] - 1].mean(axis=0)
-    figures = [
-        Figure("2D-1 drag coefficient", float(drag), DRAG, 0.06 if where.quick else 0.015),
-        Figure("2D-1 lift coefficient", float(lift), LIFT),
-        Figure("2D-1 pressure difference in Pa", pressure * _PASCAL, PRESSURE),
-    ]
-    if not where.quick:
-        t, force, _ = hold(100.0, diameter, 60.0, where)
-        late = t > t[-1] - 10
-        drag, lift = force[late].T
-        figures += [
-            Figure("2D-2 least drag coefficient", float(drag.min()), LEAST_DRAG, 0.015),
-            Figure("2D-2 largest drag coefficient", float(drag.max()), MOST_DRAG, 0.015),
-            Figure("2D-2 lift coefficient, peak to peak", float(np.ptp(lift)), LIFT_SWING, 0.04),
-            Figure("2D-2 Strouhal number", frequency(t[late], lift), STROUHAL, 0.01),
-        ]
-    return Case(
-        "Cylinder in a channel, DFG benchmark 2D-1 (Re 20) and 2D-2 (Re 100)",
-        "Schaefer and Turek, Notes Numer. Fluid Mech. 52 (1996) 547; precise figures are those of "
-        "the FeatFlow project's benchmark pages",
-        f"{diameter} cells a diameter, largest inflow {_PEAK:g} cells a step, raised over "
-        f"{_RAISED:g} diameters; the cylinder as solid shares of cells",
         figures,
     )
 

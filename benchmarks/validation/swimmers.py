@@ -10,8 +10,7 @@ from scipy.special import hankel2
 
 from benchmarks.validation.case import CPU, Case, Figure, Where, chain, neutral, prescribed
 from benchmarks.validation.slender import SMOOTH
-from sim.lattice.units import WATER_KG_M3, Units
-from sim.lattice.velocities import D2Q9
+from sim.lattice.velocities import D2Q9, WATER_KG_M3, Units
 from sim.robot.bodies import HELD, KINEMATIC, Bodies
 from sim.robot.shape import Hull
 from sim2real.arrays import Array

@@ -21,8 +21,7 @@ from surfaces import Links, Surfaces
 from truth import Truth, values
 from waters import POOL_HALF_M, Waters
 
-from sim.fluid.fluid import Fluid
-from sim.fluid.tank import WINDOW_M
+from sim.fluid.fluid import WINDOW_M, Fluid
 from sim.fluid.wall import Wall
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.model import JointModel, Model

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from sim.robot.appended import area_sd
+from sim.robot.effects import area_sd
 from sim.robot.swimmer import least_viscosity
 from sim.twin.twin import FITTED
 from sim2real.body import body_effect

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.fft import idct
 
 from sim.design.swim_commands import SwimLimits
-from sim.fluid.tank import POOL_M
+from sim.fluid.fluid import POOL_M
 from sim.inference.blocks import Blocks, spectrum
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.followed import SUBSTEPS, by_followed_twin

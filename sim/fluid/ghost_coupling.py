@@ -12,7 +12,8 @@ that of the layer of cells around it; perimeters of ellipses grow as the sum of 
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -35,22 +36,6 @@ from sim.lattice.cell import (
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
-
-
-class GhostKernels(NamedTuple):
-    """Kernels for one lattice.
-
-    Attributes:
-        mark: Lists the cells inside a body and those next to it, with their distance and normal.
-        shear: Sums over the cells next to a body: friction.
-        cover: Sums over the ghost cells.
-        emit: Populations of these, in place of a collision.
-    """
-
-    mark: Any
-    shear: Any
-    cover: Any
-    emit: Any
 
 
 @wp.func
@@ -110,8 +95,8 @@ def listed_cell(
 
 
 @cache
-def ghost_kernels(lattice: Lattice, wide: bool) -> GhostKernels:
-    """The kernels for a lattice."""
+def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of kernels
+    """The kernels for a lattice, by name, in the order in which a step launches them."""
     pop, ghost = populations(lattice, wide), ghosts(lattice, wide)
     Stored, load = pop.Stored, pop.load
     neighbours, moments, store = pop.neighbours, pop.moments, pop.store
@@ -373,4 +358,4 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> GhostKernels:
                         out[k] = beyond[k]
             store(f, n, j, t, box.total, out)
 
-    return GhostKernels(mark, shear, cover, emit)
+    return SimpleNamespace(mark=mark, shear=shear, cover=cover, emit=emit)

@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.units import WATER_M2_S, Units
+from sim.lattice.velocities import WATER_M2_S, Units
 from sim2real.errors import InputError
 
 LINES = ("none", "laminar", "turbulent")

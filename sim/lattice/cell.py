@@ -2,7 +2,7 @@
 
 import warp as wp
 
-FLUID, SOLID, MOVING, SLIP, OUTLET, INLET = range(6)
+FLUID, SOLID, MOVING, SLIP = range(4)
 """Kinds of cells. A wall lies half-way between a wall cell and the fluid."""
 KIND, GHOST, BODY, EDGE = 7, 32, 64, 128
 """Bits of a cell's flag: its kind; a ghost cell; pushed by a body; at the edge of its box, where

@@ -13,8 +13,8 @@ Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t 
 c velocity of a direction.
 """
 
-from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -42,33 +42,14 @@ def allocate(lattice: Lattice, wide: bool, cells: int, device: Any) -> Any:  # n
     return wp.zeros(shape, dtype=wp.float32, device=device)
 
 
-@dataclass(frozen=True)
-class Populations:
-    """Types and Warp functions for one lattice and width of memory.
-
-    Attributes:
-        Stored: Type of the array in memory: Q rows of all cells, one after the other.
-        Vector: Type of one cell's populations.
-        neighbours: Neighbouring cells in the odd directions.
-        load: Populations that arrive at a cell.
-        store: Populations that leave a cell.
-        moments: Density minus 1, and momentum.
-        read, write: Get or set the value of one slot.
-    """
-
-    Stored: Any
-    Vector: Any
-    neighbours: Any
-    load: Any
-    store: Any
-    moments: Any
-    read: Any
-    write: Any
-
-
 @cache
-def populations(lattice: Lattice, wide: bool) -> Populations:
-    """The functions for a lattice."""
+def populations(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of Warp's types and functions
+    """``Stored``, the type of the memory, ``Vector`` of a cell's populations, and functions.
+
+    ``neighbours`` are the cells in the odd directions, ``load`` gives the populations that arrive
+    at a cell, ``store`` takes those that leave it, ``moments`` are density minus 1 and momentum,
+    ``read`` and ``write`` get and set one slot.
+    """
     c, pairs = lattice.velocities, lattice.pairs
     Stored = wp.array2d(dtype=wp.float32) if wide else wp.array(dtype=wp.float32)
     Vector = wp.types.vector(length=lattice.Q, dtype=wp.float32)
@@ -162,4 +143,7 @@ def populations(lattice: Lattice, wide: bool) -> Populations:
                 mz += wp.static(float(c[2 * k + 1][2])) * d
         return wp.vec4(rho, mx, my, mz)
 
-    return Populations(Stored, Vector, neighbours, load, store, moments, read, write)
+    return SimpleNamespace(
+        Stored=Stored, Vector=Vector, neighbours=neighbours, load=load, store=store,
+        moments=moments, read=read, write=write,
+    )  # fmt: skip

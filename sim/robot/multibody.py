@@ -23,8 +23,7 @@ import warp as wp
 
 from sim.fluid.coupling import SUMS
 from sim.robot.chain import Chain, Motion, OnGrid
-from sim.robot.joints import drive, stop_joints
-from sim.robot.linear import factorise, solve
+from sim.robot.joints import drive, factorise, solve, stop_joints
 from sim.robot.outside import appendages, carried, held, hold, pull, resist, skin
 from sim2real.effects import SIGNATURE
 from sim2real.servo.effect_chain import SENSOR_BITS, measured_angle
@@ -294,6 +293,20 @@ def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
     return at / total
 
 
+@wp.func
+def measure(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+    """Angles that the joints' sensors read."""
+    for k in range(s.q.shape[1] - 3):
+        angle = s.q[e, 3 + k]
+        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
+            angle = measured_angle(
+                angle, angle, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
+                chain.memory[e, k], chain.active[e, k],
+            )  # fmt: skip
+        s.measured[e, k] = angle - chain.trim[e, k]
+    return 0
+
+
 @wp.kernel(enable_backward=False)
 def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dtype=wp.int32)):
     """Advance the coordinates by one step, after the step of the fluid.
@@ -317,13 +330,5 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
         s.q[e, 0] = s.q[e, 0] + off[0]
         s.q[e, 1] = s.q[e, 1] + off[1]
         pose_links(e, chain, s)
-    for k in range(s.q.shape[1] - 3):
-        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
-            s.measured[e, k] = measured_angle(
-                s.q[e, 3 + k], s.q[e, 3 + k], s.v[e, 3 + k], s.torque[e, k], s.clock[e],
-                grid.step, chain.servo[e, k], chain.memory[e, k], chain.active[e, k],
-            )  # fmt: skip
-        else:
-            s.measured[e, k] = s.q[e, 3 + k]
-        s.measured[e, k] = s.measured[e, k] - chain.trim[e, k]
+    measure(e, grid.step, chain, s)
     show(e, chain, s, grid)

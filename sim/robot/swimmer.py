@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from sim.fluid.fluid import Fluid
-from sim.fluid.tank import WINDOW_M, Tank, pool, window
+from sim.fluid.fluid import WINDOW_M, Fluid, Tank, pool, window
 from sim.fluid.wall import SLIP, Wall
-from sim.lattice.units import WATER_M2_S, Units
-from sim.lattice.velocities import D2Q9, D3Q19
+from sim.lattice.velocities import D2Q9, D3Q19, WATER_M2_S, Units
 from sim.robot.bodies import FREE, Bodies
-from sim.robot.control import calm, remember, send
 from sim.robot.effects import outside
-from sim.robot.live import Live
+from sim.robot.joints import calm, remember, send
+from sim.robot.live import Live, State, at_rest, models_of, set_points, state_of
 from sim.robot.rows import changed, masses, servo_rows
 from sim.robot.shape import Hull, afloat, draught, hull_of
-from sim2real.arrays import Array, Index, Integers, Mask
+from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -47,34 +43,6 @@ def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
     """Default viscosity in m2/s for cells of this size."""
     step_s = CONTROL_S / (substeps or steps_of(cell_m))
     return max(WATER_M2_S, LEAST_VISCOSITY * cell_m**2 / step_s)
-
-
-@dataclass(frozen=True)
-class State:
-    """State of the robots, copied from the device; world frame, SI units.
-
-    Attributes:
-        pose: x, y of the head's centre of mass and its heading, shape (E, 3).
-        velocity: Surge, sway and yaw rate of the head, in its body frame, shape (E, 3).
-        joint: Joint angles, shape (E, J).
-        rate: Joint rates, shape (E, J).
-        measured: Angles measured by the joints' sensors, shape (E, J).
-        torque: Torques of the servos in N m, shape (E, J).
-        force: Force of the fluid on each link in N and torque about its centre of mass in N m,
-            world frame, shape (E, L, 3).
-        time: Seconds since the start, shape (E,).
-        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,).
-    """
-
-    pose: Array
-    velocity: Array
-    joint: Array
-    rate: Array
-    measured: Array
-    torque: Array
-    force: Array
-    time: Array
-    stopped: Integers
 
 
 class Swimmer:
@@ -131,9 +99,7 @@ class Swimmer:
             InputError: If robot, model and box do not agree.
         """
         self.robot, self.n_envs = robot, n_envs
-        models = [model] * n_envs if isinstance(model, Model) else list(model)
-        if len(models) != n_envs:
-            raise InputError("swimmer", "model", f"{len(models)} models", f"{n_envs}, one a box")
+        models = models_of(model, n_envs, "swimmer")
         flat = dimensions == 2
         self.hull = hull_of(robot)
         _check(robot, self.hull, box_m, cell_m)
@@ -199,15 +165,10 @@ class Swimmer:
                 body's middle at the origin where None.
             joint: Joint angles, shape (E, J) or (J,); straight where None.
         """
-        E, J = self.n_envs, len(self.robot.joints)
+        E = self.n_envs
         chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        q = np.zeros((E, 3 + J))
-        if pose is None:
-            com = self.bodies.chain.com.numpy()[:, 0]
-            q[:, 0] = self.hull.length.sum() / 2 - com
-        else:
-            q[:, :3] = pose
-        q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
+        com = self.bodies.chain.com.numpy()[:, 0]
+        q = at_rest(self.hull, com, self.outside.trim, pose, joint)
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         fluid, motion = self.fluid, self.bodies.motion
         self._launch(
@@ -245,12 +206,7 @@ class Swimmer:
         if isinstance(command, wp.array):
             wp.copy(self._command, command)
         else:
-            values = np.broadcast_to(np.asarray(command, dtype=np.float64), self._command.shape)
-            if not np.all(np.isfinite(values)):
-                row = int(np.argwhere(~np.isfinite(values))[0, 0])
-                found = f"{values[row].tolist()} in environment {row}"
-                raise InputError("swimmer", "command", found, "finite angles")
-            self._command.assign(np.ascontiguousarray(values))
+            self._command.assign(set_points(command, self._command.shape, "swimmer"))
         self.advance()
 
     def live(self) -> Live:
@@ -301,28 +257,8 @@ class Swimmer:
 
     def state(self) -> State:
         """The state of the robots, copied from the device."""
-        s = self.bodies.motion
-        q, v, clock = _copied(s.q), _copied(s.v), _copied(s.clock)
-        q[:, :2] += self.outside.current * clock[:, None]
-        v[:, :2] += self.outside.current
-        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
-        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
-        return State(
-            pose=q[:, :3],
-            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
-            joint=q[:, 3:],
-            rate=v[:, 3:],
-            measured=_copied(s.measured),
-            torque=_copied(s.torque),
-            force=_copied(s.force),
-            time=clock,
-            stopped=_copied(self.fluid.stopped),
-        )
-
-
-def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
-    """A copy of a Warp array: on a CPU its ``numpy`` is a view of memory that changes."""
-    return np.array(array.numpy())
+        stopped = self.fluid.stopped.numpy()
+        return state_of(self.bodies.motion, self.outside.current, stopped)
 
 
 def _submerged(robot: Robot, hull: Hull, flat: bool, water_m: float) -> tuple[Hull, float, float]:

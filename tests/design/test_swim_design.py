@@ -12,7 +12,7 @@ from violations import violations
 from sim.design.design_swim import design_swim
 from sim.design.swim_commands import SwimLimits, draw, within
 from sim.design.swim_objective import SwimObjective
-from sim.fluid.tank import POOL_M
+from sim.fluid.fluid import POOL_M
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.design.limits import limits_of

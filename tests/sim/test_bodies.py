@@ -10,8 +10,7 @@ from benchmarks.validation.conservation import momentum, send, shake
 from benchmarks.validation.still import driven_cylinder
 from benchmarks.validation.swimmers import SYMMETRIC, advance, swim, wave
 from sim.fluid.fluid import Fluid
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9, D3Q19
+from sim.lattice.velocities import D2Q9, D3Q19, Units
 from sim.robot.bodies import HELD, KINEMATIC, Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim2real.servo.parameters import COLUMNS

@@ -7,7 +7,7 @@ from benchmarks.validation.case import Where
 from benchmarks.validation.still import taylor_green, vortices
 from benchmarks.validation.streams import cavity
 from sim.fluid.fluid import Fluid
-from sim.lattice.cell import INLET, MOVING, OUTLET, SLIP, SOLID
+from sim.lattice.cell import MOVING, SLIP, SOLID
 from sim.lattice.velocities import D2Q9, D3Q19
 from sim2real.errors import InputError
 
@@ -180,26 +180,6 @@ def test_threads_make_no_difference(lattice):
     size = (96, 64) if lattice is D2Q9 else (24, 18, 12)
     one, two = (flowing(lattice, 15, size, threads=threads) for threads in (1, 2))
     assert np.array_equal(one.f.numpy(), two.f.numpy())
-
-
-def test_a_stream_passes_from_inlet_to_outlet_in_every_box():
-    size, speed = (20, 12), 0.08
-    walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
-    walls[0], normals[0] = INLET, 1
-    walls[-1], normals[-1] = OUTLET, 0
-    walls[:, 0], normals[:, 0] = SLIP, 3
-    walls[:, -1], normals[:, -1] = SLIP, 2
-    velocity = np.zeros((*size, 3), np.float32)
-    velocity[..., 0] = speed
-    fluid = Fluid(
-        D2Q9, size, viscosity=[0.02, 0.1], boxes=2, walls=walls, normals=normals,
-        wall_velocity=velocity,
-    )  # fmt: skip
-    fluid.step(2500)
-    density, u = (field[:, 1:-1, 1:-1, 0] for field in fluid.moments())
-    assert np.allclose(u[..., 0], speed, rtol=1e-3)
-    assert np.allclose(u[..., 1], 0, atol=1e-4 * speed)
-    assert np.allclose(density, 1, atol=1e-4)
 
 
 def test_a_cell_that_is_too_fast_stops_its_own_box_and_is_named():

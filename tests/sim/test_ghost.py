@@ -11,8 +11,7 @@ from benchmarks.validation.conservation import audit, commands
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
 from sim.lattice.cell import GHOST, KIND
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9, D3Q19
+from sim.lattice.velocities import D2Q9, D3Q19, Units
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
 from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.lattice.units import WATER_KG_M3
+from sim.lattice.velocities import WATER_KG_M3
 from sim.robot.shape import displaced
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.errors import InputError
@@ -153,5 +153,5 @@ def test_bad_input_is_refused_in_one_line():
     short = Link("head", 0.5, 0.02, 0.13, 0.12)
     stub = Robot("stub", (short, *FISH.links[1:]), FISH.joints)
     refused(lambda: Swimmer(stub, servos(), box_m=BOX), "overlap")
-    refused(lambda: small(n_envs=2, model=[servos()]), "1 models", "2, one a box")
+    refused(lambda: small(n_envs=2, model=[servos()]), "1 models", "2, one for each robot")
     refused(lambda: Swimmer(FISH, servos(), cell_m=0.0), "cell_m")

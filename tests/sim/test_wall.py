@@ -3,8 +3,7 @@ import pytest
 
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import SLIP, Wall
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9
+from sim.lattice.velocities import D2Q9, Units
 from sim.robot.bodies import FREE, HELD, Bodies
 from sim.robot.rows import Masses
 from sim.robot.shape import Hull

@@ -6,7 +6,7 @@ from swimming_robots import FISH, servos
 
 import sim.lattice.populations
 from sim.fluid.fluid import Fluid
-from sim.lattice.cell import INLET, MOVING, OUTLET, SLIP, SOLID
+from sim.lattice.cell import MOVING, SLIP, SOLID
 from sim.lattice.populations import MOST_CELLS, is_wide
 from sim.lattice.velocities import D2Q9, D3Q19
 from sim.robot.swimmer import CONTROL_S, Swimmer
@@ -29,13 +29,12 @@ def narrow_and_wide(monkeypatch):
 
 
 def channel(lattice):
-    """From inlet to outlet past a block: a floor that moves, free-slip sides, a top at rest.
+    """A stream past a block: a floor that moves, free-slip sides, a top at rest.
 
     In two dimensions the top is free-slip.
     """
     size = (16, 12, 8)[: lattice.dimensions]
     walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
-    walls[0], walls[-1], normals[0] = INLET, OUTLET, 1
     walls[..., 0], walls[..., -1] = MOVING, SOLID
     walls[:, -1], normals[:, -1] = SLIP, 2
     if lattice.dimensions == 3:
@@ -48,6 +47,7 @@ def channel(lattice):
         wall_velocity=velocity, smagorinsky=0.1,
     )  # fmt: skip
     start = np.random.default_rng(0).normal(0, 0.01, (*fluid.size, 3))
+    start[..., 0] += 0.05
     start[..., lattice.dimensions :] = 0
     fluid.set(velocity=start)
     fluid.accelerate(np.array([1e-5, 2e-5, 0]))
