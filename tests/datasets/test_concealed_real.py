@@ -20,7 +20,6 @@ MODULES = (
     "real_effects",
     "real_files",
     "real_outside",
-    "real_oracle",
 )
 FEW = ["--null", "3", "--single", "3", "--double", "1", "--outside", "3"]
 
@@ -109,9 +108,7 @@ def test_no_kind_leaks_through_names_sizes_or_sidecars(code, sets):
 
 
 def test_every_file_of_the_generator_is_hashed(code):
-    assert {f"{name}.py" for name in MODULES if name != "real_oracle"} == set(
-        code["real_files"].GENERATOR
-    )
+    assert {f"{name}.py" for name in MODULES} == set(code["real_files"].GENERATOR)
     with_it = [Path(sys.modules[name].__file__).read_text() for name in MODULES]
     local = {path.stem for path in FOLDER.glob("*.py")}
     used = set(re.findall(r"^(?:from|import) (\w+)", "\n".join(with_it), re.M)) & local
@@ -229,43 +226,6 @@ def test_other_interventions(sets):
             }[effect["effect"]]
             assert value == pytest.approx(missing, rel=1e-3)
             assert loads["a"] == loads["c"]
-
-
-@pytest.fixture(scope="module")
-def rig(code, realdata):
-    """A servo seen at rest only, whose oracle needs no fit."""
-    groups = code["backgrounds"].backgrounds(realdata)
-    return code["real_oracle"].Rig(groups["nocomp2"], 2)
-
-
-def test_the_oracle_sees_changes_by_the_square_of_their_size(code, rig):
-    name = rig.logs[0].name
-    rng = np.random.default_rng(0)
-    one, two = (
-        rig.shows2("sensor_offset", name, {"offset_rad": size}, rng) for size in (0.01, 0.02)
-    )
-    assert one == pytest.approx(0.01**2)
-    assert two == pytest.approx(4 * one)
-    # How large an offset looks where there is none does not depend on how large it would be.
-    small, large = (rig.null2("sensor_offset", {"offset_rad": size}, rng) for size in (0.01, 0.02))
-    assert small == pytest.approx(large)
-    assert np.mean(small) < (2e-3) ** 2
-
-
-def test_a_rig_at_rest_is_where_its_other_recordings_came_to_rest(rig):
-    left = np.concatenate(rig.left)
-    assert 0.3 < np.isfinite(left).mean() < 0.95
-    assert np.nanstd(left) < 2e-3
-    # In motion, over a tenth of a radian, nothing is looked at.
-    for log, part in zip(rig.logs, rig.left, strict=True):
-        moving = np.abs(np.diff(log.position[:, 2], append=log.position[-1, 2])) > 0.1
-        moving &= np.abs(np.diff(log.position[:, 2], prepend=log.position[0, 2])) > 0.1
-        assert np.isnan(part[moving]).all()
-
-
-def test_coarser_rounding_is_read_off_the_numbers(code):
-    angle = np.array([0.0, 0.0, 0.004, 0.004, 0.008])
-    assert code["real_oracle"].rounding_llr(angle, 4.0) == pytest.approx(2 * np.log(4))
 
 
 def test_the_bank_is_in_no_case(sets):

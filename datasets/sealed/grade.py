@@ -1,6 +1,11 @@
-"""Grade the answers to a sealed set: every number of the proof, and a line for every case.
+"""Grade the answers to a sealed set, of servos or of swims: every measure, a line for every case.
 
-python datasets/concealed/grade.py SET VERDICTS --out RESULTS.json [--csv cases.csv] [--answered]
+    python datasets/sealed/grade.py SET VERDICTS --out RESULTS.json [--csv cases.csv] [--answered]
+    python datasets/sealed/grade.py SET VERDICTS --out FILE --water IN HELD_OUT --again AGAIN
+
+Models are scored on recordings that no tool was given. Swims are scored in the twin, on the speed
+over ground; with ``--water`` corrected by simulations of their commands in the fluid
+(``datasets/pool/sealed_water.py``), with ``--again`` also by those with the effects found.
 """
 
 from __future__ import annotations
@@ -8,62 +13,75 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from scipy.stats import beta, binom
+from measures import (
+    HARM,
+    LIKELY,
+    NOTHING,
+    NULLS,
+    SWIMS,
+    detectable,
+    shown,
+    summarize,
+    sure_of,
+    table,
+)
+from tqdm import tqdm
 
+from sim.inference.coordinates import SwimSimulator, signals_of
+from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
+from sim.inference.swims import swim_of
 from sim2real.model import Model, read_model
 from sim2real.output import write_json, write_whole
 from sim2real.recording import Recording, read_recording
+from sim2real.robot import read_robot
 from sim2real.servo.prediction import predict
 
 Row = dict[str, Any]
 
-DETECTABLE = 10.0
-"""Log-likelihood ratio from which on what is hidden ought to be found."""
-SURE, LIKELY, STATED = 0.9, 0.5, 0.05
-"""Probabilities: claimed; named at all; counted in the calibration."""
 SHARED = ("supply", "link")
-"""Components that show on any joint."""
-CHANCE = ("latency_jitter", "packet_loss")
-"""Effects whose dice nobody can predict on another recording."""
+"""Components of servos that show on any joint."""
 RECOVERABLE = 1.05
 """Held-out error over its floor from which on a share of it can be told."""
-HARM = 0.01
-AT_NOISE = 1.1
-"""Held-out error over its floor up to which it is at the noise."""
-NULLS = ("null", "trap")
-NOTHING = ("consistent", "unchanged")
 GIVEN_UP = ("unexplained", "partly_explained")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Grade and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    """Grade, write, print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("set", type=Path, metavar="SET")
     parser.add_argument("verdicts", type=Path, metavar="VERDICTS")
     parser.add_argument("--out", type=Path, required=True, metavar="RESULTS.json")
     parser.add_argument("--csv", type=Path, metavar="CASES.csv")
     parser.add_argument("--answered", action="store_true", help="leave out cases with no verdict")
+    parser.add_argument("--water", type=Path, nargs=2, default=(), metavar=("INPUTS", "HELD_OUT"))
+    parser.add_argument("--again", type=Path, help="simulations with the effects that were found")
     options = parser.parse_args(arguments)
-    results = grade(options.set, options.verdicts, answered=options.answered)
+    water = (options.water, options.again)
+    results = grade(options.set, options.verdicts, answered=options.answered, water=water)
     write_json(options.out, results)
     if options.csv:
         write_whole(options.csv, table(results["cases"]))
     for tier, found in [*results["tiers"].items(), *results["plants"].items()]:
-        print(tier)
+        print(tier, found["counts"], found["by_effect"])
         for name, metric in found["metrics"].items():
             print(f"  {name:32s} {shown(metric)}")
 
 
-def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[str, Any]:
-    """All results of a set; only of the cases that have a verdict, where so wished."""
+def grade(
+    challenge: Path,
+    verdicts: Path,
+    *,
+    answered: bool = False,
+    water: tuple[Sequence[Path], Path | None] = ((), None),
+) -> dict[str, Any]:
+    """All results of a set; of swims, or where so wished, only of the cases that have a verdict."""
     sealed = (challenge / "answers.json").read_bytes()
     content = json.loads(sealed)
     answers = content if isinstance(content, list) else content["cases"]
@@ -71,15 +89,20 @@ def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[st
     rows = []
     later = challenge / "oracle.json"  # worked out after the answers were published
     oracles = json.loads(later.read_text()) if later.exists() else {}
-    for truth in answers:
+    for truth in tqdm(answers, disable=None):
         truth["oracle"] = truth.get("oracle") or oracles.get(truth["case"], {})
+        truth.setdefault("tier", tier)
         folder = verdicts / truth["case"]
-        if (folder / "diagnosis.json").exists() or not answered:
-            row = judge(truth, folder, challenge / "heldout" / truth["case"])
-            rows.append({"tier": truth.get("tier", tier), **row})
+        if (folder / "diagnosis.json").exists() or not (answered or tier == SWIMS):
+            rows.append(judge(truth, folder, challenge, water))
     path = challenge / "hashes.json"
     published = json.loads(path.read_text()) if path.exists() else {}
     digest = hashlib.sha256(sealed).hexdigest()
+
+    def by(key: str) -> dict[str, Any]:
+        names = sorted({str(row[key]) for row in rows if row[key]})
+        return {name: summarize([row for row in rows if row[key] == name]) for name in names}
+
     return {
         "schema": "sim2real.grade/1",
         "set": challenge.name,
@@ -87,32 +110,32 @@ def grade(challenge: Path, verdicts: Path, *, answered: bool = False) -> dict[st
         "answers_as_published": published.get("answers.json") == digest if published else None,
         "grader": hashlib.sha256(Path(__file__).read_bytes()).hexdigest(),
         "hashes": published,
-        "tiers": {
-            name: summarize([row for row in rows if row["tier"] == name])
-            for name in sorted({str(row["tier"]) for row in rows})
-        },
-        "plants": {
-            name: summarize([row for row in rows if row["plant"] == name])
-            for name in sorted({str(row["plant"]) for row in rows if row["plant"]})
-        },
+        "tiers": by("tier"),
+        "plants": by("plant"),
         "cases": rows,
     }
 
 
-def judge(truth: Row, folder: Path, held_out: Path) -> Row:
+def judge(truth: Row, folder: Path, challenge: Path, water: Any = ((), None)) -> Row:  # noqa: ANN401
     """What was said of one case beside what is true of it."""
     said = json.loads((folder / "diagnosis.json").read_text())
-    hidden, oracle, kind = truth["effects"], truth.get("oracle") or {}, truth["kind"]
+    hidden, oracle, kind = truth["effects"], truth["oracle"], truth["kind"]
+    swims, held_out = truth["tier"] == SWIMS, challenge / "heldout" / truth["case"]
     # What every servo has a little of is there, too.
     there = [*([] if kind == "outside" else hidden), *truth.get("nuisances", [])]
-    entries = [_entry(given, there) for given in _named(said)]
+    given = _named(said)
+    entries = [_entry(one, there, swims=swims) for one in given]
     first = entries[0] if entries else None
     likely = [entry for entry in entries if entry["probability"] >= LIKELY]
     llr = oracle.get("llr_total", sum(oracle["llr"].values()) if "llr" in oracle else None)
+    cost = folder / "cost.json"
     row: Row = {
         "case": truth["case"],
+        "tier": truth["tier"],
         "kind": kind,
         "plant": truth.get("plant"),
+        "robot": truth.get("robot"),
+        "references": truth.get("references"),
         "practical": _practical(oracle),
         "truth": [f"{one['effect']}@{one['component']}" for one in hidden] or [truth.get("trap")],
         "strength": hidden[0].get("strength") if len(hidden) == 1 else None,
@@ -123,23 +146,34 @@ def judge(truth: Row, folder: Path, held_out: Path) -> Row:
         "flagged": said["verdict"] not in NOTHING or bool(said.get("negligible")),
         "entries": entries,
         "component_right": None,
-        "iou": _windows(truth, said, held_out) if hidden else [],
-        "heldout": _held_out(truth, folder, held_out),
+        "iou": _windows(truth, said, held_out) if hidden and not swims else [],
+        "cost": json.loads(cost.read_text()) if cost.exists() else None,
+        "parameters": [],
     }
+    row["heldout"] = (
+        _swim_held_out(truth, folder, challenge, *water)
+        if swims
+        else _held_out(truth, folder, held_out)
+    )
     parts = [entry["component"] for entry in entries[:1] or said.get("mismatch", [])[:1]]
     if hidden:
         row["component_right"] = any(_same(h["component"], p) for h in hidden for p in parts)
     if kind == "single":
         row["group_right"] = bool(first and first["right"])
-        row["exact"] = bool(first and first["right"] and first["effect"] == hidden[0]["effect"])
+        row["exact"] = bool(first and first["right"] and _exact(first, hidden[0], swims=swims))
         group = row["oracle_group"]
         placed = bool(first and _same(hidden[0]["component"], first["component"]))
         inside = placed and bool(first and first["effect"] in (group or []))
         row["in_oracle_group"] = inside if group else None
-        if row["exact"]:
-            row["parameters"] = _parameters(_named(said)[0], hidden[0]["parameters"])
+        if row["exact"] and not swims:
+            row["parameters"] = _parameters(given[0], hidden[0]["parameters"])
+    if swims:
+        row["parameters"] = [
+            estimate for one in given if one["probability"] >= LIKELY for true in hidden
+            if _exact(one, true, swims=True) for estimate in _parameters(one, true["parameters"])
+        ]  # fmt: skip
     if kind == "double":
-        row |= _both(hidden, likely)
+        row |= _both(hidden, likely, swims=swims)
     if kind == "outside":
         row["abstains"] = said["verdict"] in GIVEN_UP and not likely
     return row | {"failures": _failures(row)}
@@ -164,27 +198,36 @@ def _named(said: Row) -> list[Row]:
     return sorted(every, key=lambda one: -one["probability"])
 
 
-def _entry(given: Row, hidden: list[Row]) -> Row:
+def _entry(given: Row, hidden: list[Row], *, swims: bool) -> Row:
     group = list(dict.fromkeys([*given.get("group", []), given["effect"]]))
-    right = any(_right(group, given["component"], one) for one in hidden)
     kept = {name: given[name] for name in ("effect", "component", "probability")}
-    return {**kept, "group": group, "right": right}
+    entry = {**kept, "group": group}
+    return entry | {"right": any(_right(entry, one, swims=swims) for one in hidden)}
 
 
-def _right(group: list[str], component: str, true: Row) -> bool:
-    return true["effect"] in group and _same(true["component"], component)
+def _right(entry: Row, true: Row, *, swims: bool) -> bool:
+    """Whether a group contains an effect; of a swim only a group of one needs its component too."""
+    if true["effect"] not in entry["group"]:
+        return False
+    if swims:
+        return len(entry["group"]) > 1 or entry["component"] == true["component"]
+    return _same(true["component"], entry["component"])
+
+
+def _exact(given: Row, true: Row, *, swims: bool) -> bool:
+    same = given["component"] == true["component"] or not swims
+    return bool(given["effect"] == true["effect"] and same)
 
 
 def _same(true: str, named: str) -> bool:
     return true in SHARED or true == named
 
 
-def _both(hidden: list[Row], likely: list[Row]) -> Row:
+def _both(hidden: list[Row], likely: list[Row], *, swims: bool) -> Row:
     """Whether each of several effects has an entry of its own, and what F1 needs."""
 
     def met(order: Sequence[Row]) -> int:
-        pairs = zip(order, hidden, strict=False)
-        return sum(_right(entry["group"], entry["component"], one) for entry, one in pairs)
+        return sum(_right(e, one, swims=swims) for e, one in zip(order, hidden, strict=False))
 
     padded = likely + [{"group": [], "component": ""}] * len(hidden)
     found = max(met(order) for order in permutations(padded[: len(hidden) + 4], len(hidden)))
@@ -261,6 +304,10 @@ def _held_out(truth: Row, folder: Path, held_out: Path) -> Row | None:
     assert base is not None and rich is not None
     if len(squares["floor"]) < len(squares["base"]):
         floor = None
+    return _recovered(base, rich, floor)
+
+
+def _recovered(base: float, rich: float, floor: float | None) -> Row:
     recoverable = floor is not None and base > RECOVERABLE * floor
     eta = (base - rich) / (base - floor) if recoverable and floor is not None else None
     return {"base": base, "enriched": rich, "floor": floor, "eta": eta, "drop": 1 - rich / base}
@@ -286,150 +333,68 @@ def _floor(truth: Row, joint: str, recording: str) -> float | None:
     return float(np.sqrt(noise["white_rad"] ** 2 + noise["wander_rad"] ** 2 + step**2 / 12))
 
 
-def detectable(row: Row, by: str = "llr") -> bool:
-    """Whether one who knows all would see it, and act on it; True where that was not worked out."""
-    return row.get("practical", True) and (row[by] is None or row[by] >= DETECTABLE)
+def _swim_held_out(
+    truth: Row, folder: Path, challenge: Path, waters: Sequence[Path], again: Path | None
+) -> Row:
+    """Errors of surge and sway together on the held-out swim, m/s, and the camera's noise.
+
+    Also those of every set of effects with a fit that was tried on the end of the other swim.
+    """
+    place = challenge / "inputs" / truth["robot"]
+    robot, model = read_robot(place / "robot.toml"), read_model(place / "model.json")
+    files = [water / f"{truth['robot']}.npz" for water in waters]
+    _, simulate = robot_in_water(robot, model, files, threads=1)
+    swim = swim_of(read_recording(challenge / "heldout" / truth["case"] / "b.csv"), robot)
+    best = simulate
+    if again and "again" in json.loads((folder / "cost.json").read_text()):
+        water = read_water_swims(again / f"{truth['robot']}.npz")
+        simulated = read_model(folder / "resimulated.json")
+        best = by_twin_in_water(robot, simulated, water, threads=1)
+
+    def error(file: str, simulator: SwimSimulator) -> float:
+        predicted = signals_of([read_model(folder / file)], swim, simulator)[0]
+        return float(np.hypot(*np.sqrt(np.mean((predicted - swim.signals) ** 2, axis=0))[:2]))
+
+    base = error("baseline.json", simulate)
+    same = (folder / "enriched.json").read_bytes() == (folder / "baseline.json").read_bytes()
+    rich = base if same else error("enriched.json", best)
+    noise = float(np.hypot(*np.broadcast_to(swim.noise, swim.signals.shape[-1:])[:2]))
+    kept = folder / "raw.json"
+    tried = [
+        {"names": one["names"], "error": error(f"tried_{k}.json", best)}
+        for k, one in enumerate(json.loads(kept.read_text())["held"] if kept.exists() else ())
+        if one["names"]
+    ]
+    return _recovered(base, rich, noise) | {"tried": tried}
 
 
 def _failures(row: Row) -> list[str]:
     """What a reader would want to know went wrong."""
     kind, seen, held = row["kind"], detectable(row), row["heldout"] or {}
-    eta, sure = held.get("eta"), _sure(row)
+    eta, sure = held.get("eta"), sure_of(row)
     wrong = [
         ("false alarm", kind in NULLS and any(not e["right"] for e in sure)),
         ("flagged", kind in NULLS and row["flagged"] and not sure),
         ("confidently wrong", kind not in NULLS and any(not e["right"] for e in sure)),
         ("missed", kind not in NULLS and seen and not row["flagged"]),
         ("not first", kind == "single" and seen and row["flagged"] and not row["group_right"]),
-        ("wrong component", kind == "single" and row["flagged"] and not row["component_right"]),
+        (
+            "wrong component",
+            kind == "single"
+            and row["flagged"]
+            and not row["component_right"]
+            and row["tier"] != SWIMS,
+        ),
         ("does not abstain", kind == "outside" and row["flagged"] and not row["abstains"]),
         ("not both", kind == "double" and detectable(row, "llr_least") and not row["both"]),
         ("windows", any(x < 0.5 for x in row["iou"])),
-        ("harm", kind in NULLS and bool(held) and held["drop"] < -HARM),
-        ("error left", kind == "single" and seen and eta is not None and eta < 0.8),
+        ("harm", bool(held) and held["drop"] < -HARM and (kind in NULLS or row["tier"] == SWIMS)),
+        (
+            "error left",
+            kind == "single" and row["tier"] != SWIMS and seen and eta is not None and eta < 0.8,
+        ),
     ]
     return [name for name, failed in wrong if failed]
-
-
-def _sure(row: Row) -> list[Row]:
-    return [entry for entry in row["entries"] if entry["probability"] >= SURE]
-
-
-def summarize(rows: list[Row]) -> dict[str, Any]:
-    """All numbers of the cases of one tier."""
-    kinds = NULLS, ("single",), ("double",), ("outside",)
-    nulls, single, double, outside = ([r for r in rows if r["kind"] in kind] for kind in kinds)
-    seen = [row for row in single if detectable(row)]
-    held = [r for r in seen if r["heldout"]]
-    recovered = [r for r in held if r["heldout"]["eta"] is not None]
-    fair = [r for r in recovered if r["truth"][0].partition("@")[0] not in CHANCE]
-    etas, but_chance = ([r["heldout"]["eta"] for r in some] for some in (recovered, fair))
-    harmed = [-r["heldout"]["drop"] for r in nulls if r["heldout"]]
-    shown_doubles = [r for r in double if detectable(r, "llr_least")]
-    estimates = [p for r in single for p in r.get("parameters", [])]
-    stated = [r["in_oracle_group"] for r in seen if r["in_oracle_group"] is not None]
-    calibrated, bins = calibration([entry for r in rows for entry in r["entries"]])
-    hits, misses = sum(r["found"] for r in double), sum(r["of"] - r["found"] for r in double)
-    f1 = hits / (hits + (misses + sum(r["wrong"] for r in double)) / 2) if double else None
-    metrics = {
-        "false_alarm": share(any(not e["right"] for e in _sure(r)) for r in nulls),
-        "nulls_quiet": share(r["verdict"] in NOTHING for r in nulls),
-        "nulls_flagged": share(r["flagged"] for r in nulls),
-        "detection": share(r["flagged"] for r in seen + [d for d in double if detectable(d)]),
-        "detection_all": share(r["flagged"] for r in single + double),
-        "outside_flagged": share(r["flagged"] for r in outside),
-        "group_first": share(r["group_right"] for r in seen),
-        "group_first_all": share(r["group_right"] for r in single),
-        "first_in_oracle_group": share(stated),
-        "exact_first": share(r["exact"] for r in seen),
-        "group_size": plain([len(r["entries"][0]["group"]) for r in seen if r["entries"]]),
-        "component": share(r["component_right"] for r in single if r["flagged"]),
-        "confident_wrong": share(not entry["right"] for r in rows for entry in _sure(r)),
-        **calibrated,
-        "outside_abstains": share(r["abstains"] for r in outside),
-        "outside_confident_wrong": share(bool(_sure(r)) for r in outside),
-        "window_iou": quantile([x for r in rows for x in r["iou"]], 0.5),
-        "recovered_median": quantile(etas, 0.5),
-        "recovered_p10": quantile(etas, 0.1),
-        "recovered_p10_but_chance": quantile(but_chance, 0.1),
-        "heldout_drop_median": quantile([r["heldout"]["drop"] for r in held], 0.5),
-        "at_noise": share(
-            r["heldout"]["enriched"] <= AT_NOISE * r["heldout"]["floor"]
-            for r in [*seen, *(d for d in double if detectable(d))]
-            if r["heldout"] and r["heldout"]["floor"]
-        ),
-        "harm": share(change > HARM for change in harmed),
-        "harm_mean": plain(harmed),
-        "doubles_both": share(r["both"] for r in shown_doubles),
-        "doubles_both_all": share(r["both"] for r in double),
-        "doubles_f1": {"value": f1, "of": len(double)},
-        "parameter_error_median": quantile([p["error"] for p in estimates], 0.5),
-        "parameter_covered": share(p["covered"] for p in estimates),
-    }
-    counts = dict(Counter(row["kind"] for row in rows)) | {"detectable_singles": len(seen)}
-    return {"counts": counts, "metrics": metrics, "reliability": bins}
-
-
-def share(outcomes: Iterable[bool]) -> Row:
-    """A share with its 95 % interval (Clopper & Pearson, Biometrika 26 (1934) 404-413)."""
-    each = [bool(one) for one in outcomes]
-    k, n = sum(each), len(each)
-    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
-    return {"value": k / n if n else None, "count": k, "of": n, "interval": [low, high]}
-
-
-def quantile(values: Sequence[float], q: float) -> Row:
-    """A quantile, with a distribution-free 95 % interval by order statistics."""
-    n, ranked = len(values), np.sort(np.asarray(values, dtype=float))
-    if not n:
-        return {"value": None, "of": 0, "interval": None}
-    ends = np.clip([binom.ppf(0.025, n, q) - 1, binom.ppf(0.975, n, q)], 0, n - 1).astype(int)
-    return {"value": float(np.quantile(ranked, q)), "of": n, "interval": ranked[ends].tolist()}
-
-
-def plain(values: Sequence[float]) -> Row:
-    """A mean with no interval."""
-    return {"value": float(np.mean(values)) if values else None, "of": len(values)}
-
-
-def calibration(entries: list[Row]) -> tuple[dict[str, Row], list[Row]]:
-    """Expected calibration error, Brier score, and the table behind them."""
-    given = [e for e in entries if e["probability"] >= STATED]
-    stated = np.array([min(e["probability"], 1.0) for e in given])
-    right = np.array([float(e["right"]) for e in given])
-    place = np.minimum((stated * 10).astype(int), 9)
-    bins = []
-    for k in range(10):
-        inside = place == k
-        bins.append({"low": k / 10, "high": (k + 1) / 10, **share(right[inside] > 0)})
-        bins[-1]["stated"] = float(stated[inside].mean()) if inside.any() else None
-    gaps = [b["of"] * abs(b["stated"] - b["value"]) for b in bins if b["of"]]
-    ece = {"value": sum(gaps) / len(given) if given else None, "of": len(given)}
-    return {"ece": ece, "brier": plain(((stated - right) ** 2).tolist())}, bins
-
-
-def shown(metric: Row, digits: int = 3) -> str:
-    """A metric as text: value, count, interval."""
-    if metric.get("value") is None:
-        return "–"
-    counts = f"{metric['count']}/{metric['of']}" if "count" in metric else f"n={metric['of']}"
-    ends = metric.get("interval")
-    between = f" [{ends[0]:.{digits}f}, {ends[1]:.{digits}f}]" if ends else ""
-    return f"{metric['value']:.{digits}f}{between} ({counts})"
-
-
-def table(rows: list[Row]) -> str:
-    """One line a case, as CSV."""
-    names = ("tier", "case", "kind", "strength", "llr", "verdict")
-    lines = []
-    for row in rows:
-        line = {name: row[name] for name in names} | (row["heldout"] or {})
-        line["truth"] = " ".join(filter(None, row["truth"]))
-        said = [(e["group"], e["component"], e["probability"]) for e in row["entries"]]
-        line["named"] = " ".join(f"{'|'.join(group)}@{at}:{p:.3f}" for group, at, p in said)
-        lines.append(line | {"failures": "; ".join(row["failures"])})
-    return pd.DataFrame(lines).to_csv(index=False)
 
 
 if __name__ == "__main__":

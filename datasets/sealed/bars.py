@@ -2,47 +2,45 @@
 
 from __future__ import annotations
 
-from grade import Row
+from measures import Row
 
 from sim2real.report.page import Section, Table
 
 ONE_CASE = -1.0
 """Stands for a bar of at most one case."""
-
+TIERS = {
+    "T1": "simulated",
+    "T2": "injected into real recordings",
+    "T3": "real changes",
+    "T1'": "independent simulators",
+    "T4": "swims",
+}
 BARS: tuple[tuple[str, str, str, tuple[float | None, ...]], ...] = (
-    (
-        "False positives at probability 0.9",
-        "false_alarm",
-        "≤",
-        (0.01, 0.02, ONE_CASE, 0.01),
-    ),
-    ("Detectable effects flagged", "detection", "≥", (0.98, 0.95, 0.90, 0.96)),
-    ("True effect in the first group", "group_first", "≥", (0.95, 0.70, 0.80, 0.93)),
-    ("True effect ranked first", "exact_first", "≥", (0.88, 0.80, None, None)),
-    ("Correct component", "component", "≥", (0.98, 0.95, 0.90, None)),
-    ("False discoveries at probability 0.9", "confident_wrong", "≤", (0.01, 0.05, ONE_CASE, 0.02)),
-    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None, 0.05)),
-    (
-        "Abstains where the catalogue lacks the effect",
-        "outside_abstains",
-        "≥",
-        (0.90, 0.85, None, 0.88),
-    ),
-    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75, None)),
-    (
-        "Recoverable error removed, median",
-        "recovered_median",
-        "≥",
-        (0.95, 0.90, None, None),
-    ),
-    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25, None)),
-    ("Null cases whose held-out error grows by over 1 %", "harm", "≤", (0.01, 0.01, None, None)),
-    ("Null cases with the verdict consistent", "nulls_quiet", "≥", (None, 0.90, 0.90, 0.95)),
-    ("Held-out error within 10 % of the noise", "at_noise", "≥", (None, None, None, 0.95)),
-    ("Both of two effects named", "doubles_both", "≥", (0.80, 0.50, None, 0.80)),
-)
+    ("False positives at probability 0.9", "false_alarm", "≤", (0.01, 0.02, ONE_CASE, 0.01, 0.02)),
+    ("Detectable effects flagged", "detection", "≥", (0.98, 0.95, 0.90, 0.96, 0.95)),
+    ("True effect in the first group", "group_first", "≥", (0.95, 0.70, 0.80, 0.93, 0.90)),
+    ("True effect ranked first", "exact_first", "≥", (0.88, 0.80, None, None, None)),
+    ("Correct component", "component", "≥", (0.98, 0.95, 0.90, None, None)),
+    ("False discoveries at probability 0.9", "confident_wrong", "≤",
+     (0.01, 0.05, ONE_CASE, 0.02, 0.03)),
+    ("Expected calibration error", "ece", "≤", (0.05, 0.07, None, 0.05, 0.07)),
+    ("Abstains where the catalogue lacks the effect", "outside_abstains", "≥",
+     (0.90, 0.85, None, 0.88, 0.85)),
+    ("Windows: intersection over union, median", "window_iou", "≥", (0.80, 0.75, 0.75, None, None)),
+    ("Recoverable error removed, median", "recovered_median", "≥", (0.95, 0.90, None, None, None)),
+    ("Held-out error removed, median", "heldout_drop_median", "≥", (None, None, 0.25, None, None)),
+    ("Null cases whose held-out error grows by over 1 %", "harm", "≤",
+     (0.01, 0.01, None, None, 0.02)),
+    ("Cases whose held-out error does not grow by over 1 %", "no_worse", "≥",
+     (None, None, None, None, 0.98)),
+    ("Null cases with the verdict consistent", "nulls_quiet", "≥", (None, 0.90, 0.90, 0.95, None)),
+    ("Held-out error at the noise (within 10 %, of swims 50 %)", "at_noise", "≥",
+     (None, None, None, 0.95, 0.80)),
+    ("Both of two effects named", "doubles_both", "≥", (0.80, 0.50, None, 0.80, 0.75)),
+    ("Coverage of the 90 % intervals", "parameter_covered", "≥", (None, None, None, None, 0.80)),
+)  # fmt: skip
 """What is measured, and the bars of the tiers, of T2 and T3 from the third sets on; None is only
-reported. In T2 what counts as detectable is what the oracle could see (``real_oracle.py``)."""
+reported. In T2 what counts as detectable is what an oracle could see."""
 SINCE_SIXTH = {
     "detection": 0.97, "group_first": 0.94, "outside_abstains": 0.90, "at_noise": 0.92,
     "doubles_both": 0.85,
@@ -63,15 +61,8 @@ ALSO = (
     ("Both of two effects named, undetectable included", "doubles_both_all"),
     ("Two effects: F1", "doubles_f1"),
     ("Parameters of exact names: median relative error", "parameter_error_median"),
-    ("Coverage of the 90 % intervals", "parameter_covered"),
 )
 IN_FULL = ("window_iou", "recovered_median", "recovered_p10", "recovered_p10_but_chance")
-TIERS = {
-    "T1": "simulated",
-    "T2": "injected into real recordings",
-    "T3": "real changes",
-    "T1'": "independent simulators",
-}
 WEAKEST_PLANT = 0.9
 """What a plant must reach, relative to the mean of all."""
 BY_PLANT = (

@@ -1,6 +1,6 @@
 """One page of all results: what was to be reached, what was, and every case that failed.
 
-python datasets/concealed/page.py RESULTS.json... [--rivals RESULTS.json...] --out PAGE.html
+python datasets/sealed/page.py RESULTS.json... --out PAGE.html
 """
 
 from __future__ import annotations
@@ -12,42 +12,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from bars import BARS, by_plant, done, set_name, value
-from grade import NULLS, SURE, Row, detectable, share, summarize
+from bars import by_plant, done, set_name
+from measures import NULLS, SURE, Row, detectable
 
 from sim2real.output import provenance
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Section, Table, Text, write_page
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 
-STRENGTHS = np.geomspace(0.1, 3.0, 8)
-RATIOS = np.array([1.0, 3.0, 10.0, 30.0, 1e2, 3e2, 1e3, 1e4, 1e5])
-
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the page."""
     parser = argparse.ArgumentParser(description="All results on one page.")
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULTS.json")
-    parser.add_argument("--rivals", type=Path, nargs="*", default=[], metavar="RESULTS.json")
     parser.add_argument("--out", type=Path, default=Path("reports/missing_physics.html"))
     options = parser.parse_args(arguments)
-    found, rivals = ([json.loads(p.read_text()) for p in some] for some in
-                     (options.results, options.rivals))  # fmt: skip
+    found = [json.loads(p.read_text()) for p in options.results]
     sections = [done(found), *(section for one in found if (section := by_plant(one)))]
     for one in found:
         for tier in one["tiers"]:
             rows = [row for row in one["cases"] if row["tier"] == tier]
             sections += _of_tier(set_name(one, tier), one["tiers"][tier], rows)
-    if rivals:
-        sections.append(_rivals(found, rivals))
     sections += [_failures(found), _hashes(found)]
     write_page(
         options.out,
         "Find the missing physics",
         "Sealed cases, graded by script: acceptance thresholds, results, and every failed case.",
         sections,
-        provenance([*options.results, *options.rivals], None),
+        provenance(options.results, None),
     )
 
 
@@ -56,10 +48,9 @@ def _of_tier(label: str, results: Row, rows: list[Row]) -> list[Section]:
     outside = [row for row in rows if row["kind"] == "outside"]
     naming: list[Block] = [
         Figure(
-            _confusion_figure(confusion(rows), oracle_confusion(single)),
+            _confusion_figure(confusion(rows)),
             "Rows: what is there. Columns: the first name. A dot's area is its share of the row; "
-            "red is wrong. Right, where it was worked out: what one who knows all cannot tell "
-            "apart (the group of all that fit within 5 in log-likelihood).",
+            "red is wrong.",
         ),
         _effects_table(single, "group_right", "group right"),
     ]
@@ -73,28 +64,10 @@ def _of_tier(label: str, results: Row, rows: list[Row]) -> list[Section]:
             "(detectable single effects and physics outside the catalogue).",
         )
     ]
-    sections = [
+    return [
         Section(f"Names: {label}", "Which effect was named first.", naming),
         Section(f"Probabilities: {label}", "Whether they mean what they say.", sure),
     ]
-    if any(row["llr"] is not None for row in single):
-        power = Figure(
-            _power_figure(single),
-            "Single effects. Left against strength, 1 being nominal; right against the "
-            "log-likelihood ratio that one who knows all would see: noticed (grey), first group "
-            "right (black), first name right (red). Intervals are 95 %.",
-        )
-        sections.append(Section(f"Power: {label}", "How small an effect is found.", [power]))
-    if any((row["heldout"] or {}).get("floor") for row in single):
-        ladder = Figure(
-            _ladder_figure(single),
-            "Detectable single effects, one column each: error on the recording that nobody was "
-            "given, in units of its noise. Grey the plain servo, red with what was named; 1 is the "
-            "floor.",
-        )
-        lead = "Held-out error of the plain and of the enriched model."
-        sections.append(Section(f"Held out: {label}", lead, [ladder]))
-    return sections
 
 
 def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
@@ -107,26 +80,6 @@ def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
         named = row["entries"][0]["effect"] if row["entries"] else "unlisted"
         table["nothing" if true in NULLS else true][named if row["flagged"] else "nothing"] += 1
     return {true: dict(said) for true, said in sorted(table.items())}
-
-
-def oracle_confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
-    """In how many cases of each effect the oracle's group has each effect."""
-    table: dict[str, Counter[str]] = defaultdict(Counter)
-    for row in rows:
-        table[_name(row)].update(row["oracle_group"] or [])
-    return {true: dict(members) for true, members in sorted(table.items()) if members}
-
-
-def power(rows: list[Row], by: str, edges: Any) -> list[Row]:  # noqa: ANN401 - an array
-    """Shares noticed, in the right group and exact, by strength or by log-likelihood ratio."""
-    known = [row for row in rows if row[by] is not None]
-    place = np.digitize([row[by] for row in known], edges[1:-1])
-    found = []
-    for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
-        some = [row for row, at in zip(known, place, strict=True) if at == k]
-        parts = {n: share(row[n] for row in some) for n in ("flagged", "group_right", "exact")}
-        found.append({"middle": float(np.sqrt(low * high)), "cases": len(some), **parts})
-    return [one for one in found if one["cases"]]
 
 
 def risk_coverage(rows: list[Row]) -> list[tuple[float, float]]:
@@ -158,27 +111,23 @@ def _effects_table(rows: list[Row], right: str, heading: str) -> Table:
     return Table(header, lines, "Counts; flagged and right are those of the detectable cases.")
 
 
-def _confusion_figure(said: Row, oracle: Row) -> str:
+def _confusion_figure(said: Row) -> str:
     rows = sorted(said, key=lambda name: (name in ("nothing", "outside"), name))
     others = {name for counts in said.values() for name in counts} - {"nothing", "unlisted"}
-    others |= {name for counts in oracle.values() for name in counts}
     columns = [*sorted(others | set(rows) - {"nothing", "outside"}), "unlisted", "nothing"]
     with house_style():
         figure = new_figure(110 + 13 * len(rows), "first name by concealed effect")
-        panels = figure.subplots(1, 2 if oracle else 1, sharey=True, squeeze=False)[0]
-        for axes, table in zip(panels, (said, oracle), strict=False):
-            for y, true in enumerate(rows):
-                total = sum(said[true].values()) if table is said else table.get(true, {}).get(true)
-                for name, count in table.get(true, {}).items():
-                    right = name == {"outside": "unlisted"}.get(true, true)
-                    colour = INK if right else ACCENT if table is said else MUTED
-                    area = 70 * count / max(total or 0, 1)
-                    axes.scatter(columns.index(name), y, s=area, color=colour, linewidths=0)
-            axes.set_xticks(range(len(columns)), columns, rotation=90, size=7.5)
-            axes.set_xlim(-0.7, len(columns) - 0.3)
-            axes.set_title("diagnosis" if table is said else "oracle's groups")
-        panels[0].set_yticks(range(len(rows)), rows, size=8)
-        panels[0].set_ylim(len(rows) - 0.4, -0.6)
+        axes = figure.subplots()
+        for y, true in enumerate(rows):
+            total = sum(said[true].values())
+            for name, count in said[true].items():
+                right = name == {"outside": "unlisted"}.get(true, true)
+                colour, area = INK if right else ACCENT, 70 * count / max(total, 1)
+                axes.scatter(columns.index(name), y, s=area, color=colour, linewidths=0)
+        axes.set_xticks(range(len(columns)), columns, rotation=90, size=7.5)
+        axes.set_xlim(-0.7, len(columns) - 0.3)
+        axes.set_yticks(range(len(rows)), rows, size=8)
+        axes.set_ylim(len(rows) - 0.4, -0.6)
     return svg(figure)
 
 
@@ -201,75 +150,10 @@ def _probability_figure(bins: list[Row], single: list[Row], outside: list[Row]) 
     return svg(figure)
 
 
-def _power_figure(rows: list[Row]) -> str:
-    with house_style():
-        figure = new_figure(300, "power against strength")
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, by, edges in zip(panels, ("strength", "llr"), (STRENGTHS, RATIOS), strict=True):
-            found = power(rows, by, edges)
-            for name, colour in (("flagged", FAINT), ("group_right", INK), ("exact", ACCENT)):
-                at = [one["middle"] for one in found]
-                axes.plot(at, [one[name]["value"] for one in found], color=colour, linewidth=1.2)
-                if name == "group_right":
-                    _whiskers(axes, at, [one[name] for one in found], colour)
-            axes.set(xscale="log", ylim=(0, 1.03), title=f"share named, by {_SPELLED[by]}")
-            axes.set_xticks((0.1, 0.3, 1, 3) if by == "strength" else (1, 10, 100, 1e3, 1e4, 1e5))
-            axes.set_xlim(edges[0], edges[-1])
-            _plain_ticks(axes.xaxis)
-    return svg(figure)
-
-
-_SPELLED = {"strength": "strength", "llr": "log-likelihood ratio"}
-
-
-def _plain_ticks(axis: Any) -> None:  # noqa: ANN401 - Matplotlib has no stubs
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter("")
-
-
 def _whiskers(axes: Any, at: list[float], shares: list[Row], colour: str) -> None:  # noqa: ANN401
     axes.plot(at, [one["value"] for one in shares], "o", color=colour, markersize=4)
     for x, one in zip(at, shares, strict=True):
         axes.plot([x, x], one["interval"], color=colour, linewidth=0.8)
-
-
-def _ladder_figure(rows: list[Row]) -> str:
-    held = [row["heldout"] for row in rows if detectable(row) and row["heldout"]]
-    held = sorted((h for h in held if h["floor"]), key=lambda h: h["base"] / h["floor"])
-    with house_style():
-        figure = new_figure(260, "held-out error, plain and enriched")
-        axes = figure.subplots()
-        for k, one in enumerate(held):
-            base, rich = one["base"] / one["floor"], one["enriched"] / one["floor"]
-            axes.plot([k, k], [base, rich], color=FAINT, linewidth=0.6)
-            axes.plot(k, base, "o", color=FAINT, markersize=3)
-            axes.plot(k, rich, "o", color=ACCENT, markersize=3)
-        axes.axhline(1.0, color=INK, linewidth=0.8)
-        axes.set(yscale="log", title="held-out error over noise", xlim=(-1, len(held)))
-        axes.set_xticks([])
-        _plain_ticks(axes.yaxis)
-    return svg(figure)
-
-
-def _rivals(found: list[Row], rivals: list[Row]) -> Section:
-    labels = [(label, name) for label, name, *_ in BARS]
-    answered = {row["case"] for row in rivals[0]["cases"]}
-    header, columns = [""], []
-    own = [one for one in found if one["set"] == rivals[0]["set"]]
-    for one in [*own, *rivals]:
-        rows = [row for row in one["cases"] if row["case"] in answered]
-        name = "sim2real" if any(one is mine for mine in own) else one["verdicts"]
-        fewer = "" if len(rows) == len(answered) else f"\n{len(rows)} of them"
-        header.append(name.replace("_", " ") + fewer)
-        columns.append(summarize(rows)["metrics"])
-    lines = []
-    for label, name in labels:
-        cells = [value(metrics[name], name) for metrics in columns]
-        short = [cell.rpartition(",")[0] or cell.partition("\n")[0] for cell in cells]
-        lines.append([label, *("–" if cell == "not measured" else cell for cell in short)])
-    lead = "Common practice on the same recordings, graded by the same script."
-    caption = f"{len(answered)} cases of {rivals[0]['set']}. Small: 95 % intervals."
-    return Section("Baselines", lead, [Table(header, lines, caption)])
 
 
 def _failures(found: list[Row]) -> Section:
