@@ -17,8 +17,6 @@ from sim2real.arrays import Array
 
 RADII = (0.085, 0.115, 0.06, 0.025, 0.01)
 """Half-widths at the nose, the joints and the tail's tip, in body lengths."""
-SYMMETRIC = (0.06,) * 5
-"""Those of a body that is symmetric front to back."""
 AMPLITUDE, LAG = np.array([0.45, 0.60, 0.75]), 1.2 * np.arange(3)
 """Of the wave, in rad."""
 REYNOLDS = 1000.0

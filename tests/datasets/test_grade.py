@@ -166,24 +166,6 @@ def test_first_group_exact_name_and_oracles_group(code, challenge):
     assert metrics["group_size"]["value"] == pytest.approx(7 / 5)
 
 
-def test_supply_and_link_show_on_any_joint(code, challenge):
-    challenge.add(
-        "single", [hidden("voltage_sag", "supply")], "explained", [entry("voltage_sag", "j3", 0.95)]
-    )
-    challenge.add(
-        "single", [hidden("voltage_sag", "j1")], "explained", [entry("voltage_sag", "supply", 0.95)]
-    )
-    metrics = challenge.metrics(code)
-    assert counted(metrics["group_first"]) == counted(metrics["component"]) == (1, 2)
-
-
-def test_component_of_an_unnamed_mismatch(code, challenge):
-    challenge.add(
-        "single", [hidden("backlash", "j2")], "unexplained", mismatch=[{"component": "j2"}]
-    )
-    assert counted(challenge.metrics(code)["component"]) == (1, 1)
-
-
 def test_calibration_of_two_bins(code, challenge):
     true = [hidden("backlash", "j1")]
     for _ in range(3):

@@ -8,10 +8,10 @@ import pytest
 from benchmarks.validation.case import Where
 from benchmarks.validation.conservation import momentum, send, shake
 from benchmarks.validation.still import driven_cylinder
-from benchmarks.validation.swimmers import SYMMETRIC, advance, swim, wave
+from benchmarks.validation.swimmers import advance, swim, wave
 from sim.fluid.fluid import Fluid
 from sim.lattice.velocities import D2Q9, D3Q19, Units
-from sim.robot.bodies import HELD, KINEMATIC, Bodies, Masses
+from sim.robot.bodies import KINEMATIC, Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim2real.servo.parameters import COLUMNS
 
@@ -71,25 +71,6 @@ def test_a_disc_and_a_ball_displace_what_they_should(lattice):
     assert volume == pytest.approx(exact[0], rel=0.02)
     assert second == pytest.approx(exact[1], rel=0.04)
     assert centre == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_sums_over_a_body_are_those_of_what_it_displaces():
-    fluid = water()
-    bodies = fish(fluid)
-    bodies.place(bodies.motion.q.numpy() + [0.3, 0.2, 0.4, 0, 0, 0])  # nowhere special on the grid
-    bodies.prescribe(np.zeros(6))
-    bodies.step(HELD)
-    share = fluid.covered.share.numpy() % 1
-    assert share.sum() == pytest.approx(bodies.displaced[:, 0].sum(), rel=0.03)
-
-
-def test_nothing_moves_by_itself():
-    bodies = fish(water(), servo=STIFF)
-    send(bodies, [0.0, 0.0, 0.0])
-    start = bodies.motion.q.numpy()
-    for _ in range(50):
-        bodies.step()
-    assert np.abs(bodies.motion.q.numpy() - start).max() < 1e-6
 
 
 def test_prescribed_joints_turn_as_prescribed():
@@ -198,20 +179,3 @@ def test_a_wave_swims_head_first_and_its_reverse_hardly():
     forward, reverse = advance(swim([wave, partial(wave, ahead=-1.0)], 26, **more))
     assert forward > 0.08
     assert reverse < forward / 2
-
-
-def test_a_flap_without_a_wave_drives_a_symmetric_body_nowhere():
-    bodies = fish(water(120), radii=SYMMETRIC)
-    start = bodies.motion.q.numpy().copy()
-    centre = 59.5  # half-way between cells, so that the grid is symmetric about it
-    start[:, :2] = centre
-    start[:, 0] += 2 * bodies.hull.length[0] - bodies.chain.com.numpy()[0, 0]
-    bodies.place(start)
-    for step in range(600):
-        rate = 0.6 * 2 * np.pi / 300 * np.cos(2 * np.pi * (step + 0.5) / 300)
-        bodies.prescribe([0, 0, 0, rate, rate, rate])
-        bodies.step(KINEMATIC)
-    link = bodies.motion.link.numpy()[0]
-    assert np.ptp(link[:, 1] - centre) < 0.1
-    assert abs(link[:, 0].mean() - centre) < 5e-3
-    assert abs(link[:, 2].mean()) < 1e-3

@@ -7,7 +7,7 @@ from benchmarks.validation.case import Where
 from benchmarks.validation.still import taylor_green, vortices
 from benchmarks.validation.streams import cavity
 from sim.fluid.fluid import Fluid
-from sim.lattice.cell import MOVING, SLIP, SOLID
+from sim.lattice.cell import SLIP, SOLID
 from sim.lattice.velocities import D2Q9, D3Q19
 from sim2real.errors import InputError
 
@@ -71,20 +71,6 @@ def test_flow_between_walls_is_the_parabola_whatever_the_viscosity(lattice):
         exact = force / 2 / viscosity * y * (width - y)
         # the force acts between collisions: half of it is not yet in what is read
         assert np.allclose(u + force / 2, exact, rtol=3e-4)
-
-
-@BOTH
-def test_flow_beside_a_sliding_wall_is_linear(lattice):
-    width, speed = 7, 0.03
-    walls = np.zeros((3, width + 2, 1 if lattice is D2Q9 else 2), np.uint8)
-    walls[:, 0], walls[:, -1] = SOLID, MOVING
-    velocity = np.zeros((*walls.shape, 3), np.float32)
-    velocity[:, -1, :, 0] = speed
-    fluid = Fluid(lattice, walls.shape, viscosity=0.2, walls=walls, wall_velocity=velocity)
-    fluid.step(2500)
-    u = fluid.moments()[1][0, 1, 1:-1, 0]
-    assert np.allclose(u[:, 0], speed * (np.arange(width) + 0.5) / width, atol=2e-6)
-    assert np.allclose(u[:, 1:], 0, atol=2e-6)
 
 
 @pytest.mark.parametrize("out, along", [(0, 1), (1, 2), (2, 0), (1, 0)])

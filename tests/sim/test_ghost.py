@@ -170,15 +170,6 @@ def test_a_friction_line_that_does_not_exist_gets_one_line():
         Wall(slip=True, line="rough")
 
 
-def test_a_towed_spheroid_has_the_friction_of_its_line(monkeypatch):
-    """The line of 1957 with the ideal fluid's slip; ghost cells must not push the layer back."""
-    monkeypatch.setattr(spheroid, "_LENGTHS", 0.5)
-    drag = [spheroid.drag(24, Wall(True, line)) for line in ("turbulent", "none")]
-    moved, found = drag[0][0], drag[0][1] - drag[1][1]
-    expected = spheroid.slipping() * spheroid.plate_friction()
-    assert found[moved > moved[-1] / 2].mean() == pytest.approx(expected, rel=0.2)
-
-
 def test_friction_does_not_depend_on_the_cells():
     """Spheroids 2 and 3 cells thick; it was 1.34 and 1.13 of the line without area and layer."""
     wall = Wall(True, "turbulent")

@@ -113,15 +113,6 @@ def test_a_heavy_robot_is_under_water():
     assert swimmer.bodies.middle == pytest.approx(swimmer.tank.size[2] - 0.5 - BOX[2] / 2 / 0.04)
 
 
-def test_a_robot_thinner_than_the_cells_still_swims():
-    swimmer = Swimmer(FISH, servos(), cell_m=0.05, box_m=(0.9, 0.9, 0.4))
-    beat(swimmer, 6)
-    state = swimmer.state()
-    assert state.stopped[0] == -1
-    assert np.abs(state.joint).max() > 0.01
-    assert np.abs(state.force).max() > 0
-
-
 def test_a_supersonic_cell_stops_its_own_box():
     swimmer = small(n_envs=2)
     velocity = np.zeros((2, *swimmer.tank.size, 3))
