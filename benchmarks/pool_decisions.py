@@ -5,8 +5,8 @@
 Fits the logistic curves to searches of ``datasets/pool/sealed_solve.py`` and looks for the
 thresholds with the best answers; prints the measures with whole robots left out. The improvement on
 the end of its swim from which a model is offered is fitted to the held-out swims of the cases, if
-RESULTS of ``sealed_grade.py`` exist. ``--go-on``: the present weights are from other cases; the
-curves are fitted to both, and thresholds keep their values. Writes ``decisions`` of
+RESULTS of ``datasets/sealed/grade.py`` exist. ``--go-on``: the present weights are from other
+cases; the curves are fitted to both, and thresholds keep their values. Writes ``decisions`` of
 ``sim/inference/law_error.json``, or of ``law_error_in_water.json``. Thresholds that were chosen
 keep their values and reasons.
 """

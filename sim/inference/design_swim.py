@@ -18,7 +18,7 @@ from itertools import chain
 import numpy as np
 from scipy.fft import idct
 
-from sim.fluid.tank import POOL_M
+from sim.fluid.fluid import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
 from sim.inference.signal_error import Blocks

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from sim.robot.appended import area_sd
+from sim.robot.effects import area_sd
 from sim.robot.swimmer import least_viscosity
 from sim.twin.law import Coefficients
 from sim.twin.twin import FITTED

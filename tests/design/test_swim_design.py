@@ -9,7 +9,7 @@ from good_input import message
 from rival_swims import FISH, POOL, SERVOS, swim_rivals, swim_set
 from violations import violations
 
-from sim.fluid.tank import POOL_M
+from sim.fluid.fluid import POOL_M
 from sim.inference.design_swim import SwimObjective, design_swim
 from sim.inference.swim_commands import SwimLimits, draw, within
 from sim.inference.swims import by_twin, with_values
