@@ -37,7 +37,6 @@ COMMANDS = {
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
     "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),
     "simulate": (_WATER, "simulate a swim in the lattice-Boltzmann fluid"),
-    "validate": (_WATER, "compare the fluid with published cases"),
     "train": (
         _LEARNING,
         "train policies with soft actor-critic in the fluid or its reduced-order twin",

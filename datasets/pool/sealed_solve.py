@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from sim.inference.twin_search import SwimPrior
 
 from sim.inference.diagnose_swims import diagnosis_of, likely_model
 from sim.inference.in_water import (
@@ -32,7 +33,6 @@ from sim.inference.in_water import (
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
 from sim.inference.swims import swim_of
-from sim.inference.twin_search import SwimPrior
 from sim2real.body import values
 from sim2real.commands.placement import add_executor, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim import verbs
-from sim.calibration.calibration import Calibration
+from sim.inference.calibration import Calibration
 from sim2real.commands.verb import arguments_of
 from sim2real.extras import if_installed
 from sim2real.model import write_model

@@ -25,8 +25,7 @@ from sim2real.viewers.scenes import diagnosed
 from sim2real.viewers.signal_group import Scene
 
 if TYPE_CHECKING:
-    from sim.inference.coordinates import SwimSimulator
-    from sim.inference.swims import Swim
+    from sim.inference.swims import Swim, SwimSimulator
 
 
 def run(options: argparse.Namespace) -> int:
@@ -91,7 +90,7 @@ def _read_swims(
     shown = not options.no_page or options.rerun or options.mcap
     if not (shown and recordings[0].is_swim):
         return None
-    from sim.inference.recorded_swims import simulator_of
+    from sim.inference.diagnose_swims import simulator_of
     from sim.inference.swims import swim_of
 
     swims = [swim_of(recording, robot) for recording in recordings]

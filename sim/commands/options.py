@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from sim import verbs
 from sim2real.commands.command import Command, add_file, add_flag, add_former, add_views
@@ -25,23 +24,6 @@ def _calibrate(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.calibrate)
     add_file(command, "--out", "MODEL", "model to write (MODEL.json)", required=True)
     add_flag(command, "--no-plots", "do not plot the fit (MODEL.RECORDING.png)")
-
-
-def _validate(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
-    )
-    add_flag(command, "--quick", "coarse versions with wider tolerances, in seconds")
-    command.add_argument(
-        "--only", nargs="+", default=(), metavar="CASE", help="cases to run (default: all)"
-    )
-    command.add_argument(
-        "--out",
-        type=Path,
-        default=Path("reports/validation.html"),
-        metavar="PAGE",
-        help="report to write (default reports/validation.html)",
-    )
 
 
 def _diagnose(command: argparse.ArgumentParser) -> None:
@@ -81,11 +63,5 @@ COMMANDS = (
         "sim.commands.calibrate",
         _calibrate,
         "sim2real calibrate swim.csv --robot fish.toml --model model.json --out calibrated.json",
-    ),
-    Command(
-        "validate",
-        "sim.commands.validate",
-        _validate,
-        "sim2real validate --only cavity --out reports/validation.html",
     ),
 )

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.calibration.swim_problem import HELD_OUT_SHARE
-from sim.calibration.twin_fit import Calibrated
-from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
+from sim.inference.calibration import Calibrated
+from sim.inference.swims import HELD_OUT_SHARE, SIGNALS, UNITS, Simulator, Swim, simulated
 from sim.view.calibration_plot import comparison_block
 from sim2real.model import Model
 from sim2real.report.page import Note, Section, Table

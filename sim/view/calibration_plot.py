@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sim.calibration.swim_problem import HELD_OUT_SHARE
-from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
+from sim.inference.swims import HELD_OUT_SHARE, SIGNALS, UNITS, Simulator, Swim, simulated
 from sim2real.arrays import Array
 from sim2real.model import Model
 from sim2real.report.drawing import svg

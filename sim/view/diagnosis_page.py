@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sim.inference.coordinates import SwimSimulator
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import Swim
+from sim.inference.swims import Swim, SwimSimulator
 from sim.view.calibration_plot import comparison_block
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.model import Model

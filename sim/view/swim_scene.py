@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.inference.coordinates import SwimSimulator
-from sim.inference.swims import Swim
+from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis
 from sim2real.recording import Recording

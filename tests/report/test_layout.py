@@ -1,15 +1,13 @@
-"""Nothing that a page shows is cut: text lies inside its figure, marks inside their axes."""
+"""Nothing that a page shows is cut: text lies inside its figure."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rl.experiments.differences import Difference
 
 from rl.experiments.ablation_report import OUTCOME, TITLES, difference_figure, return_figure
-from rl.experiments.differences import Difference
-from sim.cases.case import Curve
 from sim.view.calibration_plot import comparison
-from sim.view.report import curve_figure
 from sim2real.report.fit_plot import fit_figure
 from sim2real.report.parameter_plot import parameter_figure
 from sim2real.report.range_plots import density_figure, latency_figure, predictive_figure
@@ -74,16 +72,9 @@ FIGURES = {
         SimpleNamespace(centre=0.07, half_width=0.02),
     ),
     "comparison": lambda bench: _comparison(),
-    "curve": lambda bench: curve_figure(_curve()),
     "returns": lambda bench: _returns(),
     "differences": lambda bench: _differences(),
 }
-
-
-def _curve(points=8):
-    x = np.linspace(1, 8, points)
-    ends = np.array([1.0, 8.0])
-    return Curve("Speed", "cycle", "body lengths a cycle", x, np.sqrt(x), ends, np.full(2, 2.9))
 
 
 def drawn(figure, width):
@@ -111,21 +102,3 @@ def test_a_title_that_is_too_long_is_noticed():
     figure.axes[0].set_title("a title that a phone has no room for, however it is laid out here")
     (_, _, right, _), (wide, _) = drawn(figure, NARROW)
     assert right > wide + SLACK_POINTS
-
-
-@pytest.mark.parametrize("width", [WIDE, NARROW])
-def test_marks_at_the_ends_of_a_curve_are_whole(width):
-    figure = curve_figure(_curve())
-    drawn(figure, width)
-    (axes,) = figure.axes
-    box = axes.get_window_extent()
-    marked = [line for line in axes.get_lines() if line.get_marker() == "o"]
-    assert {line.get_label() for line in marked} == {"ours", "published"}
-    for line in marked:
-        places = axes.transData.transform(line.get_xydata())
-        half = line.get_markersize() / 2 * figure.dpi / POINTS_PER_INCH
-        assert (places - half >= box.min).all() and (places + half <= box.max).all()
-
-
-def test_a_dense_curve_has_no_marks():
-    assert curve_figure(_curve(400)).axes[0].get_lines()[0].get_marker() in ("", "None", None)
