@@ -329,7 +329,7 @@ def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "seed": seed,
         "versions": versions,
-        "inputs": {str(file): _sha256(Path(file)) for file in files if file is not None},
+        "inputs": {str(file): sha256_of(file) for file in files if file is not None},
     }
 
 
@@ -342,10 +342,10 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-def _sha256(path: Path) -> str:
-    """The digest; a file that is gone by the end of a computation doesn't cost the result."""
+def sha256_of(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file; one that is gone by the end of a computation doesn't cost the result."""
     try:
-        with path.open("rb") as stream:
+        with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         return f"not readable ({error.strerror})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +28,7 @@ from sim2real.identification.identify import fitted_joint
 from sim2real.identification.plain_fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
 from sim2real.model import JointModel, Model
+from sim2real.output import sha256_of
 from sim2real.plausible import admitted
 from sim2real.progress import Progress
 from sim2real.recording import Recording
@@ -158,14 +159,20 @@ def examined(
 
 
 def _with_laws_open(case: Case) -> Case:
-    """The case without the laws of given servos, whose gains, limits and losses are fitted anew.
+    """The case without the laws of servos that were identified from these same recordings.
 
-    So the answer is that without a model. Effects of a given servo remain part of it.
+    They tell nothing that the recordings do not, so that the answer is that without a model.
+    Effects of a given servo remain part of it, as does what other recordings told of it.
     """
     if case.model is None or case.references:
         return case
-    known = {name: joint for name, joint in case.model.joints.items() if joint.effects}
-    return replace(case, model=replace(case.model, joints=known))
+    files = [recording.path for recording in case.recordings if recording.path]
+    known = case.model.provenance.get("inputs")
+    told = set(known.values()) if isinstance(known, Mapping) else set()
+    if len(files) < len(case.recordings) or not told.issuperset(map(sha256_of, files)):
+        return case
+    joints = {name: joint for name, joint in case.model.joints.items() if joint.effects}
+    return replace(case, model=replace(case.model, joints=joints))
 
 
 def _first_look(

@@ -121,7 +121,8 @@ class JointFindings:
         coarse = self.joint.step_rad
         rounding = () if coarse is None else (FittedEffect(ROUNDING, {"step_rad": coarse}),)
         if enriched and self.identified is not None:
-            return replace(self.identified, effects=(*self.identified.effects, *rounding))
+            effects = (*self.identified.effects, *rounding)
+            return replace(self.identified, effects=effects, notes=self.model(enriched=False).notes)
         servo, theta = self.finding.tried.plain, self.least_squares
         if enriched and self.offered.members != self.finding.tried.base:
             servo, theta = self.offered, self.robust
@@ -136,13 +137,13 @@ class JointFindings:
             theta[[ROTOR_INERTIA, INERTIA_LEFT_OUT]] = rotor, 0.0
             members = members - {UNMODELLED_INERTIA}
             notes.append(_ROTOR_NOTE.format(rotor))
-        effects = [
+        stated_effects = [
             FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
             for name in sorted(members)
         ]
         given = self.joint.model.law if self.joint.model else "pd"
         law = given if motor_of(theta) and given != "pd" else None
-        model = stated(theta, self.joint.traces[0].load, (*effects, *rounding), law)
+        model = stated(theta, self.joint.traces[0].load, (*stated_effects, *rounding), law)
         return replace(model, notes=tuple(notes))
 
     def estimates(self, effect: str) -> dict[str, Estimate]:

@@ -145,8 +145,9 @@ class ServoProblem:
             rows: The servos.
             rough: Whether for derivatives, or far from a minimum (``rollout.coarse_substep``).
         """
-        fine = self.simulator.substeps(rows, exact=self.exact)
-        return coarse_substep(fine) if rough and self.smooth and not self.exact else fine
+        exact = self.exact and self.simulator.is_linear(rows)
+        fine = self.simulator.substeps(rows, exact=exact)
+        return coarse_substep(fine) if rough and self.smooth and not exact else fine
 
     def _errors(self, rows: Array, substeps: Array) -> Array:
         angles = self.simulator.angles(rows, substeps)

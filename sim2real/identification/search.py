@@ -75,7 +75,7 @@ def fit(
     noise = robust_scale(error), problem.inflation(error)
     if rng is not None and len(x) > 1:
         x = x[robust_order(problem, x, noise, rng)]
-    best, _, _, converged = search(problem, x[:1], noise, last)
+    best, _, _, converged = search(problem, x[:1], noise, last, settled=1e-6)
     x = np.concatenate([best, x[1:]])
     loss = problem.loss(x, problem.residuals(x), *noise)
     return _result(problem, x, loss, noise, converged=converged)
@@ -91,6 +91,7 @@ def search(
     behind: float = 30.0,
     least_gain: float = 0.0,
     patience: int = 8,
+    settled: float = 1e-3,
 ) -> tuple[Array, Array, float, bool]:
     """Search from points (S, F) with a given scale and inflation of the residual (``noise``).
 
@@ -104,6 +105,7 @@ def search(
         least_gain: Decrease of half the loss from the first start without which all searches end
             after ``patience`` evaluations.
         patience: See ``least_gain``.
+        settled: Expected decrease of half the loss below which a search ends.
 
     Returns:
         The points in ascending order of their losses, the losses (S,), the decrease of half the
@@ -136,7 +138,7 @@ def search(
         x,
         *(np.tile(end, (len(x), 1)) for end in problem.box),
         evaluations=evaluations,
-        settled=1e-3,
+        settled=settled,
         hopeless=hopeless,
         losses=losses,
         look_every=1,
