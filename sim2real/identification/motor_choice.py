@@ -141,7 +141,7 @@ def fitted_again(motor: Fit, traces: Sequence[Trace], plain: Fit, rng: np.random
         return continued(motor, traces)
     candidates = _candidates(motor.parameters, plain, rng, 512, motor.row)
     problem = replace(motor.problem, traces=traces)
-    return continued(motor, traces, further=shortlist(problem, candidates, 12), rng=rng)
+    return continued(motor, traces, further=shortlist(problem, candidates, 6), rng=rng)
 
 
 def fit_limit(

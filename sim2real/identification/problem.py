@@ -100,6 +100,7 @@ class ServoProblem:
         """Whether longer sub-steps are stable: damping by an effect may not be with them."""
         free = self.row.copy()[None]
         free[0, self.columns] = 1.0
+        free[0, COLUMNS.index(CURRENT_LIMIT)] = 0.0  # only limits the torque
         return not np.any(active_effects(free) & ~MOTOR_BIT)
 
     def values(self, x: Array) -> Array:

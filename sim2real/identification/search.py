@@ -29,6 +29,7 @@ def fit(
     behind: float = 30.0,
     least_gain: float = 0.0,
     rng: np.random.Generator | None = None,
+    most: int = 8,
 ) -> Fit:
     """Fit the free parameters of a servo from several starts.
 
@@ -48,6 +49,7 @@ def fit(
             all searches are enough.
         rng: Generator for the neighbours by which minima are ordered (``robust_order``) where a
             servo may stick or just not; None for the order of their losses.
+        most: Largest number of minima to order so.
     """
     x = problem.searched(starts)
     error = problem.residuals(x)
@@ -73,8 +75,9 @@ def fit(
         if number and abs(scale / before - 1) < _SAME_SCALE:
             break
     noise = robust_scale(error), problem.inflation(error)
+    x = x[_distinct(x)]
     if rng is not None and len(x) > 1:
-        x = x[robust_order(problem, x, noise, rng)]
+        x = x[robust_order(problem, x[:most], noise, rng)]
     best, _, _, converged = search(problem, x[:1], noise, last, settled=1e-6)
     x = np.concatenate([best, x[1:]])
     loss = problem.loss(x, problem.residuals(x), *noise)
@@ -149,6 +152,15 @@ def search(
     return minimum.x[order], 2 * loss[order], gain, bool(minimum.converged[order[0]])
 
 
+def _distinct(x: Array, *, same: float = 0.1) -> Index:
+    """Indices of the minima (M, F) that differ from all before them."""
+    kept = [0]
+    for k in range(1, len(x)):
+        if (np.abs(x[kept] - x[k]).max(axis=1) > same).all():
+            kept.append(k)
+    return np.array(kept)
+
+
 def shortlist(problem: ServoProblem, starts: Array, count: int) -> Array:
     """The first of some servos (S, P) and those with the smallest errors, ``count`` in all.
 
@@ -218,12 +230,12 @@ def continued(
         rng: As of ``fit``.
     """
     problem = replace(best.problem, traces=traces)
-    rows = best.problem.rows(np.vstack([best.x[None], best.others]))
+    rows = best.problem.rows(np.vstack([best.x[None], best.others[:5]]))
     if row is not None:
         problem = replace(problem, row=row)
     if further is not None:
         rows = np.vstack([rows, further])
-    return fit(problem, rows, rounds=3, first=10 if further is None else 25, rng=rng)
+    return fit(problem, rows, rounds=3, first=10 if further is None else 20, rng=rng)
 
 
 def point_fit(problem: ServoProblem, row: Array) -> Fit:
