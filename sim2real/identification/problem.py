@@ -329,6 +329,18 @@ class Fit:
         """Other minima with a loss larger by less than ``least``, shape (M, F)."""
         return self.others[self.behind < least]
 
+    def told(self, name: str, *, share: float = 0.7) -> bool:
+        """Whether the recordings, and not only the prior, determine a parameter.
+
+        Its standard deviation is then less than this ``share`` of that of the prior.
+        """
+        k, problem = self.names.index(name), self.problem
+        weight = 1 / (self.scale_rad**2 * self.inflation)
+        information = weight * self.slopes.T @ self.slopes + self.prior
+        variance = float(np.linalg.pinv(information, hermitian=True)[k, k])
+        sd = variance**0.5 * problem.unit[k]
+        return bool(sd < share * problem.parameters[k].prior_sd)
+
     def evidence(self, scale_rad: float, inflation: float) -> float:
         """Logarithm of the marginal likelihood by Laplace's method, up to a constant.
 
