@@ -17,7 +17,7 @@ import sys
 from tqdm import tqdm
 
 from benchmarks.mujoco_agreement import servo
-from sim2real.commands.export_servo import TARGETS
+from sim2real.commands.exports import TARGETS
 from sim2real.exporters.expressible import expressible
 from sim2real.model import Model
 from sim2real.recording import Load

@@ -28,7 +28,7 @@ from sim2real.diagnose.result import Diagnosis
 from sim2real.identification.identify import identify
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording, read_recording
-from sim2real.report.diagnosis_bars import Bar, bar_figure
+from sim2real.report.diagnosis_plots import Bar, bar_figure
 from sim2real.report.drawing import save_png
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import predict

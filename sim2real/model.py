@@ -104,7 +104,7 @@ class Model(NotebookDisplay):
 
     def plot(self) -> Figure:
         """Gains and latency of every joint, with 90 % intervals."""
-        figure: Figure = from_report("parameter_plot.parameter_figure")(self)
+        figure: Figure = from_report("identification.parameter_figure")(self)
         return figure
 
 

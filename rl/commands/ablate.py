@@ -24,7 +24,7 @@ from rl.sac import recipes
 from rl.sac.train import Arm, Plan, train
 from rl.task import Task
 from rl.world import Draws
-from sim2real.commands.placement import where_jobs_run
+from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
 from sim2real.executor import map_jobs
 from sim2real.model import Model, read_model

@@ -33,10 +33,9 @@ from rl.experiments.pretrained import Pretrained, read_pretrained
 from sim.commands.diagnose import write_all
 from sim.inference.followed import by_followed_twin
 from sim.inference.swims import by_twin
-from sim.view.calibration_page import calibration_section
-from sim.view.diagnosis_page import swims_section
+from sim.view.swim_page import calibration_section, swims_section
 from sim2real.check import check
-from sim2real.commands.identify import most_held_out
+from sim2real.commands.recordings import most_held_out
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.errors import InputError
@@ -51,7 +50,6 @@ from sim2real.report.identification import Fit, identification_section
 from sim2real.report.page import Block, Figure, Note, Section, write_page
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
-from sim2real.report.style import NARROW
 from sim2real.report.table import fit_report
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import Replay, replay
@@ -202,8 +200,7 @@ def _ablation(results: dict[str, Any], agents: Pretrained | None, drift: float) 
         trajectory_figure(results),
     )
     figures = [
-        Figure(svg(figure), caption, svg(figure, width=NARROW))
-        for figure, caption in zip(plots, captions, strict=True)
+        Figure(svg(figure), caption) for figure, caption in zip(plots, captions, strict=True)
     ]
     lead = retention_text({row["arm"]: row for row in rows(results)})
     return Section("A quick ablation", lead, [*blocks, *figures])

@@ -6,9 +6,14 @@ import argparse
 from pathlib import Path
 
 from rl import verbs
-from sim2real.commands.command import Command, add_file, add_flag, add_number
-from sim2real.commands.placement import add_executor
-from sim2real.commands.verb import add_verb
+from sim2real.commands.command import (
+    Command,
+    add_executor,
+    add_file,
+    add_flag,
+    add_number,
+    add_verb,
+)
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
 _ARMS = (

@@ -182,9 +182,8 @@ def sections(results: Results, plan: Plan) -> list[Section]:
 def picture(figure: Figure) -> Picture:
     """A figure for a page, with a narrow version for small screens."""
     from sim2real.report.drawing import svg
-    from sim2real.report.style import NARROW
 
-    return Picture(svg(figure), narrow=svg(figure, width=NARROW))
+    return Picture(svg(figure))
 
 
 _FORECAST = (

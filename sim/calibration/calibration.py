@@ -17,8 +17,8 @@ from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.progress import progress_bar
 from sim2real.report.notebook import result_section
-from sim2real.report.page import Section, Table
-from sim2real.report.quantity import change_text
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import Quantity, change_text, quantity_table
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:
@@ -64,20 +64,14 @@ class Calibration(NotebookDisplay):
         """The fit in the fluid if there was one, else that in the twin."""
         return self.in_fluid or self.twin
 
-    def __str__(self) -> str:
-        """Parameters with 90 % intervals, and held-out errors, of each fit."""
-        text = _table(self.twin, "twin", self.robot)
-        if self.in_fluid is not None:
-            title = f"fluid, cells of {self.fluid.cell_m:g} m"
-            text += "\n" + _table(self.in_fluid, title, self.robot)
-        return text
-
     def plot(self, swim: int = 0) -> Figure:
         """One swim: measured, and simulated before and after the calibration."""
-        from sim.view.calibration_plot import comparison
+        from sim.view.swim_page import swim_panels
+        from sim2real.report.series import series_figure
 
-        shown = self.swims[swim]
-        return comparison(shown, self.before, self.fitted.model, self._simulator, self.robot)
+        shown, models = self.swims[swim], (self.before, self.fitted.model)
+        panels = swim_panels(shown, models, self._simulator, self.robot)
+        return series_figure(panels, f"{shown.name}: measured and simulated")
 
     @property
     def _simulator(self) -> Simulator:
@@ -144,52 +138,44 @@ def _by_fluid(robot: Robot, fluid: FluidSettings) -> Simulator:
     return by_fluid(robot, cell_m=fluid.cell_m, device=fluid.device, threads=THREADS)
 
 
-def _table(fit: Calibrated | InFluid, where: str, robot: Robot) -> str:
+@result_section.register
+def _calibration(calibration: Calibration) -> Section:
+    blocks = _tables(calibration.twin, "the twin", calibration.robot)
+    if calibration.in_fluid is not None:
+        where = f"the fluid, cells of {calibration.fluid.cell_m:g} m"
+        blocks += _tables(calibration.in_fluid, where, calibration.robot)
+    return Section("Calibration", "", blocks)
+
+
+def _tables(fit: Calibrated | InFluid, where: str, robot: Robot) -> list[Block]:
     """Parameters with intervals, and held-out errors before and after.
 
     Where the noise of the recordings is known, the change of the error beyond it is shown as well.
     """
-    lines = [f"in the {where}:"]
-    intervals = fit.interval()
-    for p, best, (low, high) in zip(fit.free, fit.best, intervals, strict=True):
-        lines.append(f"  {p.name:34s} {best:10.4g}   90 % {low:.4g} to {high:.4g}")
+    values = [
+        (p.name, Quantity("value", "", float(best), (float(low), float(high))))
+        for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
+    ]
+    blocks: list[Block] = [Text("", heading=f"In {where}"), quantity_table(values, "parameter")]
     if isinstance(fit, InFluid) and fit.grid is None:
-        lines.append(
-            "  the intervals do not include the discretisation error: cells of twice the size stop "
-            "the robot"
-        )
+        text = "the intervals do not include the discretisation error: cells of twice the size stop"
+        blocks.append(Note("warn", f"{text} the robot"))
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]
     noise = fit.noise if isinstance(fit, InFluid) else np.zeros(len(names))
     beyond = np.sqrt(np.maximum(fit.rmse**2 - noise**2, 0.0))
-    lines.append("  held-out error            before     after")
-    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-        before, after = fit.rmse[:, k]
-        line = f"    {name:18s} {before:10.4f} {after:10.4f} {unit:6s} {change_text(before, after)}"
-        if noise[k] > 0:
-            line += f"; beyond the noise of {noise[k]:.4f} {change_text(*beyond[:, k])}"
-        lines.append(line)
-    return "\n".join(lines)
-
-
-@result_section.register
-def _calibration(calibration: Calibration) -> Section:
-    fit = calibration.fitted
-    values = [
-        (p.name, f"{best:.4g}", f"{low:.4g} to {high:.4g}")
-        for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
-    ]
-    names = [*SIGNALS, *(joint.name for joint in calibration.robot.joints)]
-    units = [*UNITS, *("rad" for _ in calibration.robot.joints)]
     errors = [
-        (name, f"{before:.4f}", f"{after:.4f}", unit)
-        for name, unit, (before, after) in zip(names, units, fit.rmse.T, strict=True)
+        (
+            name,
+            *(f"{x:.4f}" for x in fit.rmse[:, k]),
+            unit,
+            change_text(*fit.rmse[:, k]),
+            f"{change_text(*beyond[:, k])} beyond {noise[k]:.4f}" if noise[k] > 0 else "",
+        )
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
-    blocks = (
-        Table(("parameter", "value", "90 % interval"), values),
-        Table(("signal", "held-out RMSE before", "after", "unit"), errors),
-    )
-    return Section("Calibration", "", blocks)
+    header = ("held-out error", "before", "after", "unit", "change", "of it beyond the noise")
+    return [*blocks, Table(header, errors)]
 
 
 def _with_errors(fit: Calibrated | InFluid, robot: Robot, cell_m: float | None = None) -> Model:

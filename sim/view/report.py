@@ -37,10 +37,9 @@ def cases_section(case: Case, seconds: float) -> Section:
 
 def _picture(curve: Curve) -> Figure:
     from sim2real.report.drawing import svg
-    from sim2real.report.style import NARROW
 
     drawing = curve_figure(curve)
-    return Figure(svg(drawing), curve.title, svg(drawing, width=NARROW))
+    return Figure(svg(drawing), curve.title)
 
 
 def curve_figure(curve: Curve) -> Drawing:

@@ -1,29 +1,62 @@
-"""Models, recordings and checks as text, for a terminal, a pipe or a log."""
+"""Results as text, for a terminal, a pipe or a log."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping
 
-import numpy as np
-
-from sim2real.arrays import Array
-from sim2real.check import Check
 from sim2real.model import JointModel, Model
-from sim2real.recording import Recording
+from sim2real.report.page import Note, Section, Table, Text
 from sim2real.report.quantity import (
     Quantity,
-    correlations,
     effect_text,
     milliradians,
     printable,
     quantities,
 )
+from sim2real.units import readable_name
 
 WIDTH = 100
 _HEADER = ("", "value", "unit", "90 % interval", "")
 _WHITE = 0.1  # lag-1 autocorrelation below which a residual counts as white
 _LABEL = 14
+_WIDE = 24
+"""Width of a column from which its cells may be cut off."""
+_CORRELATED, _MOST_PAIRS = 0.3, 4
+
+
+def section_text(section: Section) -> str:
+    """The title, the summary, the tables and the notes of a section."""
+    lines = textwrap.wrap(f"{section.title}: {section.lead}".removesuffix(": "), WIDTH)
+    for block in section.blocks:
+        if isinstance(block, Table):
+            titles, _, units = zip(*(x.partition("\n") for x in block.header), strict=True)
+            header = [titles, units] if any(units) else [titles]
+            lines += ["", *table_lines([*header, *block.rows], block.numeric), ""]
+        elif isinstance(block, Note):
+            lines += _marked(block.text, "! " if block.kind == "warn" else "  ")
+        elif isinstance(block, Text):
+            lines += [block.heading, *textwrap.wrap(block.paragraph, WIDTH)]
+    return "\n".join(lines).strip()
+
+
+def table_lines(rows: Iterable[Iterable[str]], right: Iterable[bool]) -> list[str]:
+    """Rows of cells as lines, in columns; those with numbers are right-aligned.
+
+    Cells of wide columns are cut off so that the table fits.
+    """
+    cells = [[printable(cell.replace("\n", ", ")) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    while sum(widths) + 2 * len(widths) > WIDTH and max(widths) > _WIDE:
+        widths[widths.index(max(widths))] -= 1
+    sides = [(str.rjust if is_right else str.ljust) for is_right in right]
+    return [
+        "  ".join(
+            side(cell if len(cell) <= width else cell[: width - 1] + "…", width)
+            for cell, width, side in zip(row, widths, sides, strict=True)
+        ).rstrip()
+        for row in cells
+    ]
 
 
 def fit_report(model: Model) -> str:
@@ -40,120 +73,36 @@ def fit_report(model: Model) -> str:
     """
     table = {name: quantities(joint) for name, joint in model.joints.items()}
     rows = {name: [_cells(q) for q in each if not q.unbounded] for name, each in table.items()}
-    all_rows = [_HEADER, *(row for block in rows.values() for row in block)]
-    widths = [max(len(row[column]) for row in all_rows) for column in range(len(_HEADER))]
-    lines = [_line(_HEADER, widths)]
+    every = [_HEADER, *(row for block in rows.values() for row in block)]
+    lines = iter(table_lines(every, [False] * len(_HEADER)))
+    text = ["  " + next(lines)]
     for name, joint in model.joints.items():
-        lines += ["", textwrap.shorten(printable(name), WIDTH, placeholder="...") or "(no name)"]
-        lines += [_line(row, widths) for row in rows[name]]
-        lines += _not_determined(table[name])
-        lines += _quality(model.fit.get(f"{name}.position_rad", {}))
-        lines += _remarks(joint)
+        text += ["", textwrap.shorten(printable(name), WIDTH, placeholder="...") or "(no name)"]
+        text += ["  " + next(lines) for _ in rows[name]]
+        text += _listed("not determined:", [q.name for q in table[name] if q.unbounded])
+        text += _quality(model.fit.get(f"{name}.position_rad", {}))
+        text += _remarks(joint)
     if model.effects:
-        lines += ["", "supply and link", *_listed("effects", map(effect_text, model.effects))]
+        text += ["", "supply and link", *_listed("effects", map(effect_text, model.effects))]
     if model.notes:
-        lines += ["", *_notes(model.notes)]
-    return "\n".join(lines)
-
-
-def recording_report(recording: Recording) -> str:
-    """The summary of a recording, and a line for each joint."""
-    width = max((len(joint) for joint in recording.joints), default=0)
-    lines = [f"{recording.name}: {recording.summary}"]
-    for j, joint in enumerate(recording.joints):
-        command, position = span(recording.command[:, j]), span(recording.position[:, j])
-        line = f"  {joint:<{width}}  command {command}, position {position}"
-        lines.append(f"{line}, {recording.missing(j)} missing")
-    if recording.columns:
-        lines.append(f"  further columns: {', '.join(recording.columns)}")
-    return "\n".join(printable(line) for line in lines)
-
-
-def check_report(check: Check) -> str:
-    """The check as text for a terminal, at most 100 columns wide."""
-    clock, joints = check.timing, len(check.joints)
-    pauses = "no gap" if not clock.gaps else f"{sum(g[1] for g in clock.gaps):.3g} s in gaps"
-    lines = [
-        f"{check.recording}: {check.kind}, {check.duration_s:.2f} s, "
-        f"{joints} joint{'s' if joints != 1 else ''}",
-        f"clock: {clock.rate_hz:.4g} Hz, jitter {1000 * clock.jitter_s:.2g} ms, {pauses}, "
-        f"{clock.missing_cells} positions missing",
-        "",
-        f"{'joint':<12} {'moves':>5} {'command':>8} {'range':>8} {'noise':>9} {'step':>9} "
-        f"{'missing':>7}  load",
-        f"{'':<12} {'':>5} {'rad':>8} {'rad':>8} {'rad':>9} {'rad':>9}",
-    ]
-    for row in check.joints:
-        step = f"{row.step_rad:.6f}" if row.step_rad else "-"
-        lines.append(
-            f"{_cut(row.joint, 12):<12} {row.moves:>5} {row.command_range_rad:>8.3f} "
-            f"{row.range_rad:>8.3f} {row.noise_rad:>9.6f} {step:>9} "
-            f"{row.missing:>7}  {row.load}"
-        )
-    lines = [_cut(line.rstrip(), WIDTH) for line in lines]
-    findings = [
-        finding.text if finding.severity == "note" else f"{finding.severity}: {finding.text}"
-        for finding in check.all_findings
-    ]
-    identifiable = [f"{row.joint}: {f}" for row in check.joints for f in row.identifiable]
-    for mark, sentences in (("! ", findings), ("  ", identifiable)):
-        if sentences:
-            lines.append("")
-        for sentence in sentences:
-            lines += textwrap.wrap(sentence, WIDTH, initial_indent=mark, subsequent_indent="  ")
-    return "\n".join(lines)
-
-
-def span(angles: Array) -> str:
-    """Smallest to largest of the angles that are not missing, in rad."""
-    finite = angles[np.isfinite(angles)]
-    return f"{finite.min():.3f} to {finite.max():.3f} rad" if finite.size else "none"
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else text[: width - 1] + "…"
+        text += ["", *_notes(model.notes)]
+    return "\n".join(text)
 
 
 def _cells(quantity: Quantity) -> tuple[str, ...]:
-    value, low, high = quantity.texts
-    between = f"{low} to {high}" if quantity.interval else ""
-    percent = quantity.percent
-    remark = quantity.origin
-    if percent is not None:
-        remark = f"± {percent:.2g} %" if percent < 100 else f"± {percent:.0f} %"
-        remark = remark if percent < 1000 else "over ± 1000 %"
-    return quantity.name, _pointed(value), quantity.unit, between, remark
-
-
-def _pointed(number: str, before: int = 6, after: int = 6) -> str:
-    """``number`` padded to align the decimal points of a column."""
-    integer, point, fraction = number.partition(".")
-    return f"{integer:>{before}}{point}{fraction}".ljust(before + 1 + after)
-
-
-def _line(cells: Iterable[str], widths: list[int]) -> str:
-    padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
-    return ("  " + "  ".join(padded)).rstrip()
-
-
-def _not_determined(listed: Iterable[Quantity]) -> list[str]:
-    names = ", ".join(quantity.name for quantity in listed if quantity.unbounded)
-    indent = " " * _LABEL
-    first = "  not determined: "
-    return textwrap.wrap(first + names, WIDTH, subsequent_indent=indent) if names else []
+    integer, point, fraction = quantity.texts[0].partition(".")
+    value = f"{integer:>6}{point}{fraction}".ljust(13)  # the decimal points are aligned
+    return quantity.name, value, quantity.unit, quantity.between, quantity.remark
 
 
 def _quality(figures: Mapping[str, float | None]) -> list[str]:
     if not figures:
         return []
-    errors = f"{milliradians(figures.get('train'))} train, "
-    errors += f"{milliradians(figures.get('heldout'))} held out"
     noise = figures.get("noise")
-    errors += f"; noise {milliradians(noise)}" if noise is not None else ""
+    errors = _errors(figures, "") + ("" if noise is None else f"; noise {milliradians(noise)}")
     lines = _listed("RMSE", [errors])
     if "train_without_effects" in figures:
-        before = [milliradians(figures.get(f"{k}_without_effects")) for k in ("train", "heldout")]
-        lines += _listed("plain PD", [f"{before[0]} train, {before[1]} held out"])
+        lines += _listed("plain PD", [_errors(figures, "_without_effects")])
     time, lag, outliers = (
         figures.get(name) for name in ("correlation_time_s", "whiteness", "robust_outliers")
     )
@@ -165,33 +114,33 @@ def _quality(figures: Mapping[str, float | None]) -> list[str]:
         residual += [] if lag is None else [f"lag-1 autocorrelation {lag:.2f}"]
     if outliers is not None:
         residual.append(f"{100 * outliers:.2g} % outliers")
-    return lines + (_listed("residual", residual) if residual else [])
+    return lines + _listed("residual", residual)
+
+
+def _errors(figures: Mapping[str, float | None], which: str) -> str:
+    train, held_out = (milliradians(figures.get(f"{k}{which}")) for k in ("train", "heldout"))
+    return f"{train} train, {held_out} held out"
 
 
 def _remarks(joint: JointModel) -> list[str]:
-    lines = []
-    pairs = [f"{first} and {second} {r:+.2f}" for first, second, r in correlations(joint)]
-    if pairs:
-        lines += _listed("correlated", pairs)
-    if joint.effects:
-        lines += _listed("effects", [effect_text(e, joint.interval) for e in joint.effects])
-    return lines + _notes(joint.notes)
+    strong = sorted(joint.correlation.items(), key=lambda pair: -abs(pair[1]))[:_MOST_PAIRS]
+    names = [(map(readable_name, pair.split(", ")), r) for pair, r in strong]
+    pairs = [f"{' and '.join(both)} {r:+.2f}" for both, r in names if abs(r) > _CORRELATED]
+    effects = [effect_text(effect, joint.interval) for effect in joint.effects]
+    return [*_listed("correlated", pairs), *_listed("effects", effects), *_notes(joint.notes)]
 
 
 def _notes(notes: Iterable[str]) -> list[str]:
-    return [
-        line
-        for note in notes
-        for line in textwrap.wrap(
-            printable(note), WIDTH, initial_indent="  ! ", subsequent_indent="    "
-        )
-    ]
+    return [f"  {line}" for note in notes for line in _marked(note, "! ", WIDTH - 2)]
+
+
+def _marked(text: str, mark: str, width: int = WIDTH) -> list[str]:
+    return textwrap.wrap(printable(text), width, initial_indent=mark, subsequent_indent="  ")
 
 
 def _listed(label: str, items: Iterable[str]) -> list[str]:
-    return textwrap.wrap(
-        ", ".join(items),
-        WIDTH,
-        initial_indent=f"  {label:<{_LABEL - 2}}",
-        subsequent_indent=" " * _LABEL,
-    )
+    """Items on lines after a label; none if there are no items."""
+    text = f"  {label:<{_LABEL - 2}}" + (" " if len(label) > _LABEL - 2 else "")
+    joined = ", ".join(items)
+    indent = " " * _LABEL
+    return textwrap.wrap(text + joined, WIDTH, subsequent_indent=indent) if joined else []

@@ -15,7 +15,7 @@ from sim2real.design.rivals import RivalObjective
 from sim2real.design.tell_apart import design_for_rivals, forecast
 from sim2real.diagnose.rival_sets import read_rival_sets
 from sim2real.recording import PER_INERTIA, read_recording, write_recording
-from sim2real.report.rival_plots import rivals_section
+from sim2real.report.design_plot import rivals_section
 from sim2real.structured import Fields
 
 SECONDS = 6.0

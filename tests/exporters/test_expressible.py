@@ -12,7 +12,7 @@ import pytest
 import simulated
 
 from sim2real.cli import main
-from sim2real.commands.export_servo import TARGETS
+from sim2real.commands.exports import TARGETS
 from sim2real.effects import CATALOGUE
 from sim2real.exporters.excitation import excitation
 from sim2real.exporters.expressible import expressible

@@ -3,9 +3,8 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
-from sim.view.calibration_page import SignalError, calibration_section, signal_errors
+from sim.view.swim_page import calibration_section, error_comment
 from sim2real.report.page import Note, Table
 
 T = np.linspace(0, 30, 301)
@@ -26,32 +25,21 @@ def simulator(models, *_):
     return np.stack([SIGNALS + OFFSET] * len(models))
 
 
-def errors(monkeypatch):
-    monkeypatch.setattr("sim.view.calibration_page.simulated", lambda s, m, _: simulator(m))
-    monkeypatch.setattr("sim.view.calibration_plot.simulated", lambda s, m, _: simulator(m))
-    swim = SimpleNamespace(t=T, signals=SIGNALS, name="p1")
-    return swim, SimpleNamespace(joints=[SimpleNamespace(name="j1")])
-
-
-def test_offset_and_size_are_those_of_the_held_out_part(monkeypatch):
-    swim, robot = errors(monkeypatch)
-    surge, sway, *_ = signal_errors(swim, calibrated(), simulator, robot)
-    assert sway.offset == pytest.approx(0.02) and surge.offset == pytest.approx(0.0)
-    assert sway.size == pytest.approx(np.sqrt(np.mean(SIGNALS[201:, 1] ** 2)))
-    assert (sway.held_out, sway.fitted) == ((0.01, 0.0204), (0.02, 0.01))
-
-
 def test_only_an_error_that_grows_is_commented_on(monkeypatch):
-    swim, robot = errors(monkeypatch)
+    monkeypatch.setattr("sim.view.swim_page.simulated", lambda s, m, _: simulator(m))
+    swim = SimpleNamespace(t=T, signals=SIGNALS, name="p1")
+    robot = SimpleNamespace(joints=[SimpleNamespace(name="j1")])
     section = calibration_section(swim, None, calibrated(), simulator, robot)
     (note,) = [block.text for block in section.blocks if isinstance(block, Note)]
     assert note.startswith("sway: the held-out error rises from 0.010 to 0.020 m/s")
     assert "-50 %" in note and "does not generalise" in note and "96 %" in note and "drift" in note
     (table,) = [block for block in section.blocks if isinstance(block, Table)]
     assert [row[4] for row in table.rows] == ["-60 %", "+104 %", "0 %", "0 %"]
+    assert table.rows[1][1] == f"{np.sqrt(np.mean(SIGNALS[201:, 1] ** 2)):.3f}"
 
 
 def test_the_comment_follows_the_numbers():
-    traded = SignalError("j1", "rad", (0.047, 0.055), (0.084, 0.088), 0.2, 0.003)
-    assert "gave up some of this one" in traded.comment and "varies with" in traded.comment
-    assert SignalError("j1", "rad", (0.050, 0.052), (0.084, 0.088), 0.2, 0.003).comment == ""
+    sizes = {"size": 0.2, "offset": 0.003}
+    traded = error_comment("j1", "rad", (0.047, 0.055), (0.084, 0.088), **sizes)
+    assert "gave up some of this one" in traded and "varies with" in traded
+    assert error_comment("j1", "rad", (0.050, 0.052), (0.084, 0.088), **sizes) == ""

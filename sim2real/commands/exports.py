@@ -1,21 +1,31 @@
-"""``sim2real export-servo``."""
+"""``sim2real export-servo`` and ``sim2real export-ranges``: files for other simulators."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Collection, Sequence
-from typing import NamedTuple, Protocol
+from dataclasses import asdict
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from sim2real.commands.write_export import write_export
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
 from sim2real.exporters import actuators_json, genesis, isaaclab, mjlab, mujoco, newton, urdf
 from sim2real.exporters.actuator import SATURATION, Export, LeftOut, limit_effects
+from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
+from sim2real.exporters.ranges_mjlab import mjlab_ranges
+from sim2real.exporters.ranges_newton import newton_ranges
+from sim2real.exporters.ranges_playground import playground_ranges
 from sim2real.model import JointModel, Model, read_model
-from sim2real.output import check_writable
+from sim2real.output import check_writable, write_whole
+from sim2real.ranges.entry import read_ranges
 from sim2real.recording import read_recording
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.parameters import SOFT
+
+if TYPE_CHECKING:
+    from sim2real.exporters.expressible import Expressible
+    from sim2real.exporters.mujoco_refit import Agreement
 
 
 class Write(Protocol):
@@ -47,9 +57,15 @@ TARGETS = {
     "urdf": Target(urdf.urdf, _always(*urdf.HAS)),
     "json": Target(actuators_json.actuators_json, _always(*(effect.name for effect in CATALOGUE))),
 }
+RANGES = {
+    "isaaclab": isaaclab_ranges,
+    "mjlab": mjlab_ranges,
+    "newton": newton_ranges,
+    "mujoco-playground": playground_ranges,
+}
 
 
-def run(options: argparse.Namespace) -> int:
+def export_servo(options: argparse.Namespace) -> int:
     """Write the model's actuators for another simulator; print what it does not express.
 
     Joints with effects that it lacks are refitted without them; the errors are printed.
@@ -57,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.out)
     model = read_model(options.model)
     robot = read_robot(options.robot) if options.robot else None
-    recordings = [read_recording(path) for path in options.recordings]
+    recordings = [read_recording(path) for path in options.recordings or ()]
     for recording in recordings:
         if not set(recording.joints) & set(model.joints):
             found = f"joints {', '.join(recording.joints)}"
@@ -66,12 +82,42 @@ def run(options: argparse.Namespace) -> int:
         from sim2real.exporters.mujoco_refit import mujoco_refit
 
         checked = mujoco_refit(model, recordings, robot, options.which)
-        return write_export(checked.export, options, checked.expressible, checked.agreement)
+        return _written(checked.export, options, checked.expressible, checked.agreement)
     target = TARGETS[options.to]
     if options.to == "json":  # it has everything
-        return write_export(target.write(model, robot), options)
+        return _written(target.write(model, robot), options)
     from sim2real.exporters.expressible import expressible
 
     nearest = expressible(model, target.expressed, recordings, robot, which=options.which)
-    export = target.write(nearest.model, robot, nearest.dropped)
-    return write_export(export, options, nearest)
+    return _written(target.write(nearest.model, robot, nearest.dropped), options, nearest)
+
+
+def export_ranges(options: argparse.Namespace) -> int:
+    """Write the ranges for another simulator; print what it does not express."""
+    check_writable(options.out)
+    return _written(RANGES[options.to](read_ranges(options.ranges)), options)
+
+
+def _written(
+    export: Export,
+    options: argparse.Namespace,
+    nearest: Expressible | None = None,
+    agreement: Sequence[Agreement] = (),
+) -> int:
+    """Write the text; print what it lacks, the errors of refits, and differences of the tool."""
+    write_whole(options.out, export.text)
+    refits, compared = (nearest.refits, nearest.compared) if nearest else ((), ())
+    options.result = {
+        "file": str(options.out),
+        "not_expressed": [*map(str, export.left_out)],
+        "refitted": [asdict(refit) for refit in refits],
+        "compared": [asdict(entry) for entry in compared],
+        "agreement": [entry.content() for entry in agreement],
+    }
+    print(f"{options.out}: for {options.to}")
+    if export.left_out:
+        print("not expressed there (the file says so too):")
+        sys.stdout.writelines(f"  {line}\n" for line in export.left_out)
+    for cost in (*compared, *refits, *agreement):
+        print(cost)
+    return 0
