@@ -98,10 +98,6 @@ class Model(NotebookDisplay):
     arm: Arm | None = None
     firmware_p_gain: float | None = None
 
-    def __str__(self) -> str:
-        """Table of the fitted parameters of every joint, with intervals and errors."""
-        return str(from_report("table.fit_report")(self))
-
     def plot(self) -> Figure:
         """Gains and latency of every joint, with 90 % intervals."""
         figure: Figure = from_report("identification.parameter_figure")(self)

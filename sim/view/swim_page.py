@@ -45,10 +45,6 @@ _COMPARED = (
 )
 _PLOTTED = 3
 """Largest number of swims that are plotted."""
-_WORSE = 0.05
-"""Relative increase of a held-out error from which the page comments on it."""
-_OFFSET = 0.5
-"""Share of the mean square error from which a constant offset is its main part."""
 
 
 def swim_panels(
@@ -85,7 +81,7 @@ def swim_panels(
 def calibration_section(
     swim: Swim, before: Model, calibrated: Calibrated, simulator: Simulator, robot: Robot
 ) -> Section:
-    """The measured swim, its simulations before and after, the errors and comments on them.
+    """The measured swim, its simulations before and after, and the errors.
 
     Args:
         swim: The fitted swim, whose end was held out.
@@ -97,64 +93,17 @@ def calibration_section(
     panels = swim_panels(swim, (before, calibrated.model), simulator, robot)
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
     first = round(swim.t.size * (1 - HELD_OUT_SHARE))
-    (after,) = simulated(swim, [calibrated.model], simulator)
-    offsets = np.nanmean((after - swim.signals)[first:], axis=0)
     sizes = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
     names = [*SIGNALS, *(joint.name for joint in robot.joints)]
     units = [*UNITS, *("rad" for _ in robot.joints)]
-    rows, notes = [], []
+    rows = []
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         held_out, fitted = calibrated.rmse[:, k].tolist(), calibrated.train[:, k].tolist()
         numbers = [f"{x:.3f}" for x in (sizes[k], *held_out)]
         rows.append((f"{name}\n{unit}", *numbers, change_text(*held_out), change_text(*fitted)))
-        offset, size = float(offsets[k]), float(sizes[k])
-        notes.append(error_comment(name, unit, held_out, fitted, size=size, offset=offset))
     header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
-    blocks: list[Block] = [
-        series_block(panels, f"{swim.name}: measured and simulated", caption),
-        Table(header, rows, _TABLE),
-        *(Note("info", note) for note in notes if note),
-    ]
-    return Section("Calibration", _CALIBRATION, blocks)
-
-
-def error_comment(
-    name: str,
-    unit: str,
-    held_out: Sequence[float],
-    fitted: Sequence[float],
-    *,
-    size: float,
-    offset: float,
-) -> str:
-    """Explanation of an increased held-out error from its numbers; empty if it is small.
-
-    Args:
-        name: The signal.
-        unit: Its unit.
-        held_out: Root mean square error on the held-out part, before and after.
-        fitted: Likewise on the fitted part.
-        size: Root mean square of the measured signal on the held-out part.
-        offset: Mean error on the held-out part after the calibration.
-    """
-    before, after = held_out
-    if after <= (1 + _WORSE) * before:
-        return ""
-    why = "the fit, which weighs all signals together, gave up some of this one for the others."
-    if fitted[1] < fitted[0]:
-        why = "this improvement does not generalise to the held-out motion."
-    share = (offset / after) ** 2
-    kind = (
-        "a slow drift, not the beat of the tail"
-        if share >= _OFFSET
-        else "it varies with the motion"
-    )
-    return (
-        f"{name}: the held-out error rises from {before:.3f} to {after:.3f} {unit}, "
-        f"{100 * after / size:.0f} % of the signal's size. On the fitted part it changes by "
-        f"{change_text(*fitted)}: {why} A constant offset of {offset:+.3f} {unit} accounts for "
-        f"{100 * share:.0f} % of the mean square error: {kind}."
-    )
+    plot = series_block(panels, swim.name, caption)
+    return Section("Calibration", _CALIBRATION, (plot, Table(header, rows, _TABLE)))
 
 
 def swims_section(

@@ -10,8 +10,6 @@ from sim2real.diagnose.result import Diagnosis, JointSeries, Mismatch, NamedEffe
 from sim2real.diagnose.separation import SEPARATED
 from sim2real.model import JointModel
 from sim2real.report.diagnosis_plots import (
-    Bar,
-    bar_figure,
     candidate_figure,
     how_sure,
     listed,
@@ -56,7 +54,7 @@ _STATES = {
     "jump": "a change at one instant",
 }
 _STRIPS = 5
-_WORTH_A_BAR = 0.05
+_WORTH_A_ROW = 0.05
 _RESIDUAL = (
     "Residual of {joint} over time: measured minus simulated angle{which}. "
     "Band: ±\u00a02 standard deviations of the noise{shade}."
@@ -169,14 +167,13 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         drawing = torque_figure(evidence, unit)
         blocks.append(Figure(svg(drawing), _TORQUE.format(joint=joint)))
     ranked = sorted(mismatch.dependence.items(), key=lambda entry: -entry[1])
-    bars = [
-        Bar(_STATES.get(name, name), x, f"{100 * x:.0f} %", strong=k == 0)
+    shares = [
+        (_STATES.get(name, name), f"{100 * x:.0f} %")
         for k, (name, x) in enumerate(ranked)
-        if k == 0 or x >= _WORTH_A_BAR
+        if k == 0 or x >= _WORTH_A_ROW
     ]
-    if bars:
-        drawing = bar_figure({"": bars}, f"{joint}: what the missing torque depends on", full=0.2)
-        blocks.append(Figure(svg(drawing), _DEPENDENCE.format(joint=joint)))
+    if shares:
+        blocks.append(Table(("state", "share"), shares, _DEPENDENCE.format(joint=joint)))
     return blocks
 
 

@@ -22,6 +22,7 @@ from sim2real.report.quantity import (
 )
 from sim2real.report.series import fit_panels, series_block
 from sim2real.report.style import ACCENT, INK, house_style, new_figure
+from sim2real.units import readable_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -33,6 +34,9 @@ _LEAD = (
     "kp\u00a0(command\u00a0− position) − kd\u00a0velocity, where the command is "
     "delayed by the latency."
 )
+_WHITE = 0.1
+"""Lag-1 autocorrelation below which a residual counts as white."""
+_CORRELATED, _MOST_PAIRS = 0.3, 4
 _SETTLED = 0.005
 """Overshoot of a step, as a share of it, below which there is hardly one."""
 
@@ -68,30 +72,66 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
 
 
 def model_blocks(model: Model) -> list[Block]:
-    """Parameters, effects and errors of a model, and its notes."""
+    """Parameters, errors, correlations and effects of a model, and its notes."""
     rows = [(name, q) for name, joint in model.joints.items() for q in quantities(joint)]
     blocks: list[Block] = [quantity_table(rows)] if rows else []
-    effects = [(name, e, j.interval) for name, j in model.joints.items() for e in j.effects]
-    if effects:
-        texts = [(printable(name), effect_text(e, ends)) for name, e, ends in effects]
-        blocks.append(Table(("joint", "effect"), texts))
-    if model.fit:
-        errors = [
-            (printable(signal), *(_error(signal, figures.get(k)) for k in _ERRORS))
-            for signal, figures in model.fit.items()
-        ]
-        blocks.append(Table(("RMSE", *_ERRORS.values()), errors))
+    errors = [
+        (
+            printable(signal.removesuffix(".position_rad")),
+            *(_error(signal, figures.get(key)) for key in ("train", "heldout", "noise")),
+            _residual(figures),
+        )
+        for signal, figures in model.fit.items()
+    ]
+    if errors:
+        blocks.append(Table(("RMSE", "train", "held out", "noise", "residual"), errors))
+    remarks = [(name, _remarks(joint)) for name, joint in model.joints.items()]
+    remarks.append(("supply and link", [effect_text(effect) for effect in model.effects]))
+    infos = [f"{name}: {'; '.join(sentences)}" for name, sentences in remarks if sentences]
     notes = [f"{name}: {note}" for name, joint in model.joints.items() for note in joint.notes]
-    return [*blocks, *(Note("warn", printable(note)) for note in (*model.notes, *notes))]
-
-
-_ERRORS = {"train": "fitted", "heldout": "held out", "noise": "noise"}
+    blocks += [Note("info", printable(info)) for info in infos]
+    return [*blocks, *(Note("warn", printable(note)) for note in (*notes, *model.notes))]
 
 
 def _error(signal: str, value: float | None) -> str:
     if value is None or not math.isfinite(value):
-        return "–"
+        return "-"
     return milliradians(value) if signal.endswith("position_rad") else f"{value:.4g}"
+
+
+def _residual(figures: Mapping[str, float | None]) -> str:
+    """Whether the residual is white, the share of outliers, the error without effects."""
+    time, lag, outliers, plain = (
+        figures.get(name)
+        for name in (
+            "correlation_time_s",
+            "whiteness",
+            "robust_outliers",
+            "heldout_without_effects",
+        )
+    )
+    texts = []
+    if lag is not None and abs(lag) < _WHITE:
+        texts.append("white")
+    elif time is not None:
+        texts.append(f"correlated over {1e3 * time:.0f} ms")
+    if outliers:
+        texts.append(f"{100 * outliers:.2g} % outliers")
+    if plain is not None:
+        texts.append(f"plain PD: {milliradians(plain)} held out")
+    return ", ".join(texts)
+
+
+def _remarks(joint: JointModel) -> list[str]:
+    """The strongest correlations of estimates, and effects."""
+    strong = sorted(joint.correlation.items(), key=lambda pair: -abs(pair[1]))[:_MOST_PAIRS]
+    pairs = [
+        f"{' and '.join(map(readable_name, pair.split(', ')))} {r:+.2f}"
+        for pair, r in strong
+        if abs(r) > _CORRELATED
+    ]
+    correlated = [f"correlated {', '.join(pairs)}"] if pairs else []
+    return [*correlated, *(effect_text(effect, joint.interval) for effect in joint.effects)]
 
 
 def parameter_figure(model: Model) -> Drawing:

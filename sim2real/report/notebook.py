@@ -25,7 +25,7 @@ from sim2real.report.quantity import milliradians, printable
 from sim2real.report.ranges import density_section, posterior_table, range_blocks
 from sim2real.report.recordings import check_section, recording_section
 from sim2real.report.servo_table import servos_section
-from sim2real.report.table import section_text
+from sim2real.report.text import section_text
 from sim2real.robot import Robot
 from sim2real.servo.prediction import Prediction
 from sim2real.servo_library.catalogue import ServoLibrary
@@ -71,8 +71,10 @@ def _model(model: Model) -> Section:
 
 @result_section.register
 def _servo(entry: ServoEntry) -> Section:
+    origin = f"licence {entry.licence}, source {entry.source}"
+    scored = f"; held out: {entry.scored_on}" if entry.scored_on else ""
     blocks = [*servos_section([entry]).blocks, *model_blocks(entry.model)]
-    return Section("Servo", "", [*blocks, Note("info", printable(entry.source))])
+    return Section("Servo", "", [*blocks, Note("info", printable(origin + scored))])
 
 
 @result_section.register

@@ -23,14 +23,9 @@ if TYPE_CHECKING:
 
 _FOLDER = Path(__file__).parent
 _HASH_LETTERS = 12
-_PHONE_LETTERS = 50
-"""Width of a table, in letters including gaps between columns, that fits on a phone."""
 _NUMBER = re.compile(r"[<>≥≤±]?\s?[+\-−]?(\d[\d.,]*(e[+\-]?\d+)?|∞)(?![\w\-:])")
 _DASHES = ("", "-", "–", "−")
 _PART = re.compile(r"(?<=[_/.])(?=[A-Za-z])")
-_LONG_WORD = 24
-_LEGIBLE_LETTERS = 12
-"""Minimum width of a column of words, in letters."""
 
 
 @dataclass(frozen=True)
@@ -71,24 +66,11 @@ class Table:
 
         The first column names its row: it is numeric only if its cells contain nothing else.
         """
+        columns = [[row[k] for row in self.rows] for k in range(len(self.header))]
         return tuple(
             any(column) and all(_is_number(cell, alone=k == 0) for cell in column)
-            for k, column in enumerate(self._columns)
+            for k, column in enumerate(columns)
         )
-
-    @property
-    def stacked(self) -> bool:
-        """Whether the table is too wide for a phone.
-
-        A phone then shows each row as a list, with the title of the column before each cell.
-        """
-        columns = zip(self.header, self._columns, self.numeric, strict=True)
-        needed = sum(_letters(title, cells, numeric=numeric) for title, cells, numeric in columns)
-        return needed > _PHONE_LETTERS
-
-    @property
-    def _columns(self) -> list[list[str]]:
-        return [[row[k] for row in self.rows] for k in range(len(self.header))]
 
 
 @dataclass(frozen=True)
@@ -144,8 +126,6 @@ def write_page(
     subtitle: str,
     sections: Sequence[Section],
     provenance: Mapping[str, Any],
-    *,
-    stages: Sequence[tuple[str, bool]] = (),
 ) -> Path:
     """Write a report atomically.
 
@@ -155,13 +135,12 @@ def write_page(
         subtitle: One line below it.
         sections: Sections.
         provenance: Result of ``sim2real.output.provenance``, for the footer.
-        stages: Stages of the work in order, each with whether it is done.
 
     Raises:
         InputError: If the file cannot be written.
         MissingLibrary: If Jinja is not installed.
     """
-    return write_whole(path, render_page(title, subtitle, sections, provenance, stages=stages))
+    return write_whole(path, render_page(title, subtitle, sections, provenance))
 
 
 def render_page(
@@ -169,8 +148,6 @@ def render_page(
     subtitle: str,
     sections: Sequence[Section],
     provenance: Mapping[str, Any],
-    *,
-    stages: Sequence[tuple[str, bool]] = (),
 ) -> str:
     """The report as text; arguments as for ``write_page``."""
     live = any(isinstance(b, Figure) and b.live for s in sections for b in s.blocks)
@@ -180,7 +157,6 @@ def render_page(
         title=title,
         subtitle=subtitle,
         sections=sections,
-        stages=stages,
         origin=_origin(provenance),
         css=_texts(*style),
         script=script,
@@ -248,14 +224,6 @@ def _is_number(cell: str, *, alone: bool = False) -> bool:
     line = cell.partition("\n")[0].strip()
     match = _NUMBER.match(line)
     return line in _DASHES or (match is not None and not (alone and match.end() < len(line)))
-
-
-def _letters(title: str, cells: Sequence[str], *, numeric: bool) -> int:
-    """Width of a table's column in letters, with the gap before it; numbers do not break."""
-    words = [word for text in (title, *cells) for word in re.split(r"[\s_./]+", text)]
-    longest = max((len(cell.partition("\n")[0]) for cell in cells), default=0)
-    needed = longest if numeric else min(longest, _LEGIBLE_LETTERS)
-    return max([needed, *(min(len(word), _LONG_WORD) for word in words)]) + 1
 
 
 def _prose(text: str) -> str:

@@ -84,10 +84,10 @@ def quantity_table(
         caption: Caption of the table.
     """
     cells = [
-        (printable(where), printable(q.name), q.texts[0], q.unit, q.between or q.origin)
+        (printable(where), printable(q.name), q.texts[0], q.unit, q.between, q.remark)
         for where, q in rows
     ]
-    return Table((place, "parameter", "value", "unit", "90 % interval"), cells, caption)
+    return Table((place, "parameter", "value", "unit", "90 % interval", ""), cells, caption)
 
 
 def quantities(joint: JointModel) -> tuple[Quantity, ...]:

@@ -10,7 +10,6 @@ import numpy as np
 from sim2real.report.page import Note, Section, Table
 from sim2real.report.quantity import milliradians, printable
 from sim2real.report.style import ACCENT, INK, house_style, new_figure
-from sim2real.report.table import fit_report
 from sim2real.servo_library.entry import ServoEntry
 
 if TYPE_CHECKING:
@@ -49,17 +48,6 @@ def markdown_row(entry: ServoEntry) -> str:
     return (
         "| " + " | ".join(printable(x) for x in (*cells(entry), entry.licence, entry.source)) + " |"
     )
-
-
-def entry_report(entry: ServoEntry) -> str:
-    """What a servo is, where it comes from, and its parameters with intervals."""
-    facts = dict(zip(COLUMNS, cells(entry), strict=True))
-    facts |= {"licence": entry.licence, "source": entry.source}
-    if entry.scored_on:
-        facts["held out"] += f", {entry.scored_on}"
-    width = max(map(len, facts))
-    lines = [printable(f"{name:<{width}}  {text}") for name, text in facts.items()]
-    return "\n".join([*lines, "", fit_report(entry.model)])
 
 
 def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
