@@ -11,7 +11,6 @@ from sim2real.diagnose.separation import SEPARATED
 from sim2real.model import JointModel
 from sim2real.report.diagnosis_plots import (
     candidate_figure,
-    how_sure,
     listed,
     plain,
     residual_panels,
@@ -142,13 +141,14 @@ def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
 
 
 def _told(effect: NamedEffect) -> str:
+    chance = sure(effect.probability).capitalize()
     if len(effect.group) < 2:
-        return f"{effect.statement} {how_sure(effect.probability)}"
+        return f"{effect.statement} {chance} sure."
     sentences = [effect.statement]
     if "cannot tell" not in effect.statement:
         name, *alternatives = map(plain, effect.group)
         sentences.append(f"These recordings cannot tell {name} from {listed(alternatives, 'or')}.")
-    return " ".join([*sentences, how_sure(effect.probability, of="that it is one of them")])
+    return " ".join([*sentences, f"{chance} sure that it is one of them."])
 
 
 def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
@@ -220,7 +220,7 @@ def _what(diagnosis: Diagnosis) -> list[Block]:
     blocks: list[Block] = []
     if diagnosis.effects or diagnosis.rivals:
         introduction = "Every effect of the catalogue was fitted, alone and in combination."
-        text = " ".join([introduction, *_removed(diagnosis), *_written(diagnosis)])
+        text = " ".join([introduction, *_written(diagnosis)])
         coloured = " Coloured: effects named above." if diagnosis.effects else ""
         caption = f"Probability of each candidate.{coloured}"
         drawing = svg(candidate_figure(diagnosis))
@@ -233,28 +233,6 @@ def _what(diagnosis: Diagnosis) -> list[Block]:
             text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
             blocks.append(Text(text, heading=f"Unexplained residual of {joint}"))
     return blocks
-
-
-def _removed(diagnosis: Diagnosis) -> list[str]:
-    """A sentence on the error that the effects of each component remove."""
-    together: dict[tuple[object, ...], list[str]] = {}
-    for effect in diagnosis.effects:
-        errors = [
-            effect.heldout.get(name)
-            for name in ("rmse_before", "rmse_after", "recoverable_removed")
-        ]
-        if None not in errors[:2]:
-            together.setdefault((effect.component, *errors), []).append(plain(effect.effect))
-    sentences = []
-    for (component, before, after, share), names in together.items():
-        of_it = f", {100 * share:.0f} % of what can be removed" if isinstance(share, float) else ""
-        verb = "reduce" if len(names) > 1 else "reduces"
-        change = " to ".join(milliradians(x) for x in (before, after) if isinstance(x, float))
-        sentences.append(
-            f"On data not used by the fit (but by the selection), {listed(names)} "
-            f"({component}) {verb} the error from {change}{of_it}."
-        )
-    return sentences
 
 
 def _written(diagnosis: Diagnosis) -> list[str]:

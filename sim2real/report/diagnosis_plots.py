@@ -21,15 +21,6 @@ if TYPE_CHECKING:
 
 POINTS = 1500
 """Maximum number of points of a cloud."""
-_SURE = (
-    (0.99, "practically certain"),
-    (0.95, "almost certain"),
-    (0.8, "very likely"),
-    (0.65, "likely"),
-    (0.5, "more likely than not"),
-    (0.2, "possible"),
-    (0.05, "unlikely"),
-)
 _NOT_LISTED = 0.01
 _INSIDE = 99.5
 _ROW, _TITLE = 38.0, 36.0
@@ -119,17 +110,6 @@ def sure(share: float) -> str:
     words = {"<": "less than ", ">": "more than "}
     text = percent(share).replace(" ", "\u00a0")
     return words.get(text[0], "") + text.lstrip("<>")
-
-
-def how_sure(share: float, *, of: str = "") -> str:
-    """A probability as a sentence, in words and in percent: ``"Almost certain: 98 % sure."``.
-
-    Args:
-        share: The probability.
-        of: Statement that is meant, as ``"that it is one of them"``; empty if clear from before.
-    """
-    words = next((words for threshold, words in _SURE if share >= threshold), "very unlikely")
-    return f"{words.capitalize()}: {' '.join(filter(None, (sure(share), 'sure', of)))}."
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
