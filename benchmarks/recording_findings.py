@@ -1,6 +1,6 @@
 """How often findings about angles are raised without a fault, and found with one.
 
-    python benchmarks/recording_findings.py RECORDING.csv...
+    python -m benchmarks.recording_findings RECORDING.csv...
 
 Every joint that moves is judged as recorded and with a fault that is put into it: command and
 position swapped (``plausible.lead_s``), and the faults of ``sim2real.readings``. Prints for each
@@ -12,7 +12,6 @@ recordings to judge.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.harness import command_line
 from sim2real import readings
 from sim2real.arrays import Array
 from sim2real.errors import InputError
@@ -108,9 +108,8 @@ FINDINGS: dict[str, tuple[Callable[[Joint, Array], bool], Callable[..., Array]]]
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = command_line(__doc__, seed=0)
     parser.add_argument("recordings", nargs="+", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     raised: dict[str, list[str]] = {name: [] for name in ("precedes its command", *FINDINGS)}

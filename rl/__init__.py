@@ -7,6 +7,6 @@ if find_spec("gymnasium") is not None:  # optional: exported policies need only 
 
     register(
         id="sim2real/Fish-v0",
-        entry_point="rl.registered:make_fish",
-        vector_entry_point="rl.registered:make_fish_vec",
+        entry_point="rl.env:make_fish",
+        vector_entry_point="rl.env:make_fish_vec",
     )

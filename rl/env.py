@@ -10,24 +10,23 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers import HumanRendering
 from torch import Tensor
 
-from rl.decisions import Decisions
-from rl.observer import LARGEST, View
-from rl.task import Task, observation_bounds
-from rl.world import Step, World
-from sim2real.arrays import Array32, Mask
+from rl.make import world_of
+from rl.observer import LARGEST, View, observation_bounds
+from rl.task import Task
+from rl.world import Decisions, Step, World
+from sim2real.arrays import Array32
+from sim2real.extras import library
 
 
 def observation_space(world: World, view: View) -> spaces.Box:
     """Space of the observations, which are clipped to its bounds."""
     J = len(world.low)
-    if view.scaled:
-        bound = np.full(view.size(J), LARGEST, dtype=np.float32)
-    else:
-        sides = [1.25] if view.sides else []
-        others = [*sides, *[1.0] * (view.size(J) - 5 - 2 * J - len(sides))]
-        bound = np.array([*observation_bounds(J), *others], dtype=np.float32)
+    others = [1.25, *[1.0] * view.size(J)] if view.sides else [1.0] * view.size(J)
+    bounds = [LARGEST] * view.size(J) if view.scaled else [*observation_bounds(J), *others]
+    bound = np.array(bounds[: view.size(J)], dtype=np.float32)
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
@@ -36,24 +35,22 @@ def action_space(world: World) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (len(world.low),), dtype=np.float32)
 
 
-def reward_terms(task: Task, step: Step) -> dict[str, Tensor]:
-    """Terms of the reward of a step, as in ``info``, each of shape (E,); their sum is the reward.
+def told(task: Task, step: Step) -> dict[str, Tensor]:
+    """What ``info`` has of a step, each of shape (E,).
 
-    ``reward_progress`` rewards the approach to the target, ``reward_bonus`` arrival (positive) or
-    leaving the pool (negative), and ``reward_energy`` (never positive) penalises the squared joint
-    rates; see ``rl.task``.
+    ``reached`` are the waypoints so far; ``is_success`` whether the last one is among them. The sum
+    of the others is the reward: ``reward_progress`` rewards the approach to the target,
+    ``reward_bonus`` arrival (positive) or leaving the pool (negative), and ``reward_energy`` (never
+    positive) penalises the squared joint rates; see ``rl.task``.
     """
     energy = -task.energy * step.effort
     return {
+        "reached": step.reached,
+        "is_success": step.reached >= task.waypoints,
         "reward_progress": step.reward - energy - step.bonus,
         "reward_bonus": step.bonus,
         "reward_energy": energy,
     }
-
-
-def succeeded(task: Task, step: Step) -> Tensor:
-    """Where the last waypoint has been reached, shape (E,)."""
-    return step.reached >= task.waypoints
 
 
 class FishEnv(gymnasium.Env[Array32, Array32]):
@@ -61,12 +58,11 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
 
     A step is one decision of ``view``: 80 ms, or 20 ms for ``PAPER``. Observations are the columns
     of the view; actions are desired joint angles, -1 and 1 at the ends of each joint's range.
-    ``info`` has ``is_success``, ``reached`` (waypoints so far) and the terms of the reward, see
-    ``reward_terms``.
+    ``info`` has the values of ``told``.
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's way
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": ["rgb_array"],
         "render_fps": 1 / View().decision_s,
     }
 
@@ -77,33 +73,23 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
         *,
         render_mode: str | None = None,
     ) -> None:
-        """Wrap a world.
+        """Wrap a world with one environment.
 
-        Args:
-            world: World with one environment.
-            view: Definition of observation and decision period.
-            render_mode: ``rgb_array`` for images of the pool from above, ``human`` for a window
-                that shows them in real time (extra ``render``); None for no rendering.
+        With ``rgb_array`` as ``render_mode`` there are images of the pool from above, which
+        Gymnasium's wrapper ``HumanRendering`` shows in a window.
 
         Raises:
-            ValueError: If it has several environments, or there is no such mode.
-            InputError: If there is no screen for a window, or pygame is not installed.
+            ValueError: If the world has several environments, or there is no such mode.
         """
         if world.n_envs != 1:
             raise ValueError(f"a world of {world.n_envs} environments, not of one")
-        modes = type(self).metadata["render_modes"]
-        if render_mode not in (None, *modes):
-            raise ValueError(f"render_mode: {render_mode!r}, not one of {modes} or None")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: {render_mode!r}, not 'rgb_array' or None")
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": 1 / view.decision_s}
         self.world, self.decisions = world, Decisions(world, view)
         self.observation_space: Any = observation_space(world, view)
         self.action_space: Any = action_space(world)
-        self.window: Any = None
-        if render_mode == "human":
-            from rl.window import Window
-
-            self.window = Window(1 / view.decision_s)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -112,51 +98,24 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed(seed)
-        observed = self.decisions.reset()[0].cpu().numpy()
-        self._show()
-        return observed, {}
+        return self.decisions.reset()[0].cpu().numpy(), {}
 
     def step(self, action: Array32) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
         """Apply a decision and simulate until the next; ``reset`` starts the next episode."""
         decision = torch.as_tensor(action, device=self.world.device)[None]
         step = self.decisions.step(decision, begin=False)
-        terms = reward_terms(self.world.task, step)
-        info = {
-            "reached": int(step.reached[0]),
-            "is_success": bool(succeeded(self.world.task, step)[0]),
-            **{name: float(term[0]) for name, term in terms.items()},
-        }
-        self._show()
-        return (
-            step.final[0].cpu().numpy(),
-            float(step.reward[0]),
-            bool(step.terminated[0]),
-            bool(step.truncated[0]),
-            info,
-        )
+        info = {name: values[0].item() for name, values in told(self.world.task, step).items()}
+        ends = bool(step.terminated[0]), bool(step.truncated[0])
+        return step.final[0].cpu().numpy(), float(step.reward[0]), *ends, info
 
     def render(self) -> Any:  # noqa: ANN401 - Gymnasium's
         """Image of the pool from above, shape (height, width, 3), 8 bits per channel.
 
-        None without a render mode, and with ``human``, where ``reset`` and ``step`` update the
-        window.
+        None without a render mode.
         """
-        return self._picture() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self.window is not None:
-            self.window.close()
-            self.window = None
-
-    def _picture(self) -> Any:  # noqa: ANN401 - an image
         from rl.experiments.film import still
 
-        return still(self.world)
-
-    def _show(self) -> None:
-        if self.window is not None:
-            self.window.show(self._picture())
+        return None if self.render_mode is None else still(self.world)
 
 
 class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
@@ -166,7 +125,7 @@ class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
     episode resets it: its action is ignored, its reward is zero and its observation is the first of
     the new episode. With ``SAME_STEP`` an episode is reset in the step in which it ends; its last
     observation is in ``infos["final_obs"]``, where ``infos["_final_obs"]`` is true. ``infos`` has
-    ``reached``, ``is_success`` and the terms of the reward, each of shape (E,).
+    the values of ``told``, each of shape (E,).
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -178,13 +137,7 @@ class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        """Wrap a world.
-
-        Args:
-            world: The batch of robots with their task.
-            view: Definition of observation and decision period.
-            autoreset_mode: Gymnasium's ``AutoresetMode`` or its value, ``NextStep`` or
-                ``SameStep``.
+        """Wrap a world; ``autoreset_mode`` may also be a value, ``NextStep`` or ``SameStep``.
 
         Raises:
             ValueError: If there is no such mode, or it is ``Disabled``.
@@ -218,33 +171,48 @@ class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
         decision = torch.as_tensor(actions, dtype=torch.float32, device=self.world.device)
         same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
         step = self.decisions.step(decision, begin=same_step)
-        task, active, observed = self.world.task, ~self._over, step.observation
+        active, observed = ~self._over, step.observation
         terminated, truncated = step.terminated & active, step.truncated & active
-        reported = {"reached": step.reached, "is_success": succeeded(task, step)}
-        reported |= reward_terms(task, step)
-        infos = {name: (values * active).cpu().numpy() for name, values in reported.items()}
-        infos |= {f"_{name}": active.cpu().numpy() for name in reported}
+        infos: dict[str, Any] = {}
+        for name, values in told(self.world.task, step).items():
+            infos |= {name: (values * active).cpu().numpy(), f"_{name}": active.cpu().numpy()}
         ended = terminated | truncated
         if same_step:
-            infos |= _finals(step.final.cpu().numpy(), ended.cpu().numpy())
+            if ended.any():
+                final, infos["_final_obs"] = step.final.cpu().numpy(), ended.cpu().numpy()
+                infos["final_obs"] = np.full(self.num_envs, None, dtype=object)
+                for e in np.flatnonzero(infos["_final_obs"]):
+                    infos["final_obs"][e] = final[e]
         else:
             if self._over.any():
                 observed = self.decisions.begin(self._over)
             self._over = ended
-        return (
-            observed.cpu().numpy(),
-            (step.reward * active).cpu().numpy(),
-            terminated.cpu().numpy(),
-            truncated.cpu().numpy(),
-            infos,
-        )
+        results = (observed, step.reward * active, terminated, truncated)
+        return *(one.cpu().numpy() for one in results), infos  # type: ignore[return-value]
 
 
-def _finals(final: Array32, ended: Mask) -> dict[str, Any]:
-    """The last observations of the episodes that ended, as Gymnasium keeps them in ``infos``."""
-    if not ended.any():
-        return {}
-    observations = np.full(len(ended), None, dtype=object)
-    for e in np.flatnonzero(ended):
-        observations[e] = final[e]
-    return {"final_obs": observations, "_final_obs": ended}
+def make_fish(
+    *,
+    render_mode: str | None = None,
+    view: View = View(),  # noqa: B008 - frozen
+    **options: Any,  # noqa: ANN401
+) -> gymnasium.Env[Array32, Array32]:
+    """The environment of ``gymnasium.make("sim2real/Fish-v0")``; options as for ``world_of``.
+
+    ``render_mode="human"`` shows it in a window (extra ``render``).
+    """
+    if render_mode != "human":
+        return FishEnv(world_of(1, **options), view, render_mode=render_mode)
+    library("pygame", "sim2real/Fish-v0")
+    return HumanRendering(FishEnv(world_of(1, **options), view, render_mode="rgb_array"))
+
+
+def make_fish_vec(
+    num_envs: int = 1,
+    *,
+    view: View = View(),  # noqa: B008 - frozen
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    **options: Any,  # noqa: ANN401
+) -> FishVectorEnv:
+    """That of ``gymnasium.make_vec("sim2real/Fish-v0")``; options as for ``world_of``."""
+    return FishVectorEnv(world_of(num_envs, **options), view, autoreset_mode=autoreset_mode)

@@ -1,17 +1,15 @@
-"""Metrics of a swim: time, energy and turning radius as in the paper, and path length.
+"""Metrics of a swim, as in the paper: energy and turning radius; and path length.
 
 Recordings have a row for each control period, the start first: positions (T, E, 2) in m, headings
-(T, E) in rad, unwrapped, joint rates (T, E, J) in rad/s, distances to the target (T, E) in m.
-Rows after the end of an episode are NaN and ignored.
+(T, E) in rad, unwrapped, joint rates (T, E, J) in rad/s. Rows after the end of an episode are NaN
+and ignored.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from rl.task import CONTROL_S, POINT
+from rl.task import POINT
 from sim2real.arrays import Array, Mask
 
 REACHED_M = POINT.arrive_m
@@ -20,72 +18,12 @@ _FROM, _TO = 0.1, 0.9
 _FLAT = 1e-9
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """Each of shape (E,).
-
-    Attributes:
-        time_s: Time until the target is reached; NaN if it is not.
-        energy: Sum over the steps of 20 ms of the joints' squared rates, in rad^2/s^2.
-        path_m: Length of the path of the head's centre of mass.
-        radius_m: Radius of the turn; NaN if there is none.
-    """
-
-    time_s: Array
-    energy: Array
-    path_m: Array
-    radius_m: Array
-
-
-def measure(
-    position: Array, heading: Array, rate: Array, distance: Array, *, turn_rad: float = np.pi
-) -> Metrics:
-    """Metrics of a recorded batch, until the target is reached or the recording ends.
-
-    Args:
-        position: Shape (T, E, 2).
-        heading: Shape (T, E).
-        rate: Shape (T, E, J).
-        distance: To the target, shape (T, E).
-        turn_rad: Angle of the turn in the task.
-
-    Raises:
-        ValueError: If the arrays differ in T or E.
-    """
-    if not position.shape[:2] == heading.shape == rate.shape[:2] == distance.shape:
-        shapes = [a.shape for a in (position, heading, rate, distance)]
-        raise ValueError(f"{shapes} do not begin with the same T and E")
-    time = time_to_target(distance)
-    last_row = np.where(np.isnan(time), len(distance), np.round(time / CONTROL_S))
-    before = np.arange(len(distance))[:, None] <= last_row
-    position = np.where(before[..., None], position, np.nan)
-    return Metrics(
-        time_s=time,
-        energy=energy(np.where(before[..., None], rate, np.nan)),
-        path_m=path_length(position),
-        radius_m=turning_radius(position, heading, turn_rad=turn_rad),
-    )
-
-
-def time_to_target(
-    distance: Array, *, reached_m: float = REACHED_M, dt: float = CONTROL_S
-) -> Array:
-    """Seconds until the first row nearer than ``reached_m``, shape (E,), NaN if there is none."""
-    arrived = np.asarray(distance < reached_m)  # false for NaN
-    return np.where(arrived.any(axis=0), dt * arrived.argmax(axis=0), np.nan)
-
-
 def energy(rate: Array) -> Array:
     """The paper's measure of energy, the sum over steps of 20 ms of the joints' squared rates.
 
     It is not mechanical work: its unit is rad^2/s^2; multiplied by 0.02 s it is the integral over
-    time. The row of the start is included.
-
-    Args:
-        rate: Shape (T, E, J).
-
-    Returns:
-        Shape (E,); NaN if all rows are NaN.
+    time. The row of the start is included. ``rate`` has the shape (T, E, J), the result (E,), NaN
+    where all rows are NaN.
     """
     finite = _finite(rate)
     total = np.where(finite, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
@@ -105,7 +43,7 @@ def turning_radius(position: Array, heading: Array, *, turn_rad: float = np.pi) 
     The middle part are the rows from the first at which the heading has changed by a tenth of
     ``turn_rad`` (in either direction) until the first at which it has by nine tenths. The circle is
     the least-squares fit of Kasa (IEEE Trans. Instrum. Meas. 25 (1976) 8) to the path of the head's
-    centre of mass. For a corner of a longer path, pass the rows from its waypoint on.
+    centre of mass.
 
     Args:
         position: Shape (T, E, 2).

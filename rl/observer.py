@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-TASK_S = 0.02
+CONTROL_S = 0.02
 """Control period of set-points and measurements."""
 KEPT_RAD = 1.25 * np.pi
 """Largest magnitude of the bearing before it changes sign, beyond pi: a hysteresis."""
@@ -35,16 +35,59 @@ MOST = 1000
 """Largest period and memory of a view."""
 
 
+def observation_names(joints: Sequence[str]) -> list[str]:
+    """Names of the task's columns, in order, with units."""
+    angles = [f"{joint}.position_rad" for joint in joints]
+    rates = [f"{joint}.velocity_rad_s" for joint in joints]
+    body = ["surge_m_s", "sway_m_s", "yaw_rate_rad_s"]
+    return [*body, *angles, *rates, "target_ahead_m", "target_left_m"]
+
+
+def observation_bounds(J: int) -> list[float]:
+    """Bounds of the magnitude of each of the task's columns, which are clipped to them."""
+    return [10.0, 10.0, 50.0, *[4.0] * J, *[100.0] * J, 20.0, 20.0]
+
+
+def observed(past: Any, weights: Any, target: Any, limit: Any) -> Any:  # noqa: ANN401
+    """The task's columns (E, O), the paper's observation; all arrays are of one library.
+
+    Args:
+        past: The last x, y, heading, continuous, and joint angles, oldest first, (E, n, 3 + J).
+        weights: ``sim2real.velocity.slope_weights``, shape (n,): velocities are slopes.
+        target: x and y of the target, shape (E, 2).
+        limit: Magnitude that each column is clipped to, shape (O,).
+    """
+    xp, latest, slope = _library(past), past[:, -1], (past * weights[:, None]).sum(1)
+    c, s = xp.cos(latest[:, 2]), xp.sin(latest[:, 2])
+    dx, dy = target[:, 0] - latest[:, 0], target[:, 1] - latest[:, 1]
+    surge, sway = c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0]
+    joints = [*latest[:, 3:].T, *slope[:, 3:].T]
+    columns = [surge, sway, slope[:, 2], *joints, c * dx + s * dy, c * dy - s * dx]
+    return xp.clip(xp.stack(columns, 1), -limit, limit)
+
+
+def _library(array: Any) -> Any:  # noqa: ANN401 - a module
+    """NumPy or PyTorch."""
+    if isinstance(array, np.ndarray):
+        return np
+    import torch
+
+    return torch
+
+
 @dataclass(frozen=True)
 class View:
     """Definition of a policy's observations and decisions; ``PAPER`` is that of the paper.
+
+    The F columns, in order: those of the task or, if scaled, surge, sway, yaw rate, joint angles,
+    joint rates, sine and cosine of the bearing, log distance; the kept bearing and the side of the
+    last stroke; the last decisions of all joints, newest first.
 
     Attributes:
         period: Control periods of 20 ms between decisions.
         ramp: Whether set-points are interpolated linearly between decisions, else steps.
         memory: Number of past decisions in the observation.
-        scaled: Whether columns are scaled to order one, with sine and cosine of the bearing and
-            logarithm of the distance.
+        scaled: Whether columns are scaled to order one.
         sides: Whether the bearing with hysteresis and the side of the last stroke are observed.
     """
 
@@ -54,23 +97,9 @@ class View:
     scaled: bool = True
     sides: bool = True
 
-    def columns(self, joints: Sequence[str]) -> list[str]:
-        """Names of the policy's F columns, in order."""
-        body = ["surge", "sway", "yaw_rate"] if self.scaled else ["surge_m_s", "sway_m_s"]
-        unit = ("", "") if self.scaled else (".position_rad", ".velocity_rad_s")
-        if not self.scaled:
-            body.append("yaw_rate_rad_s")
-            target = ["target_ahead_m", "target_left_m"]
-        else:
-            unit = (".position", ".velocity")
-            target = ["bearing_sine", "bearing_cosine", "log_distance"]
-        names = [*body, *(f"{j}{unit[0]}" for j in joints), *(f"{j}{unit[1]}" for j in joints)]
-        names += target + (["kept_bearing", "stroke_side"] if self.sides else [])
-        return names + [f"{j}.decision_{k + 1}_ago" for k in range(self.memory) for j in joints]
-
     def size(self, J: int) -> int:
         """Number of the policy's columns F."""
-        return 3 + 2 * J + (3 if self.scaled else 2) + (2 if self.sides else 0) + self.memory * J
+        return len(self.odd(J))
 
     def odd(self, J: int) -> list[float]:
         """1 for each column that changes its sign under mirroring, else 0, shape (F,)."""
@@ -85,7 +114,7 @@ class View:
         Raises:
             ValueError: If a field is missing, unknown, of another type or out of range.
         """
-        kinds = {"period": int, "ramp": bool, "memory": int, "scaled": bool, "sides": bool}
+        kinds = {name: type(default) for name, default in vars(cls()).items()}
         if not isinstance(fields, dict) or {k: type(v) for k, v in fields.items()} != kinds:
             raise ValueError(f"a view {fields!r}")
         if not 1 <= fields["period"] <= MOST or not 0 <= fields["memory"] <= MOST:
@@ -95,7 +124,7 @@ class View:
     @property
     def decision_s(self) -> float:
         """Seconds between decisions."""
-        return TASK_S * self.period
+        return CONTROL_S * self.period
 
 
 PAPER = View(period=1, ramp=False, memory=0, scaled=False, sides=False)
@@ -119,24 +148,28 @@ class Observer:
             high: Joint angles of action 1.
             n: Number of robots.
         """
-        self.view, self._low, self._span = view, low, high - low
-        shape = (n, max(view.memory, 2), low.shape[0])
-        if isinstance(low, np.ndarray):
-            self._xp: Any = np
-            self._decisions = np.zeros(shape, low.dtype)  # newest first
-        else:
-            import torch
-
-            self._xp = torch
-            self._decisions = low.new_zeros(shape)
+        self.view, self._low, self._span, self._xp = view, low, high - low, _library(low)
+        shape = (n, max(view.memory, 2), len(low))
+        self._decisions = self._xp.broadcast_to(self._xp.zeros_like(low), shape)  # newest first
         self._bearing = self._decisions[:, 0, 0]
         self._side = self._bearing + 1
 
-    def begin(self, raw: Any, rows: Any = None) -> None:  # noqa: ANN401 - of either library
+    def memory(self) -> Any:  # noqa: ANN401 - of either library
+        """The state as one array, shape (E, K J + 2)."""
+        _, K, J = self._decisions.shape
+        parts = [self._decisions.reshape(-1, K * J), self._bearing[:, None], self._side[:, None]]
+        return self._xp.concatenate(parts, 1)
+
+    def remember(self, memory: Any) -> None:  # noqa: ANN401
+        """Set the state that ``memory`` returned."""
+        _, K, J = self._decisions.shape
+        self._decisions = memory[:, :-2].reshape(-1, K, J)
+        self._bearing, self._side = memory[:, -2], memory[:, -1]
+
+    def begin(self, raw: Any, rows: Any = None) -> None:  # noqa: ANN401
         """Reset where ``rows`` (E,) is true, given the observation of the task (E, O)."""
-        xp, J = self._xp, self._low.shape[0]
-        share = xp.clip(2 * (raw[:, 3 : 3 + J] - self._low) / self._span - 1, -1.0, 1.0)
-        decisions = xp.stack([share] * self._decisions.shape[1], 1)
+        xp = self._xp
+        decisions = xp.stack([xp.clip(self._shares(raw), -1.0, 1.0)] * self._decisions.shape[1], 1)
         bearing = xp.arctan2(raw[:, -1], raw[:, -2])
         side = xp.where(bearing < 0, self._side * 0 - 1, self._side * 0 + 1)
         if rows is None:
@@ -145,27 +178,29 @@ class Observer:
         self._bearing = xp.where(rows, bearing, self._bearing)
         self._side = xp.where(rows, side, self._side)
 
+    def _shares(self, raw: Any) -> Any:  # noqa: ANN401
+        """Joint angles (E, J), -1 and 1 at the ends of each joint's range."""
+        return 2 * (raw[:, 3 : 3 + len(self._low)] - self._low) / self._span - 1
+
     def observe(self, raw: Any, rows: Any = None) -> Any:  # noqa: ANN401
         """The policy's columns (E, F) from the task's (E, O); to be called before each decision."""
-        xp, J, view = self._xp, self._low.shape[0], self.view
+        xp, J, view = self._xp, len(self._low), self.view
         ahead, leftward = raw[:, -2], raw[:, -1]
         bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
         self._bearing = bearing if rows is None else xp.where(rows, bearing, self._bearing)
         parts = [raw]
         if view.scaled:
             distance = xp.sqrt(ahead**2 + leftward**2)
-            angle = 2 * (raw[:, 3 : 3 + J] - self._low) / self._span - 1
             columns = [
                 raw[:, 0] / SURGE_M_S, raw[:, 1] / SWAY_M_S, raw[:, 2] / YAW_RAD_S,
-                *(angle[:, k] for k in range(J)),
-                *(raw[:, 3 + J + k] / RATE_RAD_S for k in range(J)),
+                *self._shares(raw).T, *(raw[:, 3 + J : 3 + 2 * J] / RATE_RAD_S).T,
                 xp.sin(bearing), xp.cos(bearing), xp.log((distance + NEAR_M) / HALF_M),
             ]  # fmt: skip
             parts = [xp.clip(xp.stack(columns, 1), -LARGEST, LARGEST)]
         if view.sides:
             parts.append(xp.stack([bearing / np.pi, self._side], 1))
         if view.memory:
-            parts.append(self._decisions[:, : view.memory].reshape(len(raw), -1))
+            parts.append(self._decisions[:, : view.memory].reshape(-1, view.memory * J))
         return xp.concatenate(parts, 1)
 
     def _with_hysteresis(self, bearing: Any) -> Any:  # noqa: ANN401
@@ -189,8 +224,7 @@ class Observer:
     def set_points(self, tick: Any) -> Any:  # noqa: ANN401
         """Joint angles in rad, shape (E, J).
 
-        Args:
-            tick: Control periods since the decision, from 0, one number or shape (E, 1).
+        ``tick`` are the control periods since the decision, from 0, one number or shape (E, 1).
         """
         current, before = self._decisions[:, 0], self._decisions[:, 1]
         if self.view.ramp:

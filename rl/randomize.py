@@ -15,7 +15,7 @@ from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.posterior.posteriors import JointSample
-from sim2real.ranges.entry import Range, Ranges
+from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
 
@@ -55,14 +55,8 @@ def draw_models(
 ) -> list[Model]:
     """Models for n episodes: the calibrated model with values drawn from each range.
 
-    Args:
-        model: The calibrated model.
-        ranges: The ranges.
-        robot: The robot.
-        n: Number of models.
-        rng: Random number generator.
-        sample: Posterior sample, whose rows replace independent draws of the parameters that it
-            shares with the ranges.
+    Rows of a posterior ``sample`` replace independent draws of the parameters that it shares with
+    the ranges.
 
     Raises:
         InputError: If the parameter of a range is neither of the model nor of the robot.
@@ -70,7 +64,12 @@ def draw_models(
     model = with_density(model, robot)
     links = [link.name for link in robot.links]
     entries = [entry for entry in ranges.entries if entry.period == "episode"]
-    columns = {entry.parameter: _draw(entry, n, rng) for entry in entries}
+    columns = {
+        entry.parameter: (rng.uniform if entry.distribution == "uniform" else rng.normal)(
+            entry.first, entry.second, n
+        )
+        for entry in entries
+    }
     if sample is not None:
         rows = sample.values[rng.integers(len(sample.values), size=n)]
         columns |= {p: rows[:, k] for k, p in enumerate(sample.names) if p in columns}
@@ -86,15 +85,8 @@ def with_density(model: Model, robot: Robot) -> Model:
     return replace(model, body={**model.body, "normalised_density": [float(x) for x in density]})
 
 
-def _draw(entry: Range, n: int, rng: np.random.Generator) -> Array:
-    if entry.distribution == "uniform":
-        return rng.uniform(entry.first, entry.second, n)
-    return rng.normal(entry.first, entry.second, n)
-
-
 def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Model:
     """The model with the values of one episode."""
-    latency = draw.get("command_latency_s")
     joints = dict(model.joints)
     scalars: dict[str, float] = {}
     density = dict(zip(links, model.body["normalised_density"], strict=True))
@@ -116,9 +108,9 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
             for joint in joints:
                 effects = _changed(joints[joint].effects, head, tail, value)
                 joints[joint] = replace(joints[joint], effects=effects)
-    if latency is not None:
+    if "command_latency_s" in draw:
         for joint in joints:
-            delay = latency + draw.get(f"{joint}.latency_offset_s", 0.0)
+            delay = draw["command_latency_s"] + draw.get(f"{joint}.latency_offset_s", 0.0)
             joints[joint] = replace(joints[joint], latency_s=max(0.0, delay))
     body = {**model.body, "normalised_density": list(density.values())}
     return with_values(replace(model, joints=joints, body=body), scalars)
@@ -158,8 +150,8 @@ def numbers_of(model: Model) -> dict[str, float]:
     """All numbers of a model that realities and ranges vary, by name."""
     out: dict[str, float] = {}
     for name, joint in model.joints.items():
-        for gain in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
-            out[f"{name}.{gain}"] = getattr(joint, gain)
+        gains = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+        out |= {f"{name}.{gain}": getattr(joint, gain) for gain in gains}
         out |= {f"{name}.motor.{key}": value for key, value in joint.motor.items()}
         for effect in joint.effects:
             out |= {f"{name}.{effect.effect}.{k}": v for k, v in effect.parameters.items()}

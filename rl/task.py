@@ -10,13 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from torch import Tensor
 
+from rl.observer import CONTROL_S as CONTROL_S
 from sim2real.arrays import Array
 
-CONTROL_S = 0.02
-"""Control period."""
 DOMAIN_M = (3.6, 3.6)
 """Length and width of the pool; its centre is the origin."""
 MARGIN_M = 0.4
@@ -25,52 +23,12 @@ BEHIND = 0.4
 """Share of the episodes of ``chain`` that start with the target behind the robot."""
 
 
-def observation(
-    velocity: Tensor, joint: Tensor, rate: Tensor, pose: Tensor, target: Tensor
-) -> Tensor:
-    """The paper's observation, shape (E, 5 + 2 J).
-
-    Args:
-        velocity: Surge, sway, yaw rate, shape (E, 3).
-        joint: Joint angles, shape (E, J).
-        rate: Joint rates, shape (E, J).
-        pose: x, y, heading of the head, shape (E, 3).
-        target: x, y of the target, shape (E, 2).
-    """
-    return torch.cat([velocity, joint, rate, in_body_frame(pose, target)], dim=1)
-
-
-def observation_names(joints: tuple[str, ...]) -> list[str]:
-    """Names of the observation's columns, in order, with units."""
-    angles = [f"{joint}.position_rad" for joint in joints]
-    rates = [f"{joint}.velocity_rad_s" for joint in joints]
-    body = ["surge_m_s", "sway_m_s", "yaw_rate_rad_s"]
-    return [*body, *angles, *rates, "target_ahead_m", "target_left_m"]
-
-
-def observation_bounds(J: int) -> list[float]:
-    """Bounds of the magnitude of each column of an observation, which is clipped to them."""
-    return [10.0, 10.0, 50.0, *[4.0] * J, *[100.0] * J, 20.0, 20.0]
-
-
-def in_body_frame(pose: Tensor, target: Tensor) -> Tensor:
-    """The target in the body frame: distance ahead and to the left, shape (E, 2)."""
-    dx, dy = (target - pose[:, :2]).unbind(1)
-    c, s = torch.cos(pose[:, 2]), torch.sin(pose[:, 2])
-    return torch.stack([c * dx + s * dy, c * dy - s * dx], dim=1)
-
-
 def reward(
     task: Task, before: Tensor, distance: Tensor, rate: Tensor, reached: Tensor, outside: Tensor
 ) -> Tensor:
     """10 (d[t-1] - d[t]) - 0.001 |J'|^2 + (10 on arrival, -10 on leaving the pool)."""
-    gain = progress(task, before, distance) + bonus(task, reached, outside)
+    gain = task.approach * (before - distance) + bonus(task, reached, outside)
     return gain - task.energy * effort(rate)
-
-
-def progress(task: Task, before: Tensor, distance: Tensor) -> Tensor:
-    """Term of the reward for the approach to the target, shape (E,)."""
-    return task.approach * (before - distance)
 
 
 def bonus(task: Task, reached: Tensor, outside: Tensor) -> Tensor:
@@ -120,8 +78,7 @@ def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
     """As ``point``, with the target 0.3 to 1 m away in a random direction, for quick training."""
     pose, joint, _ = point(rng, n, J)
     pose[:, :2] *= 0.4
-    away, around = rng.uniform(0.3, 1.0, n), rng.uniform(-np.pi, np.pi, n)
-    target = pose[:, :2] + away[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
+    target = pose[:, :2] + _ways(rng, rng.uniform(0.3, 1.0, n))
     return pose, joint, target[:, None]
 
 
@@ -136,12 +93,16 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
     away = 0.12 * (2.0 / 0.12) ** rng.uniform(size=n)
     todo = np.arange(n)
     while todo.size:
-        start = rng.uniform(-half, half, (todo.size, 2))
-        around = rng.uniform(-np.pi, np.pi, todo.size)
-        way = np.stack([np.cos(around), np.sin(around)], axis=1)
-        pose[todo, :2], target[todo, 0] = start, start + away[todo, None] * way
+        pose[todo, :2] = rng.uniform(-half, half, (todo.size, 2))
+        target[todo, 0] = pose[todo, :2] + _ways(rng, away[todo])
         todo = todo[(np.abs(target[todo, 0]) > half).any(axis=1)]
     return pose, joint, target
+
+
+def _ways(rng: np.random.Generator, away: Array) -> Array:
+    """Ways of these lengths in random directions, shape (n, 2)."""
+    around = rng.uniform(-np.pi, np.pi, len(away))
+    return np.asarray(away[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1))
 
 
 def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
@@ -168,9 +129,7 @@ def _onward(rng: np.random.Generator, last: Array) -> Array:
     out, todo = last.copy(), np.arange(len(last))
     while todo.size:
         away = 0.12 * (2.0 / 0.12) ** rng.uniform(size=todo.size)
-        around = rng.uniform(-np.pi, np.pi, todo.size)
-        way = np.stack([np.cos(around), np.sin(around)], axis=1)
-        out[todo, 0] = last[todo, 0] + away[:, None] * way
+        out[todo, 0] = last[todo, 0] + _ways(rng, away)
         todo = todo[(np.abs(out[todo, 0]) > half).any(axis=1)]
     return out
 

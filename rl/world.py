@@ -1,4 +1,4 @@
-"""Batch of robots with simulator and task, as tensors; all environments wrap this class.
+"""Batch of robots with simulator and task, as tensors; all environments wrap ``Decisions``.
 
 Observations, rewards and noise are computed on the device of the simulator; the state of the fluid
 is never copied to the host. Episodes restart when they end, with a new robot from ``Draws``.
@@ -7,15 +7,16 @@ is never copied to the host. Episodes restart when they end, with a new robot fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
+from rl.observer import Observer, View, observation_bounds, observed
 from rl.randomize import Noise
-from rl.task import Task, bonus, effort, observation, observation_bounds, progress
+from rl.task import Task, bonus, effort, reward
 from sim.robot.live import Simulator
 from sim2real.arrays import Array, Index
 from sim2real.model import Model
@@ -72,7 +73,6 @@ class World:
         task: The task.
         n_envs: Number of environments E.
         low, high: Smallest and largest action, shape (J,).
-        size: Width of an observation.
         pose, joint, rate: True state after the last step, shapes (E, 3), (E, J), (E, J).
         targets: Waypoints in m, shape (E, W, 2).
         waypoint: Number of the waypoint that each robot swims to, shape (E,).
@@ -87,14 +87,7 @@ class World:
         draws: Draws | Sequence[Draws] = Draws(),
         seed: int = 0,
     ) -> None:
-        """Place the robots at their starts.
-
-        Args:
-            simulator: The simulator with the robots.
-            task: The task.
-            draws: Distribution of episodes; several share the environments evenly, in blocks.
-            seed: Seed of starts, targets, models and noise.
-        """
+        """Place the robots at their starts; several ``draws`` share them evenly, in blocks."""
         self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
         blocks = [draws] if isinstance(draws, Draws) else list(draws)
         self._draws = [blocks[e * len(blocks) // self.n_envs] for e in range(self.n_envs)]
@@ -102,12 +95,11 @@ class World:
         self._command = from_dlpack(self._live.command)
         self.device = self._command.device
         E, J = self._command.shape
-        self.size = 5 + 2 * J
         limits = np.array([joint.limits_rad for joint in simulator.robot.joints])
         self.low, self.high = self._tensor(limits[:, 0]), self._tensor(limits[:, 1])
         self._half = self._tensor(np.array(task.domain_m) / 2)
         self._bound = self._tensor(np.array(observation_bounds(J)))
-        self._weights = self._tensor(slope_weights())[:, None]
+        self._weights = self._tensor(slope_weights())
         self._sd = self._tensor(np.stack([_deviations(d.noise, J) for d in self._draws]))
         self._past = torch.zeros(E, NEWEST, 3 + J, device=self.device)
         self.targets = torch.zeros(E, task.waypoints, 2, device=self.device)
@@ -130,12 +122,10 @@ class World:
         return self._last
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Send set-points and simulate one control period.
+        """Send set-points in rad (E, J), clipped to the limits, and simulate a control period.
 
-        Args:
-            action: Desired joint angles in rad, shape (E, J); clipped to the joints' limits.
-            begin: Whether to start an episode where one has ended; else robots continue to the
-                last target.
+        With ``begin`` an episode starts where one has ended; else robots continue to the last
+        target.
         """
         self._command.copy_(torch.clamp(action, self.low, self.high))
         self.simulator.advance()
@@ -148,8 +138,8 @@ class World:
         active = (~stopped).float()
         energy = active * effort(self.rate)
         ending = active * bonus(self.task, reached, left_pool)
-        value = active * progress(self.task, self._distance, distance) + ending
-        value = value - self.task.energy * energy
+        before = self._distance
+        value = active * reward(self.task, before, distance, self.rate, reached, left_pool)
         self.waypoint += reached
         done = self.waypoint >= self.task.waypoints
         terminated = (done | left_pool) & ~stopped
@@ -219,14 +209,8 @@ class World:
             self._past[rows] = shifted[rows]
 
     def _observed(self) -> Tensor:
-        """The observation: velocities are slopes through the last measurements."""
-        latest = self._past[:, -1]
-        slope = (self._past * self._weights).sum(dim=1)
-        c, s = torch.cos(latest[:, 2]), torch.sin(latest[:, 2])
-        surge, sway = c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0]
-        velocity = torch.stack([surge, sway, slope[:, 2]], dim=1)
-        columns = observation(velocity, latest[:, 3:], slope[:, 3:], latest[:, :3], self._target())
-        return torch.clamp(columns, -self._bound, self._bound)
+        seen: Tensor = observed(self._past, self._weights, self._target(), self._bound)
+        return seen
 
     def _target(self) -> Tensor:
         return self.targets[self._row, self.waypoint]
@@ -243,3 +227,60 @@ def _deviations(noise: Noise, J: int) -> Array:
     """Standard deviations of x, y, heading and joint angles, shape (3 + J,)."""
     per_joint = np.broadcast_to(np.asarray(noise.joint_rad), (J,))
     return np.concatenate([[noise.position_m, noise.position_m, noise.yaw_rad], per_joint])
+
+
+class Decisions:
+    """Robots that take a decision every few control periods, seen through an ``Observer``.
+
+    If an episode ends between two decisions, later rewards are ignored and the next episode starts
+    with the next decision, so that the decisions of all robots are synchronous.
+
+    Attributes:
+        world: The robots at their task, in steps of 20 ms.
+        observer: Their observations and past decisions.
+    """
+
+    def __init__(self, world: World, view: View) -> None:
+        self.world, self.view = world, view
+        self.observer = Observer(view, world.low, world.high, world.n_envs)
+
+    def reset(self) -> Tensor:
+        """Start an episode in all environments; the first observations, shape (E, F)."""
+        return self._begun(self.world.reset())
+
+    def begin(self, mask: Tensor) -> Tensor:
+        """Start an episode where ``mask`` (E,) is true; the observations of all environments."""
+        return self._begun(self.world.begin(mask), mask)
+
+    def _begun(self, raw: Tensor, mask: Tensor | None = None) -> Tensor:
+        self.observer.begin(raw, mask)
+        return self.observer.observe(raw)  # type: ignore[no-any-return]
+
+    def step(self, action: Tensor, *, begin: bool = True) -> Step:
+        """Apply a decision and simulate until the next.
+
+        Args:
+            action: Desired angles, -1 and 1 at the ends of each joint's range, shape (E, J).
+            begin: Whether to start an episode where one has ended.
+
+        Returns:
+            As ``World.step``, with reward, effort and bonus summed over the decision's periods.
+        """
+        self.observer.decide(action)
+        total = self.world.step(self.observer.set_points(0), begin=False)
+        for tick in range(1, self.view.period):
+            step = self.world.step(self.observer.set_points(tick), begin=False)
+            active = ~(total.terminated | total.truncated)
+            total = Step(
+                step.observation,
+                total.reward + active * step.reward,
+                total.effort + active * step.effort,
+                total.bonus + active * step.bonus,
+                total.terminated | active & step.terminated,
+                total.truncated | active & step.truncated,
+                torch.where(active, step.reached, total.reached),
+                torch.where(active[:, None], step.final, total.final),
+            )
+        final = self.observer.observe(total.final)
+        seen = self.begin(total.terminated | total.truncated) if begin else final
+        return replace(total, observation=seen, final=final)

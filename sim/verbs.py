@@ -14,7 +14,7 @@ from sim2real.errors import InputError, check_choice, check_effort, check_whole
 from sim2real.verbs import model_of, recordings_or_commands, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
-    from sim.calibration.calibration import Calibration
+    from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.design.plan import Design
     from sim2real.design.tell_apart import RivalDesign
@@ -68,21 +68,19 @@ def diagnose(
     start = None if model is None else model_of(model)
     swims = [recording for recording in read if recording.is_swim]
     if not swims:
-        from sim2real.diagnose import diagnose as diagnose_servos
-        from sim2real.diagnose.rival_sets import with_open_sets
+        from sim2real.diagnose.diagnose import diagnose as diagnose_servos
         from sim2real.progress import progress_bar
 
         if in_water is not None:
             found, expected = "recordings of a bench", "swims in a pool"
             raise InputError("diagnose", "in_water", found, expected)
-        if diagnosis is not None:
-            read = with_open_sets(read, diagnosis)
         with progress_bar("diagnose") as progress:
-            return diagnose_servos.diagnose(
+            return diagnose_servos(
                 read,
                 machine,
                 model=start,
                 references=earlier,
+                earlier=diagnosis,
                 negligible=negligible,
                 effort=effort,
                 seed=seed,
@@ -99,7 +97,7 @@ def diagnose(
         raise InputError("diagnose", "diagnosis", "swims in a pool", "recordings of a bench")
     from dataclasses import replace
 
-    from sim.inference.recorded_swims import diagnose_recorded_swims
+    from sim.inference.diagnose_swims import diagnose_recorded_swims
     from sim2real.plausible import admitted
 
     _, warnings = admitted([*swims, *earlier], machine)
@@ -142,7 +140,7 @@ def calibrate(
     """
     from dataclasses import replace
 
-    from sim.calibration.calibration import FluidSettings, calibrate_body
+    from sim.inference.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance
     from sim2real.plausible import admitted
@@ -291,8 +289,8 @@ def design(
     if contexts is not None or again:
         name = "again" if again else "contexts"
         raise InputError("design", name, f"--{name} without --diagnosis", "--diagnosis as well")
-    from sim2real.design.loads import stated_loads
     from sim2real.design.plan import design as plan
+    from sim2real.design.plan import stated_loads
 
     fitted = None if model is None else model_of(model)
     for note in () if fitted is None else fitted.notes:
@@ -322,7 +320,7 @@ def _telling_apart(
                     "progress": progress}  # fmt: skip
     swims = swim_rivals_of_file(diagnosis)
     if swims is not None:
-        from sim.design.design_swim import design_swim
+        from sim.inference.design_swim import design_swim
 
         if contexts is not None:
             found, expected = "--contexts with a diagnosis of swims", "no --contexts"

@@ -36,7 +36,6 @@ COMMANDS = {
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
     "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),
     "simulate": (_WATER, "simulate a swim in the lattice-Boltzmann fluid"),
-    "validate": (_WATER, "compare the fluid with published cases"),
     "train": (
         _LEARNING,
         "train policies with soft actor-critic in the fluid or its reduced-order twin",
@@ -47,7 +46,7 @@ COMMANDS = {
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),
-    "robot": (_SERVOS, "write a robot.toml from a URDF or MJCF, and list missing fields"),
+    "robot": (_SERVOS, "write a robot.toml from a URDF, and list missing fields"),
     "export-servo": (_SERVOS, "export identified actuators to another simulator"),
     "export-ranges": (_SERVOS, "export randomization ranges to another simulator"),
     "bench": (_HARDWARE, "scan, record and identify servos on a bench, and write a page"),

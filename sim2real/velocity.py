@@ -62,19 +62,3 @@ def slope_weights(samples: int = NEWEST, period_s: float = 0.02) -> Array:
     """
     place = np.arange(samples) - (samples - 1) / 2
     return np.asarray(place / (place @ place) / period_s)
-
-
-def newest_velocity(pose: Array, period_s: float = 0.02) -> Array:
-    """Surge, sway and yaw rate from the last poses, as in the training of policies.
-
-    Args:
-        pose: The last x, y in m and headings in rad, oldest first, shape (n, 3).
-        period_s: Time between them.
-
-    Returns:
-        Surge and sway in m/s, yaw rate in rad/s, shape (3,).
-    """
-    unwrapped = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
-    u, v, turn = slope_weights(len(pose), period_s) @ unwrapped
-    c, s = np.cos(pose[-1, 2]), np.sin(pose[-1, 2])
-    return np.array([c * u + s * v, c * v - s * u, turn])

@@ -116,7 +116,7 @@ def posterior(
         recordings: Bench recordings.
         robot: The robot that was recorded.
         model: Its fitted servos; the effects that they have are sampled too.
-        held_out: Name of the recording to check on and not to sample; the last one by default.
+        held_out: Name of the recording to check a fit to the others on; by default the last.
         steps: Steps of each chain.
         walkers: Walkers of each chain.
         seed: Seed of the chains.
@@ -143,7 +143,7 @@ def posterior(
     bench = at_one_gain(bench, fitted.firmware_p_gain)
     sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
     loaded = with_arm_loads(bench, description, fitted)
-    return Posteriors(*sample_joints(loaded, fitted, sampling), seed)
+    return Posteriors(*sample_joints(loaded, description, fitted, sampling), seed)
 
 
 def ranges(
@@ -163,7 +163,7 @@ def ranges(
         recordings: Bench and pool recordings (NAME.csv with NAME.json).
         robot: The robot that was recorded (robot.toml).
         model: Its fitted servos, and its body where that was calibrated (MODEL.json).
-        held_out: Name of the recording to check on and not to sample; the last one by default.
+        held_out: Name of the recording to check a fit to the others on; by default the last.
         steps: Steps of each chain.
         walkers: Walkers of each chain.
         chains: Path next to which the chains are kept, in files STEM.chain.JOINT.npz, so that an

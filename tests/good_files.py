@@ -95,14 +95,13 @@ def write_good_files(folder: Path) -> None:
 def _write_policies(folder: Path) -> None:
     from stable_baselines3 import SAC
 
-    from rl.controllers.discrete_cpg import TABLE
-    from rl.controllers.discrete_env import DiscreteCPGEnv
+    from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv
     from rl.controllers.discrete_train import make_dqn
     from rl.deploy.export import policy_of, write_policy
     from rl.make import make_world
     from rl.observer import PAPER, View
+    from rl.sac.plan import Settings
     from rl.sac.sac import make_sac
-    from rl.sac.settings import Settings
     from rl.task import TASKS
     from rl.vec_env import FishVecEnv
     from rl.world import Draws

@@ -38,7 +38,7 @@ ONLY_IN = {
     "stable_baselines3": ("rl/",),
     "gymnasium": ("rl/",),
     "ray": ("sim2real/executor/",),
-    "mujoco": ("sim2real/exporters/mujoco_bench.py", "sim2real/importers/mjcf.py"),
+    "mujoco": ("sim2real/exporters/mujoco_bench.py",),
     "pinocchio": ("sim2real/arm/multibody.py",),
     "pyarrow": ("sim2real/importers/lerobot.py",),
     "rerun": ("sim2real/viewers/",),

@@ -14,7 +14,7 @@ from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
 
 import sim2real as s2r
 from sim2real.errors import InputError
-from sim2real.exporters.actuators_json import actuators_json
+from sim2real.exporters.simulators import actuators_json
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
 from sim2real.plausible import lead_s, validate_recording

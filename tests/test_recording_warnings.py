@@ -10,8 +10,8 @@ import simulated
 import sim2real as s2r
 from sim2real.cli import main
 from sim2real.errors import InputError
-from sim2real.identification.fit import plain_row
 from sim2real.identification.identify import identify
+from sim2real.identification.problem import plain_row
 from sim2real.plausible import admitted
 from sim2real.recording import Load, Recording
 from sim2real.servo.rollout import rollout

@@ -7,18 +7,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
-from rl.deploy.forward import Policy, read_npz
 from rl.deploy.link import Link
-from rl.deploy.pilot import Pilot, Track
-from rl.deploy.swim import ANSWER_S, swim
+from rl.deploy.pilot import ANSWER_S, Pilot, Track, swim
+from rl.deploy.policy import Policy, read_npz
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.hardware.interruption import interruption
+from sim2real.hardware.process import interruption
 from sim2real.hardware.shared_key import shared_key
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
@@ -40,9 +38,17 @@ def run(options: argparse.Namespace) -> int:
     if not 0 < options.seconds <= LONGEST_S:
         raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
     if options.out is not None:
-        _check_out(options.out)
+        if options.out.suffix != ".csv":
+            raise InputError("--out", "", str(options.out), "a file name ending in .csv")
+        check_writable(options.out)
+        check_writable(options.out.with_suffix(".json"))
     key = shared_key(options.key_file)
-    policy = _policy(options.policy)
+    if options.policy.suffix == ".zip":  # which needs PyTorch
+        from rl.deploy.export import read_zip
+
+        policy = read_zip(options.policy)
+    else:
+        policy = read_npz(options.policy)
     pilot = Pilot(policy, target, options.seconds)
     with (
         interruption() as stop,
@@ -67,23 +73,13 @@ def _report(track: Track, written: str) -> int:
     """Print the outcome in one line; return the exit status."""
     outcome = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not started"
     if track.stopped:
-        print(
-            f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}", file=sys.stderr
-        )
+        line = f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}"
+        print(line, file=sys.stderr)
         return 1
     if track.reached_s is not None:
         outcome = f"target reached in {track.reached_s:.2f} s"
     print(f"{outcome}; {written}")
     return 0
-
-
-def _policy(path: Path) -> Policy:
-    """A policy from ``.npz``, or from the ``.zip`` of a training, which needs PyTorch."""
-    if path.suffix != ".zip":
-        return read_npz(path)
-    from rl.deploy.export import read_zip
-
-    return read_zip(path)
 
 
 @contextmanager
@@ -92,22 +88,22 @@ def _robot(
 ) -> Iterator[str]:
     """URL of the robot; a virtual one, or one on a bus, runs until the block ends."""
     if options.bus is not None:
+        _needs(options, "port", "ids", "robot", "pose", why="--bus")
         with _on_bus(options, policy, stop, key) as url:
             yield url
-        return
-    if not options.virtual:
-        if options.port is None:
-            raise InputError("--port", "", "nothing", "udp://HOST:PORT, --bus or --virtual")
-        yield options.port
-        return
-    from rl.deploy.virtual_robot import virtual_robot
-    from sim.twin.twin import Twin
-    from sim2real.model import read_model
+    elif options.virtual:
+        from rl.deploy.virtual_robot import virtual_robot
+        from sim.twin.twin import Twin
+        from sim2real.model import read_model
 
-    _needs(options, "robot", "model", why="--virtual")
-    robot = _described(options, policy)
-    with virtual_robot(Twin(robot, read_model(options.model), threads=1), key) as url:
-        yield url
+        _needs(options, "robot", "model", why="--virtual")
+        robot = _described(options, policy)
+        with virtual_robot(Twin(robot, read_model(options.model), threads=1), key) as url:
+            yield url
+    elif options.port is None:
+        raise InputError("--port", "", "nothing", "udp://HOST:PORT, --bus or --virtual")
+    else:
+        yield options.port
 
 
 @contextmanager
@@ -117,33 +113,28 @@ def _on_bus(
     """URL of a robot whose servos are on a bus of this computer."""
     from rl.deploy.bus_robot import bus_robot
     from sim2real.hardware.buses import bus_class, connection
-    from sim2real.hardware.priority import priority
+    from sim2real.hardware.mounting import Wiring
+    from sim2real.hardware.process import priority
     from sim2real.hardware.servo_bus import Stopped
-    from sim2real.hardware.session import Wiring, mounted
+    from sim2real.hardware.session import mounted
 
-    _needs(options, "port", "ids", "robot", "pose", why="--bus")
     robot = _described(options, policy)
     try:
         ids = [int(number) for number in options.ids.split(",")]
     except ValueError:
         raise InputError("--ids", "", repr(options.ids), "whole numbers, as 1,2,3") from None
     wiring = Wiring(ids, reverse=options.reverse)
-    wiring.check(robot, bus_class(options.bus).largest_id)
+    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
     rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
     try:
         with (
             priority(),
             connection(options.bus, options.port, options.baud) as link,
             bus_robot(
-                link,
-                mounted(link, robot, wiring),
-                rest,
-                options.pose,
-                hottest_C=options.max_temperature,
-                interrupted=stop,
-                key=key,
+                link, mounted(link, robot, wiring), rest, options.pose,
+                hottest_C=options.max_temperature, interrupted=stop, key=key,
             ) as (url, driven),
-        ):
+        ):  # fmt: skip
             yield url
             if driven.stopped:
                 print(f"sim2real swim: {driven.stopped}", file=sys.stderr)
@@ -204,10 +195,3 @@ def _target(text: str) -> Array:
     if place.shape != (2,) or not np.isfinite(place).all():
         raise InputError("--target", "", repr(text), "X,Y in m, as 1.2,-0.4")
     return place
-
-
-def _check_out(out: Path) -> None:
-    if out.suffix != ".csv":
-        raise InputError("--out", "", str(out), "a file name ending in .csv")
-    check_writable(out)
-    check_writable(out.with_suffix(".json"))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from rl.task import CONTROL_S
+from rl.observer import CONTROL_S
 from sim2real.arrays import Array, Mask
 
 SETTLE_PER_S = 12.0
@@ -34,40 +34,29 @@ class Gait:
     lag_rad: ArrayLike = 1.2
     offset_rad: ArrayLike = 0.0
 
-    def amplitudes(self, n_envs: int, n_joints: int) -> Array:
-        """The joints' amplitudes in rad, shape (E, J)."""
-        position = np.linspace(0.0, 1.0, n_joints) if n_joints > 1 else np.ones(1)
-        front = column(self.front, n_envs)
-        return column(self.amplitude_rad, n_envs) * (front + (1.0 - front) * position)
 
-
-@dataclass
 class Gliding:
-    """Values that approach their goals without overshoot: critically damped, second order.
+    """Values (E, J) that approach their goals without overshoot: critically damped, second order.
 
     Attributes:
-        value: Values, shape (E, J).
-        rate: Rates of change, 1/s, shape (E, J).
+        value, rate: Values and their rates of change, 1/s.
     """
 
-    value: Array
-    rate: Array = field(init=False)
+    def __init__(self, value: Array) -> None:
+        self.value, self.rate = value, np.zeros_like(value)
 
-    def __post_init__(self) -> None:
-        self.rate = np.zeros_like(self.value)
-
-    def step(self, goal: Array, rate_per_s: float, dt: float) -> Array:
-        """Advance by ``dt``, exact for a constant goal; returns the value."""
+    def step(self, goal: Array) -> Array:
+        """Advance by a control period, exact for a constant goal; returns the value."""
         error = self.value - goal
-        push = self.rate + rate_per_s * error
-        fade = np.exp(-rate_per_s * dt)
-        self.value = goal + (error + push * dt) * fade
-        self.rate = (self.rate - rate_per_s * push * dt) * fade
+        push = self.rate + SETTLE_PER_S * error
+        fade = np.exp(-SETTLE_PER_S * CONTROL_S)
+        self.value = goal + (error + push * CONTROL_S) * fade
+        self.rate = (self.rate - SETTLE_PER_S * push * CONTROL_S) * fade
         return self.value
 
 
 class CentralPatternGenerator:
-    """Oscillators of E robots with J joints each.
+    """Oscillators of E robots with J joints each, which start straight and at rest.
 
     The model of Ijspeert and Crespi (ICRA 2007, "Online trajectory generation in an amphibious
     snake robot using a lamprey-like central pattern generator model"): phases coupled to their
@@ -83,26 +72,25 @@ class CentralPatternGenerator:
         phase: Shape (E, J), in rad.
     """
 
-    def __init__(self, limits_rad: ArrayLike, n_envs: int, *, dt: float = CONTROL_S) -> None:
-        """Start with straight joints at rest; ``dt`` is the control period in s."""
+    def __init__(self, limits_rad: ArrayLike, n_envs: int) -> None:
         self.limits_rad = np.asarray(limits_rad, dtype=np.float64)
-        self.dt = dt
         shape = (n_envs, len(self.limits_rad))
         self.phase = np.zeros(shape)
         self._amplitude, self._offset = Gliding(np.zeros(shape)), Gliding(np.zeros(shape))
         self._fresh = np.ones(n_envs, dtype=bool)
         self._start = np.zeros(n_envs)
 
-    def reset(self, mask: Mask, phase: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> None:
-        """Reset the robots in ``mask`` (E,).
+    def reset(self, mask: Mask, observation: NDArray[np.floating], phase: ArrayLike = 0.0) -> None:
+        """Reset the robots in ``mask`` (E,) to their present angles.
 
         Args:
             mask: Robots to reset, shape (E,).
+            observation: The task's columns, shape (E, O).
             phase: Initial phase of the first joint in rad, a number or shape (E,).
-            angle: Present joint angles in rad, a number or shape (E, J).
         """
         self._fresh |= mask
         self._start = np.where(mask, phase, self._start)
+        angle = observation[:, 3 : 3 + len(self.limits_rad)]
         for part, value in ((self._amplitude, 0.0), (self._offset, angle)):
             part.value = np.where(mask[:, None], value, part.value)
             part.rate = np.where(mask[:, None], 0.0, part.rate)
@@ -112,30 +100,30 @@ class CentralPatternGenerator:
         return np.where(self._fresh, self._start, self.phase[:, 0])
 
     def step(self, gait: Gait) -> Array:
-        """Advance by a period towards ``gait``; joint angles in rad.
+        """Advance by a control period towards ``gait``.
 
         Returns:
-            Shape (E, J), clipped to the joint limits.
+            Joint angles in rad, shape (E, J), clipped to the joint limits.
         """
-        n_envs, n_joints = self.phase.shape
-        lag = column(gait.lag_rad, n_envs)
-        locked = self._start[:, None] - lag * np.arange(n_joints)
+        n_envs, J = self.phase.shape
+        lag = _column(gait.lag_rad, n_envs)
+        locked = self._start[:, None] - lag * np.arange(J)
         self.phase[self._fresh] = locked[self._fresh]
         self._fresh[:] = False
         lead = np.sin(self.phase[:, 1:] - self.phase[:, :-1] + lag)
         pull = np.zeros_like(self.phase)
         pull[:, :-1] += lead
         pull[:, 1:] -= lead
-        turn = 2 * np.pi * column(gait.frequency_hz, n_envs) + COUPLING_PER_S * pull
-        self.phase = np.mod(self.phase + self.dt * turn, 2 * np.pi)
-        goal = np.broadcast_to(column(gait.offset_rad, n_envs), self.phase.shape)
-        offset = self._offset.step(goal, SETTLE_PER_S, self.dt)
-        size = gait.amplitudes(n_envs, n_joints)
-        amplitude = self._amplitude.step(size, SETTLE_PER_S, self.dt)
-        low, high = self.limits_rad.T
-        return np.clip(offset + amplitude * np.sin(self.phase), low, high)
+        turn = 2 * np.pi * _column(gait.frequency_hz, n_envs) + COUPLING_PER_S * pull
+        self.phase = np.mod(self.phase + CONTROL_S * turn, 2 * np.pi)
+        goal = np.broadcast_to(_column(gait.offset_rad, n_envs), self.phase.shape)
+        position = np.linspace(0.0, 1.0, J) if J > 1 else np.ones(1)
+        front = _column(gait.front, n_envs)
+        size = _column(gait.amplitude_rad, n_envs) * (front + (1.0 - front) * position)
+        wave = self._amplitude.step(size) * np.sin(self.phase)
+        return np.clip(self._offset.step(goal) + wave, *self.limits_rad.T)
 
 
-def column(value: ArrayLike, n_envs: int) -> Array:
+def _column(value: ArrayLike, n_envs: int) -> Array:
     """A number or an array (E,) as a column (E, 1)."""
     return np.broadcast_to(np.asarray(value, dtype=np.float64), (n_envs,))[:, None]

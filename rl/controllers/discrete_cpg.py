@@ -7,23 +7,23 @@ duration of a choice and the network are different. ``discrete_train`` trains it
 
 from __future__ import annotations
 
-import io
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 from stable_baselines3 import DQN
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+from torch import Tensor
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
-from rl.sac.policy_zip import read_policy_zip, read_settings, write_policy_zip
+from rl.sac.policy_zip import SavedAsZip, read_policy_zip, read_settings
 from rl.sac.sac import Spaces
-from rl.task import CONTROL_S
 from sim2real.arrays import Array, Array32, Mask
 from sim2real.errors import InputError
 
@@ -51,34 +51,14 @@ class ActionTable:
     lag_rad: float
     hold: int
 
-    @classmethod
-    def of(
-        cls,
-        frequencies: Sequence[float],
-        amplitude: float,
-        offsets: Sequence[float],
-        *,
-        front: float,
-        lag_rad: float,
-        hold: int,
-    ) -> ActionTable:
-        """All combinations of frequency and offset, and as last gait straight joints at rest."""
-        rows = [(f, amplitude, b) for f, b in product(frequencies, offsets)]
-        frequency, height, offset = np.array([*rows, (frequencies[0], 0.0, 0.0)]).T
-        return cls(frequency, height, offset, front, lag_rad, hold)
-
     def __len__(self) -> int:
         return len(self.frequency_hz)
 
     def gait(self, choice: NDArray[np.integer]) -> Gait:
         """The gaits of choices (E,)."""
-        return Gait(
-            frequency_hz=self.frequency_hz[choice],
-            amplitude_rad=self.amplitude_rad[choice],
-            front=self.front,
-            lag_rad=self.lag_rad,
-            offset_rad=self.offset_rad[choice],
-        )
+        columns = (self.frequency_hz, self.amplitude_rad, self.offset_rad)
+        frequency, amplitude, offset = (column[choice] for column in columns)
+        return Gait(frequency, amplitude, self.front, self.lag_rad, offset)
 
     def content(self) -> dict[str, Any]:
         """The table as JSON values."""
@@ -103,32 +83,20 @@ class ActionTable:
         return cls(frequency, amplitude, offset, front, lag, int(hold))
 
 
-TABLE = ActionTable.of(
-    (0.8, 1.6, 2.4), 0.6, (-0.6, -0.3, 0.0, 0.3, 0.6), front=1.2, lag_rad=0.8, hold=10
-)
-"""Sixteen gaits, each used for 0.2 s: half a beat of the fastest."""
+_MOVING = [(f, 0.6, bend) for f in (0.8, 1.6, 2.4) for bend in (-0.6, -0.3, 0.0, 0.3, 0.6)]
+_frequency, _amplitude, _offset = np.array([*_MOVING, (0.8, 0.0, 0.0)]).T
+TABLE = ActionTable(_frequency, _amplitude, _offset, front=1.2, lag_rad=0.8, hold=10)
+"""Sixteen gaits, the last at rest, each used for 0.2 s: half a beat of the fastest."""
 
 
 class DiscreteCPG:
-    """A trained policy as a controller.
-
-    Attributes:
-        model: The policy, of Stable-Baselines3.
-        table: The gaits.
-    """
+    """A trained policy as a controller; ``table`` must be that of the training."""
 
     def __init__(
-        self,
-        model: DQN,
-        limits_rad: ArrayLike,
-        n_envs: int = 1,
-        table: ActionTable = TABLE,
-        *,
-        dt: float = CONTROL_S,
+        self, model: DQN, limits_rad: ArrayLike, n_envs: int = 1, table: ActionTable = TABLE
     ) -> None:
-        """``table`` must be that of the training."""
         self.model, self.table = model, table
-        self._generator = CentralPatternGenerator(limits_rad, n_envs, dt=dt)
+        self._generator = CentralPatternGenerator(limits_rad, n_envs)
         self._choice, self._left = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
         self._fresh = np.ones(n_envs, dtype=bool)
 
@@ -139,11 +107,10 @@ class DiscreteCPG:
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
-        joints = self._generator.phase.shape[1]
-        self._generator.reset(self._fresh, angle=observation[:, 3 : 3 + joints])
+        self._generator.reset(self._fresh, observation)
         due = self._left == 0
         if due.any():
-            inputs = with_phase(observation[due], self._generator, np.flatnonzero(due))
+            inputs = with_phase(observation[due], self._generator, due)
             self._choice[due] = self.model.predict(inputs, deterministic=True)[0]
             self._left[due] = self.table.hold
         self._left -= 1
@@ -154,16 +121,69 @@ class DiscreteCPG:
 def with_phase(
     observation: NDArray[np.floating],
     generator: CentralPatternGenerator,
-    rows: ArrayLike | None = None,
+    rows: Mask | slice | list[int] = slice(None),
 ) -> Array32:
     """The observations (E, N) with two columns for the phase of the generator's ``rows``."""
-    phase = generator.first_phase()
-    phase = phase if rows is None else phase[np.asarray(rows, dtype=np.intp)]
+    phase = generator.first_phase()[rows]
     columns = [observation, np.sin(phase)[:, None], np.cos(phase)[:, None]]
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
-class GaitDQN(DQN):
+class DiscreteCPGEnv(VecEnvWrapper):
+    """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
+
+    Rewards and their terms are summed over the periods. The observation includes sine and cosine of
+    the first joint's phase, which determine the effect of a choice. If an episode ends within a
+    choice, its reward until then counts; the reward of the next episode before its own first choice
+    is ignored. Actions -1 and 1 of ``venv`` are its joint limits ``low`` and ``high``.
+    """
+
+    def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
+        space: Any = venv.observation_space
+        low, high = np.append(space.low, [-1, -1]), np.append(space.high, [1, 1])
+        box = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        super().__init__(venv, box, spaces.Discrete(len(table)))
+        self.table = table
+        limits = np.stack([np.asarray(venv.get_attr(name)[0]) for name in ("low", "high")], axis=1)
+        self._generator = CentralPatternGenerator(limits, venv.num_envs)
+        self._choice = np.zeros(venv.num_envs, dtype=np.int64)
+
+    def reset(self) -> Array32:  # type: ignore[override]
+        """As ``VecEnv.reset``."""
+        observation: Any = self.venv.reset()
+        self._generator.reset(np.ones(self.num_envs, dtype=bool), observation)
+        return with_phase(observation, self._generator)
+
+    def step_async(self, actions: NDArray[np.integer]) -> None:  # type: ignore[override]
+        """Store the choices (E,)."""
+        self._choice = np.asarray(actions, dtype=np.int64)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Simulate the choices for ``table.hold`` periods."""
+        gait, (low, high) = self.table.gait(self._choice), self._generator.limits_rad.T
+        observation: Any = None
+        reward = np.zeros(self.num_envs, dtype=np.float32)
+        ended = np.zeros(self.num_envs, dtype=bool)
+        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for _ in range(self.table.hold):
+            angle = self._generator.step(gait)
+            self.venv.step_async((2 * (angle - low) / (high - low) - 1).astype(np.float32))
+            observation, rewards, done, infos = self.venv.step_wait()
+            reward += np.where(ended, 0.0, rewards).astype(np.float32)
+            for e in np.flatnonzero(~ended).tolist():
+                terms = {name: x for name, x in infos[e].items() if name.startswith("reward_")}
+                sums = {name: told[e].get(name, 0.0) + x for name, x in terms.items()}
+                told[e] |= (infos[e] if done[e] else {}) | sums
+            for e in np.flatnonzero(done & ~ended).tolist():
+                last = np.atleast_2d(told[e]["terminal_observation"])
+                told[e]["terminal_observation"] = with_phase(last, self._generator, [e])[0]
+            ended |= done
+            if done.any():
+                self._generator.reset(done, observation)
+        return with_phase(observation, self._generator), reward, ended, told
+
+
+class GaitDQN(SavedAsZip, DQN):
     """Deep Q-learning whose choices are rows of a table, saved without pickled objects.
 
     Attributes:
@@ -174,23 +194,9 @@ class GaitDQN(DQN):
     gaits: Mapping[str, Any]
     joints: list[str]
 
-    def save(
-        self,
-        path: str | os.PathLike[str] | io.BufferedIOBase,
-        exclude: Iterable[str] | None = None,
-        include: Iterable[str] | None = None,
-    ) -> None:
-        """Write ``policy.zip`` atomically.
-
-        Args:
-            path: Name of the file.
-            exclude: Unused.
-            include: Unused.
-        """
-        del exclude, include
-        settings = {"algorithm": "DQN", "gaits": self.gaits, "joints": self.joints}
-        file = cast("str | os.PathLike[str]", path)
-        write_policy_zip(file, settings, self.policy.state_dict(), {})
+    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """Settings and further tensors of ``policy.zip``."""
+        return {"algorithm": "DQN", "gaits": self.gaits, "joints": self.joints}, {}
 
 
 def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
@@ -235,8 +241,7 @@ def read_policy(
     if choices != len(table):
         raise InputError(Path(path), "gaits", f"{len(table)}", f"{choices}, as the network has")
     box = spaces.Box(-np.inf, np.inf, (columns,), dtype=np.float32)
-    options = {"net_arch": hidden}
-    env = Spaces(box, spaces.Discrete(choices))
-    model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=options, device="cpu")
+    env, network = Spaces(box, spaces.Discrete(choices)), {"net_arch": hidden}
+    model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=network, device="cpu")
     saved.load_into(model.policy)
     return DiscreteCPG(model, limits_rad, n_envs, table)

@@ -11,43 +11,31 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from urllib.parse import urlsplit
 
 import numpy as np
 
-from rl.deploy.link import (
-    LARGEST,
-    MOST,
-    SILENCE_S,
-    TRACKER_S,
-    Telemetry,
-    read_telemetry,
-    telemetry_bytes,
-)
-from rl.deploy.measurements import CONTROL_S
+from rl.deploy.link import LARGEST, MOST, SILENCE_S, TRACKER_S, Telemetry, opened, read_telemetry
 from rl.deploy.virtual_robot import Received, served
+from rl.observer import CONTROL_S
 from sim2real.arrays import Array
-from sim2real.errors import InputError
 from sim2real.hardware.buses import Connection
-from sim2real.hardware.motion import approach, check_temperature
 from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import ServoBus, Stopped
-from sim2real.hardware.session import let_go, note_changes
+from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
+from sim2real.hardware.session import approach, let_go, note_changes
 
 CYCLE_S = 0.4 * CONTROL_S
 """Longest round over the bus: set-points are awaited in the rest of a period."""
 
 
 class Poses:
-    """Poses of the first tracker that sends, until it falls silent."""
+    """Poses of the first tracker that sends, until it falls silent.
+
+    Args:
+        listener: The socket where they arrive, which does not block.
+        key: Key that the tracker shares; none by default.
+    """
 
     def __init__(self, listener: socket.socket, key: bytes | None = None) -> None:
-        """Poses that arrive at a socket.
-
-        Args:
-            listener: The socket, which does not block.
-            key: Key that the tracker shares; none by default.
-        """
         self._listener, self._key = listener, key
         self._tracker: tuple[object, str] | None = None
         self._t, self._heard = 0.0, 0.0
@@ -77,7 +65,7 @@ class Poses:
 
 
 class BusRobot(Received):
-    """Servos on a bus, and the pose that a tracker sends.
+    """Servos on a bus, and the pose that a tracker sends; see ``bus_robot`` for the arguments.
 
     Attributes:
         stopped: Why the servos are not driven any further; None while they are.
@@ -89,20 +77,9 @@ class BusRobot(Received):
         mountings: Sequence[Mounting],
         rest: Array,
         poses: Poses,
-        *,
         hottest_C: float,
-        key: bytes | None = None,
+        key: bytes | None,
     ) -> None:
-        """Start at rest.
-
-        Args:
-            bus: The bus, on which the servos hold their rest angles.
-            mountings: The J servos.
-            rest: Rest angles in rad, shape (J,).
-            poses: Poses of the tracker.
-            hottest_C: Temperature at which to stop.
-            key: Key that the computer shares; none by default.
-        """
         limits = np.array([mounting.joint.limits_rad for mounting in mountings])
         super().__init__(rest, limits, key)
         self.stopped: str | None = None
@@ -113,19 +90,15 @@ class BusRobot(Received):
         """Send the set-points of one control period and read the angles."""
         if self.stopped is not None:
             return
-        desired = self.next_set_points()
         try:
-            self._joint = self._round(desired)
-        except Stopped as stop:
-            self.stopped = str(stop)
-        except OSError as error:
-            self.stopped = f"the port was lost ({error.strerror or error})"
+            self._joint = self._round(self.next_set_points())
+        except (Stopped, OSError) as error:
+            self.stopped = reason(error)
 
-    def telemetry(self) -> bytes:
-        """The datagram with the state; the pose is missing if none has arrived since the last."""
+    def measured(self) -> tuple[float, Array, Array]:
+        """See ``Received``; the pose is missing if none has arrived since the last call."""
         joint = self._joint if self.stopped is None else np.full(len(self._joint), np.nan)
-        seen = Telemetry(time.monotonic(), self._poses.newest(), joint, self.session)
-        return telemetry_bytes(seen, self._key)
+        return time.monotonic(), self._poses.newest(), joint
 
     def _round(self, desired: Array) -> Array:
         pairs = list(zip(self._mountings, desired, strict=True))
@@ -133,8 +106,7 @@ class BusRobot(Received):
         cycle = self._bus.cycle(goals, time.monotonic() + CYCLE_S)
         angles = []
         for mounting, reading in zip(self._mountings, cycle.readings, strict=True):
-            if not math.isnan(reading.temperature_C):
-                check_temperature(mounting, reading.temperature_C, self._hottest_C)
+            mounting.check_temperature(reading.temperature_C, self._hottest_C)
             ticks = reading.position_ticks
             angles.append(math.nan if ticks is None else mounting.angle(ticks))
         return np.array(angles)
@@ -172,18 +144,16 @@ def bus_robot(
         Stopped: If a servo does not answer, is too hot or cannot be released.
         InputError: If the address for poses is invalid or in use.
     """
-    with _listening(poses) as listener:
+    expected = "udp://HOST:PORT of this computer, where poses arrive"
+    with opened(poses, "--pose", expected, bind=True) as listener:
         changed = note_changes(connection, mountings)
         try:
             approach(
-                connection.bus,
-                mountings,
-                [float(angle) for angle in rest],
-                hottest_C=hottest_C,
-                interrupted=interrupted,
-            )
+                connection.bus, mountings, [float(angle) for angle in rest],
+                hottest_C=hottest_C, interrupted=interrupted,
+            )  # fmt: skip
             seen = Poses(listener, key)
-            robot = BusRobot(connection.bus, mountings, rest, seen, hottest_C=hottest_C, key=key)
+            robot = BusRobot(connection.bus, mountings, rest, seen, hottest_C, key)
             with served(robot) as url:
                 yield url, robot
         finally:
@@ -191,18 +161,3 @@ def bus_robot(
         if held:
             names = ", ".join(mounting.joint.name for mounting in held)
             raise Stopped(f"the torque of {names} may still be on: switch off the supply")
-
-
-def _listening(url: str) -> socket.socket:
-    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        address = urlsplit(url)
-        if address.scheme != "udp":
-            raise ValueError("not udp")
-        listener.bind((address.hostname or "127.0.0.1", address.port or 0))
-    except (OSError, ValueError, UnicodeError, OverflowError) as error:
-        listener.close()
-        expected = "udp://HOST:PORT of this computer, where poses arrive"
-        raise InputError("--pose", "", f"{url!r} ({error})", expected) from None
-    listener.setblocking(False)
-    return listener

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from rl import observer
-from rl.deploy.forward import Policy
+from rl.deploy.policy import Policy
 from sim2real.arrays import Array32
 from sim2real.velocity import NEWEST
-
-_PER_LINE = 8
 
 _TEMPLATE = """\
 /* A swimming policy, written by 'sim2real export'. C99; also C++. No allocation.
@@ -38,20 +36,26 @@ typedef struct {{
 
 {arrays}
 
-/* Linear layer: y = W x + b. */
-static void policy_layer(const float *weight, const float *bias, int outputs, int inputs,
-                         const float *x, float *y) {{
-    for (int i = 0; i < outputs; i++) {{
-        float sum = bias[i];
-        for (int j = 0; j < inputs; j++) {{
-            sum += weight[i * inputs + j] * x[j];
-        }}
-        y[i] = sum;
-    }}
-}}
+static const int policy_widths[] = {{{widths}}};
+static const float *const policy_weights[] = {{{weights}}};
+static const float *const policy_biases[] = {{{biases}}};
 
+/* Linear layers y = W x + b with ReLU between them, and tanh of the last. */
 static void policy_network(const float inputs[{F}], float action[{J}]) {{
-{body}
+    float buffers[2][{widest}];
+    const float *x = inputs;
+    for (int k = 0; k < {layers}; k++) {{
+        const int is_output = k == {layers} - 1, width = policy_widths[k];
+        float *y = is_output ? action : buffers[k % 2];
+        for (int i = 0; i < policy_widths[k + 1]; i++) {{
+            float sum = policy_biases[k][i];
+            for (int j = 0; j < width; j++) {{
+                sum += policy_weights[k][i * width + j] * x[j];
+            }}
+            y[i] = is_output ? tanhf(sum) : sum > 0.0f ? sum : 0.0f;
+        }}
+        x = y;
+    }}
 }}
 
 static float policy_clip(float x, float limit) {{
@@ -63,13 +67,17 @@ static float policy_bearing(const float observation[{O}]) {{
                   policy_clip(observation[{O} - 2], policy_limit[{O} - 2]));
 }}
 
+/* An angle of joint j as a share of its range, -1 and 1 at the ends. */
+static float policy_share(const float observation[{O}], int j) {{
+    const float span = policy_high_rad[j] - policy_low_rad[j];
+    const float angle = policy_clip(observation[3 + j], policy_limit[3 + j]);
+    return 2.0f * (angle - policy_low_rad[j]) / span - 1.0f;
+}}
+
 static void policy_begin(policy_memory *memory, const float observation[{O}]) {{
     for (int j = 0; j < {J}; j++) {{
-        const float span = policy_high_rad[j] - policy_low_rad[j];
-        const float angle = policy_clip(observation[3 + j], policy_limit[3 + j]);
         for (int k = 0; k < {K}; k++) {{
-            memory->decisions[k][j] =
-                policy_clip(2.0f * (angle - policy_low_rad[j]) / span - 1.0f, 1.0f);
+            memory->decisions[k][j] = policy_clip(policy_share(observation, j), 1.0f);
         }}
     }}
     memory->bearing = policy_bearing(observation);
@@ -89,8 +97,38 @@ static void policy_inputs(policy_memory *memory, const float observation[{O}], f
         bearing = wrapped;
     }}
     memory->bearing = bearing;
-{columns}
-    (void)n;
+    if ({scaled}) {{
+        const float ahead = clipped[{O} - 2], left = clipped[{O} - 1];
+        const float distance = sqrtf(ahead * ahead + left * left);
+        inputs[n++] = clipped[0] / {surge};
+        inputs[n++] = clipped[1] / {sway};
+        inputs[n++] = clipped[2] / {yaw};
+        for (int j = 0; j < {J}; j++) {{
+            inputs[n++] = policy_share(observation, j);
+        }}
+        for (int j = 0; j < {J}; j++) {{
+            inputs[n++] = clipped[3 + {J} + j] / {rate};
+        }}
+        inputs[n++] = sinf(bearing);
+        inputs[n++] = cosf(bearing);
+        inputs[n++] = logf((distance + {near}) / {half});
+        for (int i = 0; i < n; i++) {{
+            inputs[i] = policy_clip(inputs[i], {largest});
+        }}
+    }} else {{
+        for (; n < {O}; n++) {{
+            inputs[n] = clipped[n];
+        }}
+    }}
+    if ({sides}) {{
+        inputs[n++] = bearing / {pi};
+        inputs[n++] = memory->side;
+    }}
+    for (int k = 0; k < {memory}; k++) {{
+        for (int j = 0; j < {J}; j++) {{
+            inputs[n++] = memory->decisions[k][j];
+        }}
+    }}
 }}
 
 static void policy_decide(policy_memory *memory, const float observation[{O}]) {{
@@ -119,7 +157,11 @@ static void policy(policy_memory *memory, int periods, const float observation[{
         policy_decide(memory, observation);
     }}
     for (int j = 0; j < {J}; j++) {{
-{set_point}
+        float current = memory->decisions[0][j];
+        if ({ramp}) {{
+            const float before = memory->decisions[1][j];
+            current = before + (current - before) * (float)(memory->since + 1) / POLICY_PERIOD;
+        }}
         action[j] = policy_low_rad[j]
             + (current + 1.0f) / 2.0f * (policy_high_rad[j] - policy_low_rad[j]);
     }}
@@ -128,101 +170,45 @@ static void policy(policy_memory *memory, int periods, const float observation[{
 #endif
 """
 
-_SCALED = """\
-    const float ahead = clipped[{O} - 2], left = clipped[{O} - 1];
-    const float distance = sqrtf(ahead * ahead + left * left);
-    inputs[n++] = clipped[0] / {surge};
-    inputs[n++] = clipped[1] / {sway};
-    inputs[n++] = clipped[2] / {yaw};
-    for (int j = 0; j < {J}; j++) {{
-        const float span = policy_high_rad[j] - policy_low_rad[j];
-        inputs[n++] = 2.0f * (clipped[3 + j] - policy_low_rad[j]) / span - 1.0f;
-    }}
-    for (int j = 0; j < {J}; j++) {{
-        inputs[n++] = clipped[3 + {J} + j] / {rate};
-    }}
-    inputs[n++] = sinf(bearing);
-    inputs[n++] = cosf(bearing);
-    inputs[n++] = logf((distance + {near}) / {half});
-    for (int i = 0; i < n; i++) {{
-        inputs[i] = policy_clip(inputs[i], {largest});
-    }}"""
-
-_PLAIN = """\
-    for (; n < {O}; n++) {{
-        inputs[n] = clipped[n];
-    }}"""
-
-_SIDES = """\
-    inputs[n++] = bearing / {pi};
-    inputs[n++] = memory->side;"""
-
-_MEMORY = """\
-    for (int k = 0; k < {memory}; k++) {{
-        for (int j = 0; j < {J}; j++) {{
-            inputs[n++] = memory->decisions[k][j];
-        }}
-    }}"""
-
-_LINE = """\
-        const float before = memory->decisions[1][j];
-        const float share = (float)(memory->since + 1) / (float)POLICY_PERIOD;
-        const float current = before + (memory->decisions[0][j] - before) * share;"""
-
-_AT_ONCE = """\
-        const float current = memory->decisions[0][j];"""
-
-_RELU = """\
-    for (int i = 0; i < {n}; i++) {{
-        {y}[i] = {y}[i] > 0.0f ? {y}[i] : 0.0f;
-    }}"""
-
-_SQUASH = """\
-    for (int i = 0; i < {J}; i++) {{
-        action[i] = tanhf(action[i]);
-    }}"""
-
 
 def c_header(policy: Policy) -> str:
     """The content of ``policy.h``: constants, and a function from observation to action."""
     arrays = {"policy_low_rad": policy.low, "policy_high_rad": policy.high}
     arrays["policy_limit"] = policy.observation_limit
-    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
-        arrays |= {f"policy_weight_{k}": weight, f"policy_bias_{k}": bias}
-    hidden = [len(bias) for bias in policy.biases[:-1]]
+    layers = range(len(policy.weights))
+    for k in layers:
+        arrays[f"policy_weight_{k}"] = policy.weights[k]
+        arrays[f"policy_bias_{k}"] = policy.biases[k]
     view, O, J = policy.view, len(policy.observation), len(policy.joints)  # noqa: E741
     F = view.size(J)
+    widths = [F, *(len(bias) for bias in policy.biases)]
+    widest = max(widths[1:-1], default=1)
     numbers = {
         "surge": observer.SURGE_M_S, "sway": observer.SWAY_M_S, "yaw": observer.YAW_RAD_S,
         "rate": observer.RATE_RAD_S, "near": observer.NEAR_M, "half": observer.HALF_M,
         "largest": observer.LARGEST, "kept": observer.KEPT_RAD, "stroke": observer.STROKE,
         "turn": 2 * np.pi, "pi": np.pi,
     }  # fmt: skip
-    literals = {name: _number(np.float32(value)) for name, value in numbers.items()}
-    parts = [_SCALED if view.scaled else _PLAIN]
-    parts += [_SIDES] * view.sides + [_MEMORY] * (view.memory > 0)
-    columns = "\n".join(parts).format(O=O, J=J, memory=view.memory, **literals)
     return _TEMPLATE.format(
         floats=sum(array.size for array in arrays.values()),
-        stack=4 * (sum(max(hidden[k::2], default=0) for k in (0, 1)) + F + O + 2 * J),
+        stack=4 * (2 * widest + F + O + 2 * J),
         comment=_comment(policy),
         arrays="\n\n".join(_constants(name, array) for name, array in arrays.items()),
-        body=_body(policy, hidden),
-        columns=columns,
-        set_point=(_LINE if view.ramp else _AT_ONCE),
-        period=view.period,
-        K=max(view.memory, 2),
-        O=O,
-        F=F,
-        J=J,
-        **literals,
-    )
+        widths=", ".join(map(str, widths)),
+        weights=", ".join(f"policy_weight_{k}" for k in layers),
+        biases=", ".join(f"policy_bias_{k}" for k in layers),
+        layers=len(layers), widest=widest, period=view.period, memory=view.memory,
+        scaled=int(view.scaled), sides=int(view.sides), ramp=int(view.ramp),
+        K=max(view.memory, 2), O=O, F=F, J=J,
+        **{name: _number(np.float32(value)) for name, value in numbers.items()},
+    )  # fmt: skip
 
 
 def _comment(policy: Policy) -> str:
-    """Order and units of observation and action."""
+    """Order and units of observation and action, and origin."""
     limits = zip(policy.observation, policy.observation_limit, strict=True)
     ranges = zip(policy.joints, policy.low, policy.high, strict=True)
+    origin = dict(policy.provenance.get("inputs", {}))
     lines = [
         "",
         "Names end with the unit; ahead and left are the position of the target in the body's",
@@ -236,44 +222,19 @@ def _comment(policy: Policy) -> str:
             for k, (joint, low, high) in enumerate(ranges)
         ),
         "",
-        *(f"from {_plain(name)}, SHA-256 {digest}" for name, digest in _inputs(policy)),
+        *(f"from {Path(name).name}, SHA-256 {digest}" for name, digest in origin.items()),
     ]
-    return "\n".join(f" * {_plain(line)}".rstrip() for line in lines).removesuffix("\n *")
-
-
-def _inputs(policy: Policy) -> list[tuple[str, str]]:
-    inputs = dict(policy.provenance.get("inputs", {}))
-    return [(Path(name).name, str(digest)) for name, digest in inputs.items()]
-
-
-def _plain(text: str) -> str:
-    """Text that cannot end a comment."""
-    return text.replace("*/", "* /").replace("\n", " ")
+    # no line can end the comment
+    plain = (line.replace("*/", "* /").replace("\n", " ") for line in lines)
+    return "\n".join(f" * {line}".rstrip() for line in plain).removesuffix("\n *")
 
 
 def _constants(name: str, array: Array32) -> str:
     """An array, row by row, with enough digits to restore the same 32 bits."""
     numbers = [_number(x) for x in array.ravel()]
-    rows = [numbers[k : k + _PER_LINE] for k in range(0, len(numbers), _PER_LINE)]
-    lines = ",\n".join("    " + ", ".join(row) for row in rows)
+    lines = ",\n".join("    " + ", ".join(numbers[k : k + 8]) for k in range(0, len(numbers), 8))
     return f"static const float {name}[{array.size}] = {{\n{lines}}};"
 
 
 def _number(x: np.float32) -> str:
     return np.format_float_scientific(x, trim="0") + "f"
-
-
-def _body(policy: Policy, hidden: list[int]) -> str:
-    """Calls of all layers, alternating between two buffers."""
-    buffers = {name: hidden[k::2] for k, name in enumerate(("even", "odd"))}
-    lines = [f"    float {name}[{max(sizes)}];" for name, sizes in buffers.items() if sizes]
-    x = "inputs"
-    for k, weight in enumerate(policy.weights):
-        is_output = k == len(hidden)
-        y = "action" if is_output else ("even", "odd")[k % 2]
-        outputs, inputs = weight.shape
-        call = f"policy_weight_{k}, policy_bias_{k}, {outputs}, {inputs}, {x}, {y}"
-        lines.append(f"    policy_layer({call});")
-        lines.append((_SQUASH if is_output else _RELU).format(n=outputs, y=y, J=outputs))
-        x = y
-    return "\n".join(lines)

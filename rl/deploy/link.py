@@ -149,6 +149,29 @@ def _numbers(values: object, count: int) -> Array | None:
     return None
 
 
+def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socket.socket:
+    """A UDP socket that does not block, connected to ``udp://HOST:PORT`` or bound to it.
+
+    Raises:
+        InputError: If the address is invalid or in use.
+    """
+    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end.setblocking(False)
+    try:
+        address = urlsplit(url)
+        if address.scheme != "udp":
+            raise ValueError("not udp")
+        if bind:
+            end.bind((address.hostname or "127.0.0.1", address.port or 0))
+        else:
+            end.connect((address.hostname, address.port or 0))
+            end.getpeername()
+    except (OSError, ValueError, UnicodeError, OverflowError, TypeError) as error:
+        end.close()
+        raise InputError(option, "", f"{url!r} ({error})", expected) from None
+    return end
+
+
 class Link:
     """The computer's end.
 
@@ -167,18 +190,7 @@ class Link:
     def __init__(self, url: str, J: int, key: bytes | None = None) -> None:
         self._J, self._key, self._number, self.strange = J, key, 0, 0
         self._own = self._session = secrets.token_hex(8)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        try:
-            address = urlsplit(url)
-            if address.scheme != "udp":
-                raise ValueError("not udp")
-            self._socket.connect((address.hostname, address.port or 0))
-            self._socket.getpeername()
-        except (OSError, ValueError, UnicodeError, TypeError) as error:
-            self._socket.close()
-            problem = f"{url!r} ({error})"
-            raise InputError("--port", "", problem, "a robot at udp://HOST:PORT") from None
+        self._socket = opened(url, "--port", "a robot at udp://HOST:PORT")
 
     def begin(self) -> None:
         """Ask the robot for its state; it does not move yet. After set-points, a new session."""

@@ -1,21 +1,81 @@
-"""Control of one robot to a target: set-points from telemetry, and a record of the swim."""
+"""Control of one robot to a target over the network, without PyTorch.
+
+Observations from measurements of camera and servos, set-points in answer, a record of the swim.
+"""
 
 from __future__ import annotations
 
+import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from rl.deploy.controller import PolicyController
-from rl.deploy.forward import Policy
-from rl.deploy.link import SILENCE_S, Telemetry
-from rl.deploy.measurements import CONTROL_S, Measurements
-from sim2real.arrays import Array
+from rl.deploy.link import SILENCE_S, Link, Telemetry
+from rl.deploy.policy import Policy, PolicyController
+from rl.observer import CONTROL_S, observed
+from sim2real.arrays import Array, Array32
+from sim2real.velocity import NEWEST, slope_weights
 
 REST_S = 0.5
 """Rest before a swim: a recording starts at rest, and velocities need past measurements."""
+ANSWER_S = 3.0
+"""Time within which the robot must answer first."""
 _SOON = 0.75
 """Share of the control period before which telemetry is not answered again."""
+_ASK_S = 0.1
+_GOODBYES = 5
+"""Number of rest messages at the end, as datagrams may be lost."""
+_KEPT = 64
+"""Number of measurements stored."""
+
+
+class Measurements:
+    """The last measurements of one robot; ``limit`` are the bounds of the observation, (O,)."""
+
+    def __init__(self, limit: Array32) -> None:
+        self._limit = limit
+        self._t: deque[float] = deque(maxlen=_KEPT)
+        self._rows: deque[Array] = deque(maxlen=_KEPT)
+
+    def take(self, telemetry: Telemetry) -> bool:
+        """Store a measurement; False if it is older than the newest, and ignored."""
+        if self._t and telemetry.t_s <= self._t[-1]:
+            return False
+        self._t.append(telemetry.t_s)
+        self._rows.append(np.concatenate([telemetry.pose, telemetry.joint]))
+        return True
+
+    @property
+    def blind_s(self) -> float:
+        """Time since the pose and all angles were last measured; infinite if never."""
+        measured = np.isfinite(np.array(self._rows))
+        t = np.array(self._t)
+        if not len(t) or not measured.any(axis=0).all():
+            return float("inf")
+        return float(t[-1] - min(t[column].max() for column in measured.T))
+
+    def observation(self, target: Array) -> Array32:
+        """The task's columns, shape (O,), with the target's x and y in the pool's frame in m.
+
+        Measurements are resampled to a uniform grid; gaps are interpolated linearly, or filled with
+        the last value.
+
+        Raises:
+            ValueError: If a column of pose or angles was never measured.
+        """
+        t, rows = np.array(self._t), np.array(self._rows)
+        grid = t[-1] + CONTROL_S * np.arange(1 - NEWEST, 1)
+        past = np.empty((1, NEWEST, rows.shape[1]))
+        for k, column in enumerate(rows.T):
+            measured = np.isfinite(column)
+            if not measured.any():
+                raise ValueError(f"column {k} of pose and angles was never measured")
+            values = np.unwrap(column[measured]) if k == 2 else column[measured]
+            past[0, :, k] = np.interp(grid, t[measured], values)
+        columns = observed(past, slope_weights(NEWEST, CONTROL_S), target[None], self._limit)
+        return np.asarray(columns[0], dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -114,15 +174,75 @@ class Pilot:
 
     def track(self) -> Track:
         """Record of the swim so far."""
-        J = len(self.rest)
+        J, news = len(self.rest), [telemetry for _, _, telemetry in self._rows]
         arrived = np.array([t for t, _, _ in self._rows])
         return Track(
             t=arrived - arrived[:1].sum(),
-            device_t=np.array([telemetry.t_s for _, _, telemetry in self._rows]),
+            device_t=np.array([telemetry.t_s for telemetry in news]),
             command=np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
-            joint=np.array([telemetry.joint for _, _, telemetry in self._rows]).reshape(-1, J),
-            pose=np.array([telemetry.pose for _, _, telemetry in self._rows]).reshape(-1, 3),
+            joint=np.array([telemetry.joint for telemetry in news]).reshape(-1, J),
+            pose=np.array([telemetry.pose for telemetry in news]).reshape(-1, 3),
             reached_s=self._reached_s,
             closest_m=self._closest_m,
             stopped=self.stopped,
         )
+
+
+def swim(
+    link: Link,
+    pilot: Pilot,
+    *,
+    interrupted: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], object] = lambda _: None,
+) -> Track | None:
+    """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
+
+    The timing is that of the robot's telemetry, which is answered immediately.
+
+    Args:
+        link: Link to the robot.
+        pilot: Computes the answers.
+        interrupted: Whether the user has asked to stop.
+        progress: Called with the seconds since its last call.
+
+    Returns:
+        The swim, or None if the robot never answered.
+
+    Raises:
+        KeyboardInterrupt: If the user asks to stop before the robot has answered.
+    """
+    news = _contact(link, interrupted)
+    if not news:
+        return None
+    answered = time.monotonic()
+    try:
+        while not pilot.over:
+            before, time_s = pilot.elapsed_s, time.monotonic()
+            command = pilot.answer(news, time_s)
+            if command is not None:
+                answered = time_s
+                link.send(command)
+                progress(max(pilot.elapsed_s, 0.0) - max(before, 0.0))
+            elif time_s - answered > SILENCE_S:
+                pilot.stopped = f"no answer from the robot for {SILENCE_S:g} s"
+            if interrupted():
+                pilot.stopped = "interrupted"
+            if not pilot.over:
+                news = link.receive(SILENCE_S / 10)
+    finally:
+        for _ in range(_GOODBYES):
+            link.send(pilot.rest)
+            time.sleep(CONTROL_S)
+    return pilot.track()
+
+
+def _contact(link: Link, interrupted: Callable[[], bool]) -> list[Telemetry]:
+    """First telemetry of the robot; empty if it does not answer."""
+    deadline = time.monotonic() + ANSWER_S
+    while time.monotonic() < deadline:
+        if interrupted():
+            raise KeyboardInterrupt
+        link.begin()
+        if news := link.receive(_ASK_S):
+            return news
+    return []

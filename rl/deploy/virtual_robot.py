@@ -1,4 +1,4 @@
-"""A virtual robot: the twin with the protocol of ``rl.deploy.link``."""
+"""A robot's end of the protocol of ``rl.deploy.link``; a virtual robot: the twin with it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 import numpy as np
 
@@ -24,13 +23,13 @@ from rl.deploy.link import (
     read_set_points,
     telemetry_bytes,
 )
-from sim.robot.swimmer import CONTROL_S
+from rl.observer import CONTROL_S
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 
 
 class Received:
-    """Set-points that a robot has received from one sender; in silence it moves to rest.
+    """A robot that receives set-points from one sender; in silence it moves to rest.
 
     Attributes:
         begun: Whether a swim has started.
@@ -50,6 +49,18 @@ class Received:
         self.sender: tuple[str, int] | None = None
         self._rest, self._limits, self._key = rest, limits, key
         self._desired, self._number, self._silent = rest, 0, 0
+
+    def advance(self) -> None:
+        """Move for one control period."""
+        raise NotImplementedError
+
+    def measured(self) -> tuple[float, Array, Array]:
+        """The robot's clock in s, pose (3,) and joint angles (J,)."""
+        raise NotImplementedError
+
+    def telemetry(self) -> bytes:
+        """The datagram with the state."""
+        return telemetry_bytes(Telemetry(*self.measured(), self.session), self._key)
 
     @property
     def held(self) -> bool:
@@ -88,40 +99,10 @@ class Received:
         return self._desired
 
 
-class Robot(Protocol):
-    """A robot's end of the protocol, see ``Received``."""
-
-    begun: bool
-    sender: tuple[str, int] | None
-
-    @property
-    def held(self) -> bool:
-        """Whether a computer has the robot."""
-
-    def receive(self, datagram: bytes, sender: tuple[str, int] | None = None) -> bool:
-        """Process set-points; False if they are invalid, old or a stranger's."""
-
-    def advance(self) -> None:
-        """Move for one control period."""
-
-    def telemetry(self) -> bytes:
-        """The datagram with the state."""
-
-
 class VirtualRobot(Received):
-    """A simulated robot that receives and sends datagrams.
-
-    Attributes:
-        twin: Its simulator.
-    """
+    """A twin of one robot that receives and sends datagrams; it starts straight and at rest."""
 
     def __init__(self, twin: Twin, key: bytes | None = None) -> None:
-        """Start with straight joints at rest.
-
-        Args:
-            twin: A twin of one robot.
-            key: Key that the computer shares; none by default.
-        """
         limits = np.array([joint.limits_rad for joint in twin.robot.joints])
         super().__init__(np.clip(0.0, *limits.T), limits, key)
         self.twin = twin
@@ -130,15 +111,14 @@ class VirtualRobot(Received):
         """Simulate one control period."""
         self.twin.step(self.next_set_points())
 
-    def telemetry(self) -> bytes:
-        """The datagram with the state."""
+    def measured(self) -> tuple[float, Array, Array]:
+        """See ``Received``."""
         state = self.twin.state()
-        seen = (float(state.time[0]), state.pose[0], state.measured[0])
-        return telemetry_bytes(Telemetry(*seen, self.session), self._key)
+        return float(state.time[0]), state.pose[0], state.measured[0]
 
 
-def serve(radio: socket.socket, robot: Robot, stop: Callable[[], bool]) -> None:
-    """Simulate in real time from the first datagram until ``stop``.
+def serve(radio: socket.socket, robot: Received, stop: Callable[[], bool]) -> None:
+    """Run a robot in real time from the first datagram until ``stop``.
 
     Telemetry is sent to the robot's computer at the start of each period. Set-points apply to the
     period whose start is nearest to their arrival, so that an answer acts without delay, as in
@@ -156,7 +136,7 @@ def serve(radio: socket.socket, robot: Robot, stop: Callable[[], bool]) -> None:
         _listen(radio, robot, begin)
 
 
-def _listen(radio: socket.socket, robot: Robot, until: float) -> None:
+def _listen(radio: socket.socket, robot: Received, until: float) -> None:
     """Process datagrams until a time, at most ``MOST``, so that a flood cannot stop the robot."""
     for _ in range(MOST):
         if not select.select([radio], [], [], max(until - time.monotonic(), 0.0))[0]:
@@ -176,7 +156,7 @@ def virtual_robot(twin: Twin, key: bytes | None = None) -> Iterator[str]:
 
 
 @contextmanager
-def served(robot: Robot) -> Iterator[str]:
+def served(robot: Received) -> Iterator[str]:
     """Context manager that serves a robot on loopback; returns its ``udp://HOST:PORT``."""
     stop = threading.Event()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from rl.sac.batched import Activations, Layers, adam, mirrored
-from rl.sac.settings import Settings
+from rl.sac.plan import Settings
 
 if TYPE_CHECKING:
     from rl.sac.sac import SwimSAC
@@ -50,22 +50,16 @@ class Agents:
     """
 
     def __init__(self, models: Sequence[SwimSAC], settings: Settings, device: torch.device) -> None:
-        """Copy the parameters of models of the same shape.
-
-        Args:
-            models: The agents.
-            settings: Hyper-parameters.
-            device: Device of the training.
-        """
+        """Copy the parameters of models of the same shape to ``device``."""
         self.models, self.settings, self.device = list(models), settings, device
         A, first = len(self.models), self.models[0]
         self.O, self.J = first.view.size(len(first.joints)), len(first.joints)
         hidden = settings.hidden
         extra = int(settings.prices > 1)  # the price, in the first column
-        self.actor = Layers.of(A, (extra + self.O, *hidden, 2 * self.J), device)
+        self.actor = Layers(A, (extra + self.O, *hidden, 2 * self.J), device)
         sizes, norm = (extra + self.O + self.J, *hidden, 1), settings.norm
-        self.critic = Layers.of(2 * A, sizes, device, norm=norm)
-        self.target = Layers.of(2 * A, sizes, device, norm=norm)
+        self.critic = Layers(2 * A, sizes, device, norm=norm)
+        self.target = Layers(2 * A, sizes, device, norm=norm)
         self.log_alpha = torch.zeros(A, device=device)
         self._alpha_gradient = torch.zeros(A, device=device)
         self._alpha_moments = torch.zeros(2, A, device=device)
@@ -114,20 +108,16 @@ class Agents:
     def act(self, observation: Tensor, noise: Tensor | None = None) -> Tensor:
         """Actions between -1 and 1, shape (A, n, J), for observations (A, n, O).
 
-        Args:
-            observation: Observations of the agents.
-            noise: Standard normal numbers, shape (A, n, J); None for the mean action. With noise
-                the observed prices range from lowest to highest, without it all are the default.
+        ``noise`` are standard normal numbers (A, n, J), None for the mean action. With noise the
+        observed prices range from lowest to highest, without it all are the default.
         """
         if self.settings.prices > 1:
             A, n, _ = observation.shape
             price = torch.linspace(-1, 1, n, device=self.device) * (noise is not None)
             observation = torch.cat([price.expand(A, n)[..., None], observation], dim=2)
-        out = self.actor.forward(observation).output
-        mean, log_std = out[..., : self.J], out[..., self.J :]
         if noise is None:
-            return torch.tanh(mean)
-        return torch.tanh(mean + log_std.clamp(*_LOG_STD).exp() * noise)
+            noise = torch.zeros(*observation.shape[:2], self.J, device=self.device)
+        return self._policy(observation, noise)[1]
 
     def remember(
         self,
@@ -153,12 +143,9 @@ class Agents:
         self._filled.fill_(filled)
 
     def set_schedule(self, share: float, grown: Sequence[float]) -> None:
-        """Set the learning rate and the target entropy.
+        """Set the learning rate by the completed ``share`` of the training, and the target entropy.
 
-        Args:
-            share: Completed share of the training, which sets the learning rate.
-            grown: Progress of each agent, from 0 to 1, see ``Plan.grown``; the target entropy
-                follows the smaller of it and ``share``.
+        That follows the smaller of ``share`` and the progress of each agent, ``Plan.grown``.
         """
         s = self.settings
         self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
@@ -199,10 +186,8 @@ class Agents:
         if self.settings.prices > 1:
             share = 2 * torch.rand(*shape, 1, device=self.device) - 1
             price = price * self.settings.prices ** share[..., 0]
-            observation, following = (
-                torch.cat([share, observation], 2),
-                torch.cat([share, following], 2),
-            )
+            observation = torch.cat([share, observation], 2)
+            following = torch.cat([share, following], 2)
         reward = rows[..., a] - price * rows[..., a + 1]
         return Batch(observation, rows[..., n:a], reward, following, rows[..., -1])
 
@@ -210,9 +195,7 @@ class Agents:
     def update(self, batch: Batch, noise: tuple[Tensor, Tensor] | None = None) -> None:
         """One update of all agents: entropy coefficient, critics, actor, target networks.
 
-        Args:
-            batch: Transitions.
-            noise: Standard normal numbers of the actions and of the following ones, (A, B, J).
+        ``noise`` are standard normal numbers of the actions and of the following ones, (A, B, J).
         """
         s, A, B = self.settings, len(self.models), batch.reward.shape[1]
         if noise is None:
@@ -227,24 +210,28 @@ class Agents:
         alpha = self.log_alpha.exp()[:, None]
         torch.neg(self._entropy + log_p.mean(dim=1), out=self._alpha_gradient)
 
-        next_q = self.target.forward(self._twice(batch.following, next_action)).output.view(A, 2, B)
+        _, next_q = self._values(self.target, batch.following, next_action)
         value = next_q.amin(dim=1) - alpha * log_ps[:, B:]
         goal = torch.addcmul(batch.reward, 1 - batch.done, value, value=s.gamma)
-        q = self.critic.forward(self._twice(batch.observation, batch.action))
-        error = q.output.view(A, 2, B) - goal[:, None]
-        self.critic.backward(q, error.view(2 * A, B, 1) / B)
+        passed, q = self._values(self.critic, batch.observation, batch.action)
+        self.critic.backward(passed, (q - goal[:, None]).view(2 * A, B, 1) / B)
         self.critic.descend(self._rate)
 
-        q = self.critic.forward(self._twice(batch.observation, action))
-        index = q.output.view(A, 2, B).argmin(dim=1, keepdim=True)
+        passed, q = self._values(self.critic, batch.observation, action)
+        index = q.argmin(dim=1, keepdim=True)
         pick = torch.zeros(A, 2, B, device=self.device).scatter_(1, index, -1.0 / B)
-        d = self.critic.backward(q, pick.view(2 * A, B, 1), inputs_only=True)
+        d = self.critic.backward(passed, pick.view(2 * A, B, 1), inputs_only=True)
         by_action = d.view(A, 2, B, -1)[..., -self.J :].sum(dim=1)
-        spread = normal[:, :B] * std[:, :B]
-        self._descend_policy(activations, action, spread, alpha[..., None] / B, by_action)
-        adam(
-            self.log_alpha, self._alpha_gradient, self._alpha_moments, self._alpha_count, self._rate
-        )
+        # gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)
+        weight, slope = alpha[..., None] / B, 1 - action**2
+        by_mean = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
+        raw = activations.output[..., self.J :]
+        unclamped = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
+        by_log_std = (by_mean * (normal * std)[:, :B] - weight) * unclamped
+        self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
+        self.actor.descend(self._rate)
+        moments, count = self._alpha_moments, self._alpha_count
+        adam(self.log_alpha, self._alpha_gradient, moments, count, self._rate)
         self.target.flat.lerp_(self.critic.flat, s.tau)
         # weight of update t proportional to t^(1 / average - 1), normalised by the sum so far
         self.average.lerp_(self.actor.flat, 1 / (1 + s.average * (self.actor.count - 1)))
@@ -252,26 +239,20 @@ class Agents:
     @torch.no_grad()
     def losses(self) -> Tensor:
         """Losses of actor and critic on a new batch, and entropy coefficient, shape (3, A)."""
-        A, B = len(self.models), self.settings.batch
-        batch = self._sample()
-        _, action, log_p, _ = self._policy(
-            batch.observation, torch.randn(A, B, self.J, device=self.device)
-        )
-        _, next_action, next_log_p, _ = self._policy(
-            batch.following, torch.randn(A, B, self.J, device=self.device)
-        )
+        shape, batch = (len(self.models), self.settings.batch, self.J), self._sample()
         alpha = self.log_alpha.exp()[:, None]
 
-        def q_values(layers: Layers, observation: Tensor, action: Tensor) -> Tensor:
-            return layers.forward(self._twice(observation, action)).output.view(A, 2, B)
+        def drawn(observation: Tensor, critic: Layers) -> tuple[Tensor, Tensor]:
+            noise = torch.randn(shape, device=self.device)
+            _, action, log_p, _ = self._policy(observation, noise)
+            return self._values(critic, observation, action)[1].amin(dim=1), alpha * log_p
 
-        value = q_values(self.target, batch.following, next_action).amin(dim=1) - alpha * next_log_p
-        goal = batch.reward + (1 - batch.done) * self.settings.gamma * value
-        error = q_values(self.critic, batch.observation, batch.action) - goal[:, None]
-        actor = (alpha * log_p - q_values(self.critic, batch.observation, action).amin(dim=1)).mean(
-            1
-        )
-        return torch.stack([actor, 0.5 * (error**2).mean(dim=2).sum(dim=1), alpha[:, 0]])
+        q, entropy = drawn(batch.observation, self.critic)
+        next_q, next_entropy = drawn(batch.following, self.target)
+        goal = batch.reward + (1 - batch.done) * self.settings.gamma * (next_q - next_entropy)
+        error = self._values(self.critic, batch.observation, batch.action)[1] - goal[:, None]
+        critic = 0.5 * (error**2).mean(dim=2).sum(dim=1)
+        return torch.stack([(entropy - q).mean(1), critic, alpha[:, 0]])
 
     def _policy(
         self, observation: Tensor, noise: Tensor
@@ -285,27 +266,14 @@ class Agents:
         density = -0.5 * noise**2 - log_std - torch.log(1 - action**2 + _SMALL)
         return activations, action, density.sum(dim=2) - 0.5 * self.J * math.log(2 * math.pi), std
 
-    def _descend_policy(
-        self,
-        activations: Activations,
-        action: Tensor,
-        spread: Tensor,
-        weight: Tensor,
-        by_action: Tensor,
-    ) -> None:
-        """Gradient of mean(alpha log p - min q) through a = tanh(mean + std noise)."""
-        slope = 1 - action**2
-        by_mean = weight * 2 * action * slope / (slope + _SMALL) + by_action * slope
-        raw = activations.output[..., self.J :]
-        unclamped = (raw > _LOG_STD[0]) & (raw < _LOG_STD[1])
-        by_log_std = (by_mean * spread - weight) * unclamped
-        self.actor.backward(activations, torch.cat([by_mean, by_log_std], dim=2))
-        self.actor.descend(self._rate)
-
-    def _twice(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Input of both critics of each agent, shape (2 A, B, O + J)."""
+    def _values(
+        self, critics: Layers, observation: Tensor, action: Tensor
+    ) -> tuple[Activations, Tensor]:
+        """Layers and values (A, 2, B) of both critics of each agent."""
         x = torch.cat([observation, action], dim=2)
-        return x[:, None].expand(-1, 2, -1, -1).reshape(2 * x.shape[0], *x.shape[1:])
+        twice = x[:, None].expand(-1, 2, -1, -1).reshape(2 * x.shape[0], *x.shape[1:])
+        passed = critics.forward(twice)
+        return passed, passed.output.view(len(self.models), 2, -1)
 
     def _capture(self) -> None:
         """Capture an update as a CUDA graph; changes by the warm-up are undone."""
@@ -327,8 +295,8 @@ class Agents:
         """All tensors that an update changes, by name; not copies."""
         out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
         out |= {"alpha_count": self._alpha_count, "average": self.average}
-        for name in ("actor", "critic", "target"):
-            layers: Layers = getattr(self, name)
-            out[f"{name}"] = layers.flat
-            out[f"{name}_moments"], out[f"{name}_count"] = layers.moments, layers.count
+        named = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        for name, layers in named.items():
+            out |= {name: layers.flat, f"{name}_moments": layers.moments}
+            out[f"{name}_count"] = layers.count
         return out

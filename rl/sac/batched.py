@@ -13,10 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-BETAS, EPSILON = (0.9, 0.999), 1e-8
-
-
-NORM_EPSILON = 1e-5
+_NORM_EPSILON = 1e-5
 
 
 @dataclass(frozen=True)
@@ -42,52 +39,34 @@ class Activations:
         return Activations([layer[:, :B] for layer in self.layers], sums)
 
 
-@dataclass(frozen=True)
 class Layers:
     """C multilayer perceptrons (ReLU) of one shape, their gradients and Adam's moments.
 
-    Attributes:
+    Args:
+        C: Number of networks, whose parameters are 0.
         sizes: Width of the input, of each hidden layer, of the output.
+        device: Device of the parameters.
         norm: Whether hidden layers are normalised before the ReLU (Ba, Kiros, Hinton, "Layer
             normalization", arXiv 1607.06450), without gain and bias.
+
+    Attributes:
         flat, gradient: All parameters and their gradients, each one vector.
         weights, biases: Views of ``flat``, shapes (C, out, in) and (C, 1, out).
         moments: Adam's first and second moments, shape (2, parameters).
         count: Updates so far, shape (1,).
     """
 
-    sizes: tuple[int, ...]
-    norm: bool
-    flat: Tensor
-    gradient: Tensor
-    weights: tuple[Tensor, ...]
-    biases: tuple[Tensor, ...]
-    weight_gradients: tuple[Tensor, ...]
-    bias_gradients: tuple[Tensor, ...]
-    moments: Tensor
-    count: Tensor
-
-    @classmethod
-    def of(
-        cls, C: int, sizes: Sequence[int], device: torch.device, *, norm: bool = False
-    ) -> Layers:
-        """Allocate C networks with zero parameters."""
+    def __init__(
+        self, C: int, sizes: Sequence[int], device: torch.device, *, norm: bool = False
+    ) -> None:
         pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
         total = sum(C * (a + 1) * b for a, b in pairs)
-        flat, gradient = torch.zeros(2, total, device=device).unbind(0)
-        views: list[list[Tensor]] = [[], [], [], []]
-        for k, vector in enumerate((flat, gradient)):
-            offset = 0
-            for a, b in pairs:
-                views[k].append(vector[offset : offset + C * a * b].view(C, b, a))
-                offset += C * a * b
-                views[2 + k].append(vector[offset : offset + C * b].view(C, 1, b))
-                offset += C * b
-        weights, weight_gradients, biases, bias_gradients = (tuple(view) for view in views)
-        return cls(
-            tuple(sizes), norm, flat, gradient, weights, biases, weight_gradients, bias_gradients,
-            torch.zeros(2, total, device=device), torch.zeros(1, device=device),
-        )  # fmt: skip
+        self.norm = norm
+        self.flat, self.gradient = torch.zeros(2, total, device=device).unbind(0)
+        self.weights, self.biases = _views(self.flat, C, pairs)
+        self._weight_gradients, self._bias_gradients = _views(self.gradient, C, pairs)
+        self.moments = torch.zeros(2, total, device=device)
+        self.count = torch.zeros(1, device=device)
 
     def forward(self, x: Tensor) -> Activations:
         """Forward pass from inputs of shape (C, B, width)."""
@@ -97,23 +76,20 @@ class Layers:
             h = torch.baddbmm(b, activations.layers[-1], W.transpose(1, 2))
             if self.norm and k < last:
                 unnormalised = h
-                h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, NORM_EPSILON)
+                h, mean, scale = torch.native_layer_norm(h, h.shape[2:], None, None, _NORM_EPSILON)
                 activations.sums.append((unnormalised, mean, scale))
             activations.layers.append(h if k == last else torch.relu_(h))
         return activations
 
     def backward(self, activations: Activations, d: Tensor, *, inputs_only: bool = False) -> Tensor:
-        """Gradient of the input from that of the output; also sets ``gradient``.
+        """Gradient of the input from that of the output, ``d`` (C, B, width).
 
-        Args:
-            activations: Result of ``forward``.
-            d: Gradient of the output, shape (C, B, width).
-            inputs_only: Whether to leave ``gradient`` unchanged.
+        Also sets ``gradient``, unless with ``inputs_only``.
         """
         for k in range(len(self.weights) - 1, -1, -1):
             if not inputs_only:
-                torch.bmm(d.transpose(1, 2), activations.layers[k], out=self.weight_gradients[k])
-                torch.sum(d, dim=1, keepdim=True, out=self.bias_gradients[k])
+                torch.bmm(d.transpose(1, 2), activations.layers[k], out=self._weight_gradients[k])
+                torch.sum(d, dim=1, keepdim=True, out=self._bias_gradients[k])
             if k == 0 and not inputs_only:
                 return d
             d = torch.bmm(d, self.weights[k])
@@ -127,34 +103,35 @@ class Layers:
         return d
 
     def descend(self, rate: Tensor) -> None:
-        """One step of Adam (Kingma and Ba, 2015, Algorithm 1)."""
+        """One step of Adam."""
         adam(self.flat, self.gradient, self.moments, self.count, rate)
 
 
-def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: Tensor) -> None:
-    """One step of Adam, in place.
+def _views(
+    vector: Tensor, C: int, pairs: Sequence[tuple[int, int]]
+) -> tuple[list[Tensor], list[Tensor]]:
+    """Weights and biases of each layer, of inputs and outputs ``pairs``, as parts of a vector."""
+    sizes = [size for a, b in pairs for size in (C * a * b, C * b)]
+    parts = vector.split_with_sizes(sizes)
+    weights = [part.view(C, b, a) for part, (a, b) in zip(parts[::2], pairs, strict=True)]
+    return weights, [part.view(C, 1, b) for part, (_, b) in zip(parts[1::2], pairs, strict=True)]
 
-    Args:
-        flat: Parameters, shape (P,).
-        gradient: Their gradients, shape (P,).
-        moments: First and second moments, shape (2, P).
-        count: Steps so far, shape (1,).
-        rate: Learning rate, a tensor without axes.
+
+def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: Tensor) -> None:
+    """One step of Adam (Kingma and Ba, 2015, Algorithm 1), in place.
+
+    Parameters and gradients have the shape (P,), first and second moments (2, P).
     """
     count += 1
     torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
         [flat], [gradient], [moments[0]], [moments[1]], [], [count],
-        lr=rate, beta1=BETAS[0], beta2=BETAS[1], weight_decay=0.0, eps=EPSILON,
-        amsgrad=False, maximize=False,
+        lr=rate, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
     )  # fmt: skip
 
 
 def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
     """1 for each column of a transition that changes sign under mirroring, else 0.
 
-    Args:
-        odd: The same for the columns of an observation, see ``View.odd``.
-        J: Number of actions, all of which change sign.
-        device: Device of the result.
+    ``odd`` is the same for the columns of an observation, see ``View.odd``.
     """
     return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rl.sac.agents import Agents
+from rl.sac.plan import Plan
 from sim2real.archives import read_arrays, reason
 from sim2real.errors import InputError
 from sim2real.output import write_whole
@@ -43,35 +43,30 @@ class Progress:
         self.grown = [0.0] * A
         self.success = [0.0] * A
 
-    def note(self, tally: Tensor, agents: Agents) -> None:
-        """Append a row for every agent."""
+    def note(self, tally: Tensor, agents: Agents, plan: Plan) -> None:
+        """Append a row for every agent, and update the growth of the energy weights."""
         losses = agents.losses().cpu()
+        more = self.steps - (int(self.rows[0][-1][0]) if self.rows[0] else 0)
         for a, rows in enumerate(self.rows):
             episodes, *means = tally[:, a].tolist()
             rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist(), self.grown[a]])
             if episodes >= 1:
                 decay = math.exp(-episodes / EPISODES)
                 self.success[a] = decay * self.success[a] + (1 - decay) * means[1]
-
-    def noted(self) -> int:
-        """Number of steps at the last row."""
-        return int(self.rows[0][-1][0]) if self.rows[0] else 0
-
-    def grow(self, grown: Callable[[float, int, int, float], float], before: int) -> None:
-        """Update the energy weights for the steps since ``before``, see ``Plan.grown``."""
-        self.grown = [
-            grown(growth, self.steps, self.steps - before, success)
-            for growth, success in zip(self.grown, self.success, strict=True)
-        ]
+            self.grown[a] = plan.grown(self.grown[a], self.steps, more, self.success[a])
 
     def summary(self) -> str:
         """Short text of the last rows."""
-        latest = np.array([rows[-1] for rows in self.rows])
-        if not np.isfinite(latest[:, 2]).any():
+        returns, success = np.array([rows[-1][2:4] for rows in self.rows]).T
+        if not np.isfinite(returns).any():
             return "no episode has ended"
-        return (
-            f"return {np.nanmean(latest[:, 2]):.1f}, {100 * np.nanmean(latest[:, 3]):.0f} % arrive"
-        )
+        return f"return {np.nanmean(returns):.1f}, {100 * np.nanmean(success):.0f} % arrive"
+
+
+def write_progress(path: Path, columns: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
+    """Write ``progress.csv``."""
+    lines = [",".join(columns), *(",".join(f"{x:.6g}" for x in row) for row in rows)]
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str]) -> None:
@@ -81,27 +76,19 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
     content = json.dumps([progress.rows, progress.grown, progress.success])
     arrays["progress"] = np.frombuffer(content.encode(), np.uint8)
     arrays["counts"] = np.array([progress.steps, agents.position, agents.filled])
+    prices = agents.settings.prices
     with agents.averaged():
+        columns = agents.actor.weights[0][:, :, 0].cpu().numpy()
         for a, (name, model) in enumerate(zip(names, agents.models, strict=True)):
-            rows = progress.rows[a]
-            directory = folder / name
-            directory.mkdir(parents=True, exist_ok=True)
-            lines = [",".join(COLUMNS), *(",".join(f"{x:.6g}" for x in row) for row in rows)]
-            write_whole(directory / "progress.csv", "\n".join(lines) + "\n")
+            write_progress(folder / name / "progress.csv", COLUMNS, progress.rows[a])
             model.num_timesteps = progress.steps
-            model.by_price = _by_price(agents, a)
-            model.save(directory / "policy.zip")
+            column = columns[a].copy() if prices > 1 else None
+            model.by_price = {"prices": prices, "column": column, "share": 0.0}
+            model.save(folder / name / "policy.zip")
     temporary = folder / f".{CHECKPOINT}"
     with temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
     os.replace(temporary, folder / CHECKPOINT)
-
-
-def _by_price(agents: Agents, a: int) -> dict[str, Any]:
-    """Effect of the price of energy on an actor, see ``rl.deploy.export.set_price``."""
-    prices = agents.settings.prices
-    column = agents.actor.weights[0][a, :, 0].cpu().numpy().copy() if prices > 1 else None
-    return {"prices": prices, "column": column, "share": 0.0}
 
 
 def load(folder: Path, agents: Agents) -> Progress | None:
@@ -142,12 +129,11 @@ def _progress(content: bytes, A: int, steps: int) -> Progress:
     """Progress of A agents, as ``save`` writes it; ``ValueError`` if it is anything else."""
     progress = Progress(A, steps)
     progress.rows, progress.grown, progress.success = json.loads(content)
-    lists = (progress.rows, progress.grown, progress.success)
     rows = [row for of_agent in progress.rows for row in of_agent]
-    shares = [*progress.grown, *progress.success, *(value for row in rows for value in row)]
-    numbers = all(type(value) in (int, float) for value in shares)
-    if {len(one) for one in lists} != {A} or {len(row) for row in rows} - {len(COLUMNS)}:
+    values = [*progress.grown, *progress.success, *(value for row in rows for value in row)]
+    lengths = {len(progress.rows), len(progress.grown), len(progress.success)}
+    if lengths != {A} or {len(row) for row in rows} - {len(COLUMNS)}:
         raise ValueError("progress of other agents")
-    if not numbers:
+    if not all(type(value) in (int, float) for value in values):
         raise ValueError("progress with other values than numbers")
     return progress

@@ -16,11 +16,11 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from io import BytesIO
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -78,11 +78,7 @@ class PolicyZip:
     variables: Mapping[str, Tensor]
 
     def array(self, name: str, size: int) -> Array32:
-        """A setting as an array of finite numbers, shape (size,).
-
-        Raises:
-            InputError: If it is anything else.
-        """
+        """A setting as an array of finite numbers, shape (size,); ``InputError`` if it is none."""
         values = self.settings.get(name)
         numbers = [finite_number(x) for x in values] if isinstance(values, list) else []
         if len(numbers) != size or None in numbers:
@@ -92,9 +88,7 @@ class PolicyZip:
     def widths(self, layers: str, output: str | None = None) -> list[int]:
         """Number of inputs of a network, then of outputs of each of its linear layers.
 
-        Args:
-            layers: Name of its sequence of layers; ``layers.0.weight`` and so on are their weights.
-            output: Name of its last layer, if that is not one of the sequence.
+        These are the sequence ``layers`` and, if it is not one of that, the last one, ``output``.
 
         Raises:
             InputError: If it has no layers.
@@ -112,20 +106,12 @@ class PolicyZip:
         return [shapes[0][1], *(shape[0] for shape in shapes)]
 
     def check(self, *, holds: bool, name: str, expected: str) -> None:
-        """Refuse the file unless a setting holds.
-
-        Raises:
-            InputError: If it does not.
-        """
+        """Raise ``InputError`` unless a setting holds."""
         if not holds:
             raise InputError(self.path, name, shown(self.settings.get(name)), expected)
 
     def load_into(self, policy: nn.Module) -> None:
-        """Copy the weights to a policy of the same networks.
-
-        Raises:
-            InputError: If a weight is missing, unknown or of another shape.
-        """
+        """Copy the weights to a policy; ``InputError`` unless it has the same networks."""
         try:
             policy.load_state_dict(dict(self.weights))
         except RuntimeError as error:
@@ -133,35 +119,55 @@ class PolicyZip:
             raise InputError(self.path, "networks", problem, "those of an MlpPolicy") from None
 
 
-def write_policy_zip(
-    path: str | os.PathLike[str],
-    settings: Mapping[str, Any],
-    weights: Mapping[str, Tensor],
-    variables: Mapping[str, Tensor],
-) -> Path:
-    """Write a policy atomically; arguments as the attributes of ``PolicyZip``."""
-    content = json.dumps(finite_json({"schema": SCHEMA, **settings}), indent=2, allow_nan=False)
-    members = {"data": content.encode()}
-    for name, tensors in (("policy.pth", weights), ("pytorch_variables.pth", variables)):
-        stream = BytesIO()
-        # copies, as a view would be written with all that it is a part of
-        torch.save({k: v.detach().cpu().clone() for k, v in tensors.items()}, stream)
-        members[name] = stream.getvalue()
-    archive = BytesIO()
-    with zipfile.ZipFile(archive, "w") as file:
-        for name, data in members.items():
-            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-            entry.create_system, entry.external_attr = 3, 0o600 << 16
-            file.writestr(entry, data)
-    return write_whole(path, archive.getvalue())
+class SavedAsZip:
+    """Agents of Stable-Baselines3 whose ``save`` writes a policy without pickled objects."""
+
+    policy: Any
+
+    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """``settings`` and ``variables`` of the file, see ``PolicyZip``."""
+        raise NotImplementedError
+
+    def save(
+        self,
+        path: str | os.PathLike[str] | BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """Write ``policy.zip`` atomically; ``exclude`` and ``include`` are not used."""
+        del exclude, include
+        settings, variables = self.content()
+        plain = finite_json(_plain({"schema": SCHEMA, **settings}))
+        content = json.dumps(plain, indent=2, allow_nan=False)
+        archive = BytesIO()
+        with zipfile.ZipFile(archive, "w") as file:
+            for name, data in (
+                ("data", content.encode()),
+                ("policy.pth", _saved(self.policy.state_dict())),
+                ("pytorch_variables.pth", _saved(variables)),
+            ):
+                entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+                entry.create_system, entry.external_attr = 3, 0o600 << 16
+                file.writestr(entry, data)
+        write_whole(cast("str | os.PathLike[str]", path), archive.getvalue())
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays
+    """``value`` with lists in place of arrays."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _saved(tensors: Mapping[str, Tensor]) -> bytes:
+    """Tensors as ``torch.save`` writes them; copies, as a view would be written with its base."""
+    stream = BytesIO()
+    torch.save({k: v.detach().cpu().clone() for k, v in tensors.items()}, stream)
+    return stream.getvalue()
 
 
 def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
-    """Read a policy; nothing in the file is executed.
-
-    Args:
-        path: Written by ``write_policy_zip`` or Stable-Baselines3.
-        algorithm: ``SAC`` or ``DQN``.
+    """Read a policy by ``SavedAsZip.save`` or Stable-Baselines3; nothing in it is executed.
 
     Raises:
         InputError: If it cannot be read as described in this module, or is of another algorithm.
@@ -179,11 +185,7 @@ def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The settings of a policy, as ``PolicyZip.settings``.
-
-    Raises:
-        InputError: As ``read_policy_zip``.
-    """
+    """The settings of a policy; errors as of ``read_policy_zip``."""
     expected = "a policy.zip"
     return _settings(Path(path), _members(Path(path), expected)["data"], expected)
 

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3 import SAC
 from stable_baselines3.sac.policies import SACPolicy
-from torch import nn
+from torch import Tensor, nn
 
-from rl.deploy.forward import is_spread
+from rl.deploy.policy import is_spread
 from rl.env import action_space, observation_space
 from rl.observer import PAPER, View
-from rl.sac.policy_zip import PolicyZip, read_policy_zip, write_policy_zip
-from rl.sac.settings import Settings
+from rl.sac.plan import Settings
+from rl.sac.policy_zip import PolicyZip, SavedAsZip, read_policy_zip
 from rl.world import World
 from sim2real.arrays import Array32
 from sim2real.errors import InputError
@@ -47,11 +46,10 @@ class NormedPolicy(SACPolicy):
         return critic
 
 
-class SwimSAC(SAC):
+class SwimSAC(SavedAsZip, SAC):
     """SAC whose networks are views of those of ``Agents``, which trains them.
 
-    ``predict`` is that of Stable-Baselines3. ``save`` writes the networks and the attributes below
-    without pickled objects (``rl.sac.policy_zip``), which ``read_agent`` reads.
+    ``predict`` is that of Stable-Baselines3; ``read_agent`` reads what ``save`` writes.
 
     Attributes:
         view: Definition of the observations.
@@ -69,39 +67,17 @@ class SwimSAC(SAC):
     trained_over: Mapping[str, Sequence[float]]
     by_price: dict[str, Any]
 
-    def save(
-        self,
-        path: str | os.PathLike[str] | io.BufferedIOBase,
-        exclude: Iterable[str] | None = None,
-        include: Iterable[str] | None = None,
-    ) -> None:
-        """Write ``policy.zip`` atomically.
-
-        Args:
-            path: Name of the file.
-            exclude: Unused.
-            include: Unused.
-        """
-        del exclude, include
+    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """Settings and further tensors of ``policy.zip``."""
         box: Any = self.action_space
         settings: dict[str, Any] = {"algorithm": "SAC", "num_timesteps": self.num_timesteps}
-        arrays = {"action_low": box.low, "action_high": box.high}
-        arrays |= {k: getattr(self, k) for k in ("joint_low", "joint_high") if hasattr(self, k)}
-        settings |= {name: np.asarray(array).tolist() for name, array in arrays.items()}
-        for name in ("joints", "trained_over"):
-            if hasattr(self, name):
-                settings[name] = getattr(self, name)
-        if hasattr(self, "view"):
+        settings |= {"action_low": box.low, "action_high": box.high}
+        stated = ("joint_low", "joint_high", "joints", "trained_over", "view", "by_price")
+        settings |= {name: getattr(self, name) for name in stated if hasattr(self, name)}
+        if "view" in settings:
             settings["view"] = asdict(self.view)
-        if hasattr(self, "by_price"):
-            column = self.by_price["column"]
-            column = None if column is None else np.asarray(column).tolist()
-            settings["by_price"] = {**self.by_price, "column": column}
         learned: Any = self.log_ent_coef
-        variables = {} if learned is None else {"log_ent_coef": learned}
-        write_policy_zip(
-            cast("str | os.PathLike[str]", path), settings, self.policy.state_dict(), variables
-        )
+        return settings, {} if learned is None else {"log_ent_coef": learned}
 
 
 class Spaces(gymnasium.Env[Any, Any]):
@@ -119,14 +95,7 @@ def make_sac(
     *,
     view: View = View(),  # noqa: B008 - frozen
 ) -> SwimSAC:
-    """An untrained model for the robots of a world.
-
-    Args:
-        world: The robots.
-        settings: Hyper-parameters.
-        seed: Seed of the initial parameters.
-        view: Definition of the observations.
-    """
+    """An untrained model for the robots of a world, observed through ``view``."""
     model = SwimSAC(
         NormedPolicy if settings.norm else "MlpPolicy",
         Spaces(observation_space(world, view), action_space(world)),
@@ -150,12 +119,15 @@ def make_sac(
     return model
 
 
-def agent_in(saved: PolicyZip) -> SwimSAC:
-    """The agent of a file, with networks of the widths of its weights and without a memory.
+def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
+    """Read an SAC agent without replay memory, of this library or of Stable-Baselines3.
+
+    Its networks have the widths of the weights in the file.
 
     Raises:
-        InputError: If weights or settings are not those of an agent.
+        InputError: If it cannot be read, or weights or settings are not those of an agent.
     """
+    saved = read_policy_zip(path, "SAC")
     inputs, *actor, J = saved.widths("actor.latent_pi", "actor.mu")
     _, *critic, _ = saved.widths("critic.qf0")
     critics = sum(bool(re.fullmatch(r"critic\.qf\d+\.0\.weight", name)) for name in saved.weights)
@@ -183,26 +155,22 @@ def agent_in(saved: PolicyZip) -> SwimSAC:
 def _set_attributes(agent: SwimSAC, saved: PolicyZip, J: int, first: int) -> None:
     """Check and set the attributes of an agent with J joints and a first layer of some width."""
     settings = saved.settings
-    steps = settings.get("num_timesteps", 0)
+    agent.num_timesteps = steps = settings.get("num_timesteps", 0)
     saved.check(holds=type(steps) is int, name="num_timesteps", expected="a whole number")
-    agent.num_timesteps = steps
     if "view" in settings:
         try:
             agent.view = View.from_content(settings["view"])
         except ValueError:
             saved.check(holds=False, name="view", expected="period, ramp, memory, scaled, sides")
     if "joints" in settings:
-        joints = settings["joints"]
+        agent.joints = joints = settings["joints"]
         named = isinstance(joints, list) and all(isinstance(name, str) for name in joints)
         saved.check(holds=named and len(joints) == J, name="joints", expected=f"{J} names")
-        agent.joints = joints
         agent.joint_low, agent.joint_high = (saved.array(f"joint_{k}", J) for k in ("low", "high"))
     if "trained_over" in settings:
-        spread = settings["trained_over"]
-        saved.check(
-            holds=is_spread(spread), name="trained_over", expected="two numbers by parameter"
-        )
-        agent.trained_over = spread
+        agent.trained_over = spread = settings["trained_over"]
+        expected = "two numbers by parameter"
+        saved.check(holds=is_spread(spread), name="trained_over", expected=expected)
     if "by_price" in settings:
         agent.by_price = _by_price(saved, first)
 
@@ -220,15 +188,6 @@ def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
     else:
         column = replace(saved, settings=content).array("column", first)
     return {"prices": prices, "column": column, "share": share}
-
-
-def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
-    """Read an SAC agent without replay memory, of this library or of Stable-Baselines3.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
-    return agent_in(read_policy_zip(path, "SAC"))
 
 
 def view_of(agent: SAC) -> View:

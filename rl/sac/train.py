@@ -8,15 +8,14 @@ and the segment. A run that was killed therefore resumes exactly from its last c
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,119 +25,65 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from rl.decisions import Decisions
-from rl.make import Fidelity, make_world, own_stream
-from rl.observer import View
+from rl.make import Fidelity, episodes_of, make_world, own_stream
 from rl.randomize import spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import Progress, load, save
+from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
 from rl.sac.sac import make_sac, read_agent, start_from
-from rl.sac.settings import Settings
-from rl.task import Task
-from rl.world import Draws, Step
+from rl.world import Decisions, Draws, Step
 from sim2real.errors import InputError
-from sim2real.output import write_json
+from sim2real.output import provenance, write_json
 from sim2real.robot import Robot
 from sim2real.structured import read_json
 
+__all__ = ["QUICK", "agent_names", "digest", "train", "train_in_parts", "train_run"]
 
-@dataclass(frozen=True)
-class Arm:
-    """Training conditions of one group of agents.
+_ROW = 50
+"""Decisions in a row of statistics."""
 
-    Attributes:
-        name: Name, also of its folder.
-        draws: Robots and noise that its episodes are drawn from.
-        energy: Final weight of energy; default: that of the task.
+
+def train_run(
+    folder: Path,
+    *,
+    robot: str,
+    model: str,
+    ranges: str | None = None,
+    name: str = "policy",
+    seeds: Sequence[int] = (0,),
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    threads: int = 1,
+    first: Sequence[str] = (),
+    recipe: str = "default",
+    task: str | None = None,
+    steps: int | None = None,
+    envs: int | None = None,
+    segment: int | None = None,
+    updates_per_step: float | None = None,
+    learning_rate: float | None = None,
+    discount: float | None = None,
+    hidden: Sequence[int] | None = None,
+    energy_weight: float | None = None,
+    energy_start: float | None = None,
+) -> list[Path]:
+    """Train one arm from files and JSON options, for any executor; the folders of the agents.
+
+    See ``Plan``, ``RECIPES`` and the command ``train`` for the options.
+
+    Raises:
+        InputError: If a file or an option is wrong.
     """
-
-    name: str
-    draws: Draws
-    energy: float | None = None
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Plan of a training.
-
-    Attributes:
-        task: The task.
-        steps: Control periods of the environments for each agent.
-        envs: Environments of each agent.
-        segment: Control periods between checkpoints.
-        seeds: Random seeds, one agent for each.
-        fidelity: ``twin`` or ``fluid``.
-        device: ``cpu`` or ``cuda:0``.
-        cell_m: Side of a cell of the fluid.
-        threads: CPU threads of the simulator.
-        settings: Hyper-parameters.
-        view: Definition of the observations.
-        energy_start: Initial weight of energy as a share of that of the task. With the full weight,
-            a robot that cannot swim yet would learn not to move.
-        ramp: Shares of the steps: when the weight starts to grow, and how long it takes to reach
-            its final value.
-        gate: Share of an agent's last episodes that must have succeeded for its weight to grow, so
-            that agents that learn late are not penalised.
-    """
-
-    task: Task
-    steps: int = 1_600_000
-    envs: int = 64
-    segment: int = 200_000
-    seeds: tuple[int, ...] = (0,)
-    fidelity: Fidelity = "fluid"
-    device: str = "cpu"
-    cell_m: float = 0.02
-    threads: int = 1
-    settings: Settings = field(default_factory=Settings)
-    view: View = field(default_factory=View)
-    energy_start: float = 0.1
-    ramp: tuple[float, float] = (0.15, 0.25)
-    gate: float = 0.7
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InputError: If a number is out of its range.
-        """
-        s = self.settings
-        for option, value, fits, expected in (
-            ("--steps", self.steps, self.steps >= 1, "at least 1"),
-            ("--envs", self.envs, self.envs >= 1, "at least 1"),
-            ("--segment", self.segment, self.segment >= 1, "at least 1"),
-            ("--updates-per-step", s.updates_per_step, s.updates_per_step > 0, "above 0"),
-            ("--learning-rate", s.rate, s.rate > 0, "above 0"),
-            ("--discount", s.gamma, 0 <= s.gamma < 1, "from 0 to below 1"),
-            ("--energy-start", self.energy_start, 0 <= self.energy_start <= 1, "from 0 to 1"),
-        ):
-            if not fits:
-                raise InputError("train", option, str(value), expected)
-
-    def grown(self, before: float, steps: int, more: int, success: float) -> float:
-        """Growth of an agent's energy weight, from 0 to 1.
-
-        Args:
-            before: Growth so far.
-            steps: Control periods so far.
-            more: Control periods since the last call.
-            success: Share of its last episodes that succeeded.
-        """
-        begin, length = self.ramp
-        if steps < begin * self.steps or not success >= self.gate:
-            return before
-        return min(before + more / max(length * self.steps, 1.0), 1.0)
-
-    def price(self, arm: Arm, grown: float) -> float:
-        """Weight of energy of an agent, given its growth."""
-        full = self.task.energy if arm.energy is None else arm.energy
-        return full * (self.energy_start + (1 - self.energy_start) * grown)
-
-    def content(self) -> dict[str, Any]:
-        """All that determines the result, as JSON values."""
-        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads")}
-        task = {k: v for k, v in vars(self.task).items() if k != "place"}
-        return json.loads(json.dumps({**fields, "task": task}))  # type: ignore[no-any-return]
+    options = {option: value for option, value in locals().items() if option in OPTIONS}
+    plan = plan_of(
+        options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
+        threads=threads,
+    )  # fmt: skip
+    fish, draws, inputs = episodes_of(robot, model, ranges)
+    trainer = train_in_parts if device == "cpu" and len(seeds) > 1 else train
+    note, policies = provenance([*inputs, *first], None), [Path(path) for path in first]
+    return trainer(folder, fish, [Arm(name, draws)], plan, note, first=policies)
 
 
 def train(
@@ -156,9 +101,9 @@ def train(
         folder: Folder of the run, with ``run.json``, ``checkpoint.npz`` and, for each agent,
             ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``.
         robot: Links, joints and data sheets.
-        arms: The simulator that each group of agents trains in.
+        arms: Groups of agents.
         plan: Plan of the training.
-        note: Provenance, written to ``run.json``.
+        note: Provenance.
         first: Policies (``policy.zip``) to continue from, assigned to the seeds of every arm in
             turn; random networks if empty. Replay memories are not part of them.
 
@@ -169,14 +114,13 @@ def train(
         InputError: If the folder has a run of another plan, or the first policies do not fit.
     """
     names = agent_names(arms, plan.seeds)
-    digests = [digest(arm.draws) for arm in arms]
-    prices = [arm.energy for arm in arms]
+    digests, prices = [digest(arm.draws) for arm in arms], [arm.energy for arm in arms]
     content = {"plan": plan.content(), "agents": names, "draws": digests, "energy": prices}
     if first:
         for path in first:
             read_agent(path)  # refused, if at all, before anything is written
         content["first"] = [hashlib.sha256(path.read_bytes()).hexdigest() for path in first]
-    _write_run(folder, content, note or {})
+    check_run(folder, content, note or {})
     with own_stream(plan.device):
         _train(folder, robot, arms, plan, names, first)
     return [folder / name for name in names]
@@ -192,16 +136,9 @@ def train_in_parts(
     first: Sequence[Path] = (),
     parts: int = 2,
 ) -> list[Path]:
-    """Train as ``train`` does, with the seeds distributed over processes to use several cores.
+    """Train as ``train`` does, with the seeds distributed over ``parts`` processes.
 
-    Args:
-        folder: Folder of the runs, in ``part-0`` and so on.
-        robot: See ``train``.
-        arms: See ``train``.
-        plan: See ``train``; each process has one simulator thread.
-        note: See ``train``.
-        first: See ``train``.
-        parts: Number of processes.
+    Their folders are ``part-0`` and so on; each process has one simulator thread.
     """
     shares = [range(k, len(plan.seeds), parts) for k in range(min(parts, len(plan.seeds)))]
     trainings = [
@@ -237,16 +174,26 @@ def digest(draws: Draws) -> str:
     return hashlib.sha256(repr((models, draws.noise)).encode()).hexdigest()
 
 
-def _write_run(folder: Path, content: dict[str, Any], note: dict[str, Any]) -> None:
-    """Write ``run.json``, or check that an existing one is of the same run."""
+def check_run(
+    folder: Path, content: dict[str, Any], note: dict[str, Any], same: Sequence[str] = ()
+) -> None:
+    """Write ``run.json`` with content and provenance, or check that it is of the same run.
+
+    Raises:
+        InputError: If the content or an entry in ``same`` of the provenance is another.
+    """
     path = folder / "run.json"
-    if path.exists():
-        existing = read_json(path)
-        if {k: existing.get(k) for k in content} != content:
-            expected = "the same options and files, or a new folder"
-            raise InputError(folder, "run.json", "another run", expected)
+    if not path.exists():
+        write_json(path, {**content, "provenance": note})
         return
-    write_json(path, {**content, "provenance": note})
+    existing = read_json(path)
+    origin = existing.get("provenance")
+    found = origin if isinstance(origin, dict) else {}
+    if any(existing.get(k) != content[k] for k in content) or any(
+        found.get(k) != note[k] for k in same
+    ):
+        expected = "the same options and files, or a new folder"
+        raise InputError(folder, "run.json", "another run", expected)
 
 
 def _train(
@@ -258,22 +205,21 @@ def _train(
     first: Sequence[Path],
 ) -> None:
     S, A = len(plan.seeds), len(names)
+    if len(first) > S:
+        raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
     arm_of_agent = [arm for arm in arms for _ in plan.seeds]
-    draws = [arm.draws for arm in arm_of_agent]
     world = make_world(
-        robot, plan.task, draws, n_envs=A * plan.envs, fidelity=plan.fidelity, device=plan.device,
-        cell_m=plan.cell_m, threads=plan.threads,
+        robot, plan.task, [arm.draws for arm in arm_of_agent], n_envs=A * plan.envs,
+        fidelity=plan.fidelity, device=plan.device, cell_m=plan.cell_m, threads=plan.threads,
     )  # fmt: skip
     decisions = Decisions(world, plan.view)
     decisions_per_env = -(-plan.steps // plan.view.period)
     settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
     models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
-    for model, one in zip(models, draws, strict=True):
-        model.trained_over = spread_of(one.models)
-    if len(first) > S:
-        raise InputError("train", "--first", f"{len(first)} policies", f"{S} at most, one a seed")
-    for a, model in enumerate(models if first else []):
-        start_from(model, first[a % S % len(first)])
+    for a, (model, arm) in enumerate(zip(models, arm_of_agent, strict=True)):
+        model.trained_over = spread_of(arm.draws.models)
+        if first:
+            start_from(model, first[a % S % len(first)])
     agents = Agents(models, settings, world.device)
     progress = load(folder, agents) or Progress(A)
     bar = tqdm(
@@ -282,10 +228,7 @@ def _train(
     )  # fmt: skip
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
-            end = min(progress.steps + plan.segment, plan.steps)
-            _segment(
-                decisions, agents, arm_of_agent, plan, progress, end, bar, pool, swims=bool(first)
-            )
+            _segment(decisions, agents, arm_of_agent, plan, progress, bar, pool, swims=bool(first))
             save(folder, agents, progress, names)
 
 
@@ -295,15 +238,14 @@ def _segment(
     arms: Sequence[Arm],
     plan: Plan,
     progress: Progress,
-    end: int,
     bar: Any,  # noqa: ANN401
     pool: Executor | None,
     *,
     swims: bool,
 ) -> None:
-    """Train from one checkpoint to the next; with ``swims`` the first actions are not random."""
+    """Train until the next checkpoint; with ``swims`` the first actions are not random."""
     A, n, settings, world = len(agents.models), plan.envs, plan.settings, decisions.world
-    J = len(world.low)
+    end, J = min(progress.steps + plan.segment, plan.steps), len(world.low)
     seed = int(np.random.SeedSequence([*plan.seeds, progress.steps]).generate_state(1)[0])
     world.seed(seed)
     torch.manual_seed(seed)
@@ -323,8 +265,14 @@ def _segment(
         if progress.steps >= settings.warm_up and agents.filled:
             agents.set_schedule(progress.steps / plan.steps, progress.grown)
             due += settings.updates_per_step * batch_steps
-        decide = partial(decisions.step, action.view(A * n, J))
-        step = _while(pool, decide, partial(agents.learn, int(due)))
+        decision = action.view(A * n, J)
+        if pool is None:
+            step = decisions.step(decision)
+            agents.learn(int(due))
+        else:
+            deciding = pool.submit(decisions.step, decision)
+            agents.learn(int(due))
+            step = deciding.result()
         due -= int(due)
         gain = step.reward + world.task.energy * step.effort
         agents.remember(
@@ -335,23 +283,10 @@ def _segment(
         tally.add(step, world.task.waypoints)
         progress.steps += batch_steps
         bar.update(batch_steps)
-        if tally.some() or progress.steps >= end:
-            before = progress.noted()
-            progress.note(tally.take(), agents)
-            progress.grow(plan.grown, before)
+        if tally.steps >= _ROW or progress.steps >= end:
+            progress.note(tally.take(), agents, plan)
             _set_price(agents, arms, plan, progress)
             bar.set_postfix_str(progress.summary())
-
-
-def _while(pool: Executor | None, decide: Callable[[], Step], learn: Callable[[], None]) -> Step:
-    """The step of ``decide``, in parallel with ``learn`` if there is a ``pool``."""
-    if pool is None:
-        step = decide()
-        learn()
-        return step
-    deciding = pool.submit(decide)
-    learn()
-    return deciding.result()
 
 
 def _set_price(agents: Agents, arms: Sequence[Arm], plan: Plan, progress: Progress) -> None:
@@ -363,14 +298,13 @@ class Tally:
     """Sums over finished episodes of each agent, on the device."""
 
     def __init__(self, A: int, n: int, device: torch.device) -> None:
-        self._return = torch.zeros(A * n, device=device)
-        self._length = torch.zeros(A * n, device=device)
+        self._return, self._length = torch.zeros(2, A * n, device=device).unbind(0)
         self._sums = torch.zeros(4, A, device=device)
-        self._steps = 0
+        self.steps = 0
 
     def add(self, step: Step, waypoints: int) -> None:
         """Count one decision of every environment."""
-        self._steps += 1
+        self.steps += 1
         self._return += step.reward
         self._length += 1
         ended = (step.terminated | step.truncated).float()
@@ -380,14 +314,9 @@ class Tally:
         self._return *= 1 - ended
         self._length *= 1 - ended
 
-    def some(self, least: int = 50) -> bool:
-        """Whether enough decisions were counted for a row of statistics."""
-        return self._steps >= least
-
     def take(self) -> Tensor:
         """Episodes, mean return, share that arrived, mean length, shape (4, A); resets the sums."""
         sums = self._sums.cpu().clone()
-        mean = sums[1:] / sums[:1]
         self._sums.zero_()
-        self._steps = 0
-        return torch.cat([sums[:1], mean])
+        self.steps = 0
+        return torch.cat([sums[:1], sums[1:] / sums[:1]])

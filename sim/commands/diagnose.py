@@ -24,8 +24,7 @@ from sim2real.verbs import recordings_of
 from sim2real.viewers.scenes import Scene, diagnosed
 
 if TYPE_CHECKING:
-    from sim.inference.coordinates import SwimSimulator
-    from sim.inference.swims import Swim
+    from sim.inference.swims import Swim, SwimSimulator
 
     Swims = tuple[list[Swim], SwimSimulator | None]
 
@@ -106,7 +105,7 @@ def _read_swims(
     shown = not options.no_page or options.rerun or options.mcap
     if not (shown and recordings[0].is_swim):
         return None
-    from sim.inference.recorded_swims import simulator_of
+    from sim.inference.diagnose_swims import simulator_of
     from sim.inference.swims import swim_of
 
     swims = [swim_of(recording, robot) for recording in recordings]

@@ -18,12 +18,6 @@ model MODEL: servos and body (MODEL.json)
 recordings CSV: recording or table of commands (t_s, J.command_rad)
 --out CSV!: recording to write
 """
-_VALIDATE = """
---device NAME = cpu: device of the simulation, cpu or cuda:0
---quick: coarse versions with wider tolerances, in seconds
---only CASE+: cases to run (default: all)
---out FILE = reports/validation.html: report to write
-"""
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
@@ -57,11 +51,5 @@ COMMANDS = (
         f"{_SWIMS}:calibrate",
         [verbs.calibrate, _CALIBRATE],
         "sim2real calibrate swim.csv --robot fish.toml --model model.json --out calibrated.json",
-    ),
-    command(
-        "validate",
-        "sim.commands.validate",
-        [_VALIDATE],
-        "sim2real validate --only cavity --out reports/validation.html",
     ),
 )

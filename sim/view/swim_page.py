@@ -7,11 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.calibration.swim_problem import HELD_OUT_SHARE
-from sim.calibration.twin_fit import Calibrated
-from sim.inference.coordinates import SwimSimulator
+from sim.inference.calibration import Calibrated
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import SIGNALS, UNITS, Simulator, Swim, simulated
+from sim.inference.swims import (
+    HELD_OUT_SHARE,
+    SIGNALS,
+    UNITS,
+    Simulator,
+    Swim,
+    SwimSimulator,
+    simulated,
+)
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.model import Model

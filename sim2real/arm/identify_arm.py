@@ -49,12 +49,15 @@ def identify_arm(
     arm = robot.arm
     assert arm is not None
     model: Model | None = None
-    for _ in range(rounds):
+    for k in range(rounds + 1):
         loaded = with_arm_loads(recordings, robot, model)
-        fitted = identify(loaded, robot, held_out=held_out, progress=progress, **options)
+        settings = {**options, "held_out": held_out, "refit": k == rounds}
+        if k == rounds and model is not None:  # scored, and then fitted to all
+            figures = _coupled_figures(model, arm, recordings, held_out)
+        fitted = identify(loaded, robot, progress=progress, **settings)
         model = replace(fitted, arm=arm)
     assert model is not None
-    return replace(model, fit=_coupled_figures(model, arm, recordings, held_out))
+    return replace(model, fit=figures)
 
 
 def _coupled_figures(

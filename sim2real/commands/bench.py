@@ -14,13 +14,12 @@ from sim2real.commands.command import numbers
 from sim2real.commands.record import check_temperature, sidecar
 from sim2real.errors import InputError
 from sim2real.extras import if_installed
-from sim2real.hardware.bench import Weight, loads, robot_text
+from sim2real.hardware.bench import Weight, loads, robot_text, scan, table
 from sim2real.hardware.buses import Connection, bus_class, connection
-from sim2real.hardware.mounting import check_ids
-from sim2real.hardware.priority import priority
-from sim2real.hardware.scan import scan, table
+from sim2real.hardware.mounting import Wiring, check_ids
+from sim2real.hardware.process import priority
 from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
-from sim2real.hardware.session import RATE_HZ, Wiring, bus_settings, drive, mounted
+from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted
 from sim2real.model import Model, write_model
 from sim2real.output import check_writable, provenance, write_whole
 from sim2real.recording import Recording, read_recording
@@ -38,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
         0 if all of it is done, 1 if the recording stopped early; then nothing is identified.
     """
     ids = numbers("--ids", options.ids, int, "numbers, as 1,2,3")
-    check_ids(ids, bus_class(options.bus).largest_id)
+    check_ids(ids, bus_class(options.bus).protocol.largest_id)
     _check(options)
     folder = options.out
     given = _given_loads(options, ids)
@@ -80,7 +79,7 @@ def _record(
 ) -> int:
     """Record steps of all joints."""
     wiring = Wiring(ids)
-    wiring.check(robot, link.bus.largest_id)
+    wiring.check(robot, link.bus.protocol.largest_id)
     rng = np.random.default_rng(options.seed)
     signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
     mountings = mounted(link, robot, wiring)
@@ -95,7 +94,7 @@ def _record(
     )
     out = options.out / "steps.csv"
     result = drive(link, mountings, signal, out, sent, hottest_C=options.max_temperature)
-    problem = f"{result.outcome.stopped}; " if result.outcome.stopped else ""
+    problem = f"{result.stopped}; " if result.stopped else ""
     line = f"{problem}{result.written(out)}; {result.torque}"
     if problem or result.unreleased:
         print(f"sim2real bench: {line}", file=sys.stderr)
@@ -130,7 +129,7 @@ def _found(link: Connection, ids: Sequence[int]) -> list[Found]:
     if missing:
         listed = ", ".join(str(k) for k in missing)
         raise Stopped(
-            f"no reply from servo {listed} ({link.bus.name}, {link.baud} baud): check supply, "
+            f"no reply from servo {listed} ({link.bus.name}, {link.bus.baud} baud): check supply, "
             "--ids, --bus and --baud"
         )
     return servos

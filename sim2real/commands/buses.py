@@ -6,38 +6,34 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError, one_of
+from sim2real.hardware.bench import scan as scanned
+from sim2real.hardware.bench import table
 from sim2real.hardware.buses import bus_class, connection
-from sim2real.hardware.interruption import interruption
 from sim2real.hardware.mounting import check_ids
-from sim2real.hardware.priority import priority
-from sim2real.hardware.scan import scan as scanned
-from sim2real.hardware.scan import table
-from sim2real.hardware.servo_models import model_named, names
+from sim2real.hardware.process import interruption, priority
+from sim2real.hardware.servo_models import model_named, servo_models
 from sim2real.hardware.shared_key import shared_key
-from sim2real.hardware.virtual_bus import OnWire, Speech, VirtualBus
-from sim2real.hardware.virtual_dynamixel import DYNAMIXEL, dynamixel_servo
-from sim2real.hardware.virtual_feetech import FEETECH, feetech_servo
+from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_lx import LX, VirtualServo
-from sim2real.hardware.virtual_shaft import Law
+from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 from sim2real.model import read_model
 
 LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
 EXCHANGE_BITS = 32 * 10  # a request and its reply on the wire
 _RESET = ": switch their supply off and on again"
 _PASS = ": pass it as --baud to other commands"
-_WITH_MODELS: dict[str, tuple[str, Speech[Any], Callable[..., Any]]] = {
-    "dynamixel": ("XL330-M288", DYNAMIXEL, dynamixel_servo),
-    "feetech": ("STS3215", FEETECH, feetech_servo),
+_WITH_MODELS = {
+    "dynamixel": ("XL330-M288", VirtualDynamixel),
+    "feetech": ("STS3215", VirtualFeetech),
 }
-"""Usual model, protocol and simulated servo of the buses with models."""
+"""Usual model and simulated servo of the buses with models."""
 
 
 def scan(options: argparse.Namespace) -> int:
@@ -47,7 +43,7 @@ def scan(options: argparse.Namespace) -> int:
         0 if one did, 1 if none.
     """
     kind = bus_class(options.bus)
-    ids = _ids(options.ids, kind.largest_id)
+    ids = _ids(options.ids, kind.protocol.largest_id)
     network = "://" in options.port
     rates = kind.baud_rates[: 1 if network else None] if options.baud is None else (options.baud,)
     for baud in rates:
@@ -99,11 +95,11 @@ def virtual_servo(options: argparse.Namespace) -> int:
         if not 0 <= share < 1:
             raise InputError(f"--{name}", "", f"{share:g}", "a share from 0 up to 1")
     ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
-    check_ids(ids, kind.largest_id)
+    check_ids(ids, kind.protocol.largest_id)
     baud = kind.baud_rates[0] if options.baud is None else options.baud
     if baud <= 0:
         raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
-    speech, make = _maker(options, baud)
+    make = _maker(options)
     now = time.monotonic()
     health = {
         "supply_V": options.supply,
@@ -115,7 +111,7 @@ def virtual_servo(options: argparse.Namespace) -> int:
     rng = np.random.default_rng(options.seed)
     bus = VirtualBus(
         servos,
-        speech,
+        kind.protocol,
         rng,
         noise=options.noise,
         loss=0.0 if options.udp else options.loss,
@@ -136,22 +132,17 @@ def virtual_servo(options: argparse.Namespace) -> int:
     return 0
 
 
-def _maker(
-    options: argparse.Namespace, baud: int
-) -> tuple[Speech[Any], Callable[..., OnWire[Any]]]:
-    """Protocol of the bus, and what makes one of its servos."""
+def _maker(options: argparse.Namespace) -> Callable[..., VirtualServo]:
+    """What makes a servo of the bus."""
     if options.bus not in _WITH_MODELS:
-        return LX, VirtualServo
-    usual, speech, servo = _WITH_MODELS[options.bus]
+        return VirtualLx
+    usual, servo = _WITH_MODELS[options.bus]
     name = options.servo or usual
     model = model_named(options.bus, name)
     if model is None:
-        raise InputError("--servo", "", repr(name), one_of(name, names(options.bus)))
-
-    def make(servo_id: int, law: Law, now: float, **more: Any) -> Any:  # noqa: ANN401
-        return servo(servo_id, model, law, now, baud=baud, **more)
-
-    return speech, make
+        known = [model.name for model in servo_models(options.bus)]
+        raise InputError("--servo", "", repr(name), one_of(name, known))
+    return partial(servo, model)
 
 
 def _laws(options: argparse.Namespace, count: int) -> list[Law]:

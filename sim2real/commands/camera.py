@@ -6,19 +6,25 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from sim2real.arrays import Array, Picture
+from sim2real.arrays import Picture
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
-from sim2real.hardware.camera_file import read_camera, write_camera
-from sim2real.hardware.charuco import Board, calibrate, corner_markers, views
-from sim2real.hardware.plane import Lens, stand
+from sim2real.hardware.camera import (
+    calibrate,
+    charuco_board,
+    read_camera,
+    stand,
+    views,
+    write_camera,
+)
 from sim2real.hardware.plots import track_figure
 from sim2real.hardware.sync import correlated, flash, joined
-from sim2real.hardware.tracker import Track, frame_count, open_video, read_picture, track
+from sim2real.hardware.tracker import Track, open_video, read_picture, track
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, read_recording, write_recording
 from sim2real.report.drawing import save_png
@@ -35,8 +41,7 @@ def track_video(options: argparse.Namespace) -> int:
     out = check_writable(options.out)
     camera = read_camera(options.camera)
     servo = read_recording(options.servo) if options.servo else None
-    total = frame_count(options.video)
-    with tqdm(desc="track", total=total, unit="frame", disable=None) as bar:
+    with tqdm(desc="track", unit="frame", disable=None) as bar:
         seen = track(options.video, camera, progress=lambda: bar.update(1))
     if servo is None:
         recording = _poses_only(seen, options.joints)
@@ -102,7 +107,7 @@ def _with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> 
 def calibrate_camera(options: argparse.Namespace) -> int:
     """Calibrate the lens, place the pool, write ``camera.toml``."""
     out = check_writable(options.out)
-    board = _board(options.board, options.dictionary)
+    board = board_of(options.board, options.dictionary)
     with tqdm(desc=_CALIBRATE, unit="picture", disable=None) as bar:
         seen, size = views(_pictures(options.pictures), board, progress=lambda: bar.update(1))
     try:
@@ -112,7 +117,7 @@ def calibrate_camera(options: argparse.Namespace) -> int:
         raise InputError(where, "", str(error), "the board at many places and angles") from None
     length, width = _numbers(options.pool, 2, "--pool")
     known = np.array([[0, 0], [length, 0], [length, width], [0, width]], dtype=np.float64)
-    corners = _corners(options, lens)
+    corners = np.array([_numbers(pair, 2, "--corners") for pair in options.corners])
     try:
         plane = stand(lens, corners, known)
     except ValueError as error:
@@ -120,37 +125,19 @@ def calibrate_camera(options: argparse.Namespace) -> int:
     write_camera(out, lens, corners, known)
     print(f"{len(seen)} views of the board, reprojection error {lens.rms_px:.2f} px")
     x, y, z = plane.position
-    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {plane.residual_px:.2f} px")
+    within = np.sqrt(np.mean(np.sum((plane.pixels(known) - corners) ** 2, axis=1)))
+    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {within:.2f} px")
     print(f"camera: {out}")
     return 0
 
 
-def _board(text: str, dictionary: str) -> Board:
-    """The board from ``ACROSS,DOWN,SQUARE,MARKER``."""
+def board_of(text: str, dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
+    """OpenCV's board from ``ACROSS,DOWN,SQUARE,MARKER``."""
     across, down, square, marker = _numbers(text, 4, "--board")
     whole = across == int(across) and down == int(down)
     if not (whole and min(across, down) >= 3 and 0 < marker < square):
         raise InputError(_CALIBRATE, "--board", text, "as 7,5,0.04,0.03: sides in m")
-    return Board((int(across), int(down)), square, marker, dictionary)
-
-
-def _corners(options: argparse.Namespace, lens: Lens) -> Array:
-    """The pool's four corners in pixels: given, or markers that lie on them."""
-    if options.corners is not None:
-        given = [_numbers(pair, 2, "--corners") for pair in options.corners]
-        return np.array(given, dtype=np.float64)
-    if options.corner_ids is None or options.pool_picture is None:
-        expected = "--corners U,V U,V U,V U,V, or --corner-ids with --pool-picture"
-        raise InputError(_CALIBRATE, "--corners", "nothing", expected)
-    picture = read_picture(options.pool_picture)
-    if (picture.shape[1], picture.shape[0]) != lens.size_px:
-        found = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise InputError(options.pool_picture, "", found, "the size of the board's pictures")
-    ids = [int(x) for x in _numbers(options.corner_ids, 4, "--corner-ids")]
-    try:
-        return corner_markers(picture, options.dictionary, ids)
-    except ValueError as error:
-        raise InputError(options.pool_picture, "", str(error), "a marker on each corner") from None
+    return charuco_board((int(across), int(down)), square, marker, dictionary)
 
 
 def _numbers(text: str, count: int, option: str) -> list[float]:

@@ -77,9 +77,7 @@ pictures PICTURE+: pictures of a ChArUco board, or a video of one
     side of a marker in m
 --dictionary {} = 4x4_50: ArUco dictionary of the board
 --pool LIST = 3.6,3.6: length and width of the pool in m
---corners U,V*4: pixels of the four corners of the pool: the origin first, then along x
---corner-ids LIST: ids of markers at the corners of the pool, such as 10,11,12,13
---pool-picture PICTURE: picture that shows the corners of the pool
+--corners U,V*4!: pixels of the four corners of the pool: the origin first, then along x
 --out TOML!: camera to write (camera.toml)
 """
 _DICTIONARIES = (

@@ -1,6 +1,6 @@
 """``sim2real import``: a log becomes a recording, BAM's parameters a model.
 
-Also ``sim2real robot``: a URDF or MJCF becomes a robot.
+Also ``sim2real robot``: a URDF becomes a robot.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import argparse
 import sys
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +19,19 @@ from sim2real.errors import InputError
 from sim2real.findings import all_findings
 from sim2real.importers.bam import read_bam
 from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
-from sim2real.importers.chain import robot_toml
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
-from sim2real.importers.loads import loads_of, with_loads
-from sim2real.importers.missing import (
-    angle_options,
+from sim2real.importers.options import (
+    MAP,
+    SECONDS_PER,
+    Conversion,
     ask_for,
-    bag_options,
+    conversion,
+    loads_of,
     refuse,
-    table_options,
-    unused_angle_options,
 )
-from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.robots import robot_toml
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
-from sim2real.importers.units import Conversion, conversion
 from sim2real.importers.urdf import read_urdf
 from sim2real.model import write_model
 from sim2real.output import check_writable, write_whole
@@ -59,7 +58,6 @@ _UNKNOWN_LOAD = (
     "N m; to state the load, import again with --inertia {joint}=KGM2 (the load without the "
     "servo's rotor) or --pendulum {joint}=MASS_KG,LENGTH_M"
 )
-READERS = {"from-urdf": read_urdf, "from-mjcf": read_mjcf}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,7 +74,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(out, "", f"the ending {out.suffix!r}", "a file name ending in .csv")
     if source.resolve() in (out.resolve(), out.with_suffix(".json").resolve()):
         raise InputError(out, "", "a name that would overwrite the log", "another name")
-    recording = with_loads(_read(source, args), args.inertia, args.pendulum)
+    recording = _read(source, args)
+    loads = loads_of(args.inertia, args.pendulum, recording.joints)
+    recording = replace(recording, loads={**recording.loads, **loads})
     measured_at = recording.t[np.isfinite(recording.position).any(axis=1)]
     check_sampling(source, measured_at, where="times")
     write_recording(recording, out)
@@ -118,17 +118,17 @@ def _read(source: Path, args: argparse.Namespace) -> Recording:
         raise InputError(source, "", "no such file", KINDS)
     if is_lerobot(source):
         _refuse_others(source, "a LeRobot dataset", args)
-        ask_for(source, angle_options(*_angles(args)))
         return read_lerobot(source, _units(source, args), episode=args.episode, joints=args.joints)
     if source.suffix in TABLES:
         _refuse_others(source, "a table", args)
-        ask_for(source, table_options(args.columns, args.time_unit, *_angles(args)))
-        columns = column_map(args.columns)
-        return read_table(source, columns, _units(source, args), time_unit=args.time_unit)
+        lacking = [] if args.columns else [f"--columns {MAP}"]
+        lacking += [] if args.time_unit else [f"--time-unit {'|'.join(SECONDS_PER)}"]
+        units = _units(source, args, lacking)
+        return read_table(source, column_map(args.columns), units, time_unit=args.time_unit)
     if not source.is_dir() and source.suffix not in BAGS:
         raise InputError(source, "", f"the ending {source.suffix!r}", KINDS)
     _refuse_others(source, "a ROS bag", args)
-    ask_for(source, bag_options(args.command_topic))
+    ask_for(source, [] if args.command_topic else ["--command-topic TOPIC (of the set-points)"])
     state_topic = args.state_topic or STATE_TOPIC
     return read_bag(
         source, state_topic=state_topic, command_topic=args.command_topic, joints=args.joints
@@ -146,16 +146,9 @@ def _flags(names: Sequence[str]) -> list[str]:
     return [f"--{name.replace('_', '-')}" for name in names]
 
 
-def _angles(
-    args: argparse.Namespace,
-) -> tuple[list[str] | None, int | None, float | None, str | None]:
-    return args.units, args.counts_per_turn, args.zero_count, args.calibration
-
-
-def _units(source: Path, args: argparse.Namespace) -> Conversion:
-    unused = unused_angle_options(*_angles(args))
-    refuse(source, unused, f"angles in {', '.join(args.units)}", ["--units"])
-    return conversion(*_angles(args))
+def _units(source: Path, args: argparse.Namespace, lacking: Sequence[str] = ()) -> Conversion:
+    values = (args.units, args.counts_per_turn, args.zero_count, args.calibration)
+    return conversion(*values, source=source, lacking=lacking)
 
 
 def _summary(recording: Recording) -> str:
@@ -180,7 +173,7 @@ def _summary(recording: Recording) -> str:
 def robot(options: argparse.Namespace) -> int:
     """Write a robot file; print the fields to be filled in, which the file lists too."""
     out = check_writable(options.out)
-    text, notes = robot_toml(READERS[options.action](options.source), options.joints)
+    text, notes = robot_toml(read_urdf(options.source), options.joints)
     head = f"# From {' '.join(options.source.name.splitlines())}."
     lines = [" ".join(note.splitlines()) for note in notes]
     text = "\n".join([head, *(f"# not here: {line}" for line in lines), text])

@@ -50,8 +50,8 @@ ranges FILE: randomization ranges (ranges.json)
 --out FILE!: Python file to write
 """
 _ROBOT = """
-action from-urdf|from-mjcf: format to read
-source FILE: description of the robot (URDF or MJCF)
+action from-urdf: format to read
+source FILE: description of the robot (URDF)
 --out TOML!: robot to write (robot.toml)
 --joints JOINT+: joints to take, in order (default: all)
 """

@@ -13,9 +13,11 @@ import numpy as np
 from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.buses import bus_class, connection
-from sim2real.hardware.priority import priority
+from sim2real.hardware.mounting import Wiring
+from sim2real.hardware.process import priority
+from sim2real.hardware.recorder import Run
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.session import RATE_HZ, Run, Wiring, bus_settings, drive, mounted
+from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted
 from sim2real.output import check_writable, provenance
 from sim2real.recording import SCHEMA
 from sim2real.robot import Joint, Robot, read_robot
@@ -100,16 +102,14 @@ def check_temperature(limit_C: float) -> None:
 
 def _report(out: Path, run: Run) -> int:
     """Print the outcome in one line; return the exit status."""
-    outcome = run.outcome
-    if outcome.stopped:
-        line = f"sim2real record: {outcome.stopped}; {run.written(out)}; {run.torque}"
+    if run.stopped:
+        line = f"sim2real record: {run.stopped}; {run.written(out)}; {run.torque}"
         print(line, file=sys.stderr)
         return 1
-    missing = ", ".join(f"{name} {count}" for name, count in outcome.missing.items())
-    late = 1e3 * float(np.quantile(outcome.late_s, 0.999))
+    missing = ", ".join(f"{name} {count}" for name, count in run.missing.items())
     print(
-        f"{run.written(out)}; missing positions: {missing}; {outcome.skipped} set-points skipped; "
-        f"99.9 % of cycles within {late:.1f} ms; {run.torque}"
+        f"{run.written(out)}; missing positions: {missing}; {run.skipped} set-points skipped; "
+        f"99.9 % of cycles within {1e3 * run.late_999_s():.1f} ms; {run.torque}"
     )
     return 1 if run.unreleased else 0
 
@@ -153,7 +153,7 @@ def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
         trim_ticks=numbers("--trim", options.trim, int, whole) if options.trim else None,
         reverse=options.reverse,
     )
-    wiring.check(robot, bus_class(options.bus).largest_id)
+    wiring.check(robot, bus_class(options.bus).protocol.largest_id)
     return wiring
 
 

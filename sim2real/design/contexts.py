@@ -14,18 +14,13 @@ from sim2real.structured import Fields, read_toml
 
 @dataclass(frozen=True)
 class Context:
-    """One way to set up the bench.
+    """One way to set up the bench."""
 
-    Attributes:
-        name: What the user calls it.
-        loads: Loads by joint that replace those of the recordings so far.
-        supply: Supply voltage, relative to that of the recordings so far.
-        gain: Proportional gain of the firmware, relative to that of the recordings so far.
-    """
-
-    name: str = "as it is"
+    name: str = "as it is"  # what the user calls it
+    # loads by joint that replace those of the recordings so far
     loads: Mapping[str, Load] = field(default_factory=dict)
-    supply: float = 1.0
+    supply: float = 1.0  # supply voltage, relative to that of the recordings so far
+    # proportional gain of the firmware, relative to that of the recordings so far
     gain: float = 1.0
 
     def load(self, rivals: JointRivals) -> Load:

@@ -14,32 +14,190 @@ set-point that is lost is an error of the command by its last change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from sim2real.arrays import Array
-from sim2real.design.belief import GAINS, Belief
 from sim2real.design.limits import CommandLimits
+from sim2real.identification.priors import motor_prior
+from sim2real.identification.problem import plain_row
+from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.normal import Z90
-from sim2real.recording import PER_INERTIA
-from sim2real.servo.parameters import ROTOR_INERTIA
+from sim2real.inference.parameters import column
+from sim2real.model import JointModel, Model
+from sim2real.recording import PER_INERTIA, Load
+from sim2real.robot import Robot, Servo
+from sim2real.servo.parameters import BASE, COLUMNS, LINE, ROTOR, ROTOR_INERTIA, joint_row
 from sim2real.servo.rollout import Simulator
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import Trace, shows_inertia
+
+GAINS = BASE[:3]
+"""Gains and latency, the parameters of every servo."""
+
+
+@dataclass(frozen=True)
+class AngleError:
+    """Errors of the measured angle about the model.
+
+    A set-point that is late by a share of the period counts as lost with the square of that share:
+    1 ms of 20 ms, by default.
+    """
+
+    white_rad: float  # standard deviation of independent errors, quantisation included
+    angle_rad: float  # of errors that repeat with the angle: an eccentric sensor, cogging
+    angle_scale_rad: float = 0.1  # angle over which these change
+    lost: float = 0.0025  # probability that a set-point does not arrive in its period
+
+
+@dataclass(frozen=True)
+class ServoPrior:
+    """Draws of a servo, its parameters that the next recording is to determine, and the noise."""
+
+    names: tuple[str, ...]  # columns of the F parameters (``servo.parameters``)
+    rows: Array  # parameters of D servos, shape (D, P)
+    # standard deviations of the logarithm of each parameter in the prior of the fit, infinite where
+    # there is none, shape (F,)
+    sd: Array
+    load: Load  # the load on the shaft
+    noise: AngleError  # errors of the measured angle
+
+    @property
+    def columns(self) -> list[int]:
+        """Indices of the F parameters in a row."""
+        return [COLUMNS.index(name) for name in self.names]
+
+
+def prior_of(
+    robot: Robot,
+    model: Model | None,
+    limits: CommandLimits,
+    *,
+    load: Load | None = None,
+    draws: int = 8,
+    seed: int = 0,
+) -> ServoPrior:
+    """The prior of one joint: its fitted model, or its data sheet where there is none.
+
+    Args:
+        robot: The robot.
+        model: Its fitted servos.
+        limits: Limits of the commands, which name the joint.
+        load: The load on the shaft; by default that of the model, or an unknown one.
+        draws: Number D of servos.
+        seed: Seed of the draws.
+    """
+    joint = robot.joint(limits.joint)
+    assert joint is not None
+    rng = np.random.default_rng(seed)
+    fitted = None if model is None else model.joints.get(limits.joint)
+    # usual noise of a sensor and the quantisation that the data sheet states
+    white = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12)))
+    if model is None or fitted is None:
+        noise = AngleError(white, white)
+        return _from_sheet(joint.servo, noise, load or PER_INERTIA, draws, rng)
+    figures = model.fit.get(f"{limits.joint}.position_rad", {})
+    white = float(figures.get("noise") or white)
+    train = float(figures.get("train") or white)
+    noise = AngleError(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
+    for effect in (*fitted.effects, *model.effects):
+        if effect.effect == "packet_loss":
+            noise = replace(noise, lost=max(noise.lost, effect.parameters["probability"]))
+    return _from_model(fitted, joint.servo, load, noise, draws, rng)
+
+
+def _from_model(
+    joint: JointModel,
+    servo: Servo,
+    load: Load | None,
+    noise: AngleError,
+    draws: int,
+    rng: np.random.Generator,
+    *,
+    widest_sd: float = 0.5,
+) -> ServoPrior:
+    """Draws from the intervals of a fitted joint and their correlations, as logarithms."""
+    row = joint_row(joint, load)
+    known = [n for n in joint.interval if n in COLUMNS and row[COLUMNS.index(n)] > 0]
+    names = tuple(dict.fromkeys([*GAINS, *known]))
+    columns = [COLUMNS.index(name) for name in names]
+    ends = np.array([joint.interval.get(name, (0.0, np.inf)) for name in names])
+    half = (ends[:, 1] - ends[:, 0]) / (2 * Z90 * np.maximum(row[columns], 1e-12))
+    sd = np.where(np.isfinite(half), np.minimum(half, widest_sd), widest_sd)
+    correlation = np.eye(len(names))
+    for pair, value in joint.correlation.items():
+        places = [names.index(name) for name in pair.split(", ") if name in names]
+        if len(places) == 2:
+            correlation[places, places[::-1]] = value
+    level, directions = np.linalg.eigh(correlation)
+    root = directions * np.sqrt(np.maximum(level, 0.0))
+    offset = sd * (rng.standard_normal((draws, len(names))) @ root.T)
+    offset[0] = 0.0
+    rows = np.tile(row, (draws, 1))
+    rows[:, columns] = row[columns] * np.exp(offset)
+    stated = load or joint.load or (PER_INERTIA if joint.per_inertia else Load(joint.inertia_kgm2))
+    return ServoPrior(names, rows, _prior_sd(names, servo, stated), stated, noise)
+
+
+def _from_sheet(
+    servo: Servo,
+    noise: AngleError,
+    load: Load,
+    draws: int,
+    rng: np.random.Generator,
+    *,
+    frequency_rad_s: tuple[float, float] = (12.0, 50.0),
+    damping_ratio: tuple[float, float] = (0.4, 1.3),
+    latency_s: tuple[float, float] = (0.01, 0.08),
+) -> ServoPrior:
+    """Servos that the data sheet allows, of usual frequencies, damping ratios and latencies."""
+    points = kronecker(draws, 6, rng)
+    low, high = np.log([frequency_rad_s, damping_ratio, latency_s]).T
+    frequency, damping, latency = np.exp(low + points[:, :3] * (high - low)).T
+    names: tuple[str, ...] = GAINS
+    rows = np.tile(plain_row(0.0, 0.0, 0.0), (draws, 1))
+    if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+        still = _still(load)
+        line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
+        prior = motor_prior(servo, [still])
+        parameters = [prior[name] for name in line]
+        # of the prior's rotors the lighter ones: stated loads mostly include the rotor
+        middle = np.array([0.5, 0.5, 1.0])[: len(line)]
+        share = np.sqrt(12) * (points[:, 3 : 3 + len(line)] - middle)
+        motor = np.exp(column(parameters, "nominal") + share * column(parameters, "prior_sd"))
+        rows[:, [COLUMNS.index(name) for name in line]] = motor
+        names = (*GAINS, *line)
+    inertia = load.inertia_kgm2 + rows[:, ROTOR_INERTIA]
+    rows[:, 0] = frequency**2 * inertia
+    rows[:, 1] = 2 * damping * frequency * inertia
+    rows[:, 2] = latency
+    rows[:, 3:5] = load.inertia_kgm2, load.gravity_Nm
+    return ServoPrior(names, rows, _prior_sd(names, servo, load), load, noise)
+
+
+def _prior_sd(names: tuple[str, ...], servo: Servo, load: Load) -> Array:
+    """Standard deviations of the logarithms in the prior of the fit, shape (F,)."""
+    sd = np.full(len(names), np.inf)
+    if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+        known = {p.name: p.prior_sd for p in motor_prior(servo, [_still(load)]).parameters if p.log}
+        sd = np.array([known.get(name, np.inf) for name in names])
+    return sd
+
+
+def _still(load: Load) -> Trace:
+    """A trace that states a load, for the prior of a motor."""
+    none = np.zeros(2)
+    return Trace("next", "next", np.array([0.0, 1.0]), none, none, load, np.ones(2, dtype=bool))
 
 
 @dataclass(frozen=True)
 class Precision:
-    """Expected precision of F parameters after each of N commands, for D servos.
+    """Expected precision of F parameters after each of N commands, for D servos."""
 
-    Attributes:
-        covariance: Covariance of the logarithms of the parameters, shape (N, D, F, F).
-        rms_torque_Nm: Root mean square of the torque that the motion takes, shape (N, D).
-    """
-
-    covariance: Array
-    rms_torque_Nm: Array
+    covariance: Array  # covariance of the logarithms of the parameters, shape (N, D, F, F)
+    rms_torque_Nm: Array  # root mean square of the torque that the motion takes, shape (N, D)
 
     @property
     def half_width(self) -> Array:
@@ -50,35 +208,23 @@ class Precision:
 
 @dataclass(frozen=True)
 class Information:
-    """Scores commands by how precisely a fit to their recording would determine a servo.
+    """Scores commands by how precisely a fit to their recording would determine a servo."""
 
-    Attributes:
-        belief: Prior of the servo.
-        limits: Limits of the commands.
-        substep_s: Longest sub-step of the rollouts, s.
-        difference: Step of the forward differences, relative to a parameter.
-        features: Number of Fourier features of the errors that repeat with the angle.
-        every: Number of samples per sample at which these errors are evaluated.
-        others: Weight of the mean logarithm of all widths; that of the widest of the gains is 1.
-        threads: CPU threads.
-    """
-
-    belief: Belief
-    limits: CommandLimits
-    substep_s: float = 0.004
-    difference: float = 1e-3
-    features: int = 16
-    every: int = 2
+    prior: ServoPrior  # prior of the servo
+    limits: CommandLimits  # limits of the commands
+    substep_s: float = 0.004  # longest sub-step of the rollouts, s
+    difference: float = 1e-3  # step of the forward differences, relative to a parameter
+    features: int = 16  # number of Fourier features of the errors that repeat with the angle
+    every: int = 2  # number of samples per sample at which these errors are evaluated
+    # weight of the mean logarithm of all widths; that of the widest of the gains is 1
     others: float = 0.3
-    threads: int = 2
-    _waves: tuple[Array, Array] = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Draw the Fourier features once, so that commands are compared on the same ones."""
+    @cached_property
+    def _waves(self) -> tuple[Array, Array]:
+        """Wave numbers and phases, the same for all commands that are compared."""
         rng = np.random.default_rng(0)
-        number = rng.standard_normal(self.features) / self.belief.noise.angle_scale_rad
-        waves = number, rng.uniform(0, 2 * np.pi, self.features)
-        object.__setattr__(self, "_waves", waves)
+        number = rng.standard_normal(self.features) / self.prior.noise.angle_scale_rad
+        return number, rng.uniform(0, 2 * np.pi, self.features)
 
     def __call__(self, commands: Array) -> Array:
         """Score of each command (N, T), shape (N,), see ``scores``."""
@@ -88,15 +234,15 @@ class Information:
         """Scores of commands with these statistics (N, K), shape (N,).
 
         Minus the logarithm of the widest interval of gains and latency, plus a share of that of all
-        parameters, averaged over the servos of the belief. What exceeds the torque budget is
+        parameters, averaged over the servos of the prior. What exceeds the torque budget is
         penalised.
         """
         precision = self.precision_of(statistics)
         log_width = np.log(np.maximum(precision.half_width, 1e-9))
-        gains = [k for k, name in enumerate(self.belief.names) if name in GAINS]
+        gains = [k for k, name in enumerate(self.prior.names) if name in GAINS]
         worst = log_width[:, :, gains].max(axis=2)
         score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
-        known = self.belief.load is not PER_INERTIA
+        known = self.prior.load is not PER_INERTIA
         excess = precision.rms_torque_Nm / (self.limits.rms_torque_Nm if known else np.inf) - 1
         return np.asarray(score - 10 * np.maximum(excess, 0.0).mean(axis=1))
 
@@ -111,7 +257,7 @@ class Information:
         second, so that the parts of different commands, joined, have about the sum of theirs.
         """
         angle, slopes = self.sensitivities(commands)
-        load, period, (number, phase) = self.belief.load, self.limits.period_s, self._waves
+        load, period, (number, phase) = self.prior.load, self.limits.period_s, self._waves
         acceleration = np.diff(angle, 2, axis=2, append=0.0, prepend=0.0) / period**2
         acceleration[:, :, [0, -1]] = 0.0
         torque2 = (load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle)) ** 2
@@ -133,30 +279,29 @@ class Information:
 
     def precision_of(self, statistics: Array) -> Precision:
         """Expected precision after commands with these statistics (N, K)."""
-        noise, D, F = self.belief.noise, len(self.belief.rows), len(self.belief.names)
+        noise, D, F = self.prior.noise, len(self.prior.rows), len(self.prior.names)
         each = statistics.reshape(len(statistics), D, -1)
         gram = each[:, :, : F * F].reshape(-1, D, F, F)
         by_loss = each[:, :, F * F : 2 * F * F].reshape(-1, D, F, F)
         by_angle = each[:, :, 2 * F * F : -1].reshape(-1, D, F, self.features)
         white = noise.white_rad
-        prior = np.diag(1 / self.belief.prior_sd**2 + 1e-3)  # so that it has an inverse
+        prior = np.diag(1 / self.prior.sd**2 + 1e-3)  # so that it has an inverse
         repeated = noise.angle_rad**2 * 2 / self.features * by_angle @ np.swapaxes(by_angle, 2, 3)
-        precision = gram / white**2 + prior
-        inverse = np.linalg.inv(precision)
+        inverse = np.linalg.inv(gram / white**2 + prior)
         middle = gram / white**2 + (repeated + noise.lost * by_loss) / white**4 + prior
         return Precision(inverse @ middle @ inverse, np.sqrt(each[:, :, -1]))
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
-        belief = self.belief
+        prior = self.prior
         t = self.limits.times(commands.shape[1] * self.limits.period_s)
         still, used = np.zeros(t.size), np.ones(t.size, dtype=bool)
-        traces = [Trace("next", "next", t, c, still, belief.load, used) for c in commands]
-        D, F = len(belief.rows), len(belief.names)
-        rows = np.repeat(belief.rows[:, None], 1 + F, axis=1)
-        for k, column in enumerate(belief.columns):
-            rows[:, 1 + k, column] *= 1 + self.difference
-        simulator = Simulator(traces, self.threads)
+        traces = [Trace("next", "next", t, c, still, prior.load, used) for c in commands]
+        D, F = len(prior.rows), len(prior.names)
+        rows = np.repeat(prior.rows[:, None], 1 + F, axis=1)
+        for k, at in enumerate(prior.columns):
+            rows[:, 1 + k, at] *= 1 + self.difference
+        simulator = Simulator(traces, threads=2)
         flat = rows.reshape(D * (1 + F), -1)
         substep = np.inf if simulator.is_linear(flat) else self.substep_s
         angles = np.array(simulator.angles(flat, substep)).reshape(len(commands), D, 1 + F, t.size)
@@ -164,19 +309,12 @@ class Information:
         return angles[:, :, 0], np.moveaxis(slopes, 2, 3)
 
     def _by_command(self, slopes: Array) -> Array:
-        """Sum over time of slopes (N, D, T, F) times the response to one set-point, same shape.
-
-        Of the linear servo: what a set-point that is lost adds to the gradient of the fit, per rad.
-        """
+        """Sum over time of slopes (N, D, T, F) times the response to one set-point, same shape."""
         out = np.empty_like(slopes)
-        for d, row in enumerate(self.belief.rows):
+        for d, row in enumerate(self.prior.rows):
             inertia = row[3] + row[ROTOR_INERTIA]
             servo = ([row[0]], [inertia, row[1], row[0] + row[4]])
             numerator, denominator, _ = cont2discrete(servo, self.limits.period_s)
             backwards = slopes[:, d, ::-1]
             out[:, d] = lfilter(numerator.ravel(), denominator, backwards, axis=1)[:, ::-1]
         return out
-
-    def of(self, belief: Belief) -> Information:
-        """The same for another belief."""
-        return replace(self, belief=belief)

@@ -11,7 +11,6 @@ import numpy as np
 
 from sim2real.arrays import Array, Integers
 from sim2real.errors import InputError
-from sim2real.model import Model
 from sim2real.recording import Load
 from sim2real.robot import Joint, Robot
 
@@ -32,29 +31,19 @@ do at stall."""
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """Limits of the commands of one joint.
+    """Limits of the commands of one joint."""
 
-    Attributes:
-        joint: Name of the joint.
-        position_rad: Smallest and largest set-point, rad.
-        rate_rad_s: Largest rate of the set-point, the servo's no-load speed, rad/s.
-        torque_Nm: The servo's stall torque, N m; infinite where the data sheet does not state it.
-        rms_torque_Nm: Largest root mean square of the torque over the recording, N m.
-        period_s: Time between set-points, s.
-        resolution_rad: Set-points are multiples of it, rad.
-        rest_s: Time at rest at the beginning and at the end, s.
-        largest_held_rad: Angle beyond which the servo cannot hold its load, rad; infinite where
-            that does not narrow the range.
-    """
-
-    joint: str
-    position_rad: tuple[float, float]
-    rate_rad_s: float
+    joint: str  # name of the joint
+    position_rad: tuple[float, float]  # smallest and largest set-point, rad
+    rate_rad_s: float  # largest rate of the set-point, the servo's no-load speed, rad/s
+    # the servo's stall torque, N m; infinite where the data sheet does not state it
     torque_Nm: float = np.inf
-    rms_torque_Nm: float = np.inf
-    period_s: float = PERIOD_S
-    resolution_rad: float = FINEST_RAD
-    rest_s: float = REST_S
+    rms_torque_Nm: float = np.inf  # largest root mean square of the torque over the recording, N m
+    period_s: float = PERIOD_S  # time between set-points, s
+    resolution_rad: float = FINEST_RAD  # set-points are multiples of it, rad
+    rest_s: float = REST_S  # time at rest at the beginning and at the end, s
+    # angle beyond which the servo cannot hold its load, rad; infinite where that does not narrow
+    # the range
     largest_held_rad: float = np.inf
 
     @property
@@ -90,19 +79,14 @@ class CommandLimits:
         return np.asarray(np.arange(round(seconds / self.period_s)) * self.period_s)
 
 
-def limits_of(robot: Robot, model: Model | None = None, joint: str | None = None) -> CommandLimits:
-    """Limits of the commands of one joint, from the robot's file.
-
-    Args:
-        robot: The robot, with limits and data sheets.
-        model: Its fitted servos, which name the joint if ``joint`` does not.
-        joint: Name of the joint; by default the first one of the model, or of the robot.
+def limits_of(robot: Robot, joint: str | None = None) -> CommandLimits:
+    """Limits of the commands of one joint, by default the first, from the robot's file.
 
     Raises:
         InputError: If the robot lacks the joint, its limits or its speed, or if the limits
             contradict each other.
     """
-    described = _joint(robot, model, joint)
+    described = _joint(robot, joint)
     servo, where = described.servo, described.where
     low, high = described.limits_rad
     step = servo.position_step_rad if servo.states("position_step_rad") else 0.0
@@ -159,7 +143,7 @@ def holding(limits: CommandLimits, load: Load, robot: Robot) -> CommandLimits:
     narrowed = replace(limits, position_rad=ends, largest_held_rad=most)
     lowest, highest = narrowed.ticks
     if highest - lowest < 2:
-        servo = _joint(robot, None, limits.joint).servo
+        servo = _joint(robot, limits.joint).servo
         nearest = min(max(low, 0.0), high)
         found = f"{load.gravity_Nm * abs(np.sin(nearest)):.3g} N m or more to hold the load"
         expected = (
@@ -175,10 +159,6 @@ def within(commands: Array, limits: CommandLimits) -> Array:
 
     They are clipped to the range, held at rest at both ends, rounded to the resolution, and their
     rate is limited; towards the end the range narrows so that rest is reached in time.
-
-    Args:
-        commands: Set-points in rad, shape (N, T).
-        limits: The limits.
     """
     low, high = limits.ticks
     rest, most = round((low + high) / 2), limits.most_ticks
@@ -197,14 +177,10 @@ def within(commands: Array, limits: CommandLimits) -> Array:
     return np.asarray(limited * limits.resolution_rad)
 
 
-def _joint(robot: Robot, model: Model | None, name: str | None) -> Joint:
-    if name is None:
-        fitted = [] if model is None else [j.name for j in robot.joints if j.name in model.joints]
-        name = fitted[0] if fitted else robot.joints[0].name
-    joint = robot.joint(name)
+def _joint(robot: Robot, name: str | None) -> Joint:
+    joint = robot.joints[0] if name is None else robot.joint(name)
     if joint is None:
         known = ", ".join(j.name for j in robot.joints)
-        raise InputError(
-            robot.path or robot.name, "joints", f"no joint {name!r}", f"one of {known}"
-        )
+        where = robot.path or robot.name
+        raise InputError(where, "joints", f"no joint {name!r}", f"one of {known}")
     return joint

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.design.belief import Belief, belief_of
-from sim2real.design.information import Information, Precision
+from sim2real.design.information import Information, Precision, ServoPrior, prior_of
 from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
 from sim2real.design.search import SearchResult, best
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.errors import InputError
+from sim2real.importers.options import loads_of
 from sim2real.inference.normal import Z90
 from sim2real.model import Model
 from sim2real.recording import PER_INERTIA, Load, Recording
@@ -27,24 +28,17 @@ MODEL, SHEET = "model", "data sheet"
 
 @dataclass(frozen=True)
 class JointDesign:
-    """The commands of one joint and what is expected of them.
+    """The commands of one joint and what is expected of them."""
 
-    Attributes:
-        information: The objective: the prior of the servo, and the limits.
-        found: The result of the search.
-        precision: Expected precision of the parameters, of one command (N = 1).
-        origin: What the belief comes from, ``"model"`` or ``"data sheet"``.
-    """
-
-    information: Information
-    found: SearchResult
-    precision: Precision
-    origin: str
+    information: Information  # the objective: the prior of the servo, and the limits
+    found: SearchResult  # the result of the search
+    precision: Precision  # expected precision of the parameters, of one command (N = 1)
+    origin: str  # what the prior comes from, ``"model"`` or ``"data sheet"``
 
     @property
-    def belief(self) -> Belief:
+    def prior(self) -> ServoPrior:
         """The prior of the servo."""
-        return self.information.belief
+        return self.information.prior
 
     @property
     def limits(self) -> CommandLimits:
@@ -55,9 +49,9 @@ class JointDesign:
     def expected(self) -> dict[str, float]:
         """Half-width of the expected 90 % interval of each parameter, relative to its value.
 
-        The geometric mean over the servos of the belief.
+        The geometric mean over the servos of the prior.
         """
-        return dict(zip(self.belief.names, _mean(self.precision)[0].tolist(), strict=True))
+        return dict(zip(self.prior.names, _mean(self.precision)[0].tolist(), strict=True))
 
     @property
     def determined(self) -> dict[str, bool]:
@@ -65,7 +59,7 @@ class JointDesign:
 
         Before, it is that of the prior, or the parameter itself where there is none.
         """
-        before = np.minimum(Z90 * self.belief.prior_sd, 1.0)
+        before = np.minimum(Z90 * self.prior.sd, 1.0)
         return {
             name: bool(width < 0.5 * most)
             for (name, width), most in zip(self.expected.items(), before, strict=True)
@@ -79,38 +73,31 @@ class JointDesign:
     def content(self) -> dict[str, Any]:
         """What is expected, for the JSON file."""
         torque = float(self.precision.rms_torque_Nm.mean())
-        expected: dict[str, dict[str, Any]] = {}
+        determined, expected = self.determined, dict[str, dict[str, Any]]()
+        values = dict(zip(self.prior.names, self.prior.rows[0, self.prior.columns], strict=True))
         for name, width in self.expected.items():
-            expected[name] = {"relative_half_width": width, "determined": self.determined[name]}
+            expected[name] = {"relative_half_width": width, "determined": determined[name]}
             if self.origin == MODEL:
-                value = float(self.belief.rows[0, self.belief.columns[self._place(name)]])
+                value = float(values[name])
                 expected[name]["interval"] = [value * (1 - width), value * (1 + width)]
         return {
             "belief": self.origin,
             "expected": expected,
-            "noise_rad": self.belief.noise.white_rad,
-            "angle_error_rad": self.belief.noise.angle_rad,
-            "rms_torque_Nm": None if self.belief.load is PER_INERTIA else torque,
+            "noise_rad": self.prior.noise.white_rad,
+            "angle_error_rad": self.prior.noise.angle_rad,
+            "rms_torque_Nm": None if self.prior.load is PER_INERTIA else torque,
             "commands_compared": self.found.evaluated,
             "range_rad": list(self.limits.position_rad),
         }
 
-    def _place(self, name: str) -> int:
-        return self.belief.names.index(name)
-
 
 @dataclass(frozen=True)
 class Design(NotebookDisplay):
-    """Commands to record next.
+    """Commands to record next."""
 
-    Attributes:
-        t: Times in s, shape (T,).
-        joints: The design of each joint.
-        provenance: Command line, versions, seed and SHA-256 of the inputs.
-    """
-
-    t: Array
-    joints: Mapping[str, JointDesign]
+    t: Array  # times in s, shape (T,)
+    joints: Mapping[str, JointDesign]  # the design of each joint
+    # command line, versions, seed and SHA-256 of the inputs
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def recording(self, name: str = "next") -> Recording:
@@ -118,21 +105,11 @@ class Design(NotebookDisplay):
 
         ``metadata["design"]`` states for each joint the expected 90 % intervals.
         """
-        command = np.stack([joint.found.command for joint in self.joints.values()], axis=1)
-        loads = {name: joint.belief.load for name, joint in self.joints.items()}
-        return Recording(
-            name=name,
-            kind="servo",
-            joints=tuple(self.joints),
-            t=self.t,
-            command=command,
-            position=np.full(command.shape, np.nan),
-            loads={name: load for name, load in loads.items() if load is not PER_INERTIA},
-            source="Commands to record next, by 'sim2real design'.",
-            metadata={
-                "design": {name: joint.content() for name, joint in self.joints.items()},
-                "provenance": dict(self.provenance),
-            },
+        design = {name: joint.content() for name, joint in self.joints.items()}
+        commands = [joint.found.command for joint in self.joints.values()]
+        loads = {name: joint.prior.load for name, joint in self.joints.items()}
+        return next_recording(
+            name, self.t, commands, loads, {"design": design, "provenance": dict(self.provenance)}
         )
 
     def plot(self, joint: str | None = None) -> Figure:
@@ -140,6 +117,28 @@ class Design(NotebookDisplay):
         name = next(iter(self.joints)) if joint is None else joint
         figure: Figure = from_report("design_plot.design_figure")(self.t, name, self.joints[name])
         return figure
+
+
+def next_recording(
+    name: str,
+    t: Array,
+    commands: Sequence[Array],
+    loads: Mapping[str, Load],
+    metadata: Mapping[str, Any],
+) -> Recording:
+    """Commands (T,) of joints, of which ``loads`` has the names, as a recording without angles."""
+    command = np.stack(commands, axis=1)
+    return Recording(
+        name=name,
+        kind="servo",
+        joints=tuple(loads),
+        t=t,
+        command=command,
+        position=np.full(command.shape, np.nan),
+        loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
+        source="Commands to record next, by 'sim2real design'.",
+        metadata=dict(metadata),
+    )
 
 
 def design(
@@ -171,15 +170,15 @@ def design(
         InputError: If limits contradict each other, the duration is too short, or a servo can hold
             its load nowhere in its range.
     """
-    names = designed_joints(robot, model)
-    limits = {name: limits_of(robot, model, name) for name in names}
+    names = _designed_joints(robot, model)
+    limits = {name: limits_of(robot, name) for name in names}
     for joint in limits.values():
         check_seconds(seconds, joint)
     designs = {}
     for k, (name, joint) in enumerate(limits.items()):
-        belief = belief_of(robot, model, joint, load=(loads or {}).get(name), seed=seed)
-        held = holding(joint, belief.load, robot)
-        information = Information(belief, held)
+        prior = prior_of(robot, model, joint, load=(loads or {}).get(name), seed=seed)
+        held = holding(joint, prior.load, robot)
+        information = Information(prior, held)
 
         def report(share: float, done: int = k) -> None:
             progress((done + share) / len(names))
@@ -193,7 +192,23 @@ def design(
     return Design(next(iter(limits.values())).times(seconds), designs)
 
 
-def designed_joints(robot: Robot, model: Model | None) -> list[str]:
+def stated_loads(
+    robot: Robot, model: Model | None, inertia: Sequence[str] | None, pendulum: Sequence[str] | None
+) -> dict[str, Load]:
+    """Loads by joint from ``J=KGM2`` and ``J=KG,M``, see ``importers.options.loads_of``.
+
+    Raises:
+        InputError: If an option is malformed, or the robot has no joint of the model.
+    """
+    joints = _designed_joints(robot, model)
+    if not joints:
+        found = f"the joints {', '.join(model.joints) if model else ''}"
+        known = ", ".join(joint.name for joint in robot.joints)
+        raise InputError("model", "joints", found, f"some of the robot's: {known}")
+    return loads_of(inertia, pendulum, joints)
+
+
+def _designed_joints(robot: Robot, model: Model | None) -> list[str]:
     """Joints of the robot that the model has; all of them without a model."""
     return [j.name for j in robot.joints if model is None or j.name in model.joints]
 

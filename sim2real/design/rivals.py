@@ -1,32 +1,23 @@
 """Commands that tell rival sets of effects apart: the entropy over sets that a recording leaves.
 
 Each set of effects predicts the angles of a recording, with a covariance for what its parameters,
-fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise. The
-columns of U_i are the derivatives of the angles by the parameters times a root of their covariance.
-That is the setting of Box and Hill, Technometrics 9 (1967) 57-71. Two sets are as far apart as the
-Bhattacharyya distance of their predictions,
+fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise (Box
+and Hill, Technometrics 9 (1967) 57-71). Two sets are as far apart as the Bhattacharyya distance
 
     d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j,
 
 in which refitted parameters take up what they can of the difference (Atkinson and Fedorov,
-Biometrika 62 (1975) 57-70). With probabilities p the entropy that remains after the recording is at
-most
+Biometrika 62 (1975) 57-70). With probabilities p the entropy that remains is at most
 
     sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
 
-by the bound of Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2.
-
-A diagnosis fits the noise to what a set leaves, its spectrum included. With R the spectrum of r
-over that of the noise, the evidence of n samples against the wrong set is then n/2 times the mean
-of log(1 + R) over frequencies (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991,
-section 5.8), by Jensen's inequality at most n/2 log(1 + r'r / n). That stands for r'r / 2 here.
-
-The law of an effect is wrong by a share q of its own response, in an unknown shape. Had
-that error the shape of r, its variance along r would be q**2 ||e||**2, with e the response that a
-refitted plain servo leaves of a set's effects. A diagnosis therefore trusts a share
-1 / (1 + q**2 E) of the evidence (``effect_probabilities.trusted_share``), with E = ||e||**2 / 2,
-summed over the recordings so far and the new one. Distances are multiplied by the expected share,
-the mean over sets: a larger command tells more only until the error of the laws exceeds the noise.
+(Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2). A diagnosis
+fits the noise to what a set leaves: the evidence of n samples against the wrong set is at most
+n/2 log(1 + r'r / n) (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991, section 5.8, and
+Jensen's inequality), which stands for r'r / 2 here. The law of an effect is wrong by a share q of
+its own response, so that a diagnosis trusts a share 1 / (1 + q**2 E) of the evidence
+(``effect_probabilities.trusted_share``), with E half the energy that a refitted plain servo leaves
+of a set's effects, summed over all recordings. Distances are multiplied by its mean over sets.
 """
 
 from __future__ import annotations
@@ -39,8 +30,8 @@ import numpy as np
 from sim2real.arrays import Array, Index
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.screening import NUISANCES
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
+from sim2real.diagnose.screening import NUISANCES
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
@@ -54,26 +45,17 @@ class RivalObjective:
         rivals: The sets.
         context: What changes besides the commands.
         rms_torque_Nm: Largest root mean square of the torque; what exceeds it is penalised.
-        device: Warp device.
-        threads: CPU threads.
 
     Attributes:
         probability: Probabilities of the M sets, shape (M,).
     """
 
     def __init__(
-        self,
-        rivals: JointRivals,
-        context: Context = AS_IT_IS,
-        *,
-        rms_torque_Nm: float = np.inf,
-        device: str = "cpu",
-        threads: int = 2,
+        self, rivals: JointRivals, context: Context = AS_IT_IS, *, rms_torque_Nm: float = np.inf
     ) -> None:
         self.rivals, self.context = rivals, context
         known = context.load(rivals) is not PER_INERTIA
         self._torque2 = rms_torque_Nm**2 if known else np.inf
-        self._device, self._threads = device, threads
         self.probability = np.array([one.probability for one in rivals.sets])
         self._expansion = _expansion(rivals)
         self._gain = np.array([one.gain for one in rivals.sets])
@@ -81,33 +63,19 @@ class RivalObjective:
     def __call__(self, commands: Array) -> Array:
         """Minus the entropy that remains, in nats, less a penalty for too much torque.
 
-        Args:
-            commands: Set-points in rad, shape (N, T), at the period of the recordings so far.
-
-        Returns:
-            Shape (N,); -inf where a simulation diverges.
+        Of set-points (N, T) in rad at the period of the recordings so far; shape (N,), -inf where a
+        simulation diverges.
         """
         return self.scores(self.statistics(commands, 1)[:, 0])
 
     def statistics(self, commands: Array, parts: int) -> Array:
-        """Sums over parts of the commands: inner products of whitened predictions, and torque.
+        """Sums over equal parts of commands (N, T), shape (N, parts, K * K + 2).
 
-        Args:
-            commands: Set-points in rad, shape (N, T).
-            parts: Number of equal parts.
-
-        Returns:
-            Inner products of predictions and derivatives, then the most probable set's squared
-            torque over the number of samples, N2 m2, and the number of samples of the part, shape
-            (N, parts, K * K + 2).
+        Inner products of whitened predictions and derivatives, then the most probable set's squared
+        torque over the number of samples, N2 m2, and the number of samples of the part.
         """
         N, theta = len(commands), self._expansion.theta
-        batch = Batch(
-            [[trace] for trace in self._staged(commands)],
-            self._device,
-            self._threads,
-            period=self.rivals.period_s,
-        )
+        batch = self._batch(commands, threads=2)
         rows = np.repeat(theta[None], N, axis=0)
         problems = Problems(np.arange(N, dtype=np.int32), rows, np.ones(rows.shape[:2]))
         noise = np.repeat(self._noise(batch)[None], N, axis=0)
@@ -131,9 +99,7 @@ class RivalObjective:
     def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
         """Scores of N commands from their sums (N, K * K + 2), shape (N,).
 
-        Args:
-            statistics: The sums.
-            penalty: Nats for a torque of twice what is allowed.
+        A torque of twice what is allowed costs ``penalty`` nats.
         """
         excess = np.sqrt(statistics[:, -2] / self._torque2) - 1
         distances = self._distances(statistics)
@@ -157,10 +123,7 @@ class RivalObjective:
         return np.asarray(vectors.T @ statistics[:, :-2].reshape(-1, K, K) @ vectors)
 
     def _distances(self, statistics: Array) -> Array:
-        """Distances (N, M, M) from sums (N, K * K + 2); NaN where a simulation diverged.
-
-        Its inner products are not finite, or far beyond what rounding lets inverses have.
-        """
+        """Distances (N, M, M) from sums (N, K * K + 2); NaN where a simulation diverged."""
         M, F = self.probability.size, self._expansion.spreads
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
         products = self._products(np.where(diverged[:, None], 0.0, statistics))
@@ -179,24 +142,13 @@ class RivalObjective:
         return np.asarray(1 / (1 + DECISION.law_error**2 * energy) @ self.probability)
 
     def difference(self, command: Array, i: int, j: int) -> Array:
-        """Difference of two sets' predictions over time that refitted parameters leave, (T,).
+        """Difference over time of the predictions of sets i and j that refitted parameters leave.
 
-        Args:
-            command: Set-points in rad, shape (T,).
-            i: Index of the first set.
-            j: Index of the second set.
-
-        Returns:
-            S^-1 r of the module, in standard deviations of the noise.
+        S^-1 r of the module for set-points (T,) in rad, in standard deviations of the noise, (T,).
         """
         theta = self._expansion.theta
         K = len(theta)
-        batch = Batch(
-            [[trace] for trace in self._staged(command[None])],
-            self._device,
-            1,
-            period=self.rivals.period_s,
-        )
+        batch = self._batch(command[None], threads=1)
         problems = Problems(np.zeros(K, dtype=np.int32), theta[:, None], np.zeros((K, 1)))
         noise = np.repeat(self._noise(batch)[None], K, axis=0)
         seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
@@ -214,7 +166,7 @@ class RivalObjective:
         noise[: known.size] = known
         return noise
 
-    def _staged(self, commands: Array) -> list[Trace]:
+    def _batch(self, commands: Array, threads: int) -> Batch:
         """The commands as if recorded, with all angles 0."""
         count = commands.shape[1]
         plan = Trace(
@@ -228,7 +180,8 @@ class RivalObjective:
             supply_ratio=self.context.supply,
             gain_ratio=self.context.gain,
         )
-        return [replace(plan, command=command) for command in commands]
+        traces = [[replace(plan, command=command)] for command in commands]
+        return Batch(traces, "cpu", threads, period=self.rivals.period_s)
 
 
 def _whitened(
@@ -252,29 +205,21 @@ def _fitted_noise(square: Array, count: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Derivatives:
-    """Rows to simulate, and how predictions and their spreads follow from them.
+    """Rows to simulate, and how predictions and their spreads follow from them."""
 
-    Attributes:
-        theta: Parameter rows: those of the sets, then one a free parameter, then those of the sets
-            without their effects, shape (K, P).
-        vectors: Coefficients of the differences of the rows' angles from those of the first row:
-            the predictions of the M sets, then for each set its derivatives times a root of the
-            covariance, padded to F columns, then the M predictions without effects, and the
-            derivatives by the B parameters of a plain servo times these parameters, shape
-            (K, M + M F + M + B).
-        spreads: F.
-    """
-
+    # parameter rows: those of the sets, then one a free parameter, then those of the sets without
+    # their effects, shape (K, P)
     theta: Array
+    # coefficients of the differences of the rows' angles from those of the first row: the
+    # predictions of the M sets, then for each set its derivatives times a root of the covariance,
+    # padded to F columns, then the M predictions without effects, and the derivatives by the B
+    # parameters of a plain servo times these parameters, shape (K, M + M F + M + B)
     vectors: Array
-    spreads: int
+    spreads: int  # F
 
 
 def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
-    """Derivatives by each free parameter, at the most probable set that has it.
-
-    Waves of the angle that every servo has stay as they are: all sets have them alike.
-    """
+    """Derivatives by each free parameter, at the most probable set that has it."""
     sets, M = rivals.sets, len(rivals.sets)
     free = [_free_columns(one) for one in sets]
     owner: dict[int, int] = {}
@@ -333,12 +278,9 @@ def _root(precision: Array) -> Array:
 def distances(products: Array, M: int, evidence: Callable[[Array], Array] = np.asarray) -> Array:
     """Bhattacharyya distances of the predictions of M sets, shape (N, M, M).
 
-    Args:
-        products: Inner products of the whitened predictions m_i of the sets and the columns of
-            their spreads U_i, one set after the other, each of F columns, shape
-            (N, M + M F, M + M F).
-        M: Number of sets.
-        evidence: What counts in the place of the squares r' S^-1 r, of the same shape.
+    From inner products (N, M + M F, M + M F) of the whitened predictions m_i of the sets and the
+    columns of their spreads U_i, one set after the other, each of F columns. ``evidence`` returns
+    what counts in the place of the squares r' S^-1 r.
     """
     F = products.shape[1] // M - 1
     i, j = np.triu_indices(M, 1)
@@ -353,11 +295,9 @@ def distances(products: Array, M: int, evidence: Callable[[Array], Array] = np.a
 
 
 def left_by_refits(difference: Array, spreads: Array) -> Array:
-    """The part of a difference of two predictions that refitted parameters leave: S^-1 r, (n,).
+    """The part S^-1 r of a difference of two whitened predictions (n,) that refits leave, (n,).
 
-    Args:
-        difference: Whitened difference r of the predictions, shape (n,).
-        spreads: Columns U_i and U_j of both sets, shape (n, 2 F).
+    ``spreads`` has the columns U_i and U_j of both sets, shape (n, 2 F).
     """
     both = spreads / np.sqrt(2)
     inner = np.eye(both.shape[1]) + both.T @ both
@@ -367,10 +307,8 @@ def left_by_refits(difference: Array, spreads: Array) -> Array:
 def remaining_entropy(probability: Array, distances: Array) -> Array:
     """Upper bound of the entropy over M sets after a recording, in nats, shape (N,).
 
-    Args:
-        probability: Probabilities of the sets before it, shape (M,).
-        distances: Bhattacharyya distances of their predictions, shape (N, M, M); infinite entropy
-            where one is NaN.
+    From probabilities (M,) before it and Bhattacharyya distances (N, M, M) of their predictions;
+    infinite where one is NaN.
     """
     with np.errstate(invalid="ignore"):
         overlap = np.exp(-distances) @ probability

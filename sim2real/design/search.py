@@ -16,35 +16,132 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from sim2real.arrays import Array
-from sim2real.design.candidates import draw
-from sim2real.design.limits import within
+from sim2real.design.limits import CommandLimits, within
+
+Family = Callable[[np.random.Generator, Array, float], Array]
+"""A function of the generator, the times (T,) in s from 0 and the highest frequency in Hz, which
+returns a signal of about -1 to 1, shape (T,)."""
+
+HIGHEST_HZ = 8.0
+"""Highest frequency of the commands; natural frequencies of servos are mostly below it."""
+SLOWEST_HZ = 0.1
+
+
+def multisine(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
+    """Up to 24 sines of random phases, frequencies and sizes."""
+    count = int(rng.integers(3, 25))
+    low, high = np.sort(_log_uniform(rng, SLOWEST_HZ, highest_hz, 2))
+    frequency = _log_uniform(rng, low, high, count)
+    size = frequency ** -rng.uniform(0.0, 1.5)
+    phase = 2 * np.pi * (np.outer(frequency, t) + rng.random((count, 1)))
+    return _scaled(size @ np.sin(phase), rng)
+
+
+def fourier(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
+    """A periodic Fourier series with random coefficients, of several periods.
+
+    Source: Swevers et al., IEEE Trans. Robot. Autom. 13 (1997) 730-740.
+    """
+    base = float(_log_uniform(rng, SLOWEST_HZ, 1.0, 1)[0])
+    count = min(int(rng.integers(3, 13)), max(int(highest_hz / base), 1))
+    harmonic = np.arange(1, count + 1)
+    angle = 2 * np.pi * base * np.outer(harmonic, t)
+    a, b = rng.standard_normal((2, count)) / harmonic ** rng.uniform(0.0, 1.0)
+    return _scaled(a @ np.sin(angle) + b @ np.cos(angle), rng)
+
+
+def chirp(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
+    """A sine whose frequency sweeps between two random ones, once or several times."""
+    ends = _log_uniform(rng, SLOWEST_HZ, highest_hz, 2)
+    sweeps = rng.integers(1, 7)
+    share = np.abs((t / t[-1] * sweeps + 1) % 2 - 1)
+    frequency = ends[0] * (ends[1] / ends[0]) ** share
+    phase = 2 * np.pi * (np.cumsum(frequency) * (t[1] - t[0]) + rng.random())
+    return np.asarray(np.sin(phase) * (frequency / frequency.min()) ** -rng.uniform(0.0, 0.7))
+
+
+def holds(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
+    """Random levels, each held for a random time."""
+    shortest, longest = np.sort(_log_uniform(rng, 0.5 / highest_hz, 1.5, 2))
+    levels, place = _intervals(rng, t, shortest, longest)
+    size = rng.uniform(0.2, 1.0, levels) ** rng.choice([0.3, 1.0])
+    side = rng.choice([-1.0, 1.0], levels)
+    return np.asarray((side * size)[place])
+
+
+def binary(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
+    """Alternates between two levels after random times."""
+    shortest, longest = np.sort(_log_uniform(rng, 0.5 / highest_hz, 1.0, 2))
+    levels, place = _intervals(rng, t, shortest, longest)
+    size = rng.choice([1.0, rng.uniform(0.3, 1.0)], levels)
+    return np.asarray((np.where(np.arange(levels) % 2, -1.0, 1.0) * size)[place])
+
+
+def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
+    """A cubic spline through random knots."""
+    spacing = float(_log_uniform(rng, 0.5 / highest_hz, 0.6, 1)[0])
+    knots = np.arange(0.0, t[-1] + 4 * spacing, spacing)
+    size = rng.uniform(-1.0, 1.0, knots.size)
+    return _scaled(make_interp_spline(knots, np.sign(size) * np.abs(size) ** 0.5)(t), rng)
+
+
+FAMILIES: tuple[Family, ...] = (multisine, fourier, chirp, holds, binary, spline)
+
+
+def draw(
+    rng: np.random.Generator,
+    count: int,
+    limits: CommandLimits,
+    seconds: float,
+    *,
+    mixed: float = 0.4,
+    highest_hz: float = HIGHEST_HZ,
+) -> Array:
+    """Random commands within the limits, at rest at both ends, rad, shape (N, T).
+
+    The families take turns; the share ``mixed`` consists of parts of several.
+    """
+    t = limits.times(seconds)
+    size = limits.reach_rad * rng.uniform(0.4, 1.1, (count, 1))
+    shapes = [_shape(rng, t, k, mixed, highest_hz) for k in range(count)]
+    return within(limits.rest_rad + size * np.array(shapes), limits)
+
+
+def _shape(rng: np.random.Generator, t: Array, k: int, mixed: float, highest_hz: float) -> Array:
+    if rng.random() >= mixed:
+        return FAMILIES[k % len(FAMILIES)](rng, t, highest_hz)
+    parts = np.array_split(np.arange(t.size), int(rng.integers(2, 7)))
+    out = np.empty(t.size)
+    for part in parts:
+        family = FAMILIES[int(rng.integers(len(FAMILIES)))]
+        out[part] = family(rng, t[part] - t[part[0]], highest_hz)
+    return out
+
+
+def _intervals(
+    rng: np.random.Generator, t: Array, shortest: float, longest: float
+) -> tuple[int, np.ndarray]:
+    """Number of intervals of random lengths, and the interval of each time (T,)."""
+    ends = np.cumsum(rng.uniform(shortest, longest, int(t[-1] / shortest) + 2))
+    place = np.searchsorted(ends, t, side="right")
+    return int(place[-1]) + 1, place
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float, count: int) -> Array:
+    return np.asarray(low * (high / low) ** rng.random(count))
+
+
+def _scaled(wave: Array, rng: np.random.Generator) -> Array:
+    """A signal scaled to 1 at its peak, or beyond, where the range then clips it."""
+    return np.asarray(wave / np.abs(wave).max() * rng.choice([1.0, 1.5, 3.0]))
+
 
 Objective = Callable[[Array], Array]
 """A function of commands (N, T) in rad that returns their scores (N,); larger is better, and
 -inf excludes a command."""
-
-
-class Limits(Protocol):
-    """What the search asks of the limits of commands, those of one joint or of several."""
-
-    @property
-    def period_s(self) -> float:
-        """Time between set-points, s."""
-
-    @property
-    def rest_s(self) -> float:
-        """Time at rest at either end, s."""
-
-    @property
-    def rest_rad(self) -> float | Array:
-        """Set-point at rest, rad."""
-
-    @property
-    def reach_rad(self) -> float | Array:
-        """Largest distance of a set-point from rest, rad."""
-
-
-Draw = Callable[[np.random.Generator, int, Any, float], Array]
+Limits = Any
+"""``CommandLimits`` of one joint, or limits of several with the same attributes."""
+Draw = Callable[[np.random.Generator, int, Limits, float], Array]
 """A function of a generator, a number N, limits and a duration in s that returns random commands
 within the limits, shape (N, T), or (N, T, J) of several joints."""
 
@@ -62,19 +159,12 @@ class Additive(Protocol):
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        command: The best command in rad, shape (T,), or (T, J) of several joints.
-        score: Its score.
-        scores: Best score after each batch.
-        evaluated: Number of commands that were evaluated.
-    """
-
-    command: Array
+    command: Array  # the best command in rad, shape (T,), or (T, J) of several joints
     score: float
-    scores: tuple[float, ...]
-    evaluated: int
+    scores: tuple[float, ...]  # best score after each batch
+    evaluated: int  # number of commands that were evaluated
 
 
 def best(
@@ -84,7 +174,7 @@ def best(
     *,
     rng: np.random.Generator,
     draw: Draw = draw,
-    within: Callable[[Array, Any], Array] = within,
+    within: Callable[[Array, Limits], Array] = within,
     drawn: int = 256,
     rounds: int = 8,
     batch: int = 32,
@@ -133,8 +223,7 @@ def best(
     history = [float(score.max())]
     finite = np.isfinite(score)  # parts of simulations that diverge are not exchanged
     if additive is not None and finite.any():
-        parts_of = np.concatenate(sums)[finite]
-        simulated = pool[finite], parts_of, score[finite]
+        simulated = pool[finite], np.concatenate(sums)[finite], score[finite]
         assembled = within(_assembled(additive, *simulated, rng, copies=assemblies), limits)
         pool, score = np.vstack([pool, assembled]), np.append(score, objective(assembled))
         evaluated += len(assembled)
@@ -142,8 +231,10 @@ def best(
     for k in range(rounds):
         order = np.argsort(-score)[:elite]
         pool, score = pool[order], score[order]
-        varied = within(_variations(pool, batch, limits, rng, draw), limits)
-        pool, score = np.concatenate([pool, varied]), np.append(score, objective(varied))
+        parents = np.minimum(rng.geometric(0.35, batch) - 1, len(pool) - 1)
+        varied = [_varied(pool[p], pool, limits, rng, draw) for p in parents]
+        kept = within(np.array(varied), limits)
+        pool, score = np.concatenate([pool, kept]), np.append(score, objective(kept))
         evaluated += batch
         history.append(float(score.max()))
         progress((len(batches) + 2 + k) / total)
@@ -162,11 +253,7 @@ def _assembled(
     tried: int = 160,
     passes: int = 2,
 ) -> Array:
-    """Commands (copies, T) made of parts of those of a pool (N, T), from their sums (N, parts, K).
-
-    Each starts from one of the best commands. Every part is replaced in turn by the one of some
-    random parts of the pool with the highest score, all else as it is.
-    """
+    """Commands (copies, T) of parts of those of a pool (N, T), by their sums (N, parts, K)."""
     N, parts, _ = sums.shape
     edges = [int(part[0]) for part in np.array_split(np.arange(pool.shape[1]), parts)]
     edges.append(pool.shape[1])
@@ -188,77 +275,30 @@ def _assembled(
     return out
 
 
-def _variations(
-    elite: Array, count: int, limits: Limits, rng: np.random.Generator, draw: Draw
+def _varied(
+    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
 ) -> Array:
-    """Variations (count, T, ...) of the best commands (M, T, ...), which are sorted."""
-    parent = np.minimum(rng.geometric(0.35, count) - 1, len(elite) - 1)
-    out = np.empty((count, *elite.shape[1:]))
-    for n, p in enumerate(parent):
-        vary = _VARIATIONS[int(rng.integers(len(_VARIATIONS)))]
-        out[n] = vary(elite[p], elite, limits, rng, draw)
-    return out
-
-
-def _window(T: int, rng: np.random.Generator) -> slice:
-    """A random part of the recording, of about a thirtieth to a half of it."""
+    """One of the best commands (T, ...), of which a part of a thirtieth to a half is changed."""
+    kind, out, T = int(rng.integers(5)), command.copy(), len(command)
     length = int(T * np.exp(rng.uniform(np.log(0.03), np.log(0.5))))
-    start = int(rng.integers(0, T - length))
-    return slice(start, start + length)
-
-
-def _crossed(
-    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
-) -> Array:
-    """A part replaced by a part of another command, from anywhere in it."""
-    out, part = command.copy(), _window(len(command), rng)
-    length = part.stop - part.start
-    start = int(rng.integers(0, len(command) - length))
-    out[part] = elite[int(rng.integers(len(elite)))][start : start + length]
+    begin = int(rng.integers(0, T - length))
+    part = slice(begin, begin + length)
+    if kind == 0:  # by a part of another command, from anywhere in it
+        source = int(rng.integers(0, T - length))
+        out[part] = elite[int(rng.integers(len(elite)))][source : source + length]
+    elif kind == 1:  # by a new random command
+        seconds = length * limits.period_s + 4 * limits.rest_s
+        new = draw(rng, 1, limits, seconds)[0][round(2 * limits.rest_s / limits.period_s) :]
+        out[part] = new[:length]
+    elif kind == 2:  # larger or smaller about rest
+        out[part] = limits.rest_rad + (out[part] - limits.rest_rad) * np.exp(0.3 * rng.normal())
+    elif kind == 3:  # faster or slower
+        rate = float(np.exp(0.25 * rng.normal()))
+        places = np.minimum(begin + rate * np.arange(length), T - 1)
+        out[part] = make_interp_spline(np.arange(T), command, k=1)(places)
+    else:  # by smooth random changes
+        width = float(np.exp(rng.uniform(np.log(1.0), np.log(12.0))))
+        noise = gaussian_filter1d(rng.normal(size=out[part].shape), width, axis=0)
+        size = limits.reach_rad * np.exp(rng.uniform(np.log(0.03), np.log(0.4)))
+        out[part] += size * noise / max(float(noise.std()), 1e-12)
     return out
-
-
-def _redrawn(
-    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
-) -> Array:
-    """A part replaced by a new random command."""
-    out, part = command.copy(), _window(len(command), rng)
-    seconds = (part.stop - part.start) * limits.period_s + 4 * limits.rest_s
-    new = draw(rng, 1, limits, seconds)[0][round(2 * limits.rest_s / limits.period_s) :]
-    out[part] = new[: part.stop - part.start]
-    return out
-
-
-def _rescaled(
-    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
-) -> Array:
-    """A part made larger or smaller about rest."""
-    out, part = command.copy(), _window(len(command), rng)
-    out[part] = limits.rest_rad + (out[part] - limits.rest_rad) * np.exp(0.3 * rng.normal())
-    return out
-
-
-def _stretched(
-    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
-) -> Array:
-    """A part played faster or slower."""
-    out, part = command.copy(), _window(len(command), rng)
-    length, rate = part.stop - part.start, float(np.exp(0.25 * rng.normal()))
-    source = np.minimum(part.start + rate * np.arange(length), len(command) - 1)
-    out[part] = make_interp_spline(np.arange(len(command)), command, k=1)(source)
-    return out
-
-
-def _disturbed(
-    command: Array, elite: Array, limits: Limits, rng: np.random.Generator, draw: Draw
-) -> Array:
-    """Smooth random changes of a part."""
-    out, part = command.copy(), _window(len(command), rng)
-    width = float(np.exp(rng.uniform(np.log(1.0), np.log(12.0))))
-    noise = gaussian_filter1d(rng.normal(size=out[part].shape), width, axis=0)
-    size = limits.reach_rad * np.exp(rng.uniform(np.log(0.03), np.log(0.4)))
-    out[part] += size * noise / max(float(noise.std()), 1e-12)
-    return out
-
-
-_VARIATIONS = (_crossed, _redrawn, _rescaled, _stretched, _disturbed)

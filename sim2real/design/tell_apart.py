@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from itertools import count as counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -14,10 +15,10 @@ from scipy.special import ndtr
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
+from sim2real.design.plan import next_recording
 from sim2real.design.rivals import RivalObjective, remaining_entropy
-from sim2real.design.search import best
-from sim2real.diagnose.rival_sets import JointRivals, OpenSets, entropy
-from sim2real.diagnose.separation import SEPARATED, task
+from sim2real.design.search import SearchResult, best
+from sim2real.diagnose.rival_sets import SEPARATED, JointRivals, OpenSets, entropy, task
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Recording
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 Advance = Callable[[float], None]
 OPEN = 0.05
 """Probability from which a set of effects is one of several that remain."""
+_LISTED = 6
+"""Pairs of sets of a joint that are listed."""
 
 
 class SetObjective(Protocol):
@@ -51,24 +54,16 @@ class SetObjective(Protocol):
 
 @dataclass(frozen=True)
 class ExpectedSeparation:
-    """Two rival sets of effects, and how surely the recording is expected to tell them apart.
+    """Two rival sets of effects, and how surely the recording is expected to tell them apart."""
 
-    Attributes:
-        component: The joint or the body.
-        first: Effects of the more probable set.
-        second: Effects of the other.
-        probability: Their probabilities.
-        distance: Bhattacharyya distance of their predictions.
-        expected: Probability that the evidence will favour the true one of both,
-            Phi(sqrt(2 distance)) for predictions of equal covariance.
-    """
-
-    component: str
-    first: tuple[str, ...]
-    second: tuple[str, ...]
+    component: str  # the joint or the body
+    first: tuple[str, ...]  # effects of the more probable set
+    second: tuple[str, ...]  # effects of the other
     probability: tuple[float, float]
-    distance: float
+    distance: float  # Bhattacharyya distance of their predictions
     expected: float
+    """Probability that the evidence will favour the true one of both, Phi(sqrt(2 distance)) for
+    predictions of equal covariance."""
 
     def __str__(self) -> str:
         """The sets, and the expected probability of distinguishing them."""
@@ -77,24 +72,15 @@ class ExpectedSeparation:
 
 @dataclass(frozen=True)
 class JointForecast:
-    """What the recording is expected to tell of one joint, or of the body.
+    """What the recording is expected to tell of one joint, or of the body."""
 
-    Attributes:
-        rivals: The sets of effects that were open.
-        entropy: Entropy over the sets before, nats.
-        remaining: Entropy that is expected to remain, nats.
-        command: The set-points, rad, shape (T,), or (T, J) of all joints for the body.
-        pairs: All pairs of sets, those that matter most first.
-        differences: For each pair the whitened difference of predictions over time that refitted
-            parameters leave, in standard deviations of the noise, shape (pairs, T); of the first
-            few pairs.
-    """
-
-    rivals: OpenSets
-    entropy: float
-    remaining: float
-    command: Array
-    pairs: tuple[ExpectedSeparation, ...]
+    rivals: OpenSets  # the sets of effects that were open
+    entropy: float  # entropy over the sets before, nats
+    remaining: float  # entropy that is expected to remain, nats
+    command: Array  # the set-points, rad, shape (T,), or (T, J) of all joints for the body
+    pairs: tuple[ExpectedSeparation, ...]  # all pairs of sets, those that matter most first
+    # for each of the first few pairs the whitened difference of predictions over time that refitted
+    # parameters leave, in standard deviations of the noise, (pairs, T)
     differences: Array
 
     def content(self) -> dict[str, Any]:
@@ -118,18 +104,12 @@ class JointForecast:
 
 @dataclass(frozen=True)
 class RivalDesign(NotebookDisplay):
-    """A recording to make next.
+    """A recording to make next."""
 
-    Attributes:
-        context: What to change besides the commands.
-        joints: What it is expected to tell, joint by joint.
-        least: Probability from which a set counts as open.
-        provenance: As returned by ``sim2real.output.provenance``.
-    """
-
-    context: Context
-    joints: tuple[JointForecast, ...]
-    least: float = OPEN
+    context: Context  # what to change besides the commands
+    joints: tuple[JointForecast, ...]  # what it is expected to tell, joint by joint
+    least: float = OPEN  # probability from which a set counts as open
+    # as returned by ``sim2real.output.provenance``
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -142,18 +122,9 @@ class RivalDesign(NotebookDisplay):
         """The commands as a recording without measured angles, and what they are to tell."""
         rivals = [joint.rivals for joint in self.joints if isinstance(joint.rivals, JointRivals)]
         loads = {one.component: self.context.load(one) for one in rivals}
-        return Recording(
-            name=name,
-            kind="servo",
-            joints=tuple(loads),
-            t=self.t,
-            command=np.stack([self._resampled(joint) for joint in self.joints], axis=1),
-            position=np.full((self.t.size, len(loads)), np.nan),
-            loads={joint: load for joint, load in loads.items() if load is not PER_INERTIA},
-            source="Commands to record next, by 'sim2real design'.",
-            metadata=self.statement
-            | {"context": {"name": self.context.name, **self.context.ratios}},
-        )
+        commands = [joint.command for joint in self.joints]
+        context = {"name": self.context.name, **self.context.ratios}
+        return next_recording(name, self.t, commands, loads, self.statement | {"context": context})
 
     @property
     def statement(self) -> dict[str, Any]:
@@ -162,12 +133,6 @@ class RivalDesign(NotebookDisplay):
             "rivals": [joint.content() for joint in self.joints],
             "provenance": dict(self.provenance),
         }
-
-    def _resampled(self, joint: JointForecast) -> Array:
-        """Set-points of a joint at the times of the first one."""
-        t = joint.rivals.period_s * np.arange(joint.command.size)
-        place = np.searchsorted(t, self.t + 1e-9, side="right") - 1
-        return np.asarray(joint.command[place])
 
     def plot(self, joint: str | None = None) -> Figure:
         """Commands of one joint, and over time the differences of what its rival sets predict."""
@@ -193,7 +158,11 @@ class RivalDesign(NotebookDisplay):
     def __str__(self) -> str:
         """What is expected, one line a joint and one a pair."""
         if not self.informative:
-            return self._exhausted()
+            best = max(self._open(), key=lambda pair: pair.expected)
+            return (
+                "Nothing more can be distinguished within these limits: no command that was tried "
+                f"separates two sets with {SEPARATED:g}. The best: {best}."
+            )
         lines = [self.setting]
         for joint in self.joints:
             before, after = np.exp([joint.entropy, joint.remaining])
@@ -203,17 +172,6 @@ class RivalDesign(NotebookDisplay):
             )
             lines += [f"  {pair}" for pair in joint.pairs[:_LISTED]]
         return "\n".join(lines)
-
-    def _exhausted(self) -> str:
-        best = max(self._open(), key=lambda pair: pair.expected)
-        return (
-            "Nothing more can be distinguished within these limits: no command that was tried "
-            f"separates two sets with {SEPARATED:g}. The best: {best}."
-        )
-
-
-_LISTED = 6
-"""Pairs of sets of a joint that are listed."""
 
 
 def design_for_rivals(
@@ -227,7 +185,6 @@ def design_for_rivals(
     file: str | os.PathLike[str] = "diagnosis",
     samples: float = 6e5,
     change_gain: float = 0.02,
-    assemblies: int = 2,
     progress: Advance = lambda share: None,
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
@@ -247,8 +204,6 @@ def design_for_rivals(
         samples: Number of set-points that are simulated for a joint, over all commands: a third of
             them for random commands, in all contexts, the rest for variations of the best.
         change_gain: Entropy in nats that a change of context must save to be asked for.
-        assemblies: Number of the best commands whose parts are exchanged, see ``search.best``. On
-            the bench that was measured, eight took 37 s and two 16 s, for the same entropy.
         progress: Called with the share that is done.
 
     Raises:
@@ -267,41 +222,32 @@ def design_for_rivals(
     for context in contexts:
         for name in context.loads.keys() & limits.keys():
             limits[name] = holding(limits[name], context.loads[name], robot)
-    stages = len(rivals) * (len(offered) + 1)
-    done = iter(range(stages))
-
-    def stage() -> Advance:
-        k = next(done)
-        return lambda share: progress((k + share) / stages)
-
-    def objective_of(one: JointRivals, context: Context) -> RivalObjective:
-        return RivalObjective(one, context, rms_torque_Nm=limits[one.component].rms_torque_Nm)
-
     count = max(limits[one.component].times(seconds).size for one in rivals)
     commands = int(np.clip(samples / count, 64, 800))
     few = max(commands // 3 // len(offered), 16)
-    found = [
-        [
-            best(
-                objective_of(one, context), limits[one.component], seconds,
-                rng=rng, drawn=few, rounds=0, batch=min(few, 32), assemblies=assemblies,
-                progress=stage(),
-            )
-            for one in rivals
-        ]
+    stages, done = len(rivals) * (len(offered) + 1), counter()
+
+    def found(one: JointRivals, context: Context, **options: Any) -> tuple[Any, SearchResult]:  # noqa: ANN401
+        """The objective and the best commands of a joint; two commands' parts are exchanged."""
+        k, own = next(done), limits[one.component]
+        objective = RivalObjective(one, context, rms_torque_Nm=own.rms_torque_Nm)
+        # eight assemblies took 37 s and two 16 s on the bench that was measured, for the same
+        return objective, best(
+            objective, own, seconds, rng=rng, drawn=few, assemblies=2,
+            progress=lambda share: progress((k + share) / stages), **options,
+        )  # fmt: skip
+
+    looks = [
+        [found(one, context, rounds=0, batch=min(few, 32))[1] for one in rivals]
         for context in offered
-    ]  # fmt: skip
-    scores = np.array([sum(joint.score for joint in joints) for joints in found])
+    ]
+    scores = np.array([sum(joint.score for joint in joints) for joints in looks])
     scores[1:] -= change_gain
     k = int(scores.argmax())
     joints = []
-    for one, first in zip(rivals, found[k], strict=True):
-        objective = objective_of(one, offered[k])
-        last = best(
-            objective, limits[one.component], seconds,
-            rng=rng, drawn=few, rounds=commands // 2 // 32, start=first.command[None],
-            assemblies=assemblies, progress=stage(),
-        )  # fmt: skip
+    for one, first in zip(rivals, looks[k], strict=True):
+        start = first.command[None]
+        objective, last = found(one, offered[k], rounds=commands // 2 // 32, start=start)
         joints.append(forecast(objective, last.command))
     return RivalDesign(offered[k], tuple(joints), least)
 
@@ -312,11 +258,7 @@ def _check_joints(
     robot: Robot,
     file: str | os.PathLike[str],
 ) -> None:
-    """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known.
-
-    Raises:
-        InputError: If it lacks one, or a context states a load that the recordings did not.
-    """
+    """Check that the robot has the joints of a diagnosis and of contexts, whose loads are known."""
     known = ", ".join(joint.name for joint in robot.joints)
     of_contexts = {name: "contexts" for context in contexts for name in context.loads}
     for name, where in ({one.component: file for one in rivals} | of_contexts).items():
@@ -331,15 +273,11 @@ def _check_joints(
 def forecast(
     objective: SetObjective, command: Array, *, achieved: float = 0.4, drawn_pairs: int = 3
 ) -> JointForecast:
-    """What a command is expected to tell of a joint or of the body.
+    """What a command (T,), or (T, J) of the body, is expected to tell of a joint or of the body.
 
-    Args:
-        objective: The rival sets, and the context of a joint.
-        command: Set-points in rad, shape (T,), or (T, J) of all joints for the body.
-        achieved: Share of the computed reduction of entropy that is expected of a recording. The
-            computation assumes that one of the sets is the whole truth. By default that of servos,
-            a regression over 65 development benches (``reports/design/rivals.md``).
-        drawn_pairs: Number of pairs whose differences over time are worked out.
+    ``achieved`` is the share of the computed reduction of entropy that is expected of a recording:
+    the computation assumes that one of the sets is the full truth. That of servos is from a
+    regression over 65 development benches (``reports/design/rivals.md``).
     """
     rivals, p = objective.rivals, objective.probability
     distances = objective.distances(command[None])
@@ -369,7 +307,7 @@ def forecast(
 
 def _limits(robot: Robot, rivals: JointRivals, seconds: float) -> CommandLimits:
     """Limits of the commands of a joint, at the period of the recordings so far."""
-    limits = limits_of(robot, None, rivals.component)
+    limits = limits_of(robot, rivals.component)
     limits = replace(limits, period_s=rivals.period_s)
     check_seconds(seconds, limits)
     return limits

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim2real.arrays import Array
 from sim2real.clock import dropped_rows
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import StatedSet, stated_sets
 from sim2real.errors import InputError
-from sim2real.identification.motor_prior import largest_rotor
-from sim2real.identification.servo_problem import Set
+from sim2real.identification.priors import largest_rotor
+from sim2real.identification.servo_problem import Hypothesis, Set, variants
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Robot, Servo
+from sim2real.servo.batch import STEPS_PER_RADIAN, Batch, Problems
+from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, rollout_on
 from sim2real.servo.trace import Trace, check_runs, sensor_noise, traces
 
 UNMODELLED_INERTIA = "unmodelled_inertia"
@@ -24,53 +28,33 @@ UNMODELLED_INERTIA = "unmodelled_inertia"
 
 @dataclass(frozen=True)
 class Case:
-    """One robot to diagnose.
+    """One robot to diagnose."""
 
-    Attributes:
-        recordings: What is to be explained.
-        robot: The robot.
-        model: A model to start from; its effects stay part of the plain servo.
-        references: Recordings of the same robot from before. With these the question is what has
-            changed since, not what a servo lacks.
-        effort: Multiple of the simulation budget of the search for combinations of effects.
-        warnings: Findings about the recordings by which the result may be wrong.
-    """
-
-    recordings: Sequence[Recording]
-    robot: Robot
-    model: Model | None = None
+    recordings: Sequence[Recording]  # what is to be explained
+    robot: Robot  # the robot
+    model: Model | None = None  # a model to start from; its effects stay part of the plain servo
+    # earlier recordings of the robot. With these, only what has changed is named
     references: Sequence[Recording] = ()
+    # multiple of the simulation budget of the search for combinations of effects
     effort: float = 1.0
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # findings about the recordings by which the result may be wrong
 
 
 @dataclass(frozen=True)
 class JointCase:
-    """A joint with its recordings.
+    """A joint with its recordings."""
 
-    Attributes:
-        name: Its name.
-        traces: Its recordings.
-        noise: Standard deviation of its sensor's noise, rad.
-        step_rad: Step of its sensor where that is coarser than stated, or None.
-        model: The model of it to start from, or None.
-        references: Its recordings from before, see ``Case``.
-        servo: Its data sheet, or None.
-        stated: Sets of effects that recordings were designed to distinguish; all are tried.
-        effort: As of ``Case``.
-        lacks_rows: Whether rows of its recordings are missing one at a time, so that the times of
-            some set-points are not known.
-    """
-
-    name: str
-    traces: list[Trace]
-    noise: float
-    step_rad: float | None
-    model: JointModel | None = None
-    references: Sequence[Trace] = ()
-    servo: Servo | None = None
+    name: str  # its name
+    traces: list[Trace]  # its recordings
+    noise: float  # standard deviation of its sensor's noise, rad
+    step_rad: float | None  # step of its sensor where that is coarser than stated, or None
+    model: JointModel | None = None  # the model of it to start from, or None
+    references: Sequence[Trace] = ()  # its earlier recordings, see ``Case``
+    servo: Servo | None = None  # its data sheet, or None
+    # sets of effects that recordings were designed to distinguish; all are tried
     stated: Sequence[StatedSet] = ()
-    effort: float = 1.0
+    effort: float = 1.0  # as of ``Case``
+    # whether single rows are missing, so that some set-points have no known time
     lacks_rows: bool = False
 
     @property
@@ -84,7 +68,7 @@ class JointCase:
     def rotor_room_kgm2(self) -> float:
         """Largest inertia of rotor and gears that its data sheet makes likely, beyond the stated.
 
-        0 where its model states it. Where the load is unknown, so is any inertia beside it.
+        0 where its model states it, infinite where the load is unknown.
         """
         if self.traces[0].load is PER_INERTIA:
             return float("inf")
@@ -112,16 +96,23 @@ def prepared(case: Case) -> list[JointCase]:
     joints = []
     for joint in case.robot.joints:
         data = traces(case.recordings, joint.name)
-        if data:
-            check_runs(data, joint.name)
-            noise = sensor_noise(data)
-            step = coarse_step(data, joint.servo.position_step_rad)
-            model = case.model.joints.get(joint.name) if case.model else None
-            references = traces(case.references, joint.name)
-            stated = stated_sets(case.recordings, joint.name)
-            lacks_rows = any(any(dropped_rows(x.t, x.position)) for x in data)
-            given = (model, references, joint.servo, stated, case.effort, lacks_rows)
-            joints.append(JointCase(joint.name, data, noise, step, *given))
+        if not data:
+            continue
+        check_runs(data, joint.name)
+        joints.append(
+            JointCase(
+                joint.name,
+                data,
+                sensor_noise(data),
+                coarse_step(data, joint.servo.position_step_rad),
+                model=case.model.joints.get(joint.name) if case.model else None,
+                references=traces(case.references, joint.name),
+                servo=joint.servo,
+                stated=stated_sets(case.recordings, joint.name),
+                effort=case.effort,
+                lacks_rows=any(any(dropped_rows(x.t, x.position)) for x in data),
+            )
+        )
     if not joints:
         file = case.recordings[0].file
         raise InputError(file, "", "no motion", "commands and angles that change")
@@ -129,13 +120,73 @@ def prepared(case: Case) -> list[JointCase]:
 
 
 def coarse_step(traces: Sequence[Trace], stated_rad: float) -> float | None:
-    """The step on which all of a joint's angles lie, where it is well above the stated one, rad.
-
-    Args:
-        traces: The joint's recordings.
-        stated_rad: ``position_step_rad`` of the data sheet.
-    """
+    """The step in rad on which all angles lie, where it is well above the stated one, or None."""
     steps = [trace.quantization_step() for trace in traces]
-    step = min(steps)
-    coarse = step > DECISION.coarse_step_ratio * stated_rad and max(steps) <= 1.1 * step
-    return step if coarse else None
+    coarse = min(steps) > DECISION.coarse_step_ratio * stated_rad
+    return min(steps) if coarse and max(steps) <= 1.1 * min(steps) else None
+
+
+_DRIFT = COLUMNS.index("clock_drift.s_per_s")
+
+
+def on_one_clock(
+    batch: Batch, joints: Sequence[JointCase], best: Sequence[Hypothesis]
+) -> list[JointCase]:
+    """The joints, their angles as the clock of the set-points would have stamped them.
+
+    Quartz oscillators differ by some 20 ppm, by another amount in each recording: a millisecond
+    after half a minute, which a good sensor detects, and which needs no action. A larger drift is
+    an effect and is not corrected. ``best`` is what explains each joint best as yet.
+    """
+    files = sorted({trace.file for joint in joints for trace in joint.traces})
+    information, slope = np.zeros((len(files), len(files))), np.zeros(len(files))
+    for joint, servo in zip(joints, best, strict=True):
+        place = [files.index(trace.file) for trace in joint.traces]
+        known, pull = _known(batch, servo, len(place))
+        information[np.ix_(place, place)] += known
+        slope[place] += pull
+    inverse = np.linalg.pinv(information, rcond=1e-10, hermitian=True)
+    sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    if (np.abs(inverse @ slope) > DECISION.clock_tolerance + 2 * sd).any():
+        return list(joints)
+    prior = np.eye(len(files)) * (2 / DECISION.clock_tolerance) ** 2
+    drift = dict(zip(files, np.linalg.solve(information + prior, slope), strict=True))
+    corrected = []
+    for joint, servo in zip(joints, best, strict=True):
+        moved = []
+        for trace in joint.traces:
+            angle = _simulated(trace, servo.fit.servos.theta[0])
+            late = (trace.t - trace.t[0]) * np.gradient(angle, trace.t)
+            moved.append(replace(trace, position=trace.position + drift[trace.file] * late))
+        corrected.append(replace(joint, traces=moved))
+    return corrected
+
+
+def _simulated(trace: Trace, theta: Array) -> Array:
+    """Angles in rad of a servo (P,) on the command and load of a recording, shape (T,)."""
+    kp, kd, inertia = float(theta[0]), float(theta[1]), trace.load.inertia_kgm2
+    inertia += float(theta[INERTIA_LEFT_OUT])
+    fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * kd / inertia, 1e-9)
+    step = min(LONGEST_SUBSTEP_S, 1 / (STEPS_PER_RADIAN * fastest))
+    return np.asarray(rollout_on(trace, theta[None], substep_s=step, threads=2)[0])
+
+
+def _known(
+    batch: Batch, best: Hypothesis, recordings: int, *, step: float = 1e-4
+) -> tuple[Array, Array]:
+    """What a joint tells of a drift in each of its recordings: information (R, R), slope (R,)."""
+    servos = best.fit.servos
+    own = variants(servos)
+    kept = [0, *(1 + np.flatnonzero(servos.columns[0] != _DRIFT)), 0]
+    theta, scale = own.theta[:, kept], own.scale[:, kept]
+    theta[0, -1, _DRIFT] += step
+    scale[0, -1] = 1 / step
+    problem = Problems(servos.joint, theta, scale)
+    gram = batch.evaluate(problem, autoregression=best.fit.autoregression).gram[0]
+    gram = gram[:recordings] * float(best.fit.count[0] / best.fit.error2[0])
+    shared = gram[:, 1:-1, 1:-1].sum(axis=0)
+    across = gram[:, 1:-1, -1].T  # shape (F, R)
+    taken = across.T @ np.linalg.pinv(shared, rcond=1e-12, hermitian=True)
+    information = np.diag(gram[:, -1, -1]) - taken @ across
+    slope = -(gram[:, 0, -1] - taken @ gram[:, 0, 1:-1].sum(axis=0))
+    return information, slope + information.sum(axis=1) * servos.theta[0, _DRIFT]

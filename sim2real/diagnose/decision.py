@@ -1,8 +1,7 @@
-"""Every number that decides a verdict or a name, read from ``decision.json``.
+"""Every number that decides a verdict or a name, with its reason in ``decision.json``.
 
-``benchmarks/calibrate_decisions.py`` writes the file from development cases; each value has the
-reason for it. Values that data cannot determine are "chosen", with the reason, and a calibration
-keeps them. A number of a group is stored as ``group.name``.
+``benchmarks/calibrate_decisions.py`` writes the file from development cases and keeps values that
+are "chosen". A number of a group is stored as ``group.name``.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from sim2real.diagnose.missing.screening import FITTED
+from sim2real.diagnose.screening import FITTED
 from sim2real.structured import Fields, read_json
 
 FILE = Path(__file__).with_name("decision.json")
@@ -58,15 +57,6 @@ class LinkDecision:
 
 
 @dataclass(frozen=True)
-class PredictorDecision:
-    """Numbers that decide which effects the enriched model has."""
-
-    unseen_weight: float  # weight of the error on unseen recordings, against that on fitted ones
-    search_level: float  # share of joints with nothing missing that may be searched in depth
-    min_improvement: float  # share of the held-out error that negligible effects must remove
-
-
-@dataclass(frozen=True)
 class ReportDecision:
     """Numbers that decide what is listed, and with which words."""
 
@@ -83,7 +73,8 @@ class Decision:
     false_alarms: float  # share of robots with nothing missing that may be called mismatched
     named: float  # probability from which an effect is named
     negligible: float  # share of the held-out error below whose change an effect does not matter
-    group_share: float  # a rival this probable, relative to the likeliest, is in one group with it
+    min_improvement: float  # share of the held-out error that negligible effects must remove
+    group_share: float  # a rival this probable, relative to the first, is in one group with it
     missing_share: float  # share of joints that are expected to miss something; the prior
     prior_sd: float  # prior standard deviation of an effect's parameter, in typical values
     decisive_gain: float  # gain that is never due to chance, however irregular the noise
@@ -108,17 +99,12 @@ class Decision:
     segments_share: float  # share of a recording from which segments are no longer exceptions
     change: ChangeDecision
     link: LinkDecision
-    predictor: PredictorDecision
     report: ReportDecision
 
 
 @dataclass(frozen=True)
 class Odds:
-    """A logistic curve: the log odds are the sum of features times their weights.
-
-    Attributes:
-        weights: By feature.
-    """
+    """A logistic curve: the log odds are the sum of features times their weights, by name."""
 
     weights: Mapping[str, float]
 
@@ -162,16 +148,11 @@ def read_odds(path: Path = FILE) -> dict[str, Odds]:
         InputError: If a weight is no number.
     """
     table = Fields(path, "", read_json(path, SCHEMA)).table("odds")
-    curves = {}
-    for name in CURVES:
-        weights = table.table(name)
-        curves[name] = Odds({feature: weights.number(feature) for feature in weights.content})
-    return curves
+    weights = {name: table.table(name) for name in CURVES}
+    return {name: Odds({x: one.number(x) for x in one.content}) for name, one in weights.items()}
 
 
 DECISION = read_decision()
-"""The numbers of ``decision.json``."""
 ODDS = read_odds()
-"""The curves of ``decision.json``."""
 LOG_PRIOR = float(np.log(DECISION.missing_share / len(FITTED)))
 """Logarithm of the prior odds of each effect."""

@@ -1,17 +1,16 @@
-"""What is known of one joint in the end."""
+"""What is known of one joint in the end: errors, parameters with their intervals, models."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.exchangeable import distinctness, exchangeable_ends, partner
-from sim2real.diagnose.missing.investigate import ROUNDING, Finding
+from sim2real.diagnose.investigate import ROUNDING, Finding
 from sim2real.diagnose.result import Estimate
 from sim2real.diagnose.torque_speed_line import with_stated_line
 from sim2real.effects import CATALOGUE, named
@@ -44,28 +43,19 @@ _DIGIT_RAD = 1e-9
 
 @dataclass(frozen=True)
 class JointFindings:
-    """One joint.
+    """One joint."""
 
-    Attributes:
-        joint: Its recordings.
-        finding: What it is missing.
-        enriched: The servo with what was found, negligible effects included.
-        offered: The servo of the enriched model, see ``offer``.
-        before: Simulated minus measured angles of the plain servo in rad, shape (R, T).
-        after: Those of the offered one.
-        least_squares: Parameters of the plain servo as ``identify`` fits them, shape (P,).
-        unseen: Errors on held-out data, by the effects that a servo has; empty where nothing can be
-            held out.
-    """
-
-    joint: JointCase
-    finding: Finding
-    enriched: Hypothesis
-    offered: Hypothesis
-    before: Array
-    after: Array
-    least_squares: Array
+    joint: JointCase  # its recordings
+    finding: Finding  # what it is missing
+    enriched: Hypothesis  # the servo with what was found, negligible effects included
+    offered: Hypothesis  # the servo of the enriched model, see ``calibrated_odds.offer``
+    # errors on held-out data, by the effects that a servo has; empty where nothing can be held out
     unseen: Mapping[Set, Unseen]
+    # simulated minus measured angles of the plain servo in rad, shape (R, T)
+    before: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    after: Array = field(default_factory=lambda: np.zeros((0, 0)))  # those of the offered one
+    # parameters of the plain servo as ``identify`` fits them, shape (P,)
+    least_squares: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def name(self) -> str:
@@ -88,23 +78,6 @@ class JointFindings:
         unseen = self.unseen.get(self.offered.members if enriched else self.finding.tried.base)
         train = self._train(self.after if enriched else self.before)
         return {"train": train, "heldout": None if unseen is None else unseen.rmse}
-
-    def heldout_of_link(self) -> dict[str, float | None]:
-        """Log-likelihood of held-out recordings under the link, in nats; empty without one.
-
-        With what the link's own model expects and its standard deviation, the log-likelihood if
-        set-points arrive regularly, and whether only noise is left (``LinkScore.at_noise``).
-        """
-        score = self.finding.link.score if self.finding.link is not None else None
-        if score is None:
-            return {}
-        return {
-            "loglikelihood": score.loglikelihood,
-            "loglikelihood_expected": score.expected,
-            "loglikelihood_sd": score.sd,
-            "loglikelihood_regular": score.without,
-            "at_noise": score.at_noise(),
-        }
 
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
@@ -147,24 +120,31 @@ class JointFindings:
             servo, theta = self.offered, self.offered.fit.servos.theta[0]
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
-        effects, notes = fitted_effects(servo, self.joint.step_rad), list[str]()
+        members, notes = servo.members, list[str]()
         rotor = float(theta[INERTIA_LEFT_OUT])
         in_base = UNMODELLED_INERTIA in self.finding.tried.base - self.joint.base
         if in_base and rotor > 0 and not theta[list(TRAIN_ROTORS)].any():
             theta = theta.copy()
             theta[[ROTOR_INERTIA, INERTIA_LEFT_OUT]] = rotor, 0.0
-            effects = tuple(e for e in effects if e.effect != UNMODELLED_INERTIA)
+            members = members - {UNMODELLED_INERTIA}
             notes.append(_ROTOR_NOTE.format(rotor))
+        values = dict(zip(COLUMNS, servo.fit.servos.theta[0].tolist(), strict=True))
+        effects = [
+            FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
+            for name in sorted(members)
+        ]
+        if self.joint.step_rad is not None:
+            effects.append(FittedEffect(ROUNDING, {"step_rad": self.joint.step_rad}))
         given = self.joint.model.law if self.joint.model else "pd"
         law = given if motor_of(theta) and given != "pd" else None
-        model = stated(theta, self.joint.traces[0].load, effects, law)
+        model = stated(theta, self.joint.traces[0].load, tuple(effects), law)
         return replace(model, notes=tuple(notes))
 
     def estimates(self, effect: str) -> dict[str, Estimate]:
         """Parameters of an effect with their spread, by name; empty where the fit has it not.
 
         A law is wrong by a share of its own effect, which no recording tells (``law_error``). The
-        intervals of effects that may be exchanged (``exchangeable``) contain the values of both.
+        intervals of effects that may be exchanged (``partner``) contain the values of both.
         """
         link, step = self.finding.link, self.joint.step_rad
         first = named(effect).parameters[0].name
@@ -217,7 +197,7 @@ def includes_zero(tried: Tried, servo: Hypothesis, effect: str) -> bool:
 
     The size is the effect's first parameter, or the larger one of two that ascend. Limits are
     absent where they are large, and never of size 0. Of effects that may be exchanged the
-    likelihood ratio decides (``exchangeable.distinctness``).
+    likelihood ratio decides.
     """
     other = partner(servo.members, effect)
     if other is not None:
@@ -234,13 +214,40 @@ def includes_zero(tried: Tried, servo: Hypothesis, effect: str) -> bool:
     return abs(float(servos.theta[0, column])) <= Z90 * sd
 
 
-def fitted_effects(servo: Hypothesis, step_rad: float | None) -> tuple[FittedEffect, ...]:
-    """Effects of an enriched servo as a model states them."""
-    values = dict(zip(COLUMNS, servo.fit.servos.theta[0].tolist(), strict=True))
-    effects = [
-        FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
-        for name in sorted(servo.members)
-    ]
-    if step_rad is not None:
-        effects.append(FittedEffect(ROUNDING, {"step_rad": step_rad}))
-    return tuple(effects)
+def partner(members: Set, effect: str) -> str | None:
+    """The effect of a set that may exchange its parameters with this one of it; None without one.
+
+    The transfer functions of two filters in series commute: recordings of a servo without friction
+    or limits determine the sum and the product of their time constants. A partner is of the same
+    family, acts at another site and has the same parameters.
+    """
+    one = named(effect)
+    for other in sorted(members - {effect}):
+        if one.family and named(other).family == one.family:
+            names = [[p.name for p in e.parameters] for e in (one, named(other))]
+            if names[0] == names[1]:
+                return other
+    return None
+
+
+def distinctness(tried: Tried, servo: Hypothesis, effect: str, other: str) -> float:
+    """Root of twice the gain in log-likelihood by two effects over the better one alone.
+
+    Where only one is present about the size of a standard normal deviate (Wilks, Annals of
+    Mathematical Statistics 9 (1938) 60-62). ``servo`` is the fit with both.
+    """
+    fewer = [tried.tried.get(servo.members - {name}, tried.plain) for name in (effect, other)]
+    gain = servo.fit.loglikelihood[0] - max(h.fit.loglikelihood[0] for h in fewer)
+    return float(np.sqrt(max(2 * gain, 0.0)))
+
+
+def exchangeable_ends(mean: float, other: float, distinct: float) -> tuple[float, float]:
+    """Ends of the 90 % interval of either of two positive parameters that may be exchanged.
+
+    With (x - y)^2 = (x + y)^2 - 4 x y, where their sum is taken as known and their product has a
+    relative standard deviation of ``1 / distinct``: it is 0 where one of the effects is absent.
+    """
+    total = mean + other
+    square = (mean - other) ** 2 + Z90 * 4 * mean * other / max(distinct, 1e-9)
+    apart = min(float(np.sqrt(square)), total)
+    return 0.5 * (total - apart), 0.5 * (total + apart)

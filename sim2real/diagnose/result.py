@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.arrays import Array
-from sim2real.diagnose.rival_sets import SCHEMA, JointRivals
-from sim2real.diagnose.separation import Separation
+from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, Separation
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.model import Model
@@ -23,42 +22,30 @@ DESIGN = "sim2real design --robot robot.toml --diagnosis diagnosis.json --out ne
 Verdict = Literal[
     "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"
 ]
+Errors = Mapping[str, Mapping[str, float | None]]
+"""By signal, ``train`` and ``heldout`` error, rad."""
 
 
 @dataclass(frozen=True)
 class Mismatch:
-    """Where simulation and recording differ by more than noise.
+    """Where simulation and recording differ by more than noise."""
 
-    Attributes:
-        signal: The measured signal, ``"j2.position_rad"``.
-        component: The part that the mismatch belongs to: a joint, ``supply`` or ``link``.
-        rmse: Root mean square error of the plain servo on held-out data, rad.
-        noise: Standard deviation of the measurement noise, rad.
-        share: Share of the error's variance that is not noise, 0 to 1.
-        windows_s: For each recording, by name, the segments in which the mismatch is largest, in s.
-        where: Description of the states in which it occurs.
-        dependence: Share of the residual torque's variance that each state explains alone.
-    """
-
-    signal: str
-    component: str
-    rmse: float
-    noise: float
-    share: float
-    windows_s: Mapping[str, tuple[tuple[float, float], ...]]
-    where: str
+    signal: str  # the measured signal, "j2.position_rad"
+    component: str  # the part that it belongs to: a joint, ``supply`` or ``link``
+    rmse: float  # error of the plain servo on held-out data, rad
+    noise: float  # standard deviation of the measurement noise, rad
+    share: float  # share of the error's variance that is not noise, 0 to 1
+    windows_s: Mapping[str, tuple[tuple[float, float], ...]]  # its segments, by recording, s
+    where: str  # description of the states in which it occurs
     dependence: Mapping[str, float] = field(default_factory=dict)
+    """Share of the residual torque's variance that each state explains alone."""
 
     def __str__(self) -> str:
         """The error and the noise: mrad for a joint, m/s or rad/s for a body."""
         return self.described()
 
     def described(self, remaining: float | None = None) -> str:
-        """Description of the error and the noise.
-
-        Args:
-            remaining: Error of the enriched model, in the unit of ``rmse``; omitted if None.
-        """
+        """The error, that of the enriched model where there is one, and the noise."""
         unit, scale, digits = "mrad", 1e3, 2
         name = self.component
         if self.signal.startswith("body."):
@@ -85,30 +72,19 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that a diagnosis reports as missing from the model.
+    """An effect that a diagnosis reports as missing from the model."""
 
-    Attributes:
-        effect: Most probable member of the group.
-        component: The joint, ``supply`` or ``link``.
-        probability: Probability that one of the group is present.
-        group: Effects that these recordings cannot distinguish, most probable first.
-        parameters: Estimated parameters of ``effect``.
-        heldout: ``rmse_before``, ``rmse_after`` in rad and ``recoverable_removed``, from refits
-            that do not use the recording they are scored on.
-        baseline_shift: Change of each parameter of the plain servo when the effect is added.
-        stability: Share of block bootstraps in which one of the group was the most probable.
-        statement: The finding, in one sentence.
-    """
-
-    effect: str
-    component: str
-    probability: float
-    group: tuple[str, ...]
-    parameters: Mapping[str, Estimate]
+    effect: str  # most probable member of the group
+    component: str  # the joint, ``supply`` or ``link``
+    probability: float  # that one of the group is present
+    group: tuple[str, ...]  # effects that the recordings cannot distinguish, most probable first
+    parameters: Mapping[str, Estimate]  # of ``effect``
     heldout: Mapping[str, float | None]
-    baseline_shift: Mapping[str, float]
-    stability: float
-    statement: str
+    """``rmse_before``, ``rmse_after`` in rad and ``recoverable_removed``, from refits that do not
+    use the recording they are scored on."""
+    baseline_shift: Mapping[str, float]  # change of the plain servo when the effect is added
+    stability: float  # share of block bootstraps in which one of the group was the most probable
+    statement: str  # the finding, in one sentence
 
 
 @dataclass(frozen=True)
@@ -135,42 +111,23 @@ class DetectionLimit:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A recommended recording.
+    """A recommended recording."""
 
-    Attributes:
-        component: The joint or the body that it is about.
-        separates: The members of a group that it is to distinguish.
-        command: Description of the command signal, or the shell command that designs it.
-        context: Change of the experiment: ``none``.
-        separation: Distance of the two closest rivals in standard deviations of the noise, or None.
-        duration_s: Length of the recording; None if it is yet to be designed.
-        statement: The recommendation, in one sentence.
-        file: Command CSV that ``record`` can play, relative to the diagnosis file.
-        t: Times of the commands, s, shape (T,).
-        signal: The commands, rad, shape (T,).
-    """
-
-    component: str
-    separates: tuple[str, ...]
-    command: str
-    context: str
-    separation: float | None
-    duration_s: float | None
-    statement: str
-    file: str | None = None
-    t: Array | None = None
-    signal: Array | None = None
+    component: str  # the joint or the body that it is about
+    separates: tuple[str, ...]  # the members of a group that it is to distinguish
+    command: str  # the command signal, or the shell command that designs it
+    context: str  # change of the experiment: ``none``
+    separation: float | None  # of the closest rivals, in standard deviations of the noise
+    duration_s: float | None  # None if it is yet to be designed
+    statement: str  # the recommendation, in one sentence
+    file: str | None = None  # commands that ``record`` can play, relative to the diagnosis
+    t: Array | None = None  # times of the commands, s, shape (T,)
+    signal: Array | None = None  # the commands, rad, shape (T,)
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """Held-out errors of several predictors of one signal, rad.
-
-    Attributes:
-        baseline: The plain servo.
-        enriched: The enriched model; equal to ``baseline`` if it has no effects.
-        noise: Standard deviation of the measurement noise, a lower bound.
-    """
+    """Held-out errors of the plain servo and of the enriched model, and the noise, rad."""
 
     baseline: float
     enriched: float
@@ -188,98 +145,53 @@ def to_design(groups: Iterable[tuple[str, Sequence[str]]]) -> Experiment | None:
 
 @dataclass(frozen=True)
 class JointSeries:
-    """Signals of one joint in one recording, for figures.
-
-    Attributes:
-        joint: Name of the joint.
-        recording: Name of the recording.
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        position: Measured angles in rad, NaN where missing, shape (T,).
-        baseline: Angles of the plain servo in rad, shape (T,).
-        enriched: Angles of the enriched model in rad, shape (T,).
-        speed: Smoothed speed in rad/s, shape (T,).
-        torque: Residual torque of the plain servo, smoothed, in N m (per kg m2 if the load is
-            unknown), shape (T,).
-        torque_sd: Its standard deviation, shape (T,).
-        effects_torque: Torque by which the enriched model's motion differs from the plain servo's,
-            smoothed likewise: what the named effects account for, shape (T,).
-    """
+    """Signals of one joint in one recording, for figures; arrays have the shape (T,)."""
 
     joint: str
     recording: str
-    t: Array
-    command: Array
-    position: Array
-    baseline: Array
-    enriched: Array
-    speed: Array
-    torque: Array
-    torque_sd: Array
-    effects_torque: Array
+    t: Array  # times, s
+    command: Array  # set-points, rad
+    position: Array  # measured angles, rad, NaN where missing
+    baseline: Array  # angles of the plain servo, rad
+    enriched: Array  # angles of the enriched model, rad
+    speed: Array  # smoothed speed, rad/s
+    torque: Array  # residual torque of the plain servo, smoothed, N m, or per kg m2
+    torque_sd: Array  # its standard deviation
+    effects_torque: Array  # what the named effects account for of it, smoothed likewise
 
 
 @dataclass(frozen=True)
 class Diagnosis(NotebookDisplay):
-    """Result of ``diagnose``.
-
-    Attributes:
-        verdict: ``consistent``, ``unchanged``, ``explained``, ``ambiguous``,
-            ``partly_explained`` or ``unexplained``.
-        mismatch: Where simulation and recording differ by more than the noise.
-        effects: Missing effects, most probable first.
-        negligible: Missing effects that hardly change the held-out error, most probable first.
-        rivals: Effects that were considered and not reported, most probable first.
-        unknown: By joint, the probability that missing physics is not in the catalogue.
-        baseline_fit: By signal, ``train`` and ``heldout`` error of the plain servo, rad.
-        enriched_fit: By signal, the same errors of the enriched model.
-        ladders: By signal, held-out errors of several predictors.
-        detection_limits: Sizes of effects that the recordings could have shown.
-        next_experiment: Recommended recording, if a group has several members.
-        gate: Findings about timing, gaps and units of the data, one sentence each.
-        warnings: Those by which the result may be wrong, as of ``plausible.admitted``.
-        model: The enriched model: with the reported effects, or with the whole most probable set
-            of effects if that predicts held-out recordings better.
-        baseline: The model without effects.
-        evidence: Signals of the joints, for the report.
-        unfinished: Joints whose search for sets of effects was ended by its budget.
-        rival_sets: By joint, the sets of effects that the recordings leave open.
-        swim_rivals: Of swims, the sets of effects of body and camera that they leave open.
-        separations: Sets of effects that recordings were designed to distinguish, and the outcome.
-        notes: Of what turns in addition to a stated load and is taken for the rotor, one sentence
-            each.
-        provenance: As returned by ``sim2real.output.provenance``.
-    """
+    """Result of ``diagnose``; what is listed comes most probable first."""
 
     verdict: Verdict
-    mismatch: tuple[Mismatch, ...]
-    effects: tuple[NamedEffect, ...]
-    rivals: tuple[Rival, ...]
+    mismatch: tuple[Mismatch, ...]  # where simulation and recording differ by more than the noise
+    effects: tuple[NamedEffect, ...]  # missing effects
+    rivals: tuple[Rival, ...]  # effects that were considered and not reported
     unknown: Mapping[str, float]
-    baseline_fit: Mapping[str, Mapping[str, float | None]]
-    enriched_fit: Mapping[str, Mapping[str, float | None]]
+    """By joint, the probability that missing physics is not in the catalogue."""
+    baseline_fit: Errors  # of the plain servo
+    enriched_fit: Errors  # of the enriched model
     model: Model
-    ladders: Mapping[str, Ladder] = field(default_factory=dict)
+    """The enriched model: with the reported effects, or with all of the most probable set of
+    effects if that predicts held-out recordings better."""
+    ladders: Mapping[str, Ladder] = field(default_factory=dict)  # by signal
     detection_limits: tuple[DetectionLimit, ...] = ()
-    next_experiment: Experiment | None = None
-    gate: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    baseline: Model | None = None
+    next_experiment: Experiment | None = None  # if a group has several members
+    gate: tuple[str, ...] = ()  # findings about timing, gaps and units of the data, as sentences
+    warnings: tuple[str, ...] = ()  # those by which the result may be wrong
+    baseline: Model | None = None  # the model without effects
     evidence: tuple[JointSeries, ...] = ()
-    negligible: tuple[NamedEffect, ...] = ()
-    unfinished: tuple[str, ...] = ()
-    rival_sets: tuple[JointRivals, ...] = ()
-    swim_rivals: SwimRivals | None = None
-    separations: tuple[Separation, ...] = ()
-    notes: tuple[str, ...] = ()
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    negligible: tuple[NamedEffect, ...] = ()  # effects that hardly change the held-out error
+    unfinished: tuple[str, ...] = ()  # joints whose search was ended by its budget
+    rival_sets: tuple[JointRivals, ...] = ()  # by joint, sets of effects that stay open
+    swim_rivals: SwimRivals | None = None  # of swims, those of effects of body and camera
+    separations: tuple[Separation, ...] = ()  # what recordings were designed to distinguish
+    notes: tuple[str, ...] = ()  # of what is taken for the rotor, one sentence each
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # of ``output.provenance``
 
     def remaining(self, signal: str) -> float | None:
-        """Error of the enriched model, on held-out data if there are any; None if unchanged.
-
-        Args:
-            signal: The measured signal, ``"j2.position_rad"``.
-        """
+        """Error of the enriched model, on held-out data if there are any; None if unchanged."""
         plain, enriched = (
             errors.get("train") if errors.get("heldout") is None else errors["heldout"]
             for errors in (fit.get(signal, {}) for fit in (self.baseline_fit, self.enriched_fit))
@@ -290,14 +202,11 @@ class Diagnosis(NotebookDisplay):
         """Verdict, effects and mismatches, one per line."""
         lines = [f"verdict: {self.verdict.replace('_', ' ')}"]
         lines += [f"  warning: {sentence}" for sentence in self.warnings]
-        for effect in self.effects:
-            lines.append(f"  {percent(effect.probability):>5}  {effect.statement}")
-        for effect in self.negligible:
-            lines.append(f"  {percent(effect.probability):>5}  {effect.statement} (negligible)")
+        for effects, suffix in ((self.effects, ""), (self.negligible, " (negligible)")):
+            lines += [f"  {percent(e.probability):>5}  {e.statement}{suffix}" for e in effects]
         for entry in self.mismatch:
             lines.append(f"  {entry.described(self.remaining(entry.signal))}")
-        lines += [f"  {sentence}" for sentence in self.above_noise.values()]
-        lines += [f"  {note}" for note in self.notes]
+        lines += [f"  {sentence}" for sentence in (*self.above_noise.values(), *self.notes)]
         if self.unfinished:
             lines.append(f"search: {self.search_ended}")
         lines += [f"design: {separation}" for separation in self.separations]
@@ -347,12 +256,7 @@ def percent(share: float) -> str:
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: str) -> None:
-    """Write ``diagnosis.json``.
-
-    Args:
-        diagnosis: What was found.
-        path: The file to write.
-        model: Path of the enriched model, relative to it.
+    """Write ``diagnosis.json``, which names the enriched model by its path relative to the file.
 
     Raises:
         InputError: If the folder can't be written.
@@ -361,20 +265,21 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | os.PathLike[str], model: s
 
 
 def _content(diagnosis: Diagnosis) -> dict[str, Any]:
+    def entries(name: str) -> list[dict[str, Any]]:
+        return [asdict(entry) for entry in getattr(diagnosis, name)]
+
     plan = vars(diagnosis.next_experiment) if diagnosis.next_experiment else {}
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "mismatch": [_mismatch(m) for m in diagnosis.mismatch],
-        "effects": [asdict(effect) for effect in diagnosis.effects],
-        "negligible": [asdict(effect) for effect in diagnosis.negligible],
-        "rivals": [asdict(rival) for rival in diagnosis.rivals],
+        **{name: entries(name) for name in ("effects", "negligible", "rivals")},
         "unknown": dict(diagnosis.unknown),
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
         "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
-        "detection_limits": [asdict(limit) for limit in diagnosis.detection_limits],
+        "detection_limits": entries("detection_limits"),
         "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
-        "separations": [asdict(pair) for pair in diagnosis.separations],
+        "separations": entries("separations"),
         "rival_sets": [joint.content() for joint in diagnosis.rival_sets],
         "swim_rivals": None if diagnosis.swim_rivals is None else diagnosis.swim_rivals.content(),
         "gate": list(diagnosis.gate),
@@ -390,10 +295,7 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _mismatch(mismatch: Mismatch) -> dict[str, Any]:
-    """One entry; ``windows_s`` lists those of all recordings, ``windows_by_recording`` tells which.
-
-    A time alone says nothing where there are several recordings.
-    """
+    """One entry; ``windows_by_recording`` tells of which recording each of ``windows_s`` is."""
     content = asdict(mismatch)
     by_recording = content.pop("windows_s")
     windows = sorted(window for each in by_recording.values() for window in each)

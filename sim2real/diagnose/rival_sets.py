@@ -1,9 +1,9 @@
-"""Sets of effects that recordings leave open, with what is needed to predict another recording."""
+"""Sets of effects that recordings leave open: what they predict, and what became of them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,28 +11,25 @@ import numpy as np
 from scipy.special import xlogy
 
 from sim2real.arrays import Array, Integers
+from sim2real.effects import plain
 from sim2real.errors import InputError
 from sim2real.recording import PER_INERTIA, Load, Recording, read_load
 from sim2real.servo.parameters import BASE, COLUMNS
 from sim2real.structured import Fields, read_json
 
 SCHEMA = "sim2real.diagnosis/1"
-
+SEPARATED = 0.9
+"""Probability from which two sets of effects count as distinguished."""
 _FROM_LOAD = [BASE.index("inertia_kgm2"), BASE.index("gravity_Nm")]
 """Columns that the load of a recording sets."""
 
 
 @dataclass(frozen=True)
 class OpenSet:
-    """One set of effects that recordings leave open.
+    """One set of effects that recordings leave open."""
 
-    Attributes:
-        effects: The effects, without those that every servo has a little of; sorted.
-        probability: Probability of the set among all sets that are listed.
-    """
-
-    effects: tuple[str, ...]
-    probability: float
+    effects: tuple[str, ...]  # the effects, without those that every servo has a little of; sorted
+    probability: float  # probability of the set among all sets that are listed
 
     def content(self) -> dict[str, Any]:
         """Effects and probability, as files state them."""
@@ -41,19 +38,13 @@ class OpenSet:
 
 @dataclass(frozen=True)
 class RivalSet(OpenSet):
-    """One set of effects of a servo, fitted to the recordings.
+    """One set of effects of a servo, fitted to the recordings."""
 
-    Attributes:
-        gain: Log-likelihood above that of the plain servo.
-        theta: Its parameters, shape (P,), as ``servo.parameters.COLUMNS``.
-        columns: Columns of its free parameters, shape (F,).
-        information: Precision of the free parameters, given the recordings and the prior, in the
-            inverse of the product of their units, shape (F, F).
-    """
-
-    gain: float
-    theta: Array
-    columns: Integers
+    gain: float  # log-likelihood above that of the plain servo
+    theta: Array  # its parameters, shape (P,), as ``servo.parameters.COLUMNS``
+    columns: Integers  # columns of its free parameters, shape (F,)
+    # precision of the free parameters, given the recordings and the prior, in the inverse of the
+    # product of their units, shape (F, F)
     information: Array
 
     def content(self) -> dict[str, Any]:
@@ -68,22 +59,11 @@ class RivalSet(OpenSet):
 
 @dataclass(frozen=True, kw_only=True)
 class OpenSets:
-    """The sets of effects that recordings leave open.
+    """The sets of effects that recordings leave open, most probable first."""
 
-    Attributes:
-        component: The joint or the body.
-        period_s: Time between samples.
-        sets: The sets, most probable first.
-    """
-
-    component: str
-    period_s: float
-    sets: tuple[OpenSet, ...]
-
-    @property
-    def entropy(self) -> float:
-        """Entropy of the probabilities, in nats."""
-        return entropy(np.array([one.probability for one in self.sets]))
+    component: str  # the joint or the body
+    period_s: float  # time between samples
+    sets: tuple[OpenSet, ...]  # the sets
 
 
 def entropy(probability: Array) -> float:
@@ -93,18 +73,11 @@ def entropy(probability: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class JointRivals(OpenSets):
-    """The sets of effects that recordings of one joint leave open.
+    """The sets of effects that recordings of one joint leave open."""
 
-    Attributes:
-        load: Load of its first recording.
-        noise_rad: Standard deviation of the innovations.
-        autoregression: Coefficients that whiten the noise, shape (lags,).
-        sets: The sets, most probable first.
-    """
-
-    load: Load
-    noise_rad: float
-    autoregression: Array
+    load: Load  # load of its first recording
+    noise_rad: float  # standard deviation of the innovations
+    autoregression: Array  # coefficients that whiten the noise, shape (lags,)
     sets: tuple[RivalSet, ...]
 
     def content(self) -> dict[str, Any]:
@@ -131,15 +104,10 @@ class JointRivals(OpenSets):
 
 @dataclass(frozen=True)
 class StatedSet:
-    """A set of effects that a designed recording was made to tell from others.
+    """A set of effects that a designed recording was made to tell from others."""
 
-    Attributes:
-        effects: The effects.
-        theta: Parameters of the servo with them, fitted before, shape (P,).
-    """
-
-    effects: frozenset[str]
-    theta: Array
+    effects: frozenset[str]  # the effects
+    theta: Array  # parameters of the servo with them, fitted before, shape (P,)
 
 
 def stated_sets(recordings: Sequence[Recording], joint: str) -> tuple[StatedSet, ...]:
@@ -176,10 +144,6 @@ def with_open_sets(
 ) -> list[Recording]:
     """The recordings, of which the last states the sets of effects that a diagnosis left open.
 
-    Args:
-        recordings: Recordings of one robot, at least one.
-        path: The earlier diagnosis (diagnosis.json).
-
     Raises:
         InputError: If the file is no diagnosis of a servo, or of a joint that was not recorded, or
             what the last recording states itself is of another form.
@@ -207,10 +171,7 @@ def rivals_of_file(path: str | os.PathLike[str]) -> tuple[JointRivals, ...]:
 
 
 def read_rival_sets(top: Fields) -> tuple[JointRivals, ...]:
-    """The entries of ``rival_sets`` in ``diagnosis.json``.
-
-    Args:
-        top: The content of the file.
+    """The entries of ``rival_sets`` in the content of a ``diagnosis.json``.
 
     Raises:
         InputError: If a field is missing or of another form.
@@ -274,3 +235,79 @@ def numbers(entry: Fields, name: str) -> Array:
     if not (np.abs(values) < 1e75).all():
         raise entry.error(name, "finite numbers, within 1e75")
     return values
+
+
+def in_words(effects: tuple[str, ...], other: tuple[str, ...] = ()) -> str:
+    """The effects of a set that another set lacks."""
+    return " and ".join(plain(effect) for effect in effects if effect not in other)
+
+
+def task(first: tuple[str, ...], second: tuple[str, ...]) -> str:
+    """How two sets differ, as a clause without a subject."""
+    here, there = in_words(first, second), in_words(second, first)
+    if here and there:
+        return f"separate {here} from {there}"
+    return f"show whether there is {here or there}"
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Two sets of effects that a recording was to distinguish."""
+
+    component: str  # the joint
+    first: tuple[str, ...]  # effects of one set
+    second: tuple[str, ...]  # effects of the other
+    expected: float  # expected probability that the evidence favours the true one of both
+    # probability of the more probable one, given that one of them is there; None if the recordings
+    # rule out both
+    found: float | None
+    favoured: tuple[str, ...]  # effects of that one
+
+    def __str__(self) -> str:
+        """What was expected, and what was found, in one sentence."""
+        stated = f"{self.component}: expected to {task(self.first, self.second)}"
+        stated += f" with {self.expected:.2f}"
+        if self.found is None:
+            return f"{stated}; both are ruled out."
+        if self.found < SEPARATED:
+            return f"{stated}; still open, {self.found:.2f}."
+        other = self.second if self.favoured == self.first else self.first
+        there = in_words(self.favoured, other) or "no " + in_words(other, self.favoured)
+        return f"{stated}; found {there}, {self.found:.2f}."
+
+
+def separations(
+    component: str,
+    stated: Iterable[Fields],
+    probability: Mapping[frozenset[str], float],
+    *,
+    most: int = 6,
+    least: float = 1e-3,
+) -> tuple[Separation, ...]:
+    """Expectation and outcome of what recordings were designed to distinguish in a component.
+
+    ``stated`` is what their JSON says of it, see ``design_of``; ``probability`` that of the sets of
+    effects, given all recordings. Below ``least`` of both sets, both are ruled out.
+
+    Raises:
+        InputError: If a statement is of another form.
+    """
+    found = []
+    for pair in (p for entry in stated if "pairs" in entry for p in entry.tables("pairs")[:most]):
+        first, second = (tuple(pair.sentences(name)) for name in ("first", "second"))
+        weights = _weight(probability, first, second), _weight(probability, second, first)
+        share = max(weights) / sum(weights) if sum(weights) > least else None
+        favoured = first if weights[0] >= weights[1] else second
+        expected = pair.number("expected")
+        found.append(Separation(component, first, second, expected, share, favoured))
+    return tuple(found)
+
+
+def _weight(
+    probability: Mapping[frozenset[str], float], own: tuple[str, ...], other: tuple[str, ...]
+) -> float:
+    """Probability of the sets that have what ``own`` has more than ``other``, and no converse."""
+    needed, excluded = set(own) - set(other), set(other) - set(own)
+    return sum(
+        p for effects, p in probability.items() if needed <= effects and not excluded & effects
+    )

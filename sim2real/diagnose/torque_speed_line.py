@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.diagnose.baseline import with_effects
 from sim2real.diagnose.case import Case, JointCase
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.missing.baseline import with_effects
-from sim2real.identification.fit import best_of, errors, first_guess
-from sim2real.identification.motor_fit import EXPLAINED
-from sim2real.identification.motor_prior import motor_prior
+from sim2real.identification.first_guess import first_guess
+from sim2real.identification.motor_choice import EXPLAINED, fit_limit, without_flat_limit
+from sim2real.identification.plain_fit import best_of
+from sim2real.identification.priors import motor_prior
+from sim2real.identification.problem import ServoProblem
 from sim2real.identification.servo_problem import (
     FLAT_COLUMNS,
     LINE_COLUMNS,
@@ -24,14 +26,12 @@ from sim2real.identification.servo_problem import (
     minimise,
     plain_servos,
 )
-from sim2real.identification.torque_limit import fit_limit, without_flat_limit
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Law, Model
 from sim2real.recording import PER_INERTIA
 from sim2real.robot import Servo
 from sim2real.servo.batch import Batch
-from sim2real.servo.parameters import LINE, stated
-from sim2real.servo.rollout import Simulator
+from sim2real.servo.parameters import BASE, LINE, stated
 from sim2real.servo.trace import Trace, sensor_noise, traces
 
 _LARGER = np.linspace(1.0, 2.0, 26)
@@ -60,26 +60,21 @@ def on_their_lines(case: Case, rng: np.random.Generator) -> Case:
 def _on_its_line(
     traces: Sequence[Trace], servo: Servo, rng: np.random.Generator
 ) -> tuple[JointModel, float] | None:
-    """The servo with its motor's line, and its residual relative to that of the linear servo.
-
-    None if the linear servo explains the recordings.
-    """
+    """The servo with its motor's line, and its residual relative to that of the linear servo."""
     noise = sensor_noise(traces)
     start, others = first_guess(traces, rng)
-    plain, _ = best_of(traces, [start, *others])
-    if rms(plain.residuals) < EXPLAINED * noise:
+    plain = best_of(traces, np.vstack([start[None], others]))
+    if rms([plain.error]) < EXPLAINED * noise:
         return None
-    prior = motor_prior(servo, traces)
-    parameters, room = list(prior.parameters), 1 / DECISION.data_sheet_share
+    prior, room = motor_prior(servo, traces), 1 / DECISION.data_sheet_share
     for name in LINE:
-        k = prior.index(name)
-        middle = float(np.exp(parameters[k].nominal))
+        middle = float(np.exp(prior[name].nominal))
         if np.isclose(middle, servo.max_torque_Nm) or name != LINE[0]:
-            parameters[k] = replace(parameters[k], low=middle / room, high=middle * room)
-    prior = replace(prior, parameters=tuple(parameters))
-    motor = fit_limit(traces, plain, prior, LINE, rng, noise=noise, current_limits=())
-    model = stated(motor.fit.row, traces[0].load, law=motor.law)
-    return model, rms(motor.fit.residuals) / rms(plain.residuals)
+            prior = prior.changed(name, low=middle / room, high=middle * room)
+    names = (*BASE[:3], *LINE)
+    motor = fit_limit(traces, plain, prior, names, rng, noise=noise, current_limits=())
+    model = stated(motor.row, traces[0].load, law=motor.law)
+    return model, rms([motor.error]) / rms([plain.error])
 
 
 def models_with_limits(
@@ -88,12 +83,8 @@ def models_with_limits(
     """Plain models with their motor's limit, of joints that reach it.
 
     The limit is a line of torque and speed, or flat: the data sheet's torque at any speed. Anything
-    large that is missing hides it from a fit of the plain servo. The likelier of the two is chosen.
-
-    Args:
-        batch: The recordings, joint by joint.
-        joints: The joints of the batch.
-        best: What explains each best at first sight.
+    large that is missing hides it from a fit of the plain servo, so it is fitted with ``best``,
+    what explains each joint best at first sight.
     """
     models = {}
     for j, (joint, servo) in enumerate(zip(joints, best, strict=True)):
@@ -151,7 +142,7 @@ def with_stated_line(
     rows = np.tile(row, (1 + _LARGER.size, 1))
     rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * _LARGER
     rows[1:, LINE_COLUMNS[1]] = servo.no_load_speed_rad_s
-    residuals = np.concatenate(errors(Simulator(traces), rows), axis=1)
+    residuals = ServoProblem(traces, row, ()).row_residuals(rows)
     squares = np.sum(residuals**2, axis=1)
     allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)

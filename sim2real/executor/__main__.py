@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from sim2real.errors import InputError
-from sim2real.executor.job import Job, is_done, mark_begun, mark_done, read_job
+from sim2real.executor.job import read_job
 
 PATIENCE_S = 30.0  # to wait for an earlier process to release the folder
 
@@ -34,27 +34,23 @@ def main() -> int:
     if options.lifeline:
         _end_with_parent()
     try:
-        _run(read_job(options.folder.absolute()))
+        job = read_job(options.folder.absolute())
+        with locked(job.folder):
+            if not job.is_done():
+                job.begin()
+                _function(job.function, job.name)(job.folder, **job.options)
+                job.end()
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
     return 0
 
 
-def _run(job: Job) -> None:
-    with locked(job.folder):
-        if is_done(job):
-            return
-        mark_begun(job)
-        _function(job)(job.folder, **job.options)
-        mark_done(job)
-
-
-def _function(job: Job) -> Callable[..., Any]:
-    name, _, function = job.function.partition(":")
+def _function(path: str, job: str) -> Callable[..., Any]:
+    name, _, function = path.partition(":")
     module = importlib.import_module(name)
     if not callable(work := getattr(module, function, None)):
-        raise InputError(job.name, "function", f"no {function} in {name}", "a function")
+        raise InputError(job, "function", f"no {function} in {name}", "a function")
     return work  # type: ignore[no-any-return]
 
 
@@ -67,23 +63,20 @@ def locked(folder: Path) -> Iterator[None]:
     """
     with (folder / "lock").open("a+") as lock:
         deadline = time.monotonic() + PATIENCE_S
-        while not _try_lock(lock.fileno()):
-            if time.monotonic() > deadline:
-                lock.seek(0)
-                raise InputError(folder, "", f"in use by process {lock.read()}", "no process")
-            time.sleep(0.1)
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    lock.seek(0)
+                    held = f"in use by process {lock.read()}"
+                    raise InputError(folder, "", held, "no process") from None
+                time.sleep(0.1)
         lock.truncate(0)
         lock.write(f"{os.getpid()} on {os.uname().nodename}")
         lock.flush()
         yield
-
-
-def _try_lock(file: int) -> bool:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _end_with_parent() -> None:

@@ -11,8 +11,7 @@ from itertools import islice
 from typing import Any
 
 from sim2real.errors import InputError
-from sim2real.executor.job import Job, JobOutcome, write_job
-from sim2real.executor.process import Died, failure, start, stop
+from sim2real.executor.job import Died, Job, JobOutcome, stop, write_job
 from sim2real.extras import library
 
 _LOOK_EVERY_S = 1.0
@@ -29,17 +28,9 @@ def run_on_ray(
 ) -> Generator[JobOutcome | None]:
     """Run each job on a node with ``cpus`` and ``gpus`` available.
 
-    A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave.
-
-    A job whose process dies, or whose node is lost, gets up to ``retries`` more attempts.
-
-    Args:
-        jobs: The jobs; every node must have their folders at the same path.
-        address: The cluster; None for one that ``ray.init`` finds, else a local one.
-        variables: Environment variables of the jobs, in addition to those of the node.
-        cpus: CPU cores that a job needs.
-        gpus: GPUs that a job needs.
-        retries: Attempts after the first.
+    A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave. A job
+    whose process dies, or whose node is lost, gets up to ``retries`` more attempts. Every node has
+    the folders at the same path; ``variables`` are added to its environment.
 
     Yields:
         The outcome of each job as it ends, and None about once a second in between. Closing the
@@ -48,25 +39,37 @@ def run_on_ray(
     Raises:
         InputError: If there is no Ray, no such cluster, or no node large enough for a job.
     """
-    ray = _library()
+    ray: Any = library("ray", "--executor")
     joined = not ray.is_initialized()
     if joined:
         _join(ray, address)
+
+    def nodes() -> list[dict[str, float]]:
+        return [node["Resources"] for node in ray.nodes() if node["Alive"]]
+
+    def room() -> int:
+        """Number of jobs that the nodes hold at a time."""
+        total = 0
+        for node in nodes():
+            by_cpu = int(node.get("CPU", 0) / cpus)
+            total += min(by_cpu, int(node.get("GPU", 0) / gpus + 1e-9)) if gpus else by_cpu
+        return total
+
     pending: dict[Any, Job] = {}
     try:
-        if not _room(ray, cpus, gpus):
-            found = f"{len(_nodes(ray))} nodes too small"
+        if not room():
+            found = f"{len(nodes())} nodes too small"
             expected = f"{cpus} CPUs and {gpus:g} GPUs on one of them"  # it would wait forever
             raise InputError("--executor", "ray", found, expected)
         needs = {"num_cpus": cpus, "num_gpus": gpus}
         task = ray.remote(**needs, max_retries=retries, retry_exceptions=[Died])(_attempt)
         environment = dict(variables) if gpus else {**variables, "CUDA_VISIBLE_DEVICES": ""}
         while True:
-            room = _room(ray, cpus, gpus)
-            for job in islice(jobs, max(0, room - len(pending))):
+            places = room()
+            for job in islice(jobs, max(0, places - len(pending))):
                 write_job(job)
                 pending[task.remote(job, os.getcwd(), environment)] = job
-            if room and not pending:
+            if places and not pending:
                 return
             if not pending:  # all nodes are lost: another may join
                 time.sleep(_LOOK_EVERY_S)
@@ -75,8 +78,7 @@ def run_on_ray(
             ended, _ = ray.wait(list(pending), num_returns=1, timeout=_LOOK_EVERY_S)
             yield None
             for answer in ended:
-                job = pending.pop(answer)
-                yield JobOutcome(job, _failure(ray, answer, retries))
+                yield JobOutcome(pending.pop(answer), _failure(ray, answer, retries))
     finally:
         for answer in pending:
             with contextlib.suppress(ray.exceptions.RayError):
@@ -88,11 +90,11 @@ def run_on_ray(
 def _attempt(job: Job, directory: str, variables: Mapping[str, str]) -> str | None:
     """One attempt at a job, on a node; the reason if it failed."""
     try:
-        process = start(job.folder, directory, variables)
+        process = job.start(directory, variables)
     except OSError as error:
         return f"{error.filename} not accessible from node {os.uname().nodename}: {error.strerror}"
     try:
-        return failure(job, process.wait())
+        return job.failure(process.wait())
     finally:
         stop(process)
 
@@ -107,34 +109,13 @@ def _failure(ray: Any, answer: Any, retries: int) -> str | None:  # noqa: ANN401
     return reason
 
 
-def _library() -> Any:  # noqa: ANN401 - a module
-    return library("ray", "--executor")
-
-
 def _join(ray: Any, address: str | None) -> None:  # noqa: ANN401 - a module
     host, _, port = (address or "").removeprefix("ray://").rpartition(":")
     try:
         if port.isdecimal():  # Ray itself waits for minutes
             socket.create_connection((host, int(port)), timeout=10.0).close()
-        ray.init(
-            address=address, include_dashboard=False, log_to_driver=False, logging_level="error"
-        )
+        quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
+        ray.init(address=address, **quiet)
     except (OSError, OverflowError, ValueError, RuntimeError) as error:
-        problem = str(getattr(error, "strerror", None) or error)
-        raise InputError(
-            "--address", address or "", problem, "a Ray cluster that answers"
-        ) from None
-
-
-def _room(ray: Any, cpus: int, gpus: float) -> int:  # noqa: ANN401 - a module
-    """Number of jobs that the nodes hold at a time."""
-    room = 0
-    for node in _nodes(ray):
-        by_cpu = int(node.get("CPU", 0) / cpus)
-        room += min(by_cpu, int(node.get("GPU", 0) / gpus + 1e-9)) if gpus else by_cpu
-    return room
-
-
-def _nodes(ray: Any) -> list[dict[str, float]]:  # noqa: ANN401 - a module
-    """Resources of each node that is alive."""
-    return [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        problem, expected = getattr(error, "strerror", None) or error, "a Ray cluster that answers"
+        raise InputError("--address", address or "", str(problem), expected) from None

@@ -1,8 +1,14 @@
-"""A job, its run folder and its outcome."""
+"""A job, its run folder, its process and its outcome."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,10 +17,13 @@ from sim2real.errors import InputError, shown
 from sim2real.output import provenance, write_json
 from sim2real.structured import Fields, read_json
 
-LOG = "log.txt"
+LOG, _JOB, _DONE = "log.txt", "job.json", "done.json"
 NOT_STARTED = "not started"
 """Failure of a job for which the time was over; the same call starts it."""
-_JOB, _DONE = "job.json", "done.json"
+
+
+class Died(Exception):
+    """A job's process was killed by a signal; the job can be retried."""
 
 
 @dataclass(frozen=True)
@@ -51,20 +60,75 @@ class Job:
             expected = "values that JSON represents exactly"
             raise InputError(self.name, "options", shown(self.options), expected)
 
+    @property
+    def content(self) -> dict[str, Any]:
+        """Content of ``job.json``."""
+        return {"name": self.name, "function": self.function, "options": self.options}
+
+    def is_done(self) -> bool:
+        """Whether the run folder has the complete result of this function with these options."""
+        try:
+            done = read_json(self.folder / _DONE)
+        except InputError:
+            return False
+        same = ("function", "options")
+        return all(_text(done.get(key)) == _text(self.content[key]) for key in same)
+
+    def begin(self) -> None:
+        """Remove the ``done.json`` of other options, if there is one."""
+        (self.folder / _DONE).unlink(missing_ok=True)
+
+    def end(self) -> None:
+        """Write ``done.json``: the completed job and the versions of the software."""
+        versions = provenance((), seed=None)["versions"]
+        write_json(self.folder / _DONE, self.content | {"versions": versions})
+
+    def start(
+        self, directory: str | os.PathLike[str], variables: Mapping[str, str]
+    ) -> subprocess.Popen[bytes]:
+        """Start the process of the written job in a new session; it ends with this process.
+
+        Args:
+            directory: Working directory of the process.
+            variables: Environment variables in addition to those of this process.
+        """
+        with (self.folder / LOG).open("ab") as log:
+            return subprocess.Popen(
+                [sys.executable, "-P", "-m", "sim2real.executor", str(self.folder), "--lifeline"],
+                stdin=subprocess.PIPE,  # the lifeline: closed when this process ends
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=directory,
+                env=os.environ | dict(variables),
+                start_new_session=True,
+            )
+
+    def failure(self, status: int) -> str | None:
+        """Reason why a process that ended with ``status`` failed; None if the job is done.
+
+        Raises:
+            Died: If it was killed by a signal.
+        """
+        if self.is_done():
+            return None
+        if status < 0:
+            raise Died(f"killed by {signal.Signals(-status).name}")
+        if status == 0:
+            return "ended early, with status 0"
+        lines = (self.folder / LOG).read_text(encoding="utf-8", errors="replace").splitlines()
+        return next((line.strip() for line in reversed(lines) if line.strip()), "no output")
+
 
 @dataclass(frozen=True)
 class JobOutcome:
-    """JobOutcome of a job; ``failure`` is the reason in one line, None if the job is done."""
+    """Outcome of a job; ``failure`` is the reason in one line, None if the job is done."""
 
     job: Job
     failure: str | None = None
 
     def __str__(self) -> str:
-        if self.failure is None:
-            return f"{self.job.name}: done"
-        if self.failure == NOT_STARTED:
-            return f"{self.job.name}: {NOT_STARTED}"
-        return f"{self.job.name}: {self.failure}; see {self.job.folder / LOG}"
+        where = f"; see {self.job.folder / LOG}" if self.failure not in (None, NOT_STARTED) else ""
+        return f"{self.job.name}: {self.failure or 'done'}{where}"
 
 
 def write_job(job: Job) -> None:
@@ -73,7 +137,7 @@ def write_job(job: Job) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    write_json(job.folder / _JOB, _content(job))
+    write_json(job.folder / _JOB, job.content)
 
 
 def read_job(folder: Path) -> Job:
@@ -90,30 +154,15 @@ def read_job(folder: Path) -> Job:
     return Job(fields.text("name"), fields.text("function"), options, folder)
 
 
-def is_done(job: Job) -> bool:
-    """Whether the run folder has the complete result of this function with these options."""
-    try:
-        done = read_json(job.folder / _DONE)
-    except InputError:
-        return False
-    return all(_text(done.get(key)) == _text(_content(job)[key]) for key in ("function", "options"))
-
-
-def mark_done(job: Job) -> None:
-    """Write ``done.json``: the completed job and the versions of the software."""
-    versions = provenance((), seed=None)["versions"]
-    write_json(job.folder / _DONE, _content(job) | {"versions": versions})
-
-
-def mark_begun(job: Job) -> None:
-    """Remove the ``done.json`` of other options, if there is one."""
-    (job.folder / _DONE).unlink(missing_ok=True)
+def stop(process: subprocess.Popen[bytes]) -> None:
+    """Kill the process, if it still runs, and its child processes."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    if process.stdin:
+        process.stdin.close()
 
 
 def _text(value: object) -> str:
     """JSON text, which distinguishes 1, 1.0 and true, unlike ``==``."""
     return json.dumps(value, sort_keys=True)
-
-
-def _content(job: Job) -> dict[str, Any]:
-    return {"name": job.name, "function": job.function, "options": job.options}

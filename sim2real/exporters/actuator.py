@@ -4,16 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from xml.etree import ElementTree
 
 from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import LAWS, JointModel, Model
 from sim2real.robot import Joint, Robot
 
-GEAR_TRAINS = ("backlash", "compliance")
-"""Effects that make two masses of a gear train; the first that states a rotor counts."""
+SATURATION = "torque_saturation"
+BEYOND_LIMIT = f"{SATURATION}.free_damping"
+"""Damping that acts beyond a limit of the current."""
 _ROTOR = "rotor_inertia_kgm2"
+
+MOTOR_TERMS = (
+    (_ROTOR, "unmodelled_inertia", "inertia_kgm2"),
+    ("coulomb_Nm", "coulomb_friction", "torque_Nm"),
+)
+"""Parameters of the law ``motor`` that an effect of the catalogue also has."""
+
+MOTOR_LACKS = {
+    "resistance_rise": "it weakens the motor as its current grows",
+    "loop_period_s": "it holds the drive between two samples of the controller",
+    "loop_phase_s": "it is the time of the controller's first sample",
+    "stick_time_s": "it is how soon dry friction stops the shaft",
+    "creep_time_s": "it is how fast the shaft creeps against dry friction",
+}
+"""Meaning of parameters of the law ``motor``; the others are load-dependent friction."""
+
+LACKS = {
+    "stribeck_friction": "its friction is a constant torque",
+    "presliding_friction": "its friction is a constant torque",
+    "asymmetric_friction": "its friction is the same both ways",
+    "load_friction": "its friction does not depend on the load",
+    "quadratic_drag": "its damping is linear in the speed",
+    "gravity_load": "add the weight to the link",
+    "torque_saturation": "the limit of the drive is the motor's own",
+    "sensor_offset": "add it to the observation",
+    "sensor_gain": "scale the observation",
+    "sensor_filter": "filter the observation",
+    "encoder_quantization": "round the observation",
+    "packet_loss": "omit actions in the environment",
+}
+"""Why a target lacks an effect, where it has no reason of its own."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +92,7 @@ class Actuator:
     @property
     def train_rotor(self) -> float:
         """Inertia of the rotor in kg m2 that a gear train states; 0 where none does."""
-        values = (self.value(effect, _ROTOR) for effect in GEAR_TRAINS)
-        return next((value for value in values if value), 0.0)
+        return self.value("backlash", _ROTOR) or self.value("compliance", _ROTOR)
 
     @property
     def beyond_load(self) -> float:
@@ -73,6 +103,17 @@ class Actuator:
     def armature(self) -> float:
         """Inertia that the stated load leaves out, kg m2; 0 where it is negative."""
         return max(self.beyond_load, 0.0)
+
+    @property
+    def friction(self) -> float:
+        """Dry friction, N m."""
+        return self.value("coulomb_friction", "torque_Nm")
+
+    @property
+    def delays(self) -> tuple[float, float]:
+        """Shortest and longest delay of a set-point in s, with ``latency_jitter``."""
+        spread = self.value("latency_jitter", "halfwidth_s")
+        return max(self.latency - spread, 0.0), self.latency + spread
 
     @property
     def current_limit(self) -> float | None:
@@ -94,23 +135,12 @@ class Actuator:
         return self.value(SATURATION, "free_damping") * (self.kd + self.back_emf)
 
     @property
-    def constant_torque(self) -> float:
-        """Torque in N m that makes symmetric dry friction asymmetric."""
-        torque = self.value("asymmetric_friction", "torque_Nm")
-        return -torque * self.value("asymmetric_friction", "asymmetry")
-
-    @property
     def passive_damping(self) -> float:
         """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole.
 
         The share of the controller is then not negative below the limit of the drive.
         """
         return max(min(self.back_emf, self.kd + self.back_emf), 0.0)
-
-    @property
-    def stopping_times(self) -> tuple[float, float]:
-        """Times in which dry friction stops the shaft, s: ``soft_friction.constraint``."""
-        return self.motor.get("stick_time_s", 0.0), self.motor.get("creep_time_s", 0.0)
 
     @property
     def stall_torque(self) -> float | None:
@@ -125,6 +155,26 @@ class Actuator:
         if self.limit is not None and self.back_emf > 0:
             return self.limit / self.back_emf
         return self.sheet.servo.no_load_speed_rad_s if self.sheet else None
+
+    def stop(self, shortest_s: float = 0.0) -> tuple[float, float]:
+        """Time constant in s and impedance of friction that stops the shaft as identified.
+
+        Those of MuJoCo's soft constraint: with impedance d and time constant T the shaft stops in
+        ``T d / 2`` and creeps with the time constant ``T (1 - d) / 2``. Source: MuJoCo's
+        documentation, Computation, Constraint model, where the former is 1 / b.
+
+        Args:
+            shortest_s: Shortest time constant, two time steps of the simulation, s.
+        """
+        stick, creep = (self.motor.get(name, 0.0) for name in ("stick_time_s", "creep_time_s"))
+        if not stick:
+            return shortest_s, RIGID
+        impedance = min(max(stick / (stick + creep), 0.0001), RIGID)
+        return max(2 * stick / impedance, shortest_s), impedance
+
+
+RIGID = 0.9999
+"""Largest impedance of a constraint in MuJoCo."""
 
 
 @dataclass(frozen=True)
@@ -147,25 +197,6 @@ class Export:
     left_out: tuple[LeftOut, ...]
 
 
-def rotor_inertia(servo: Actuator) -> float:
-    """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
-    rotor = servo.train_rotor or servo.armature
-    total = servo.inertia + servo.beyond_load
-    if rotor == 0 and servo.effects.get("backlash"):
-        rotor = total  # an output without inertia
-    return min(max(rotor, 0.02 * total), 0.98 * total)
-
-
-SATURATION = "torque_saturation"
-BEYOND_LIMIT = f"{SATURATION}.free_damping"
-"""Damping that acts beyond a limit of the current."""
-
-
-def limit_effects(joint: JointModel) -> set[str]:
-    """The effect that every target expresses as the limit of the drive, if the motor has none."""
-    return set() if joint.motor.get("stall_torque_Nm") else {SATURATION, BEYOND_LIMIT}
-
-
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
     """The servos of a model, in its order.
 
@@ -179,15 +210,15 @@ def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")
-    for name in model.joints if robot else ():
-        if robot is not None and robot.joint(name) is None:
+    servos = []
+    for name, joint in model.joints.items():
+        sheet = robot.joint(name) if robot else None
+        if robot and sheet is None:
             names = ", ".join(joint.name for joint in robot.joints)
-            file = robot.path or robot.name
-            raise InputError(file, "joints", names, f"the model's joint {name} among them")
-    return tuple(
-        _actuator(name, joint, robot.joint(name) if robot else None)
-        for name, joint in model.joints.items()
-    )
+            expected = f"the model's joint {name} among them"
+            raise InputError(robot.path or robot.name, "joints", names, expected)
+        servos.append(_actuator(name, joint, sheet))
+    return tuple(servos)
 
 
 def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
@@ -198,25 +229,20 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
     motor = {key: value for key, value in joint.motor.items() if value}
     effects: dict[str, dict[str, float]] = {}
     for fitted in joint.effects:
-        parameters = {
-            parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters
-        }
-        if unknown := set(fitted.parameters) - parameters:
-            expected = f"one of {', '.join(sorted(parameters))}"
-            raise InputError(
-                "model", f"joints.{name}.{fitted.effect}", ", ".join(sorted(unknown)), expected
-            )
+        known = {parameter.name for parameter in named(fitted.effect, f"model, {name}").parameters}
+        if unknown := ", ".join(sorted(set(fitted.parameters) - known)):
+            expected = f"one of {', '.join(sorted(known))}"
+            raise InputError("model", f"joints.{name}.{fitted.effect}", unknown, expected)
         if any(fitted.parameters.values()):
             effects[fitted.effect] = dict(fitted.parameters)
-    trains = [e for e in GEAR_TRAINS if effects.get(e, {}).get(_ROTOR)]
+    trains = [e for e in ("backlash", "compliance") if effects.get(e, {}).get(_ROTOR)]
     for key, effect, parameter in MOTOR_TERMS:
         if key in motor:
             if key == _ROTOR and trains:  # both are inertia of the rotor
                 effect, parameter = trains[0], _ROTOR
             values = effects.setdefault(effect, {})
             values[parameter] = values.get(parameter, 0.0) + motor.pop(key)
-    limit, back_emf = motor.pop("stall_torque_Nm", None), 0.0
-    speed = motor.pop("no_load_speed_rad_s", None)
+    limit, speed = motor.pop("stall_torque_Nm", None), motor.pop("no_load_speed_rad_s", None)
     if limit is not None:
         back_emf = limit / speed if speed else joint.kd_Nms_per_rad
     else:
@@ -240,42 +266,13 @@ def _actuator(name: str, joint: JointModel, sheet: Joint | None) -> Actuator:
     )
 
 
-MOTOR_TERMS = (
-    (_ROTOR, "unmodelled_inertia", "inertia_kgm2"),
-    ("coulomb_Nm", "coulomb_friction", "torque_Nm"),
-)
-"""Parameters of the law ``motor`` that an effect of the catalogue also has."""
-
-MOTOR_LACKS = {
-    "resistance_rise": "it weakens the motor as its current grows",
-    "loop_period_s": "it holds the drive between two samples of the controller",
-    "loop_phase_s": "it is the time of the controller's first sample",
-    "stick_time_s": "it is how soon dry friction stops the shaft",
-    "creep_time_s": "it is how fast the shaft creeps against dry friction",
-}
-"""Meaning of parameters of the law ``motor``; the others are load-dependent friction."""
-
-LACKS = {
-    "stribeck_friction": "its friction is a constant torque",
-    "presliding_friction": "its friction is a constant torque",
-    "asymmetric_friction": "its friction is the same both ways",
-    "load_friction": "its friction does not depend on the load",
-    "quadratic_drag": "its damping is linear in the speed",
-    "gravity_load": "add the weight to the link",
-    "torque_saturation": "the limit of the drive is the motor's own",
-    "sensor_offset": "add it to the observation",
-    "sensor_gain": "scale the observation",
-    "sensor_filter": "filter the observation",
-    "encoder_quantization": "round the observation",
-    "packet_loss": "omit actions in the environment",
-}
-"""Why a target lacks an effect, where it has no reason of its own."""
-
-PER_INERTIA = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"
+def limit_effects(joint: JointModel) -> set[str]:
+    """The effect that every target expresses as the limit of the drive, if the motor has none."""
+    return set() if joint.motor.get("stall_torque_Nm") else {SATURATION, BEYOND_LIMIT}
 
 
 def left_out(
-    servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str] | None = None
+    servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str]
 ) -> list[LeftOut]:
     """What a target does not express of one actuator.
 
@@ -285,45 +282,21 @@ def left_out(
         has: The effects that it expresses, and ``motor.NAME`` of parameters of the motor.
         lacks: Reasons for the effects that it lacks, where those of ``LACKS`` do not fit.
     """
-    expressed, reasons = set(has), {**LACKS, **(lacks or {})}
-    lines = [LeftOut(servo.joint, "unit of the gains", PER_INERTIA)] if servo.per_inertia else []
+    lines, reasons = [], LACKS | dict(lacks)
+    if servo.per_inertia:
+        why = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"
+        lines.append(LeftOut(servo.joint, "unit of the gains", why))
     for effect, values in servo.effects.items():
-        if effect not in expressed:
+        if effect not in has:
             shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items() if value)
             why = reasons.get(effect, f"{target} has no equivalent")
             lines.append(LeftOut(servo.joint, f"{effect} ({shown})", why))
     for name, value in servo.motor.items():
-        if f"motor.{name}" not in expressed:
+        if f"motor.{name}" not in has:
             meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
             why = f"{target} has no equivalent: {meaning}"
             lines.append(LeftOut(servo.joint, f"motor.{name} ({value:.6g})", why))
     return lines
-
-
-def link_left_out(servo: Actuator) -> list[LeftOut]:
-    """What belongs to the link of a robot, not to its actuator: the load, negative armature."""
-    lines = []
-    if servo.beyond_load < 0:
-        why = "an armature cannot be negative; subtract it from the link's inertia"
-        lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
-    load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
-    return [*lines, LeftOut(servo.joint, load, "it belongs to the link")]
-
-
-def beyond_left_out(servo: Actuator) -> list[LeftOut]:
-    """What a limit of the whole torque lacks of one that damping exceeds."""
-    if servo.current_limit is None or not servo.damping_beyond:
-        return []
-    why = "the limit at any speed is that of the whole torque"
-    what = f"damping beyond {SATURATION} ({servo.damping_beyond:.6g} N m s/rad)"
-    return [LeftOut(servo.joint, what, why)]
-
-
-def delay_left_out(servo: Actuator) -> list[LeftOut]:
-    """What a delay of whole physics steps lacks of the latency."""
-    why = "a delay is a whole number of physics steps"
-    what = "fractions of a step of the latency"
-    return [LeftOut(servo.joint, what, why)] if servo.latency else []
 
 
 def limit_with_back_emf(servo: Actuator, damping: str) -> tuple[Actuator, list[LeftOut]]:
@@ -338,11 +311,6 @@ def limit_with_back_emf(servo: Actuator, damping: str) -> tuple[Actuator, list[L
     why = f"{damping} cannot be negative: the limit applies to the sum of drive and back-EMF"
     moved = replace(servo, kd=servo.kd + servo.back_emf, back_emf=0.0)
     return moved, [LeftOut(servo.joint, "a drive that clips before the back-EMF", why)]
-
-
-def quantity(joint: str, name: str, value: float, unit: str, why: str) -> list[LeftOut]:
-    """The line of a number that a target lacks; empty if the number is 0."""
-    return [LeftOut(joint, f"{name} ({value:.6g} {unit})", why)] if value else []
 
 
 def shared_left_out(model: Model) -> list[LeftOut]:
@@ -366,13 +334,3 @@ def head(lines: Sequence[LeftOut], what: str = "Actuators identified") -> list[s
     if not lines:
         return [title, "Everything that was identified is expressed."]
     return [title, "Not expressed here:", *(f"  {line}" for line in lines)]
-
-
-def xml_text(
-    root: ElementTree.Element, lines: Sequence[LeftOut], remarks: Sequence[str] = ()
-) -> str:
-    """An XML file with its head, and further remarks, as a comment."""
-    ElementTree.indent(root)
-    comments = (f"  {line.replace('--', '- -')}" for line in (*head(lines), *remarks))
-    body = ElementTree.tostring(root, encoding="unicode")
-    return "\n".join(["<!--", *comments, "-->", body, ""])

@@ -9,24 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from sim2real.exporters.actuator import (
     BEYOND_LIMIT,
+    RIGID,
     SATURATION,
     Actuator,
     Export,
     LeftOut,
     actuators,
+    head,
     left_out,
     limit_effects,
     limit_with_back_emf,
-    rotor_inertia,
     shared_left_out,
-    xml_text,
 )
-from sim2real.exporters.soft_friction import constraint
 from sim2real.model import JointModel, Model
 from sim2real.recording import GRAVITY_M_S2
 from sim2real.robot import Robot
@@ -42,30 +41,26 @@ STEP = (
 CONTACT = {"solreflimit": f"{2 * TIMESTEP_S} 1", "solimplimit": "0.999 0.9999 0.0001"}
 """The flanks of a gear train with play, as rigid as the time step allows."""
 
-HAS = (
-    "asymmetric_friction",
-    "backlash",
-    "cogging",
-    "command_filter",
-    "compliance",
-    "coulomb_friction",
-    "gravity_load",
-    "integral_action",
-    "presliding_friction",
-    "quadratic_drag",
-    "rate_limit",
-    "sensor_gain",
-    "sensor_offset",
-    "stribeck_friction",
-    "unmodelled_inertia",
-)
-"""Effects of the catalogue that an MJCF file expresses."""
-
 PID = {"integral_action", "rate_limit"}
 """Effects whose drive is a ``pid``."""
 
 PASSIVE = {"cogging", "presliding_friction", "stribeck_friction"}
 """Effects that are motors without inputs, which a limit of all motors of a joint would limit."""
+
+HAS = (
+    *sorted(PID | PASSIVE),
+    "asymmetric_friction",
+    "backlash",
+    "command_filter",
+    "compliance",
+    "coulomb_friction",
+    "gravity_load",
+    "quadratic_drag",
+    "sensor_gain",
+    "sensor_offset",
+    "unmodelled_inertia",
+)
+"""Effects of the catalogue that an MJCF file expresses."""
 
 LACKS = {
     "torque_asymmetry": "an actuator has one gain for both directions",
@@ -99,53 +94,46 @@ def mujoco(
     dropped: Sequence[LeftOut] = (),
     remarks: Sequence[str] = (),
 ) -> Export:
-    """An MJCF model of a fitted model's actuators.
-
-    ``pid`` and ``dcmotor`` elements need MuJoCo 3.12, polynomial damping 3.7 and delays 3.5. If an
-    older version is installed, the model has no delays, and `mujoco_bench.simulate` delays the
-    commands.
+    """An MJCF model of a fitted model's actuators, for MuJoCo 3.12 and later.
 
     Args:
         model: The fitted model.
         robot: Source of the limits of the joints (``range``).
-        dropped: Parts that were dropped from the model, to be listed, see `expressible`.
+        dropped: Parts that were dropped from the model, to be listed, see `nearest`.
         remarks: Further lines for the head of the file.
 
     Raises:
         InputError: See `actuators`.
     """
-    servos = actuators(model, robot)
     root = Element("mujoco", model="sim2real")
     SubElement(root, "compiler", angle="radian")
-    SubElement(
-        root,
-        "option",
-        timestep=_text(TIMESTEP_S),
-        integrator=INTEGRATOR,
-        gravity=_text(0, 0, -GRAVITY_M_S2),
-    )
+    option = {"timestep": _text(TIMESTEP_S), "integrator": INTEGRATOR}
+    SubElement(root, "option", option, gravity=_text(0, 0, -GRAVITY_M_S2))
     parts = {name: Element(name) for name in ("worldbody", "tendon", "actuator", "sensor")}
-    custom = SubElement(root, "custom")
     lines: list[LeftOut] = []
-    for actuator in servos:
-        if actuator.effects.keys() & PID:
-            actuator, moved = limit_with_back_emf(actuator, "the velocity gain of a pid")
+    for servo in actuators(model, robot):
+        if servo.effects.keys() & PID:
+            servo, moved = limit_with_back_emf(servo, "the velocity gain of a pid")
             lines += moved
-        numeric = {"name": f"{actuator.joint}_latency_s", "data": _text(actuator.latency)}
-        SubElement(custom, "numeric", numeric)
-        _shaft(actuator, parts["worldbody"], parts["tendon"])
-        lines += _motor(actuator, parts["actuator"])
-        lines += _delay(actuator, parts["actuator"][-1])
-        lines += _passive(actuator, parts["actuator"])
-        _sensor(actuator, parts["sensor"])
-        both = {SATURATION} if _two_limits(actuator) else set()
-        lines += left_out(actuator, "MuJoCo", (*HAS, *SOFT, *both), LACKS)
-        if actuator.effects.keys() >= {"backlash", "compliance"}:
+        _shaft(servo, parts["worldbody"], parts["tendon"])
+        lines += _motor(servo, parts["actuator"])
+        lines += _passive(servo, parts["actuator"])
+        _sensor(servo, parts["sensor"])
+        both = {SATURATION} if _two_limits(servo) else set()
+        lines += left_out(servo, "MuJoCo", (*HAS, *SOFT, *both), LACKS)
+        if servo.effects.keys() >= {"backlash", "compliance"}:
             why = "the stops of a joint with play are rigid"
-            lines.append(LeftOut(actuator.joint, "compliance with backlash", why))
+            lines.append(LeftOut(servo.joint, "compliance with backlash", why))
     root.extend(part for part in parts.values() if len(part))
     lines += [*dropped, *shared_left_out(model)]
     return Export(xml_text(root, lines, [STEP, *remarks]), tuple(lines))
+
+
+def xml_text(root: Element, lines: Sequence[LeftOut], remarks: Sequence[str] = ()) -> str:
+    """An XML file with its head, and further remarks, as a comment."""
+    ElementTree.indent(root)
+    comments = (f"  {line.replace('--', '- -')}" for line in (*head(lines), *remarks))
+    return "\n".join(["<!--", *comments, "-->", ElementTree.tostring(root, encoding="unicode"), ""])
 
 
 def _two_limits(servo: Actuator) -> bool:
@@ -167,7 +155,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
     sum of both, a tendon, which the drive, its damping and dry friction act on.
     """
     train = _train(servo)
-    rotor = rotor_inertia(servo) if train else 0.0
+    rotor = _rotor(servo) if train else 0.0
     armature = 0.0 if train else servo.armature
     body = SubElement(world, "body", name=f"{servo.joint}_link")
     attributes = {"name": servo.joint, "type": "hinge", "axis": "0 1 0"}
@@ -177,7 +165,13 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         attributes["actuatorfrcrange"] = _range(servo, servo.current_limit or 0.0)
         beyond = servo.damping_beyond
         servo = replace(servo, kd=servo.kd + servo.back_emf - beyond, back_emf=beyond)
-    attributes |= _output_losses(servo) if train else _friction(servo) | _damping(servo)
+    friction = servo.friction + servo.value("asymmetric_friction", "torque_Nm")
+    stop, drag = servo.stop(2 * TIMESTEP_S), servo.value("quadratic_drag", "coefficient_Nms2")
+    if train:
+        rubbing = servo.value("backlash", "output_friction_Nm")
+        attributes |= _losses(rubbing, (2 * TIMESTEP_S, RIGID), 0.0, drag)
+    else:
+        attributes |= _losses(friction, stop, servo.passive_damping, drag)
     if offset := _offset(servo):
         attributes["ref"] = _text(offset)
     if servo.sheet is not None:
@@ -192,9 +186,7 @@ def _shaft(servo: Actuator, world: Element, tendons: Element) -> None:
         SubElement(motor, "joint", {"name": lead, "type": "hinge", "axis": "0 1 0"} | train)
         _inertial(motor, rotor, 0.0)
         sides = _add_tendon(tendons, f"{servo.joint}_motor", {servo.joint: 1.0, lead: 1.0})
-        sides.attrib.update(_friction(servo))
-        if servo.back_emf > 0:
-            sides.set("damping", _text(servo.back_emf))
+        sides.attrib.update(_losses(friction, stop, servo.back_emf))
     elif servo.back_emf > servo.passive_damping:
         # Euler's method treats damping of joints implicitly and that of tendons explicitly, as it
         # does the actuator's, whose negative velocity gain this cancels at every time step.
@@ -214,7 +206,7 @@ def _train(servo: Actuator) -> dict[str, str]:
     spring = servo.value("compliance", "compliance_rad_per_Nm")
     if spring > 0 and gap == 0:
         inertia = servo.inertia + servo.beyond_load
-        share = rotor_inertia(servo) / inertia
+        share = _rotor(servo) / inertia
         damping = 2 * SPRING_DAMPING * math.sqrt(share * (1 - share) * inertia / spring)
         return {"stiffness": _text(1 / spring), "damping": _text(damping)}
     if gap > 0:
@@ -222,41 +214,33 @@ def _train(servo: Actuator) -> dict[str, str]:
     return {}
 
 
-def _friction(servo: Actuator) -> dict[str, str]:
-    """Attributes of dry friction of the motor's side: of a joint or a tendon."""
-    friction = servo.value("coulomb_friction", "torque_Nm")
-    friction += servo.value("asymmetric_friction", "torque_Nm")
-    if friction <= 0:
-        return {}
-    return {"frictionloss": _text(friction)} | _softness(*servo.stopping_times)
+def _rotor(servo: Actuator) -> float:
+    """Inertia of the motor's side in kg m2, as ``servo.gear_train.train_of`` has it."""
+    rotor = servo.train_rotor or servo.armature
+    total = servo.inertia + servo.beyond_load
+    if rotor == 0 and servo.effects.get("backlash"):
+        rotor = total  # an output without inertia
+    return min(max(rotor, 0.02 * total), 0.98 * total)
 
 
-def _damping(servo: Actuator, linear: float | None = None) -> dict[str, str]:
-    """Attribute of the damping of a joint: the passive damping by default, and quadratic drag."""
-    square = servo.value("quadratic_drag", "coefficient_Nms2")
-    linear = servo.passive_damping if linear is None else linear
-    if square > 0:
-        return {"damping": _text(linear, square, 0)}
-    return {"damping": _text(linear)} if linear > 0 else {}
-
-
-def _output_losses(servo: Actuator) -> dict[str, str]:
-    """Attributes of dry friction and drag of the output's side of a gear train."""
-    friction = servo.value("backlash", "output_friction_Nm")
-    attributes = _damping(servo, 0.0)
+def _losses(
+    friction: float, stop: tuple[float, float], linear: float, square: float = 0.0
+) -> dict[str, str]:
+    """Attributes of dry friction, see ``Actuator.stop``, and damping of a joint or a tendon."""
+    attributes = {}
     if friction > 0:
-        attributes |= {"frictionloss": _text(friction)} | _softness(0.0, 0.0)
+        attributes["frictionloss"] = _text(friction)
+        attributes["solreffriction"] = _text(stop[0], 1)
+        attributes["solimpfriction"] = _text(stop[1], stop[1])
+    if square > 0:
+        attributes["damping"] = _text(linear, square, 0)
+    elif linear > 0:
+        attributes["damping"] = _text(linear)
     return attributes
 
 
-def _softness(stick: float, creep: float) -> dict[str, str]:
-    """Attributes of dry friction that stops a shaft in these times, s; rigid if both are 0."""
-    constant, impedance = constraint(stick, creep, 2 * TIMESTEP_S)
-    return {"solreffriction": _text(constant, 1), "solimpfriction": _text(impedance, impedance)}
-
-
 def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
-    """The drive: gain, bias, limit; a ``pid`` if it has integral action or a rate limit."""
+    """The drive: gain, bias, limit, delay; a ``pid`` with integral action or a rate limit."""
     attributes = {"name": servo.joint}
     if _train(servo):
         attributes["tendon"] = f"{servo.joint}_motor"
@@ -264,10 +248,11 @@ def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
         attributes["joint"] = servo.joint
     if servo.limit is not None:
         attributes["forcerange"] = _range(servo, servo.limit)
-    ki = servo.value("integral_action", "ki_Nm_per_rad_s")
-    slew = servo.value("rate_limit", "limit_rad_s")
+    if servo.latency > 0:
+        attributes["delay"] = _text(servo.latency)
+        attributes["nsample"] = str(math.ceil(servo.latency / TIMESTEP_S) + 2)
     smooth = servo.value("command_filter", "time_constant_s")
-    bias = servo.constant_torque + servo.kp * _offset(servo)
+    bias = _constant_torque(servo) + servo.kp * _offset(servo)
     if not servo.effects.keys() & PID:
         attributes |= {"gaintype": "fixed", "gainprm": _text(servo.kp), "biastype": "affine"}
         # With equal kp in gain and bias, MuJoCo reads a positive biasprm[2] as a damping ratio.
@@ -278,39 +263,27 @@ def _motor(servo: Actuator, section: Element) -> list[LeftOut]:
         SubElement(section, "general", attributes)
         return []
     attributes |= {"kp": _text(servo.kp), "kv": _text(servo.kd), "input": "pos"}
-    attributes |= {"ki": _text(ki)} if ki else {}
-    attributes |= {"slewmax": _text(slew)} if slew else {}
+    if ki := servo.value("integral_action", "ki_Nm_per_rad_s"):
+        attributes["ki"] = _text(ki)
+    if slew := servo.value("rate_limit", "limit_rad_s"):
+        attributes["slewmax"] = _text(slew)
     SubElement(section, "pid", attributes)
-    lines = []
+    lost = [f"command_filter ({smooth:.6g} s)"] if smooth else []
+    lost += [f"a constant torque of {bias:.6g} N m"] if bias else []
     why = "not with integral action or a rate limit: a pid has neither filter nor bias"
-    if smooth:
-        lines.append(LeftOut(servo.joint, f"command_filter ({smooth:.6g} s)", why))
-    if bias:
-        lines.append(LeftOut(servo.joint, f"a constant torque of {bias:.6g} N m", why))
-    return lines
+    return [LeftOut(servo.joint, what, why) for what in lost]
+
+
+def _constant_torque(servo: Actuator) -> float:
+    """Torque in N m that makes symmetric dry friction asymmetric."""
+    torque = servo.value("asymmetric_friction", "torque_Nm")
+    return -torque * servo.value("asymmetric_friction", "asymmetry")
 
 
 def _range(servo: Actuator, limit: float) -> str:
     """Ends of a torque that is limited, in N m, with the constant torque."""
-    return _text(servo.constant_torque - limit, servo.constant_torque + limit)
-
-
-def _delay(servo: Actuator, motor: Element) -> list[LeftOut]:
-    """Delay the commands of a motor, if this version of MuJoCo supports it."""
-    if servo.latency <= 0:
-        return []
-    try:
-        installed = version("mujoco")
-    except PackageNotFoundError:
-        installed = ""
-    if installed and tuple(int(part) for part in installed.split(".")[:2]) < (3, 5):
-        why = (
-            f"MuJoCo {installed} has no delays; sim2real.exporters.mujoco_bench delays the commands"
-        )
-        return [LeftOut(servo.joint, f"latency ({servo.latency:.6g} s)", why)]
-    motor.set("delay", _text(servo.latency))
-    motor.set("nsample", str(math.ceil(servo.latency / TIMESTEP_S) + 2))
-    return []
+    constant = _constant_torque(servo)
+    return _text(constant - limit, constant + limit)
 
 
 def _passive(servo: Actuator, section: Element) -> list[LeftOut]:

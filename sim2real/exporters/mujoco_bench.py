@@ -1,17 +1,33 @@
-"""Simulation of an exported MuJoCo model, with delays also for versions without them."""
+"""Simulation of an exported MuJoCo model, and export of the model whose simulation is nearest."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
+from sim2real.exporters.actuator import SATURATION, Export
+from sim2real.exporters.mujoco import INTEGRATOR, TIMESTEP_S, expressed, mujoco
+from sim2real.exporters.nearest import Nearest, Which, nearest, rollout_error
+from sim2real.exporters.refit import FittingData, fitting_data
 from sim2real.extras import library
+from sim2real.inference.least_squares import rms
+from sim2real.model import JointModel, Model
+from sim2real.recording import Recording
+from sim2real.robot import Robot
+from sim2real.servo.trace import Trace
+
+CASES = (("implicitfast", 0.002), ("implicitfast", 0.005), ("Euler", 0.002), ("Euler", 0.005))
+"""Integrators and time steps in s of people's models, the last but one MuJoCo's default."""
+
+BRISTLES = frozenset({"presliding_friction", "stribeck_friction"})
+"""Effects with explicit integration in MuJoCo, inaccurate for stiff or damped bristles."""
 
 
 def simulate(
@@ -25,9 +41,7 @@ def simulate(
 ) -> dict[str, Array]:
     """Simulated sensor angles of an exported model for given commands.
 
-    A set-point takes effect after the latency: by the ``delay`` of the actuator if this version of
-    MuJoCo has it, else by writing it to ``ctrl`` later. The model starts at rest on the first
-    set-points.
+    The model starts at rest on the first set-points.
 
     Args:
         xml: The model, as `mujoco.mujoco` writes it.
@@ -54,52 +68,34 @@ def simulate(
     for joint in command:
         if joint not in joints:
             raise InputError("commands", joint, "no such joint", f"one of {', '.join(joints)}")
-    step = model.opt.timestep
-    since = (t - t[0]) / step
-    final = math.ceil(since[-1])
+    since = (t - t[0]) / model.opt.timestep
+    ticks = np.arange(math.ceil(since[-1]) + 1)
+    # Before MuJoCo 4 every actuator has one set-point.
+    addresses = getattr(model, "actuator_ctrladr", np.arange(model.nu))
     controls = {}
     for joint, values in command.items():
-        sent = np.rint(since + _delay_ticks(model, joint, step)).astype(int)
-        controls[_input(model, joint)] = _held_values(sent, np.asarray(values, float), final + 1)
+        actuator = model.actuator(joint).id
+        delay = float(model.actuator_delay[actuator]) / model.opt.timestep
+        # MuJoCo delays by whole ticks; the integrator uses the speed at the end of a step, which
+        # is half a step early.
+        beyond = delay - math.ceil(delay - 1e-6) + 0.5
+        active = np.searchsorted(np.rint(since + beyond), ticks, side="right") - 1
+        controls[int(addresses[actuator])] = np.asarray(values, float)[np.maximum(active, 0)]
         _rest(mj, model, data, joint, float(values[0]), (start or {}).get(joint))
     sensors = {joint: model.sensor(f"{joint}_position").adr[0] for joint in command}
-    angles = {joint: np.empty(final + 1) for joint in command}
-    for tick in range(final + 1):
-        for index, values in controls.items():
-            data.ctrl[index] = values[tick]
+    angles = {joint: np.empty(ticks.size) for joint in command}
+    for tick in ticks:
+        for index, held in controls.items():
+            data.ctrl[index] = held[tick]
         mj.mj_step1(model, data)
         for joint, address in sensors.items():
             angles[joint][tick] = data.sensordata[address]
         mj.mj_step2(model, data)
-    ticks = np.arange(final + 1)
     return {joint: np.interp(since, ticks, values) for joint, values in angles.items()}
 
 
-def _input(model: Any, joint: str) -> int:  # noqa: ANN401 - MuJoCo's own types
-    """Index of the set-point of a joint in ``ctrl``."""
-    actuator = model.actuator(joint).id
-    addresses = getattr(model, "actuator_ctrladr", None)
-    return int(actuator if addresses is None else addresses[actuator])
-
-
-def _delay_ticks(model: Any, joint: str, step: float) -> float:  # noqa: ANN401
-    """Delay of the commands of a joint in ticks, as far as the model does not apply it."""
-    # The integrator uses the speed at the end of a step, which is half a step early.
-    ticks = float(model.numeric(f"{joint}_latency_s").data[0]) / step
-    delays = getattr(model, "actuator_delay", None)
-    if delays is not None and delays[model.actuator(joint).id] > 0:
-        return ticks - math.ceil(ticks - 1e-6) + 0.5
-    return ticks + 0.5
-
-
-def _held_values(changes: NDArray[np.int_], values: Array, ticks: int) -> Array:
-    """The active set-point at each tick, shape (ticks,); initially the first."""
-    active = np.searchsorted(changes, np.arange(ticks), side="right") - 1
-    return values[np.maximum(active, 0)]
-
-
 def _rest(
-    mj: Any,  # noqa: ANN401
+    mj: Any,  # noqa: ANN401 - MuJoCo's own types
     model: Any,  # noqa: ANN401
     data: Any,  # noqa: ANN401
     joint: str,
@@ -115,7 +111,121 @@ def _rest(
     slews = model.actuator_dynprm[actuator.id][1] > 0
     if count and (slews or int(actuator.dyntype[0]) == int(mj.mjtDyn.mjDYN_FILTEREXACT)):
         data.act[address] = command
-    if getattr(model, "actuator_delay", np.zeros(model.nu))[actuator.id] > 0:
+    if model.actuator_delay[actuator.id] > 0:
         samples = int(model.actuator_history[actuator.id][0])
         times = model.opt.timestep * np.arange(-samples, 0)
         mj.mj_initCtrlHistory(model, data, actuator.id, times, np.full(samples, command))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Difference of the exported actuator, simulated in MuJoCo, from the servo.
+
+    Attributes:
+        joint: The joint.
+        error_rad: RMS difference from ``what``.
+        what: A held-out recording, or the full model.
+        coarse: ``integrator``, ``timestep_s`` and ``error_rad`` of each of ``CASES``.
+    """
+
+    joint: str
+    error_rad: float
+    what: str
+    coarse: Sequence[Mapping[str, Any]] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        """The differences in mrad."""
+        error = f"{1e3 * self.error_rad:.2f} mrad RMS"
+        text = f"{self.joint}: this actuator in MuJoCo: {error} from {self.what}"
+        text += f" ({INTEGRATOR}, {1e3 * TIMESTEP_S:g} ms)"
+        return text + "".join(
+            f"; {one['integrator']}, {1e3 * one['timestep_s']:g} ms: {1e3 * one['error_rad']:.2f}"
+            for one in self.coarse
+        )
+
+
+def mujoco_export(
+    model: Model,
+    recordings: Sequence[Recording] = (),
+    robot: Robot | None = None,
+    which: Which = "nearest",
+) -> tuple[Export, Nearest, tuple[Agreement, ...]]:
+    """Export a model to MuJoCo, refitted without the effects that MuJoCo lacks.
+
+    If MuJoCo is installed, the file is simulated, at the time steps of ``CASES`` as well, and the
+    errors by which `nearest` chooses are those of MuJoCo. Joints with ``BRISTLES`` are then
+    exported with Coulomb friction instead if its simulation is nearer to the data.
+
+    Args:
+        model: The fitted model.
+        recordings: Recordings to refit to, see `nearest`.
+        robot: Source of limits.
+        which: Which model to export, see `nearest`.
+
+    Returns:
+        The export, the model that it expresses, and the difference of MuJoCo by joint.
+    """
+    installed = find_spec("mujoco") is not None
+    result = nearest(
+        model,
+        expressed,
+        recordings,
+        robot,
+        which=which,
+        rough=BRISTLES if installed else (),
+        costly=(SATURATION,),
+        error=mujoco_error if installed else rollout_error,
+    )
+    agreement = tuple(
+        _agreement(name, result.model.joints[name], fitting_data(name, joint, recordings, robot))
+        for name, joint in (model.joints.items() if installed else ())
+    )
+    remarks = [str(one) for one in agreement]
+    return mujoco(result.model, robot, result.dropped, remarks), result, agreement
+
+
+def _agreement(name: str, joint: JointModel, data: FittingData) -> Agreement:
+    traces, what = data.own, "the full model"
+    if data.scored:
+        traces, what = data.scored, f"{data.held_out}, held out"
+    coarse = [
+        {
+            "integrator": integrator,
+            "timestep_s": step,
+            "error_rad": mujoco_error(joint, name, traces, integrator, step),
+        }
+        for integrator, step in CASES
+    ]
+    return Agreement(name, mujoco_error(joint, name, traces), what, coarse)
+
+
+def mujoco_error(
+    joint: JointModel,
+    name: str,
+    traces: Sequence[Trace],
+    integrator: str = INTEGRATOR,
+    timestep_s: float = TIMESTEP_S,
+) -> float:
+    """RMS difference of MuJoCo from the used samples of traces, each with its load.
+
+    Args:
+        joint: A joint that MuJoCo expresses.
+        name: Its name.
+        traces: Commands and measured angles.
+        integrator: Integrator of MuJoCo.
+        timestep_s: Time step in s.
+
+    Returns:
+        The difference in rad; infinite if MuJoCo's simulation diverges.
+    """
+    errors = []
+    for trace in traces:
+        bench = joint if joint.per_inertia else replace(joint, load=trace.load)
+        text, command = mujoco(Model({name: bench})).text, {name: trace.command}
+        start = {name: float(trace.position[np.isfinite(trace.position)][0])}
+        angle = simulate(
+            text, trace.t, command, start, integrator=integrator, timestep_s=timestep_s
+        )
+        errors.append((angle[name] - trace.position)[trace.used])
+    error = rms(errors)
+    return error if np.isfinite(error) else float("inf")

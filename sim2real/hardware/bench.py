@@ -1,16 +1,54 @@
-"""A bench of servos without a description of their own: loads, limits and data sheets."""
+"""The servos that a scan finds, and a bench of them: loads, limits and data sheets."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
-from sim2real.hardware.servo_bus import Found
+from sim2real.hardware.servo_bus import Found, ServoBus
 from sim2real.hardware.servo_models import model_named
 
 LONGEST_REACH_RAD = 2.5
+
+
+def scan(
+    bus: ServoBus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
+) -> tuple[list[Found], list[int]]:
+    """Servos that answer, and identities with corrupted answers, possibly of several servos.
+
+    Nothing is written to any servo. ``OSError`` if the port is lost.
+    """
+    servos, garbled = [], []
+    for servo_id in ids:
+        before = bus.garbled
+        if any(bus.answers(servo_id, patience_s) for _ in range(attempts)):
+            servos.append(bus.look(servo_id, patience_s))
+        elif bus.garbled > before:
+            garbled.append(servo_id)
+    return servos, garbled
+
+
+def table(servos: Sequence[Found]) -> str:
+    """The servos as a table, one line each."""
+    width = max(len(servo.model) for servo in servos)
+    width = max(width, len("model")) if width else 0
+    named = f" {'model':<{width}}" if width else ""
+    lines = [f"{'id':>3}{named} {'ticks':>6} {'rad':>7} {'supply':>8} {'temp':>5}  torque  errors"]
+    for servo in servos:
+        ticks = "-" if servo.ticks is None else f"{servo.ticks}"
+        angle = "-" if servo.angle_rad is None else f"{servo.angle_rad:+.3f}"
+        supply = "-" if servo.supply_V is None else f"{servo.supply_V:.2f} V"
+        temperature = "-" if servo.temperature_C is None else f"{servo.temperature_C} C"
+        torque = "-" if servo.powered is None else "on" if servo.powered else "off"
+        errors = ", ".join(servo.errors) or "none"
+        named = f" {servo.model:<{width}}" if width else ""
+        lines.append(
+            f"{servo.servo_id:>3}{named} {ticks:>6} {angle:>7} {supply:>8} {temperature:>5}  "
+            f"{torque:<6}  {errors}"
+        )
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -20,32 +58,27 @@ class Weight:
     mass_kg: float
     arm_m: float
 
-
-def load(weight: Weight, *, hangs: bool) -> dict[str, float]:
-    """The load of a point mass, as in a recording's JSON.
-
-    Args:
-        weight: The mass and its distance from the shaft.
-        hangs: Whether gravity acts: the mass hangs straight down at angle 0.
-    """
-    entry = {"inertia_kgm2": weight.mass_kg * weight.arm_m**2}
-    if hangs:
-        entry |= {"pendulum_mass_kg": weight.mass_kg, "pendulum_length_m": weight.arm_m}
-    return entry
+    def load(self, *, hangs: bool) -> dict[str, float]:
+        """Its load, as in a recording's JSON; with gravity, if it hangs straight down at 0."""
+        entry = {"inertia_kgm2": self.mass_kg * self.arm_m**2}
+        if hangs:
+            entry |= {"pendulum_mass_kg": self.mass_kg, "pendulum_length_m": self.arm_m}
+        return entry
 
 
-def joint_names(count: int) -> list[str]:
-    """Names of the joints of a bench."""
-    return [f"j{k + 1}" for k in range(count)]
+def loads(
+    names: Sequence[str], given: Sequence[Weight | float | None], *, hangs: bool
+) -> Mapping[str, dict[str, float]]:
+    """Loads by joint: of a weight, of an inertia in kg m2, or none."""
+    return {
+        name: what.load(hangs=hangs) if isinstance(what, Weight) else {"inertia_kgm2": what}
+        for name, what in zip(names, given, strict=True)
+        if what is not None
+    }
 
 
 def robot_text(bus: str, servos: Sequence[Found], reach_rad: float) -> str:
-    """A ``robot.toml`` with one joint for each servo, and the ratings of its model.
-
-    Args:
-        bus: Name of the bus.
-        servos: The servos, as a scan found them.
-        reach_rad: Limit of every joint, to both sides of the centre.
+    """A ``robot.toml`` with one joint of +-``reach_rad`` for each servo, and its model's ratings.
 
     Raises:
         InputError: If the ratings of a model are not known.
@@ -53,41 +86,24 @@ def robot_text(bus: str, servos: Sequence[Found], reach_rad: float) -> str:
     if not 0 < reach_rad <= LONGEST_REACH_RAD:
         expected = f"more than 0 and at most {LONGEST_REACH_RAD:g} rad"
         raise InputError("--reach", "", f"{reach_rad:g} rad", expected)
-    lines = ['name = "bench"']
-    for name, servo in zip(joint_names(len(servos)), servos, strict=True):
-        lines += _servo_lines(bus, name, servo)
-    lines += [f'[[links]]\nname = "link{k + 1}"\n' for k in range(len(servos) + 1)]
+    parts = [_servo_text(bus, f"j{k + 1}", servo) for k, servo in enumerate(servos)]
+    parts += [f'[[links]]\nname = "link{k + 1}"\n' for k in range(len(servos) + 1)]
     limits = f"limits_rad = [{-reach_rad:g}, {reach_rad:g}]"
-    for name in joint_names(len(servos)):
-        lines.append(f'[[joints]]\nname = "{name}"\nservo = "{name}"\n{limits}\n')
-    return "\n".join(lines)
+    names = [f"j{k + 1}" for k in range(len(servos))]
+    parts += [f'[[joints]]\nname = "{name}"\nservo = "{name}"\n{limits}\n' for name in names]
+    return "\n".join(['name = "bench"', *parts])
 
 
-def _servo_lines(bus: str, name: str, servo: Found) -> list[str]:
-    model = model_named(bus, servo.model)
-    supply = servo.supply_V
+def _servo_text(bus: str, name: str, servo: Found) -> str:
+    model, supply = model_named(bus, servo.model), servo.supply_V
     rating = None if model is None or supply is None else model.rating(supply)
     if model is None or rating is None:
         found = f"no ratings of servo {servo.servo_id} ({servo.model or bus})"
         raise InputError("--robot", "", found, "a robot.toml with its torque and speed")
-    tick_rad = 2 * math.pi / model.ticks_per_turn
-    return [
-        f"\n# {model.name} at {rating.supply_V:g} V: {model.source}",
-        f"[servos.{name}]",
-        f"max_torque_Nm = {rating.stall_torque_Nm:g}",
-        f"no_load_speed_rad_s = {rating.no_load_speed_rad_s:.3f}",
-        f"position_step_rad = {tick_rad:.6f}\n",
-    ]
-
-
-def loads(
-    names: Sequence[str], given: Sequence[Weight | float | None], *, hangs: bool
-) -> Mapping[str, dict[str, float]]:
-    """Loads by joint: of a weight, of an inertia in kg m2, or none."""
-    entries = {}
-    for name, what in zip(names, given, strict=True):
-        if isinstance(what, Weight):
-            entries[name] = load(what, hangs=hangs)
-        elif what is not None:
-            entries[name] = {"inertia_kgm2": what}
-    return entries
+    return f"""
+# {model.name} at {rating.supply_V:g} V: {model.source}
+[servos.{name}]
+max_torque_Nm = {rating.stall_torque_Nm:g}
+no_load_speed_rad_s = {rating.no_load_speed_rad_s:.3f}
+position_step_rad = {2 * math.pi / model.ticks_per_turn:.6f}
+"""

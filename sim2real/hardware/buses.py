@@ -1,53 +1,128 @@
-"""The buses by name, and opening one."""
+"""The buses by name; opening one, with a journal of what is changed in the servos of its port."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from importlib import import_module
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import BinaryIO
 
 from sim2real.errors import InputError, check_choice
-from sim2real.hardware.journal import Changed, Journal
-from sim2real.hardware.latency_timer import latency_advice
-from sim2real.hardware.motion import release
+from sim2real.hardware.lx import LxBus
+from sim2real.hardware.register_bus import DynamixelBus, FeetechBus
 from sim2real.hardware.servo_bus import ServoBus
-from sim2real.hardware.transport import Transport, open_transport
+from sim2real.hardware.transport import open_transport
+from sim2real.output import write_json
 
-BUSES: Mapping[str, tuple[str, str]] = {
-    "lx": ("sim2real.hardware.lx_bus", "LxBus"),
-    "dynamixel": ("sim2real.hardware.dynamixel_bus", "DynamixelBus"),
-    "feetech": ("sim2real.hardware.feetech_bus", "FeetechBus"),
-}
-"""Module and class of each bus."""
+BUSES: Mapping[str, type[ServoBus]] = {bus.name: bus for bus in (LxBus, DynamixelBus, FeetechBus)}
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A servo that a command has changed, with the values to restore, by name."""
+
+    bus: str
+    baud: int
+    servo_id: int
+    values: Mapping[str, int]
+
+
+class Journal:
+    """The journal of one port, which is locked: one command at a time uses a port.
+
+    It is on the disk before the first change; a command that is killed leaves it behind, and the
+    next one on the port restores the servos. It is in the folder for state of this user:
+    ``XDG_STATE_HOME``, or what the system uses instead.
+
+    Raises:
+        InputError: If another command uses the port.
+    """
+
+    def __init__(self, port: str) -> None:
+        name = port if "://" in port else os.path.realpath(port)
+        name = re.sub(r"[^\w.-]+", "_", name).strip("_")
+        state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+        if sys.platform == "win32":
+            state = os.environ.get("LOCALAPPDATA", Path.home())
+        self.path = Path(state) / "sim2real" / "ports" / f"{name}.json"
+        self._lock: BinaryIO | None = None
+        with contextlib.suppress(OSError):  # reading the servos needs no journal
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._lock = self.path.with_suffix(".lock").open("wb")
+        if self._lock is not None and not _locked(self._lock):
+            self._lock.close()
+            raise InputError("--port", "", f"{port} in use by another command", "a free port")
+
+    def pending(self) -> list[Changed]:
+        """Servos that are changed, or that a command which was killed has left changed."""
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            entries = json.loads(self.path.read_bytes())["servos"]
+            return [Changed(e["bus"], e["baud"], e["servo_id"], e["values"]) for e in entries]
+        return []
+
+    def note(self, about_to_change: Sequence[Changed]) -> list[Changed]:
+        """Note servos before they are changed; returns them as they are noted.
+
+        Those that are noted already stay as they are: what they have now is not what they had
+        before the first change.
+
+        Raises:
+            InputError: If the journal cannot be written.
+        """
+        noted = {(entry.bus, entry.servo_id): entry for entry in self.pending()}
+        for entry in about_to_change:
+            noted.setdefault((entry.bus, entry.servo_id), entry)
+        self._replace(list(noted.values()))
+        return [noted[entry.bus, entry.servo_id] for entry in about_to_change]
+
+    def forget(self, restored: Sequence[Changed]) -> None:
+        """Forget servos that are restored."""
+        gone = {(entry.bus, entry.servo_id) for entry in restored}
+        self._replace([e for e in self.pending() if (e.bus, e.servo_id) not in gone])
+
+    def close(self) -> None:
+        """Unlock the port."""
+        if self._lock is not None:
+            self._lock.close()
+
+    def _replace(self, entries: Sequence[Changed]) -> None:
+        if entries:
+            write_json(self.path, {"servos": [asdict(entry) for entry in entries]})
+        else:
+            self.path.unlink(missing_ok=True)
+
+
+def _locked(file: BinaryIO) -> bool:
+    """Whether the file could be locked; a killed process loses its lock."""
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # Windows, where a port is opened only once anyway
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)
 class Connection:
-    """An open bus, with the journal of its port.
-
-    Attributes:
-        bus: The bus.
-        journal: Where to note changes.
-        baud: Bits per second.
-    """
+    """An open bus, with the journal of its port."""
 
     bus: ServoBus
     journal: Journal
-    baud: int
 
 
 def bus_class(name: str) -> type[ServoBus]:
-    """The class of a bus.
-
-    Raises:
-        InputError: If there is none with this name.
-    """
+    """The class of a bus; ``InputError`` if there is none with this name."""
     check_choice("--bus", "", name, BUSES)
-    module, class_name = BUSES[name]
-    found: type[ServoBus] = getattr(import_module(module), class_name)
-    return found
+    return BUSES[name]
 
 
 @contextmanager
@@ -56,16 +131,11 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
 
     If an earlier command on this port could not restore its servos, this is done first.
 
-    Args:
-        name: Name of the bus.
-        port: Serial port or URL.
-        baud: Bits per second of a serial port; the usual rate of the bus by default.
-
     Raises:
         InputError: If there is no such bus or port, or another command uses the port.
     """
-    usual = bus_class(name).baud_rates[0]
-    rate = usual if baud is None else baud
+    kind = bus_class(name)
+    rate = kind.baud_rates[0] if baud is None else baud
     if rate <= 0:
         raise InputError("--baud", "", f"{rate}", "a rate above 0, such as 1000000")
     if advice := latency_advice(port):
@@ -81,13 +151,25 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
             transport.close()
             _restore(port, pending, journal)
             transport = open_transport(port, baud=rate)
-        with closing(_on(transport, name, rate)) as bus:
-            yield Connection(bus, journal, rate)
+        with closing(kind(transport, rate)) as bus:
+            yield Connection(bus, journal)
 
 
-def _on(transport: Transport, name: str, baud: int) -> ServoBus:
-    bus: ServoBus = bus_class(name)(transport, baud)  # type: ignore[call-arg]
-    return bus
+def release(
+    bus: ServoBus, changed: Mapping[int, Mapping[str, int]], *, attempts: int = 2
+) -> list[int]:
+    """Stop every servo, switch its torque off and restore its values, given by identity.
+
+    Returns:
+        Identities of those that did not confirm it; their torque may still be on.
+    """
+    unconfirmed = []
+    for servo_id, values in changed.items():
+        with contextlib.suppress(OSError):
+            if any(bus.restore(servo_id, values) for _ in range(attempts)):
+                continue
+        unconfirmed.append(servo_id)
+    return unconfirmed
 
 
 def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
@@ -95,7 +177,7 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
     silent = list[int]()
     for name, baud in {(entry.bus, entry.baud): None for entry in pending}:
         entries = {e.servo_id: e for e in pending if (e.bus, e.baud) == (name, baud)}
-        with closing(_on(open_transport(port, baud=baud), name, baud)) as bus:
+        with closing(bus_class(name)(open_transport(port, baud=baud), baud)) as bus:
             left = release(bus, {servo_id: entry.values for servo_id, entry in entries.items()})
         journal.forget([entry for servo_id, entry in entries.items() if servo_id not in left])
         silent += left
@@ -105,3 +187,23 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
         names = ", ".join(str(servo_id) for servo_id in silent)
         outcome = f"no confirmation from {names} (if they are gone, delete {journal.path})"
     print(f"{port}: servos {listed}, left on by an earlier command: {outcome}", file=sys.stderr)
+
+
+def latency_advice(port: str, system: Path = Path("/sys"), *, longest_ms: int = 1) -> str | None:
+    """One line if a USB adapter on Linux holds bytes back for too long; None otherwise.
+
+    ``system`` is where sysfs is mounted.
+    """
+    name = os.path.basename(os.path.realpath(port))
+    folders = system / "class/tty" / name / "device", system / "bus/usb-serial/devices" / name
+    for folder in () if "://" in port else folders:
+        file = folder / "latency_timer"
+        with contextlib.suppress(OSError, ValueError):
+            value = int(file.read_text())
+            if value <= longest_ms:
+                return None
+            return (
+                f"{port}: latency timer {value} ms, expected at most {longest_ms} ms: "
+                f"echo {longest_ms} | sudo tee {file}"
+            )
+    return None

@@ -14,7 +14,7 @@ be replayed.
 
 A radio should keep the sender that it heard first until that has been silent for ``SILENCE_S`` or
 has sent no packets, and ignore numbers that are not 1 to ``AHEAD`` larger than the last
-(``virtual_radio.py`` does). Without a key the network must be trusted: whoever can send from the
+(``virtual_link.py`` does). Without a key the network must be trusted: whoever can send from the
 computer's address can move the servos. Nothing is encrypted.
 """
 

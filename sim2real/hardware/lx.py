@@ -1,167 +1,246 @@
-"""The protocol of LX bus servos (LX-16A, LX-224, LX-824): packets to bytes, replies to numbers."""
+"""LX bus servos (LX-16A, LX-224, LX-824)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from functools import partial
+from typing import ClassVar
 
-from sim2real.hardware.frames import FrameDecoder
+from sim2real.hardware import frames
+from sim2real.hardware.frames import BROADCAST, Packet, Protocol
+from sim2real.hardware.servo_bus import (
+    PATIENCE_S,
+    BusServo,
+    Cycle,
+    Found,
+    Reading,
+    Scale,
+    ServoBus,
+    Stopped,
+)
 
-HEADER = b"\x55\x55"
-BROADCAST = 254
-LARGEST_ID = 253
-SHORTEST, LONGEST = 3, 7  # values of LEN in this family
-TICK_RAD = math.radians(0.24)
-CENTRE_TICKS, LARGEST_TICKS = 500, 1000
-LONGEST_MOVE_MS = 30_000
-BAUD_RATES = (115_200, 9600)  # servos sometimes fall back to the second
+SCALE = Scale(math.radians(0.24), 500, 0, 1000)
+USUAL_S = 0.0025
+"""Typical time of a servo's set-point, request and reply on the wire, with the adapter."""
 
 
-class BusCommand(IntEnum):
-    """All commands of the family except 13, which changes the identity of a servo permanently."""
+class LxCommand(IntEnum):
+    """Commands that are used here; 13, which changes an identity permanently, is none of them."""
 
     MOVE_TIME_WRITE = 1
-    MOVE_TIME_READ = 2
-    MOVE_TIME_WAIT_WRITE = 7
-    MOVE_TIME_WAIT_READ = 8
-    MOVE_START = 11
     MOVE_STOP = 12
     ID_READ = 14
-    ANGLE_OFFSET_ADJUST = 17
-    ANGLE_OFFSET_WRITE = 18
-    ANGLE_OFFSET_READ = 19
-    ANGLE_LIMIT_WRITE = 20
-    ANGLE_LIMIT_READ = 21
-    VIN_LIMIT_WRITE = 22
     VIN_LIMIT_READ = 23
-    TEMP_MAX_LIMIT_WRITE = 24
     TEMP_MAX_LIMIT_READ = 25
     TEMP_READ = 26
     VIN_READ = 27
     POS_READ = 28
-    MOTOR_MODE_WRITE = 29
-    MOTOR_MODE_READ = 30
     LOAD_WRITE = 31
     LOAD_READ = 32
-    LED_CTRL_WRITE = 33
-    LED_CTRL_READ = 34
-    LED_ERROR_WRITE = 35
-    LED_ERROR_READ = 36
 
 
 REPLY_BYTES = {
-    BusCommand.MOVE_TIME_READ: 4,
-    BusCommand.MOVE_TIME_WAIT_READ: 4,
-    BusCommand.ID_READ: 1,
-    BusCommand.ANGLE_OFFSET_READ: 1,
-    BusCommand.ANGLE_LIMIT_READ: 4,
-    BusCommand.VIN_LIMIT_READ: 4,
-    BusCommand.TEMP_MAX_LIMIT_READ: 1,
-    BusCommand.TEMP_READ: 1,
-    BusCommand.VIN_READ: 2,
-    BusCommand.POS_READ: 2,
-    BusCommand.MOTOR_MODE_READ: 4,
-    BusCommand.LOAD_READ: 1,
-    BusCommand.LED_CTRL_READ: 1,
-    BusCommand.LED_ERROR_READ: 1,
+    LxCommand.ID_READ: 1,
+    LxCommand.VIN_LIMIT_READ: 4,
+    LxCommand.TEMP_MAX_LIMIT_READ: 1,
+    LxCommand.TEMP_READ: 1,
+    LxCommand.VIN_READ: 2,
+    LxCommand.POS_READ: 2,
+    LxCommand.LOAD_READ: 1,
 }
 """Number of parameter bytes in the reply to each command that has a reply."""
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
-    """A packet: a command to a servo, or the reply, which has the same command number."""
-
-    servo_id: int
-    command: int
-    parameters: bytes = b""
-
-
-def checksum(body: bytes) -> int:
-    """Complement of the sum of everything between header and checksum, in one byte."""
-    return ~sum(body) & 0xFF
-
-
-def encode(packet: Packet) -> bytes:
-    """The packet as bytes.
-
-    Raises:
-        ValueError: If identity, command or number of parameters is not in the protocol.
-    """
-    if not 0 <= packet.servo_id <= BROADCAST:
-        raise ValueError(f"servo {packet.servo_id}: identities run from 0 to {LARGEST_ID}")
-    if packet.command not in BusCommand.__members__.values():
-        raise ValueError(f"command {packet.command} is not supported")
-    length = len(packet.parameters) + SHORTEST
-    if length > LONGEST:
-        raise ValueError(f"{len(packet.parameters)} bytes of parameters, at most 4 are possible")
-    body = bytes((packet.servo_id, length, packet.command)) + packet.parameters
-    return HEADER + body + bytes((checksum(body),))
-
-
 def expects_reply(packet: Packet) -> bool:
     """Whether a servo replies to ``packet``."""
-    return packet.command in REPLY_BYTES and not packet.parameters
+    return packet.code in REPLY_BYTES and not packet.parameters
 
 
 def is_reply(request: Packet, packet: Packet) -> bool:
     """Whether ``packet`` is the reply to ``request``; an echo of the request is not."""
     return (
-        packet.command == request.command
+        packet.code == request.code
         and request.servo_id in (packet.servo_id, BROADCAST)
-        and len(packet.parameters) == REPLY_BYTES[BusCommand(request.command)]
+        and len(packet.parameters) == REPLY_BYTES[LxCommand(request.code)]
     )
 
 
-def move(servo_id: int, ticks: int, time_ms: int = 0) -> Packet:
-    """Move to ``ticks`` at constant speed in ``time_ms``; 0 for the largest speed.
-
-    Raises:
-        ValueError: If ticks or time are out of range.
-    """
-    if not 0 <= ticks <= LARGEST_TICKS or not 0 <= time_ms <= LONGEST_MOVE_MS:
-        raise ValueError(f"{ticks} ticks in {time_ms} ms is outside 0 to 1000 in 0 to 30000")
-    parameters = ticks.to_bytes(2, "little") + time_ms.to_bytes(2, "little")
-    return Packet(servo_id, BusCommand.MOVE_TIME_WRITE, parameters)
+def move(servo_id: int, ticks: int) -> Packet:
+    """Move to ``ticks``, from 0 to 1000, at the largest speed."""
+    if not 0 <= ticks <= SCALE.largest_ticks:
+        raise ValueError(f"{ticks} ticks is outside 0 to {SCALE.largest_ticks}")
+    return Packet(servo_id, LxCommand.MOVE_TIME_WRITE, ticks.to_bytes(2, "little") + bytes(2))
 
 
 def load(servo_id: int, on: bool) -> Packet:
     """Switch the torque on or off."""
-    return Packet(servo_id, BusCommand.LOAD_WRITE, bytes((on,)))
+    return Packet(servo_id, LxCommand.LOAD_WRITE, bytes((on,)))
 
 
-def signed_word(reply: Packet) -> int:
-    """First two bytes of the reply as a signed number, such as a position in ticks."""
-    return int.from_bytes(reply.parameters[:2], "little", signed=True)
+def number(reply: Packet, start: int = 0) -> int:
+    """Up to two bytes of a reply: mV, degrees Celsius, or a position in ticks, which has a sign."""
+    word = reply.parameters[start : start + 2]
+    return int.from_bytes(word, "little", signed=reply.code == LxCommand.POS_READ)
 
 
-def words(reply: Packet) -> tuple[int, ...]:
-    """Pairs of bytes of the reply as unsigned numbers, such as the ends of a range."""
-    parameters = reply.parameters
-    return tuple(
-        int.from_bytes(parameters[k : k + 2], "little") for k in range(0, len(parameters), 2)
-    )
+class LxBus(ServoBus):
+    """A bus of LX servos, which are addressed one after the other.
+
+    The position of each is requested directly after its set-point, so that both have the same time;
+    then one servo in turn reports its supply or temperature.
+    """
+
+    name: ClassVar[str] = "lx"
+    baud_rates: ClassVar[tuple[int, ...]] = (115_200, 9600)  # sometimes they fall back to 9600
+    protocol: ClassVar[Protocol] = frames.LX
+    longest_answer: ClassVar[int] = frames.LX.largest
+    _turn = 0
+
+    def exchange(self, packets: Sequence[Packet], deadline: float) -> list[Packet | None]:
+        """The reply to each packet by ``deadline``; None if it is missing or none was expected."""
+        requests = [packet for packet in packets if expects_reply(packet)]
+        data = b"".join(map(self.protocol.encode, packets))
+        expected = [partial(is_reply, request) for request in requests]
+        replies = iter(self.transfer(data, expected, deadline))
+        return [next(replies) if expects_reply(packet) else None for packet in packets]
+
+    def ask(self, servo_id: int, command: int, within_s: float) -> Packet | None:
+        """The reply of one servo to one request, or None."""
+        return self.exchange([Packet(servo_id, command)], time.monotonic() + within_s)[0]
+
+    def answers(self, servo_id: int, patience_s: float) -> bool:
+        """Whether a servo has this identity; one request."""
+        self.drain()
+        return self.ask(servo_id, LxCommand.POS_READ, patience_s) is not None
+
+    def look(self, servo_id: int, patience_s: float) -> Found:
+        """The state of a servo that answers; nothing is written to it.
+
+        The protocol has no error register: LED_ERROR_READ is only a mask of the errors that switch
+        the LED on. Errors are therefore limits stored in the servo that are exceeded.
+        """
+
+        def ask(command: LxCommand) -> Packet | None:
+            return self._insisted(partial(self.ask, servo_id, command, patience_s))
+
+        position, supply = ask(LxCommand.POS_READ), ask(LxCommand.VIN_READ)
+        temperature, powered = ask(LxCommand.TEMP_READ), ask(LxCommand.LOAD_READ)
+        hottest, range_mV = ask(LxCommand.TEMP_MAX_LIMIT_READ), ask(LxCommand.VIN_LIMIT_READ)
+        errors = []
+        if temperature and hottest and number(temperature) > number(hottest):
+            errors.append(f"above {number(hottest)} C")
+        if supply and range_mV:
+            low, high = number(range_mV), number(range_mV, 2)
+            if not low <= number(supply) <= high:
+                errors.append(f"supply outside {low / 1000:.1f} to {high / 1000:.1f} V")
+        ticks = None if position is None else number(position)
+        return Found(
+            servo_id,
+            model="",
+            ticks=ticks,
+            angle_rad=None if ticks is None else SCALE.angle(ticks),
+            supply_V=None if supply is None else number(supply) / 1000,
+            temperature_C=None if temperature is None else number(temperature),
+            powered=None if powered is None else number(powered) != 0,
+            errors=tuple(errors),
+        )
+
+    def servo(self, servo_id: int) -> BusServo:
+        """The scale of a servo, which is the same for all of this family."""
+        return lx_servo(servo_id)
+
+    def saved(self, servo_id: int) -> dict[str, int]:
+        """Nothing, of a servo that answers: only the torque changes, which is off in the end."""
+        self._required(servo_id, LxCommand.LOAD_READ)
+        return {}
+
+    def reading(self, servo_id: int) -> Reading:
+        """Position and temperature of a servo that must answer."""
+        temperature = self._required(servo_id, LxCommand.TEMP_READ)
+        return Reading(self._required(servo_id, LxCommand.POS_READ), temperature_C=temperature)
+
+    def begin(self, goals: Mapping[int, int]) -> None:
+        """Hold these set-points (ticks by identity) with the torque on."""
+        for servo_id, ticks in goals.items():
+            if not self._set_load(servo_id, on=True):
+                raise Stopped(f"servo {servo_id} does not switch on")
+            self.exchange([move(servo_id, ticks)], time.monotonic())
+
+    def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
+        """Send set-points and read each servo, which may take what later ones do not need."""
+        self.drain()
+        ids = list(goals)
+        asked = ids[self._turn // 2 % len(ids)]
+        command = LxCommand.TEMP_READ if self._turn % 2 else LxCommand.VIN_READ
+        self._turn += 1
+        groups = [[move(k, goals[k]), Packet(k, LxCommand.POS_READ)] for k in ids]
+        groups.append([Packet(asked, command)])
+        if self._transport.together:
+            groups = [[packet for group in groups for packet in group]]
+        replies: list[Packet | None] = []
+        sent, round_trips = [], []
+        for after, group in zip(reversed(range(len(groups))), groups, strict=True):
+            sent.append(time.monotonic())
+            remaining = deadline - sent[-1]
+            limit = sent[-1] + max(remaining - after * USUAL_S, remaining / (after + 1))
+            received = self.exchange(group, limit)
+            if received[-1] is not None:
+                round_trips.append(time.monotonic() - sent[-1])
+            replies += received
+        joints = max(len(groups) - 1, 1)  # the last group of several is the health request
+        readings = (
+            _reading(reply, replies[-1] if servo_id == asked else None)
+            for servo_id, reply in zip(ids, replies[1::2], strict=False)
+        )
+        return Cycle(
+            sent_s=sum(sent[:joints]) / joints,
+            readings=tuple(readings),
+            round_trip_s=max(round_trips, default=math.nan),
+            device_s=self._device_s(bool(round_trips)),
+        )
+
+    def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
+        """Stop a servo and switch its torque off."""
+        self.drain()
+        self.exchange([Packet(servo_id, LxCommand.MOVE_STOP)], time.monotonic())
+        return self._set_load(servo_id, on=False)
+
+    def cycle_s(self, count: int) -> float:
+        """Time on the wire of a cycle with so many servos."""
+        return self._wire_s(24 * count + 14)
+
+    def sample_delay_s(self, count: int) -> float:
+        """Time on the wire of the request for a position, which follows each set-point."""
+        return self._wire_s(6)
+
+    def _set_load(self, servo_id: int, *, on: bool) -> bool:
+        request = [load(servo_id, on), Packet(servo_id, LxCommand.LOAD_READ)]
+
+        def confirmed() -> Packet | None:
+            reply = self.exchange(request, time.monotonic() + PATIENCE_S)[1]
+            return reply if reply is not None and bool(number(reply)) == on else None
+
+        return self._insisted(confirmed) is not None
+
+    def _required(self, servo_id: int, command: LxCommand) -> int:
+        """The number that a servo must answer."""
+        return number(self._insist(servo_id, partial(self.ask, servo_id, command, PATIENCE_S)))
 
 
-def supply_V(reply: Packet) -> float:
-    """Supply in V from a VIN_READ reply, which is in mV."""
-    return words(reply)[0] / 1000
+def lx_servo(servo_id: int) -> BusServo:
+    """An LX servo."""
+    return BusServo(servo_id, SCALE, ("temperature_C",))
 
 
-class Decoder(FrameDecoder[Packet]):
-    """Decoder of this protocol."""
-
-    header = HEADER
-    head_bytes = 4
-    largest = LONGEST + 3
-
-    def size(self, head: bytes) -> int:
-        """Bytes of the frame with these first bytes; 0 if there is no such frame."""
-        size = head[3] + 3
-        return size if SHORTEST + 3 <= size <= self._longest else 0
-
-    def packet(self, frame: bytes) -> Packet | None:
-        """The packet in a frame; None if its checksum does not agree."""
-        body = frame[len(HEADER) : -1]
-        return Packet(body[0], body[2], body[3:]) if checksum(body) == frame[-1] else None
+def _reading(position: Packet | None, health: Packet | None) -> Reading:
+    """A reading from the replies to POS_READ and to VIN_READ or TEMP_READ."""
+    supply = temperature = math.nan
+    if health is not None and health.code == LxCommand.VIN_READ:
+        supply = number(health) / 1000
+    elif health is not None:
+        temperature = float(number(health))
+    ticks = None if position is None else number(position)
+    return Reading(ticks, supply_V=supply, temperature_C=temperature)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
-from sim2real.hardware.servo_bus import BusServo, Scale
+from sim2real.hardware.servo_bus import BusServo, Scale, Stopped
 from sim2real.robot import Joint, Robot
 
 
@@ -15,11 +15,8 @@ from sim2real.robot import Joint, Robot
 class Mounting:
     """A servo in its joint: angle = sign (ticks - centre - trim) angle of a tick.
 
-    Attributes:
-        joint: The joint, with its limits.
-        servo: The servo on the bus.
-        trim_ticks: Ticks at angle 0, minus those at the servo's centre.
-        sign: -1 if servo and joint turn in opposite directions.
+    The trim is the ticks at angle 0, minus those at the servo's centre; the sign is -1 if servo and
+    joint turn in opposite directions.
     """
 
     joint: Joint
@@ -53,82 +50,70 @@ class Mounting:
         """The nearest set-point that the servo accepts."""
         return min(max(ticks, self.scale.lowest_ticks), self.scale.largest_ticks)
 
+    def check_temperature(self, temperature_C: float, hottest_C: float) -> None:
+        """Raise ``Stopped`` if the servo is too hot; NaN is not."""
+        if temperature_C > hottest_C:
+            found = f"{self.joint.name}'s servo is at {temperature_C:.0f} C"
+            raise Stopped(f"{found}, above {hottest_C:.0f} C")
 
-def mount(
-    robot: Robot,
-    servos: Sequence[BusServo],
-    *,
-    joints: Sequence[str] | None = None,
-    trim_ticks: Sequence[int] | None = None,
-    reverse: Sequence[str] | None = None,
-) -> tuple[Mounting, ...]:
-    """Assign servos to the joints of a robot.
 
-    Args:
-        robot: The robot.
-        servos: The servo of each joint.
-        joints: Names of the joints; default: all of the robot.
-        trim_ticks: Trim of each servo; default: 0.
-        reverse: Names of the joints whose servo turns in the opposite direction.
+@dataclass(frozen=True)
+class Wiring:
+    """Which servo is in which joint: identities, names, trims, and the joints that are reversed.
 
-    Raises:
-        InputError: If the numbers do not match, a name is wrong, or the limits of a joint exceed
-            the range of its servo.
+    By default all joints of the robot, with trims of 0.
     """
-    names = check_joints(robot, len(servos), joints, trim_ticks, reverse)
-    trims = trim_ticks or [0] * len(names)
-    return tuple(
-        _mounting(robot, name, servo, trim, -1 if name in (reverse or []) else 1)
-        for name, servo, trim in zip(names, servos, trims, strict=True)
-    )
 
+    ids: Sequence[int]
+    joints: Sequence[str] | None = None
+    trim_ticks: Sequence[int] | None = None
+    reverse: Sequence[str] | None = None
 
-def check_joints(
-    robot: Robot,
-    count: int,
-    joints: Sequence[str] | None,
-    trim_ticks: Sequence[int] | None,
-    reverse: Sequence[str] | None,
-) -> list[str]:
-    """Names of the joints to which ``count`` servos are assigned.
+    def check(self, robot: Robot, largest_id: int) -> list[str]:
+        """Names of the joints, checked against robot and bus before the port is opened.
 
-    Raises:
-        InputError: If the numbers do not match, or a name is wrong.
-    """
-    names = list(joints or [joint.name for joint in robot.joints])
-    known = ", ".join(joint.name for joint in robot.joints)
-    for name in [*names, *(reverse or [])]:
-        if robot.joint(name) is None:
-            raise InputError(
-                robot.path or robot.name, "joints", f"no joint {name!r}", f"some of {known}"
-            )
-    trims = len(names) if trim_ticks is None else len(trim_ticks)
-    for option, found in (("--ids", count), ("--trim", trims)):
-        if found != len(names):
-            expected = f"{len(names)}, for {', '.join(names)}"
-            raise InputError(option, "", f"{found} numbers", expected)
-    return names
+        Raises:
+            InputError: If numbers do not match, or a name or an identity is wrong.
+        """
+        names = list(self.joints or [joint.name for joint in robot.joints])
+        known = ", ".join(joint.name for joint in robot.joints)
+        for name in [*names, *(self.reverse or [])]:
+            if robot.joint(name) is None:
+                file = robot.path or robot.name
+                raise InputError(file, "joints", f"no joint {name!r}", f"some of {known}")
+        trims = len(names) if self.trim_ticks is None else len(self.trim_ticks)
+        for option, found in (("--ids", len(self.ids)), ("--trim", trims)):
+            if found != len(names):
+                expected = f"{len(names)}, for {', '.join(names)}"
+                raise InputError(option, "", f"{found} numbers", expected)
+        check_ids(self.ids, largest_id)
+        return names
 
 
 def check_ids(ids: Sequence[int], largest: int) -> None:
-    """Check that identities are different and exist on a bus.
-
-    Raises:
-        InputError: If not.
-    """
+    """Raise ``InputError`` unless identities are different and exist on a bus."""
     if not ids or len(set(ids)) != len(ids) or not all(0 <= k <= largest for k in ids):
         given = ", ".join(str(k) for k in ids) or "nothing"
         raise InputError("--ids", "", given, f"different numbers from 0 to {largest}")
 
 
-def _mounting(robot: Robot, name: str, servo: BusServo, trim: int, sign: int) -> Mounting:
-    joint = robot.joint(name)
-    assert joint is not None
-    mounting = Mounting(joint, servo, trim, sign)
-    ends = [mounting.angle(servo.scale.lowest_ticks), mounting.angle(servo.scale.largest_ticks)]
-    low, high = joint.limits_rad
-    if low < min(ends) or high > max(ends):
-        limits = f"{low:g} to {high:g} rad for {name}"
-        expected = f"limits that the servo reaches, {min(ends):.3f} to {max(ends):.3f} rad"
-        raise InputError(robot.path or robot.name, "joints.limits_rad", limits, expected)
-    return mounting
+def mount(robot: Robot, servos: Sequence[BusServo], wiring: Wiring) -> tuple[Mounting, ...]:
+    """Assign servos to the joints of a robot.
+
+    Raises:
+        InputError: If the wiring is wrong, or the limits of a joint exceed the range of its servo.
+    """
+    names = wiring.check(robot, max(wiring.ids, default=0))
+    mountings = []
+    for name, servo, trim in zip(names, servos, wiring.trim_ticks or [0] * len(names), strict=True):
+        joint = robot.joint(name)
+        assert joint is not None
+        mounting = Mounting(joint, servo, trim, -1 if name in (wiring.reverse or []) else 1)
+        ends = [mounting.angle(servo.scale.lowest_ticks), mounting.angle(servo.scale.largest_ticks)]
+        low, high = joint.limits_rad
+        if low < min(ends) or high > max(ends):
+            limits = f"{low:g} to {high:g} rad for {name}"
+            expected = f"limits that the servo reaches, {min(ends):.3f} to {max(ends):.3f} rad"
+            raise InputError(robot.path or robot.name, "joints.limits_rad", limits, expected)
+        mountings.append(mounting)
+    return tuple(mountings)

@@ -1,49 +1,126 @@
-"""The loop that sends set-points to the servos and records their positions."""
+"""The loop that sends set-points to the servos and records their positions, row by row."""
 
 from __future__ import annotations
 
+import csv
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Self
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.hardware.motion import check_temperature
+from sim2real.errors import InputError
 from sim2real.hardware.mounting import Mounting
-from sim2real.hardware.servo_bus import Cycle, ServoBus, Stopped, mean_known
+from sim2real.hardware.servo_bus import Cycle, ServoBus, Stopped, reason
+from sim2real.output import check_writable, is_stream, write_json
 
 CONTACT_S = 0.5
 """Time without an answer after which a servo is regarded as lost."""
 BUSY_SHARE = 0.8
 """Share of the period after which a reply counts as missing."""
+FEWEST_ROWS = 2  # of a valid recording
 SIGNED = ("velocity_rad_s", "current_A", "load")
 """Quantities that change their sign with the direction of the servo."""
 
 
 @dataclass
-class Outcome:
-    """Outcome of a recording.
+class Run:
+    """What became of a recording.
 
-    Attributes:
-        missing: Number of missing positions by joint.
-        lost: Number of set-points by joint that did not take effect, where the servo tells.
-        skipped: Set-points that were skipped because the computer was late.
-        late_s: Delay of each row's cycle, in s.
-        stopped: Reason of an early end; None if there was none.
+    ``missing`` and ``lost`` count, by joint, missing positions and set-points that did not take
+    effect, where the servo tells; ``skipped`` counts set-points left out because the computer was
+    late, ``late_s`` are the delays of the cycles. ``stopped`` is the reason of an early end; the
+    torque of servos that are ``unreleased`` may still be on.
     """
 
-    missing: dict[str, int]
-    lost: dict[str, int]
+    mountings: Sequence[Mounting]
+    rows: int = 0
+    missing: dict[str, int] = field(default_factory=dict)
+    lost: dict[str, int] = field(default_factory=dict)
     skipped: int = 0
     late_s: list[float] = field(default_factory=list)
     stopped: str | None = None
+    unreleased: Sequence[Mounting] = ()
 
-    @classmethod
-    def of(cls, mountings: Sequence[Mounting]) -> Self:
-        """An outcome of these servos, before the first cycle."""
-        names = [mounting.joint.name for mounting in mountings]
-        return cls(dict.fromkeys(names, 0), dict.fromkeys(names, 0))
+    def __post_init__(self) -> None:
+        self.missing = {mounting.joint.name: 0 for mounting in self.mountings}
+        self.lost = dict(self.missing)
+
+    @property
+    def torque(self) -> str:
+        """State of the servos, for a message."""
+        if not self.unreleased:
+            return "torque off"
+        every = len(self.unreleased) == len(self.mountings)
+        names = ", ".join(mounting.joint.name for mounting in self.unreleased)
+        where = "any servo" if every else names
+        return f"the torque of {where} may still be on: switch off the supply"
+
+    def written(self, out: Path) -> str:
+        """What is written, for a message."""
+        return f"{self.rows} rows in {out}" if self.rows >= FEWEST_ROWS else "nothing written"
+
+    def late_999_s(self) -> float:
+        """Delay that 99.9 % of the cycles did not exceed, in s."""
+        return float(np.quantile(self.late_s, 0.999)) if self.late_s else 0.0
+
+    def summary(self) -> dict[str, Any]:
+        """The outcome, for the recording's JSON."""
+        return {
+            "rows": self.rows,
+            "missing_positions": self.missing,
+            "lost_set_points": self.lost,
+            "skipped_set_points": self.skipped,
+            "late_999_s": round(self.late_999_s(), 6),
+            "stopped": self.stopped,
+        }
+
+
+@contextmanager
+def row_file(
+    path: Path, columns: Sequence[str], sidecar: dict[str, Any]
+) -> Iterator[Callable[[Sequence[float]], None]]:
+    """Context manager of ``NAME.csv`` and ``NAME.json``, valid after every row from the second on.
+
+    It gives a function that appends a row and flushes it; NaN is written as an empty cell. The
+    sidecar is written before the first row, and again at the end. Files with fewer than two rows
+    are removed.
+
+    Raises:
+        InputError: If the folder cannot be written.
+        Stopped: If a row cannot be written.
+    """
+    check_writable(path)
+    if is_stream(path):
+        raise InputError(path, "", "a device or a pipe", "a file, to write row by row")
+    rows = 0
+    write_json(path.with_suffix(".json"), sidecar)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+
+        def write(row: Sequence[float]) -> None:
+            nonlocal rows
+            try:
+                writer.writerow("" if math.isnan(x) else f"{x:.6f}" for x in row)
+                file.flush()
+            except OSError as error:
+                raise Stopped(f"{path} can't be written ({error.strerror})") from None
+            rows += 1
+
+        try:
+            yield write
+        finally:
+            if rows < FEWEST_ROWS:
+                path.unlink()
+                path.with_suffix(".json").unlink()
+            else:
+                write_json(path.with_suffix(".json"), sidecar)
 
 
 def columns(mountings: Sequence[Mounting]) -> list[str]:
@@ -61,8 +138,8 @@ def columns(mountings: Sequence[Mounting]) -> list[str]:
 
 
 def record(
+    run: Run,
     bus: ServoBus,
-    mountings: Sequence[Mounting],
     command: Array,
     write: Callable[[Sequence[float]], None],
     *,
@@ -70,30 +147,18 @@ def record(
     hottest_C: float,
     interrupted: Callable[[], bool] = lambda: False,
     progress: Callable[[int], object] = lambda _: None,
-) -> Outcome:
-    """Send the set-points at a regular rate and write one row for each.
+) -> None:
+    """Send the set-points (T, J) in rad at a regular rate and write one row for each.
 
     Cycle k starts k periods after the first, regardless of the previous cycles. Where a servo
     reports the set-point in effect, that is recorded: a set-point that was lost on the way did not
-    change it.
-
-    Args:
-        bus: The bus.
-        mountings: The J servos, at rest on their first set-point.
-        command: Set-points in rad, shape (T, J).
-        write: Called with each row, in the order of ``columns``.
-        rate_hz: Set-points per second.
-        hottest_C: Temperature at which to stop.
-        interrupted: Whether the user has asked to stop; called once per cycle.
-        progress: Called with the number of set-points since its last call.
-
-    Returns:
-        The outcome; ``stopped`` is set for a lost port or servo, heat, or an interrupt.
+    change it. The outcome is in ``run``, whose servos are at rest on their first set-point; a lost
+    port or servo, heat or an interrupt stops it. ``progress`` is called with the number of
+    set-points since its last call.
     """
-    outcome = Outcome.of(mountings)
     period = 1 / rate_hz
     start = time.monotonic() + period
-    answered_s = [start] * len(mountings)
+    answered_s = [start] * len(run.mountings)
     k = 0
     try:
         while k < len(command):
@@ -101,21 +166,19 @@ def record(
             time.sleep(max(due - time.monotonic(), 0.0))
             if interrupted():
                 raise Stopped("interrupted")
-            outcome.late_s.append(time.monotonic() - due)
-            pairs = zip(mountings, command[k], strict=True)
+            run.late_s.append(time.monotonic() - due)
+            pairs = zip(run.mountings, command[k], strict=True)
             goals = {mounting.servo_id: mounting.ticks(float(angle)) for mounting, angle in pairs}
             cycle = bus.cycle(goals, due + BUSY_SHARE * period)
-            write(_row(cycle, goals, start, mountings))
-            _check(cycle, goals, mountings, answered_s, outcome, hottest_C)
+            write(_row(cycle, goals, start, run.mountings))
+            run.rows += 1
+            _check(cycle, goals, answered_s, run, hottest_C)
             after = max(k + 1, math.ceil((time.monotonic() - start) / period - 0.5))
-            outcome.skipped += min(after, len(command)) - (k + 1)
+            run.skipped += min(after, len(command)) - (k + 1)
             progress(after - k)
             k = after
-    except Stopped as stop:
-        outcome.stopped = str(stop)
-    except OSError as error:
-        outcome.stopped = f"the port was lost ({error.strerror or error})"
-    return outcome
+    except (Stopped, OSError) as error:
+        run.stopped = reason(error)
 
 
 def _row(
@@ -124,6 +187,7 @@ def _row(
     """The cells of a row, in the order of ``columns``."""
     pairs = list(zip(mountings, cycle.readings, strict=True))
     held = [goals[m.servo_id] if r.goal_ticks is None else r.goal_ticks for m, r in pairs]
+    supplies = [r.supply_V for r in cycle.readings if not math.isnan(r.supply_V)]
     return [
         cycle.sent_s - start,
         *(m.angle(ticks) for m, ticks in zip(mountings, held, strict=True)),
@@ -133,29 +197,23 @@ def _row(
             for m, r in pairs
             for name in m.servo.quantities
         ),
-        mean_known([reading.supply_V for reading in cycle.readings]),
+        sum(supplies) / len(supplies) if supplies else math.nan,
         cycle.round_trip_s,
         cycle.device_s,
     ]
 
 
 def _check(
-    cycle: Cycle,
-    goals: dict[int, int],
-    mountings: Sequence[Mounting],
-    answered_s: list[float],
-    outcome: Outcome,
-    hottest_C: float,
+    cycle: Cycle, goals: dict[int, int], answered_s: list[float], run: Run, hottest_C: float
 ) -> None:
     """Count what is missing, and stop if a servo is lost or too hot."""
-    for j, (mounting, reading) in enumerate(zip(mountings, cycle.readings, strict=True)):
+    for j, (mounting, reading) in enumerate(zip(run.mountings, cycle.readings, strict=True)):
         name = mounting.joint.name
         if reading.position_ticks is not None:
             answered_s[j] = cycle.sent_s
         else:
-            outcome.missing[name] += 1
+            run.missing[name] += 1
             if cycle.sent_s - answered_s[j] > CONTACT_S:
                 raise Stopped(f"no reply from {name}'s servo for {CONTACT_S:g} s")
-        outcome.lost[name] += reading.goal_ticks not in (None, goals[mounting.servo_id])
-        if not math.isnan(reading.temperature_C):
-            check_temperature(mounting, reading.temperature_C, hottest_C)
+        run.lost[name] += reading.goal_ticks not in (None, goals[mounting.servo_id])
+        mounting.check_temperature(reading.temperature_C, hottest_C)

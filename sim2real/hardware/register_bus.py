@@ -1,19 +1,18 @@
-"""Buses whose servos are controlled by reading and writing registers."""
+"""Buses whose servos are controlled by reading and writing registers: Dynamixel and Feetech."""
 
 from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
 from sim2real.errors import InputError
-from sim2real.hardware import servo_models
-from sim2real.hardware.frames import FrameDecoder
-from sim2real.hardware.register_values import found_servo, quantities, reading_of
-from sim2real.hardware.registers import TORQUE, Layout, Register
+from sim2real.hardware import frames
+from sim2real.hardware.frames import BROADCAST, FrameDecoder, Instruction, Packet, Protocol
+from sim2real.hardware.registers import LAYOUTS, TORQUE, Layout
 from sim2real.hardware.servo_bus import (
     INSISTENCE,
     PATIENCE_S,
@@ -22,11 +21,12 @@ from sim2real.hardware.servo_bus import (
     Found,
     Reading,
     Scale,
+    ServoBus,
     Stopped,
+    T,
 )
-from sim2real.hardware.servo_models import ServoModel
+from sim2real.hardware.servo_models import ServoModel, model_of, servo_models
 from sim2real.hardware.transport import Transport
-from sim2real.hardware.wire_bus import P, T, WireBus
 
 FIRST_SHARE = 0.7
 """Share of a cycle's time after which an answer counts as missing."""
@@ -34,58 +34,38 @@ TURNS = 7
 """Turns to each side that are used of servos that do several."""
 ADAPTER_S = 0.003
 """Longest usual time of adapter and servo besides the time on the wire."""
+ALERT = 0x80
+"""Bit of a Dynamixel's error number: the register of hardware errors is not 0."""
+SCS_MAIN_VERSION = 5
+"""First byte of the model's number in servos that have the high byte of a number first."""
 _SCAN = ("present_position", "present_voltage", "present_temperature")
 
 
-class RegisterBus(WireBus[P], ABC):
+class RegisterBus(ServoBus):
     """A bus of servos with registers, which are set and read together.
 
     A write is confirmed by reading the register, so that it does not matter whether the servo
     answers to writes, and which answers are lost.
 
-    Args:
-        transport: The transport, which the bus closes.
-        baud: Bits per second.
+    Attributes:
+        word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
+        answer_bytes: Bytes of an answer besides its data.
     """
 
-    baud_rates: ClassVar[tuple[int, ...]]
-    largest_id: ClassVar[int]
+    word_bytes: ClassVar[int]
+    answer_bytes: ClassVar[int]
 
-    def __init__(self, transport: Transport, baud: int) -> None:
-        super().__init__(transport, self._decoder(), baud)
+    def __init__(self, transport: Transport, baud: int | None = None) -> None:
+        super().__init__(transport, baud)
         self._models: dict[int, ServoModel] = {}
 
     @abstractmethod
-    def _decoder(self) -> FrameDecoder[P]:
-        """A decoder of status packets."""
-
-    @abstractmethod
-    def _read(self, servo_id: int, address: int, count: int) -> bytes:
-        """The instruction to read ``count`` bytes."""
-
-    @abstractmethod
-    def _write(self, servo_id: int, address: int, data: bytes) -> bytes:
-        """The instruction to write bytes."""
-
-    @abstractmethod
-    def _sync_read(self, ids: Sequence[int], address: int, count: int) -> bytes:
-        """The instruction to read ``count`` bytes of several servos."""
-
-    @abstractmethod
-    def _sync_write(self, address: int, data: Mapping[int, bytes]) -> bytes:
-        """The instruction to write bytes, as many for each servo."""
-
-    @abstractmethod
-    def _data(self, packet: P, servo_id: int) -> bytes | None:
-        """The data of a status packet of this servo without an error; None for any other packet."""
+    def _data(self, packet: Packet, servo_id: int) -> bytes | None:
+        """The data of an answer of this servo without an error; None for any other packet."""
 
     @abstractmethod
     def _ask_number(self, servo_id: int, within_s: float) -> int | None:
         """The number of the servo's model, or None if it does not answer; one request."""
-
-    @abstractmethod
-    def _status_bytes(self, count: int) -> int:
-        """Length of a status packet with ``count`` bytes of data."""
 
     def answers(self, servo_id: int, patience_s: float) -> bool:
         """Whether a servo has this identity; one request."""
@@ -94,7 +74,7 @@ class RegisterBus(WireBus[P], ABC):
     def look(self, servo_id: int, patience_s: float) -> Found:
         """The state of a servo that answers; nothing is written to it."""
         number = self._insisted(lambda: self._ask_number(servo_id, patience_s))
-        model = None if number is None else servo_models.model_of(self.name, number)
+        model = None if number is None else model_of(self.name, number)
         if model is None:
             name = "-" if number is None else f"model {number}"
             return Found(servo_id, name, None, None, None, None, None, (f"unknown {name}",))
@@ -103,7 +83,7 @@ class RegisterBus(WireBus[P], ABC):
             ask = partial(self.ask, servo_id, *layout.span(names), patience_s)
             data = self._insisted(ask)
             values |= {} if data is None else layout.decode(names, data)
-        return found_servo(servo_id, model, values)
+        return model.found(servo_id, values)
 
     def servo(self, servo_id: int) -> BusServo:
         """Model and scale of a servo, which must control its position."""
@@ -114,14 +94,14 @@ class RegisterBus(WireBus[P], ABC):
             known = ", ".join(f"{number} ({what})" for number, what in modes.items())
             raise InputError(f"servo {servo_id}", "operating mode", f"{mode}", known)
         scale = self._scale(servo_id, model, several_turns=mode in model.layout.multi_turn_modes)
-        return BusServo(servo_id, model.name, scale, quantities(model))
+        return BusServo(servo_id, scale, model.quantities)
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo: registers by name, and its gains in the manual's units."""
         model = self._model(servo_id)
         registers = {name: self._value(servo_id, name) for name in model.layout.settings}
         gains = {name: registers[name] / divisor for name, divisor in model.gains.items()}
-        settings = {"model": model.name, "baud": self._baud, "registers": registers}
+        settings = {"model": model.name, "baud": self.baud, "registers": registers}
         return settings | ({"gains": gains} if gains else {})
 
     def saved(self, servo_id: int) -> dict[str, int]:
@@ -135,9 +115,8 @@ class RegisterBus(WireBus[P], ABC):
     def reading(self, servo_id: int) -> Reading:
         """Present values of a servo that must answer."""
         model = self._model(servo_id)
-        start, count = model.layout.span(model.layout.reported)
-        data = self._insist(servo_id, lambda: self.ask(servo_id, start, count, PATIENCE_S))
-        return reading_of(model, data)
+        names = model.layout.reported
+        return model.reading(self._insist(servo_id, lambda: self._block(servo_id, names)))
 
     def begin(self, goals: Mapping[int, int]) -> None:
         """Hold these set-points (ticks by identity) with the torque on, without motion profile."""
@@ -151,36 +130,37 @@ class RegisterBus(WireBus[P], ABC):
 
     def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
         """Send set-points (ticks by identity) and read every servo."""
-        self.wire.drain()
-        models = {servo_id: self._model(servo_id) for servo_id in goals}
-        data = {k: self._goal(models[k].layout, ticks) for k, ticks in goals.items()}
-        address = next(iter(models.values())).layout["goal_position"].address
-        write = self._sync_write(address, data)
+        self.drain()
+        layouts = {servo_id: self._model(servo_id).layout for servo_id in goals}
+        registers = {servo_id: layout["goal_position"] for servo_id, layout in layouts.items()}
+        data = {k: registers[k].encode(ticks, layouts[k].order) for k, ticks in goals.items()}
+        write = self._sync_write(next(iter(registers.values())).address, data)
         begin = time.monotonic()
-        sent_s = begin + self._wire_s(len(write))
         blocks: dict[int, bytes | None] = {}
         least = self.cycle_s(len(goals)) + ADAPTER_S
         until = min(begin + max(FIRST_SHARE * (deadline - begin), least), deadline)
-        for after, group in self._groups(models):
-            remaining = until - time.monotonic()
-            limit = time.monotonic() + remaining / (after + 1)
-            blocks |= self._ask_group(write, group, limit)
-            write = b""
+        together = [k for k, layout in layouts.items() if layout.sync_read]
+        groups = [[k] for k in goals if k not in together]
+        groups = [together, *groups] if together else groups
+        request = write
+        for after, group in zip(reversed(range(len(groups))), groups, strict=True):
+            now = time.monotonic()
+            blocks |= self._ask_group(request, group, now + (until - now) / (after + 1))
+            request = b""
         answered_s = time.monotonic()
-        goals_held = self._goals_held([k for k, block in blocks.items() if block is None], deadline)
+        held = self._goals_held([k for k, block in blocks.items() if block is None], deadline)
         answered = any(block is not None for block in blocks.values())
-        device_s = self.wire.device_s
         readings = (
-            Reading(goal_ticks=goals_held.get(servo_id))
+            Reading(goal_ticks=held.get(servo_id))
             if (block := blocks[servo_id]) is None
-            else reading_of(models[servo_id], block)
+            else self._models[servo_id].reading(block)
             for servo_id in goals
         )
         return Cycle(
-            sent_s=sent_s,
+            sent_s=begin + self._wire_s(len(write)),
             readings=tuple(readings),
             round_trip_s=answered_s - begin if answered else math.nan,
-            device_s=device_s if answered and device_s is not None else math.nan,
+            device_s=self._device_s(answered),
         )
 
     def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
@@ -194,11 +174,11 @@ class RegisterBus(WireBus[P], ABC):
 
     def cycle_s(self, count: int) -> float:
         """Time on the wire of a cycle with so many servos."""
-        model = next(iter(self._models.values()))
-        _, size = model.layout.span(model.layout.reported)
+        layout = next(iter(self._models.values())).layout
+        _, size = layout.span(layout.reported)
         request = self._sync_read(range(count), 0, size)
         write = self._sync_write(0, dict.fromkeys(range(count), bytes(4)))
-        return self._wire_s(len(write) + len(request) + count * self._status_bytes(size))
+        return self._wire_s(len(write) + len(request) + count * (size + self.answer_bytes))
 
     def sample_delay_s(self, count: int) -> float:
         """Time on the wire of the request for the positions, which follows the set-points."""
@@ -206,20 +186,17 @@ class RegisterBus(WireBus[P], ABC):
 
     def ask(self, servo_id: int, address: int, count: int, within_s: float) -> bytes | None:
         """Bytes of the memory of a servo, or None; one request."""
-        request = self._read(servo_id, address, count)
+        request = self._instruction(servo_id, Instruction.READ, (address, count))
         return self._exchange(request, servo_id, count, within_s)
 
     def set(self, servo_id: int, name: str, value: int) -> bool:
-        """Write a register until it reads so; returns whether it does.
-
-        Raises:
-            ValueError: If the register is kept without supply (EEPROM), where nothing is written.
-        """
+        """Write a register until it reads so; whether it does. ``ValueError`` in the EEPROM."""
         layout = self._model(servo_id).layout
         register = layout[name]
         if register.address < layout.volatile_from:
             raise ValueError(f"{name} is in the EEPROM")
-        write = self._write(servo_id, register.address, register.encode(value, layout.order))
+        data = register.encode(value, layout.order)
+        write = self._instruction(servo_id, Instruction.WRITE, (register.address,), data)
         names = _restored(layout) if name in _restored(layout) else (name,)
 
         def confirmed() -> bytes | None:
@@ -228,6 +205,21 @@ class RegisterBus(WireBus[P], ABC):
             return block if block and layout.decode(names, block)[name] == value else None
 
         return self._insisted(confirmed) is not None
+
+    def _instruction(
+        self, servo_id: int, code: Instruction, words: Sequence[int], data: bytes = b""
+    ) -> bytes:
+        head = b"".join(word.to_bytes(self.word_bytes, "little") for word in words)
+        return self.protocol.encode(Packet(servo_id, code, head + data))
+
+    def _sync_read(self, ids: Sequence[int], address: int, count: int) -> bytes:
+        words = (address, count)
+        return self._instruction(BROADCAST, Instruction.SYNC_READ, words, bytes(ids))
+
+    def _sync_write(self, address: int, data: Mapping[int, bytes]) -> bytes:
+        words = (address, len(next(iter(data.values()))))
+        blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
+        return self._instruction(BROADCAST, Instruction.SYNC_WRITE, words, blocks)
 
     def _block(self, servo_id: int, names: Sequence[str]) -> bytes | None:
         """The smallest block of the memory with these registers; one request."""
@@ -244,18 +236,11 @@ class RegisterBus(WireBus[P], ABC):
         """Present values of servos that are read by one instruction, after a write."""
         layout = self._models[ids[0]].layout
         start, count = layout.span(layout.reported)
-        request = (
-            self._sync_read(ids, start, count)
-            if layout.sync_read
-            else self._read(ids[0], start, count)
-        )
-        echoes = self._decoder().feed(request)
-        expected = [self._expected(servo_id, count, echoes) for servo_id in ids]
-        replies = self.wire.exchange(write + request, expected, deadline)
-        return {
-            servo_id: None if reply is None else self._data(reply, servo_id)
-            for servo_id, reply in zip(ids, replies, strict=True)
-        }
+        if layout.sync_read:
+            request = self._sync_read(ids, start, count)
+        else:
+            request = self._instruction(ids[0], Instruction.READ, (start, count))
+        return self._answers(write, request, ids, count, deadline)
 
     def _goals_held(self, ids: Sequence[int], deadline: float) -> dict[int, int]:
         """Set-points in effect of servos whose answer is missing, as far as the time allows.
@@ -264,44 +249,44 @@ class RegisterBus(WireBus[P], ABC):
         """
         held = {}
         for after, servo_id in zip(reversed(range(len(ids))), ids, strict=True):
-            register = self._models[servo_id].layout["goal_position"]
+            layout = self._models[servo_id].layout
+            register = layout["goal_position"]
             patience = (deadline - time.monotonic()) / (after + 1)
-            if patience <= self._wire_s(3 * self._status_bytes(register.size)):
+            if patience <= self._wire_s(3 * (register.size + self.answer_bytes)):
                 continue
             data = self.ask(servo_id, register.address, register.size, patience)
             if data is not None:
-                held[servo_id] = register.decode(data, self._models[servo_id].layout.order)
+                held[servo_id] = register.decode(data, layout.order)
         return held
 
-    def _groups(self, models: Mapping[int, ServoModel]) -> list[tuple[int, list[int]]]:
-        """Servos that are read together, each with the number of groups after it."""
-        together = [k for k, model in models.items() if model.layout.sync_read]
-        groups = [together] if together else []
-        groups += [[k] for k, model in models.items() if not model.layout.sync_read]
-        return list(zip(reversed(range(len(groups))), groups, strict=True))
-
     def _exchange(self, request: bytes, servo_id: int, count: int, within_s: float) -> bytes | None:
-        self.wire.drain()
-        expected = [self._expected(servo_id, count, self._decoder().feed(request))]
+        self.drain()
         deadline = time.monotonic() + within_s + self._wire_s(len(request))
-        (reply,) = self.wire.exchange(request, expected, deadline)
-        return None if reply is None else self._data(reply, servo_id)
+        return self._answers(b"", request, [servo_id], count, deadline)[servo_id]
 
-    def _expected(self, servo_id: int, count: int, echoes: Sequence[P]) -> Callable[[P], bool]:
-        """Whether a packet is the answer with ``count`` bytes, and not the request's echo."""
+    def _answers(
+        self, write: bytes, request: bytes, ids: Sequence[int], count: int, deadline: float
+    ) -> dict[int, bytes | None]:
+        """Answers with ``count`` bytes of data; the request's own echo is none."""
+        echoes = FrameDecoder(self.protocol).feed(request)
 
-        def expected(packet: P) -> bool:
-            data = self._data(packet, servo_id)
-            return data is not None and len(data) == count and packet not in echoes
+        def expected(servo_id: int) -> Callable[[Packet], bool]:
+            def fits(packet: Packet) -> bool:
+                data = self._data(packet, servo_id)
+                return data is not None and len(data) == count and packet not in echoes
 
-        return expected
+            return fits
+
+        replies = self.transfer(write + request, [expected(k) for k in ids], deadline)
+        pairs = zip(ids, replies, strict=True)
+        return {k: None if reply is None else self._data(reply, k) for k, reply in pairs}
 
     def _model(self, servo_id: int) -> ServoModel:
         if servo_id not in self._models:
             number = self._agreed(servo_id, lambda: self._ask_number(servo_id, PATIENCE_S))
-            model = servo_models.model_of(self.name, number)
+            model = model_of(self.name, number)
             if model is None:
-                known = "one of " + ", ".join(servo_models.names(self.name))
+                known = "one of " + ", ".join(model.name for model in servo_models(self.name))
                 raise InputError(f"servo {servo_id}", "model", f"number {number}", known)
             self._models[servo_id] = model
         return self._models[servo_id]
@@ -316,11 +301,8 @@ class RegisterBus(WireBus[P], ABC):
     def _value(self, servo_id: int, name: str) -> int:
         """A register of a servo that must answer."""
         layout = self._model(servo_id).layout
-        register: Register = layout[name]
-        data = self._agreed(
-            servo_id, lambda: self.ask(servo_id, register.address, register.size, PATIENCE_S)
-        )
-        return register.decode(data, layout.order)
+        data = self._agreed(servo_id, lambda: self._block(servo_id, [name]))
+        return layout[name].decode(data, layout.order)
 
     def _agreed(self, servo_id: int, ask: Callable[[], T | None]) -> T:
         """The first of two successive answers that agree: a checksum of one byte may err."""
@@ -332,8 +314,49 @@ class RegisterBus(WireBus[P], ABC):
             answer = again
         return answer
 
-    def _goal(self, layout: Layout, ticks: int) -> bytes:
-        return layout["goal_position"].encode(ticks, layout.order)
+
+class DynamixelBus(RegisterBus):
+    """Dynamixel servos of Protocol 2.0 (X and MX series)."""
+
+    name: ClassVar[str] = "dynamixel"
+    baud_rates: ClassVar[tuple[int, ...]] = (1_000_000, 57_600, 115_200, 2_000_000, 3_000_000)
+    protocol: ClassVar[Protocol] = frames.DYNAMIXEL
+    longest_answer: ClassVar[int] = 128
+    word_bytes: ClassVar[int] = 2
+    answer_bytes: ClassVar[int] = 11
+
+    def _data(self, packet: Packet, servo_id: int) -> bytes | None:
+        answer = packet.code == Instruction.STATUS and packet.parameters
+        if not answer or packet.servo_id != servo_id or packet.parameters[0] & ~ALERT:
+            return None
+        return packet.parameters[1:]
+
+    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
+        ping = self._instruction(servo_id, Instruction.PING, ())
+        data = self._exchange(ping, servo_id, 3, within_s)
+        return None if data is None else int.from_bytes(data[:2], "little")
+
+
+class FeetechBus(RegisterBus):
+    """Feetech servos (STS, SMS and SCS), which may be of different series."""
+
+    name: ClassVar[str] = "feetech"
+    baud_rates: ClassVar[tuple[int, ...]] = (1_000_000, 500_000, 115_200)
+    protocol: ClassVar[Protocol] = frames.FEETECH
+    longest_answer: ClassVar[int] = 64
+    word_bytes: ClassVar[int] = 1
+    answer_bytes: ClassVar[int] = 6
+
+    def _data(self, packet: Packet, servo_id: int) -> bytes | None:
+        # the error byte tells the servo's state (voltage, load, ...); the data are valid
+        return packet.parameters if packet.servo_id == servo_id else None
+
+    def _ask_number(self, servo_id: int, within_s: float) -> int | None:
+        register = LAYOUTS["sts"]["model"]  # at the same address in all series
+        data = self.ask(servo_id, register.address, register.size, within_s)
+        if data is None:
+            return None
+        return int.from_bytes(data, "big" if data[0] == SCS_MAIN_VERSION else "little")
 
 
 def _restored(layout: Layout) -> tuple[str, ...]:

@@ -9,13 +9,9 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Register:
-    """A number in the memory of a servo.
+    """A number in the memory of a servo, of ``size`` bytes from ``address``.
 
-    Attributes:
-        address: Address of its first byte.
-        size: Number of bytes.
-        sign_bit: Bit that makes the number negative (sign and magnitude); None without.
-        signed: Whether the number is in two's complement.
+    It is in two's complement if ``signed``; ``sign_bit`` makes the rest of the number negative.
     """
 
     address: int
@@ -29,11 +25,7 @@ class Register:
         return self.address + self.size
 
     def encode(self, value: int, order: Literal["little", "big"]) -> bytes:
-        """The bytes of a value.
-
-        Raises:
-            OverflowError: If it does not fit.
-        """
+        """The bytes of a value; ``OverflowError`` if it does not fit."""
         if self.sign_bit is not None:
             if abs(value) >> self.sign_bit:
                 raise OverflowError(f"{value} does not fit into {self.sign_bit} bits")
@@ -53,7 +45,6 @@ class Layout:
     """The registers of a family of servos, under the same names for every family.
 
     Attributes:
-        registers: The registers by name.
         volatile_from: First address of the memory that is lost without supply (RAM); what lies
             below (EEPROM) is never written.
         order: Order of the bytes of a number.
@@ -62,8 +53,8 @@ class Layout:
         settings: Registers that are stored in a recording.
         changed: Registers that a recording changes, with their values while it runs, in the order
             in which they are restored.
-        position_modes: Operating modes in which a set-point is an angle, with their names.
-        multi_turn_modes: Those of them in which the stored range of positions does not apply.
+        position_modes, multi_turn_modes: Operating modes in which a set-point is an angle; those of
+            them in which the stored range of positions does not apply.
         errors: Names of the bits of the register ``errors``.
         velocity_unit_rad_s: Unit of velocities in rad/s; None for ticks per second.
     """
@@ -92,12 +83,11 @@ class Layout:
     def decode(self, names: Sequence[str], data: bytes) -> dict[str, int]:
         """Values in the block of ``span(names)``."""
         start, _ = self.span(names)
-        values = {}
-        for name in names:
-            register = self.registers[name]
-            at = register.address - start
-            values[name] = register.decode(data[at : at + register.size], self.order)
-        return values
+        registers = {name: self.registers[name] for name in names}
+        return {
+            name: r.decode(data[r.address - start : r.end - start], self.order)
+            for name, r in registers.items()
+        }
 
 
 def _signed(address: int, size: int) -> Register:
@@ -105,18 +95,17 @@ def _signed(address: int, size: int) -> Register:
 
 
 TORQUE = "torque_enable"
+_REPORTED = (
+    "goal_position",
+    "present_position",
+    "present_velocity",
+    "present_load",
+    "present_voltage",
+    "present_temperature",
+)
+_SETTINGS = ("return_delay", "status_level", "position_p", "position_i", "position_d")
 _FEETECH_ERRORS = {0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"}
-_FEETECH_PRESENT = {
-    "goal_position": Register(42, 2, sign_bit=15),
-    "profile_velocity": Register(46, 2, sign_bit=15),
-    "present_position": Register(56, 2, sign_bit=15),
-    "present_velocity": Register(58, 2, sign_bit=15),
-    "present_load": Register(60, 2, sign_bit=10),
-    "present_voltage": Register(62, 1),
-    "present_temperature": Register(63, 1),
-    "errors": Register(65, 1),
-}
-_FEETECH_COMMON = {
+_FEETECH = {
     "model": Register(3, 2),
     "servo_id": Register(5, 1),
     "baud": Register(6, 1),
@@ -132,26 +121,16 @@ _FEETECH_COMMON = {
     "position_d": Register(22, 1),
     "position_i": Register(23, 1),
     TORQUE: Register(40, 1),
-    "torque_limit": Register(48, 2),
-    **_FEETECH_PRESENT,
+    "goal_position": Register(42, 2, sign_bit=15),
+    "profile_velocity": Register(46, 2, sign_bit=15),
+    "present_position": Register(56, 2, sign_bit=15),
+    "present_velocity": Register(58, 2, sign_bit=15),
+    "present_load": Register(60, 2, sign_bit=10),
+    "present_voltage": Register(62, 1),
+    "present_temperature": Register(63, 1),
+    "errors": Register(65, 1),
 }
-_FEETECH_REPORTED = (
-    "goal_position",
-    "present_position",
-    "present_velocity",
-    "present_load",
-    "present_voltage",
-    "present_temperature",
-)
-_FEETECH_SETTINGS = (
-    "return_delay",
-    "status_level",
-    "max_torque",
-    "position_p",
-    "position_i",
-    "position_d",
-    "profile_velocity",
-)
+_FEETECH_SETTINGS = (*_SETTINGS, "max_torque", "profile_velocity")
 
 LAYOUTS: Mapping[str, Layout] = {
     # DYNAMIXEL X and MX (Protocol 2.0), control table of the e-Manual
@@ -177,12 +156,9 @@ LAYOUTS: Mapping[str, Layout] = {
             "position_i": Register(82, 2),
             "position_p": Register(84, 2),
             "bus_watchdog": _signed(98, 1),
-            "goal_pwm": _signed(100, 2),
-            "goal_current": _signed(102, 2),
             "profile_acceleration": Register(108, 4),
             "profile_velocity": Register(112, 4),
             "goal_position": _signed(116, 4),
-            "device_ms": Register(120, 2),
             "present_load": _signed(126, 2),
             "present_velocity": _signed(128, 4),
             "present_position": _signed(132, 4),
@@ -192,24 +168,13 @@ LAYOUTS: Mapping[str, Layout] = {
         volatile_from=64,
         order="little",
         sync_read=True,
-        reported=(
-            "goal_position",
-            "present_load",
-            "present_velocity",
-            "present_position",
-            "present_voltage",
-            "present_temperature",
-        ),
+        reported=_REPORTED,
         settings=(
             "firmware",
-            "return_delay",
-            "status_level",
+            *_SETTINGS,
             "drive_mode",
             "operating_mode",
             "homing_offset",
-            "position_p",
-            "position_i",
-            "position_d",
             "profile_velocity",
             "profile_acceleration",
         ),
@@ -222,7 +187,7 @@ LAYOUTS: Mapping[str, Layout] = {
     # Feetech STS and SMS, memory table of the STS series
     "sts": Layout(
         registers={
-            **_FEETECH_COMMON,
+            **_FEETECH,
             "firmware": Register(0, 2),
             "position_offset": Register(31, 2, sign_bit=11),
             "operating_mode": Register(33, 1),
@@ -232,7 +197,7 @@ LAYOUTS: Mapping[str, Layout] = {
         volatile_from=40,
         order="little",
         sync_read=True,
-        reported=(*_FEETECH_REPORTED, "present_current"),
+        reported=(*_REPORTED, "present_current"),
         settings=(
             "firmware",
             *_FEETECH_SETTINGS,
@@ -246,11 +211,11 @@ LAYOUTS: Mapping[str, Layout] = {
     ),
     # Feetech SCS, memory table of the SCS series: no acceleration, mode or current
     "scs": Layout(
-        registers={**_FEETECH_COMMON, "goal_position": Register(42, 2)},
+        registers={**_FEETECH, "goal_position": Register(42, 2)},
         volatile_from=40,
         order="big",
         sync_read=False,
-        reported=_FEETECH_REPORTED,
+        reported=_REPORTED,
         settings=_FEETECH_SETTINGS,
         changed={"profile_velocity": 0},
         position_modes={},

@@ -1,175 +1,197 @@
-"""Image registration of a marker, accurate to a hundredth of a pixel.
+"""A marker in a frame: a search by a matched filter, and image registration to 0.01 pixel.
 
-A marker of a few pixels has no usable corners, but all of its edges contribute to its position.
-Every pixel near it corresponds to a known point of the plane in which it moves, so lens and
-perspective are exact; the blurred image of the print is fitted by Gauss-Newton over x, y, yaw, blur
-and the grey levels of paper and ink (Baker and Matthews, Int. J. Comput. Vis. 56 (2004) 221).
+A marker of a few pixels has no usable corners (OpenCV's detector needs about 20 pixels), but all of
+its edges contribute to its position. Every pixel near it corresponds to a known point of the plane
+in which it moves, so lens and perspective are exact; the blurred image of the print is fitted over
+x, y, yaw and blur, with the grey levels of paper and ink, by least squares (Baker and Matthews,
+Int. J. Comput. Vis. 56 (2004) 221).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from sim2real.arrays import Array, Picture
-from sim2real.hardware.plane import Plane
+from sim2real.arrays import Array, Array32, Mask, Picture
+from sim2real.hardware.camera import Marker, Plane
 
-MARGIN_CELLS = 0.4  # width of the white margin that is compared
-LARGEST_SIDE_PX = 20.0  # pixels of larger markers are subsampled
-ITERATIONS = 12
-STILL = 1e-3  # cells
-LEAST_BLUR_PX, LARGEST_BLUR_CELLS = 0.25, 1.2
-SQRT_2PI = float(np.sqrt(2 * np.pi))
-
-
-@dataclass(frozen=True)
-class Print:
-    """A square print in the plane z = ``height_m``.
-
-    Attributes:
-        ink: 1 where a cell is black, 0 where it is white, shape (n, n); row 0 is ahead.
-        side_m: Side of the print.
-        height_m: Height of the plane.
-    """
-
-    ink: Array
-    side_m: float
-    height_m: float
-
-    @property
-    def cell_m(self) -> float:
-        """Side of a cell."""
-        return float(self.side_m / self.ink.shape[0])
+MARGIN_CELLS = 0.4
+"""Width of the white margin that is compared."""
+SUBSAMPLED_PX, SHRUNK_PX = 20.0, 12.0
+"""Sides from which on a marker is registered on fewer pixels, searched at a lower resolution."""
+USUAL_BLUR_PX = 0.55
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """A print found in a frame.
+    """A marker found in a frame.
 
-    Attributes:
-        pose: x, y in m and yaw in rad, shape (3,).
-        sd: Standard deviation of each due to pixel noise, shape (3,).
-        likeness: Correlation of the pixels with the fitted image, at most 1.
-        blur_m: Standard deviation of the blur, including that of a pixel.
+    ``pose`` is x, y in m and yaw in rad, ``likeness`` the correlation of the pixels with the fitted
+    image, at most 1, ``blur_m`` the standard deviation of the blur, including that of a pixel.
     """
 
     pose: Array
-    sd: Array
     likeness: float
     blur_m: float
 
 
-def darkness(ink: Array, row: Array, column: Array, blur: float) -> tuple[Array, Array]:
-    """Darkness of a blurred print, and its derivatives.
+def darkness(ink: Array, row: Array, column: Array, blur: float) -> Array:
+    """Darkness of a blurred print from 0 to 1, shape (N,).
 
     An edge blurred by a Gaussian is its integral; a print is a sum over the corners of its cells,
-    each the product of an edge along the rows and one along the columns.
-
-    Args:
-        ink: Cells, shape (n, n).
-        row: Positions in cells from the far edge of the print, shape (N,).
-        column: Positions in cells from its left edge, shape (N,).
-        blur: Standard deviation in cells.
-
-    Returns:
-        Darkness from 0 to 1, shape (N,), and its derivatives by row, column and blur, (N, 3).
+    each the product of an edge along the rows and one along the columns. Rows and columns (N,) are
+    counted from the far left corner of the print, whose cells are ``ink``; they and the standard
+    deviation ``blur`` are in cells.
     """
     edges = np.arange(ink.shape[0] + 1)
     corners = np.diff(np.diff(np.pad(ink, 1), axis=0), axis=1)
-    z_row, z_column = (row[:, None] - edges) / blur, (column[:, None] - edges) / blur
-    past_row, past_column = ndtr(z_row), ndtr(z_column)
-    at_row, at_column = (np.exp(-z * z / 2) / (SQRT_2PI * blur) for z in (z_row, z_column))
-    row_sums, row_slopes = past_row @ corners, at_row @ corners
-    value = (row_sums * past_column).sum(axis=1)
-    slope = np.empty((row.size, 3))
-    slope[:, 0] = (row_slopes * past_column).sum(axis=1)
-    slope[:, 1] = (row_sums * at_column).sum(axis=1)
-    spread = ((at_row * z_row) @ corners) * past_column + row_sums * (at_column * z_column)
-    slope[:, 2] = -spread.sum(axis=1)
-    return value, slope
+    past_row, past_column = (ndtr((x[:, None] - edges) / blur) for x in (row, column))
+    result: Array = ((past_row @ corners) * past_column).sum(axis=1)
+    return result
 
 
-def register(
-    frame: Picture, plane: Plane, marker: Print, pose: Array, blur_m: float | None = None
-) -> Sighting | None:
-    """Fit the print to ``frame`` from an initial pose.
+@dataclass(frozen=True)
+class _Pattern:
+    """A marker at one angle: grey levels from 0 to 1; 1 within the print and its margin."""
 
-    Args:
-        frame: Grey levels, shape (V, U).
-        plane: The camera.
-        marker: The print.
-        pose: x, y in m and yaw in rad, within about half a cell and 10 degrees, shape (3,).
-        blur_m: Initial blur; default: about half a pixel.
+    yaw: float
+    shown: Array32
+    mask: Array32
 
-    Returns:
-        The sighting, or None if the print would leave the frame or the fit fails. Its likeness
-        shows whether the print is present.
-    """
-    scale = plane.pixels_per_m(pose[:2], marker.height_m)
-    patch = _patch(frame, plane, marker, pose, scale)
-    if patch is None:
-        return None
-    grey, spots = patch
-    cell, half_cells = marker.cell_m, marker.ink.shape[0] / 2
-    smallest, largest = LEAST_BLUR_PX / scale / cell, LARGEST_BLUR_CELLS
-    blur = np.clip((0.55 / scale if blur_m is None else blur_m) / cell, smallest, largest)
-    x, y, yaw = pose
-    for _ in range(ITERATIONS):
-        c, s = np.cos(yaw), np.sin(yaw)
-        east, north = (spots[:, 0] - x) / cell, (spots[:, 1] - y) / cell
-        ahead, leftward = c * east + s * north, c * north - s * east
-        compared = np.maximum(np.abs(ahead), np.abs(leftward)) < half_cells + MARGIN_CELLS
-        ahead, leftward, values = ahead[compared], leftward[compared], grey[compared]
-        if values.size < 24:
+
+class Finder:
+    """Finds one marker in grey frames of one camera."""
+
+    def __init__(self, plane: Plane, marker: Marker) -> None:
+        self.plane, self.ink, self.height_m = plane, marker.ink(), marker.height_m
+        self.side_m, self.cell_m = marker.side_m, marker.side_m / len(self.ink)
+        self._middle = (np.array(plane.lens.size_px) - 1) // 2
+        side_px = self.side_m * self._pixels_per_m(self._world(self._middle[None])[0])
+        self._shrink = max(1.0, side_px / SHRUNK_PX)
+        self._patterns = self._rendered(side_px)
+
+    def register(self, frame: Picture, pose: Array, blur_m: float | None = None) -> Sighting | None:
+        """Fit the print to a grey ``frame`` (V, U) from a pose within half a cell and 10 degrees.
+
+        The initial blur is about half a pixel by default. None if the print would leave the frame
+        or the fit fails; the likeness shows whether the print is present.
+        """
+        from scipy.optimize import least_squares
+
+        scale = self._pixels_per_m(pose[:2])
+        patch = self._patch(frame, pose, scale)
+        if patch is None or patch[0].size < 24:
             return None
-        dark, slope = darkness(marker.ink, half_cells - ahead, half_cells - leftward, float(blur))
-        by_ahead, by_left = -slope[:, 0], -slope[:, 1]
-        design = np.column_stack([np.ones_like(dark), dark])
-        levels = np.linalg.solve(design.T @ design + 1e-9 * np.eye(2), design.T @ values)
-        missed = values - design @ levels
-        jacobian = np.empty((values.size, 6))
-        jacobian[:, :2] = design
-        jacobian[:, 2] = levels[1] * (s * by_left - c * by_ahead)
-        jacobian[:, 3] = -levels[1] * (s * by_ahead + c * by_left)
-        jacobian[:, 4] = levels[1] * (by_ahead * leftward - by_left * ahead)
-        jacobian[:, 5] = levels[1] * slope[:, 2] * blur
-        normal = jacobian.T @ jacobian
-        normal[np.diag_indices(6)] += 1e-3 * np.diag(normal) + 1e-9
-        step = np.linalg.solve(normal, jacobian.T @ missed)[2:]
-        step *= min(1.0, 1.0 / max(np.abs(step[:2]).max(), np.abs(step[2]) * half_cells, 1e-12))
-        x, y, yaw = x + step[0] * cell, y + step[1] * cell, yaw + step[2]
-        blur = np.clip(blur * np.exp(np.clip(step[3], -0.5, 0.5)), smallest, largest)
-        if np.abs(step[:3]).max() < STILL:
-            break
-    if levels[1] >= 0:  # white ink on black paper
-        return None
-    noise = float(missed @ missed) / max(values.size - 6, 1)
-    sd = np.sqrt(noise * np.diag(np.linalg.inv(normal))[2:5]) * (cell, cell, 1.0)
-    spread = values - values.mean()
-    likeness = np.sqrt(max(0.0, 1 - float(missed @ missed) / max(float(spread @ spread), 1e-9)))
-    return Sighting(np.array([x, y, yaw]), sd, float(likeness), float(blur) * cell)
+        grey, spots = patch
+        blur = (USUAL_BLUR_PX / scale if blur_m is None else blur_m) / self.cell_m
+        narrowest, widest = np.log(0.25 / scale / self.cell_m), np.log(1.2)
 
+        def missed(x: Array) -> tuple[Array, Array, Mask]:
+            """What the fit leaves (N,), levels of paper and ink - paper, and pixels compared."""
+            at = pose + x[:3] * (self.cell_m, self.cell_m, 1.0)
+            width = float(np.exp(np.clip(x[3], narrowest, widest)))
+            ahead, leftward = self._in_cells(spots, at)
+            half = len(self.ink) / 2
+            compared = np.maximum(np.abs(ahead), np.abs(leftward)) < half + MARGIN_CELLS
+            dark = darkness(self.ink, half - ahead[compared], half - leftward[compared], width)
+            design = np.column_stack([np.ones_like(dark), dark])
+            normal = design.T @ design + 1e-9 * np.eye(2)
+            levels = np.linalg.solve(normal, design.T @ grey[compared]).astype(np.float64)
+            out = np.zeros(grey.size)
+            out[compared] = grey[compared] - design @ levels
+            return out, levels, compared
 
-def _patch(
-    frame: Picture, plane: Plane, marker: Print, pose: Array, scale: float
-) -> tuple[Array, Array] | None:
-    """Grey levels (N,) of the pixels around a pose, and their positions in the plane (N, 2)."""
-    reach = (marker.side_m / 2 + 2 * marker.cell_m) * np.sqrt(2)
-    centre = plane.pixels(pose[None, :2], marker.height_m)[0]
-    low, high = (
-        np.floor(centre - reach * scale).astype(int),
-        np.ceil(centre + reach * scale).astype(int),
-    )
-    rows, columns = frame.shape
-    low, high = np.maximum(low, 0), np.minimum(high, (columns - 1, rows - 1))
-    if np.any(high - low < reach * scale):
-        return None
-    stride = max(1, round(marker.side_m * scale / LARGEST_SIDE_PX))
-    u, v = np.meshgrid(
-        np.arange(low[0], high[0] + 1, stride), np.arange(low[1], high[1] + 1, stride)
-    )
-    pixels = np.column_stack([u.ravel(), v.ravel()])
-    grey = frame[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-    return grey, plane.world(pixels, marker.height_m)
+        def residual(x: Array) -> Array:
+            return missed(x)[0]
+
+        start = np.array([0.0, 0.0, 0.0, np.clip(np.log(blur), narrowest, widest)])
+        fit = least_squares(
+            residual, start, method="lm", x_scale=(0.3, 0.3, 0.1, 0.3), xtol=1e-3,
+            ftol=1e-3, gtol=1e-6, max_nfev=60,
+        )  # fmt: skip
+        left, levels, compared = missed(fit.x)
+        values = grey[compared]
+        if values.size < 24 or levels[1] >= 0:  # too few, or white ink on black paper
+            return None
+        spread = float(((values - values.mean()) ** 2).sum())
+        likeness = np.sqrt(max(0.0, 1 - float(left @ left) / max(spread, 1e-9)))
+        found = pose + fit.x[:3] * (self.cell_m, self.cell_m, 1.0)
+        width = float(np.exp(np.clip(fit.x[3], narrowest, widest)))
+        return Sighting(found, float(likeness), width * self.cell_m)
+
+    def search(self, frame: Picture, window: tuple[int, int, int, int], *, most: int = 12) -> Array:
+        """Candidate poses (N, 3), the most similar first; all positions at 24 angles are compared.
+
+        ``window`` are first column and row, last column and row (exclusive) of the search.
+        """
+        import cv2
+
+        left, top, right, bottom = window
+        part: NDArray[Any] = frame[top:bottom, left:right]
+        if self._shrink > 1:
+            width, height = np.maximum(np.round(np.array(part.shape[::-1]) / self._shrink), 1)
+            part = cv2.resize(part, (int(width), int(height)), interpolation=cv2.INTER_AREA)
+        grey, size = part.astype(np.float32), len(self._patterns[0].shown)
+        if min(grey.shape) < size:
+            return np.empty((0, 3))
+        method = cv2.TM_CCOEFF_NORMED
+        matched = [cv2.matchTemplate(grey, p.shown, method, mask=p.mask) for p in self._patterns]
+        likeness = np.nan_to_num(matched, posinf=0.0, neginf=0.0)
+        best = likeness.max(axis=0)
+        peak = (best >= cv2.dilate(best, np.ones((5, 5), np.uint8))) & (best > 0)
+        rows, columns = np.nonzero(peak)
+        order = np.argsort(best[rows, columns])[::-1][:most]
+        rows, columns = rows[order], columns[order]
+        centres = np.column_stack([columns, rows]) + (size - 1) / 2
+        pixels = ((centres + 0.5) * self._shrink - 0.5 + (left, top)).astype(np.float64)
+        yaws = np.array([pattern.yaw for pattern in self._patterns])
+        turned = likeness.argmax(axis=0)[rows, columns]
+        return np.column_stack([self._world(pixels), yaws[turned]])
+
+    def _rendered(self, side_px: float) -> list[_Pattern]:
+        """The marker in the frame's middle at all angles."""
+        cells, quiet = len(self.ink), 0.6
+        radius = int(np.ceil(side_px / self._shrink * (0.5 + quiet / cells) * np.sqrt(2)))
+        v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float64)
+        around = np.column_stack([u.ravel(), v.ravel()])
+        spots = self._world(self._middle + self._shrink * around)
+        centre = self._world(self._middle[None])[0]
+        blur = USUAL_BLUR_PX * cells / min(side_px, SHRUNK_PX)
+        rendered = []
+        for yaw in np.arange(24) * 2 * np.pi / 24:
+            ahead, leftward = self._in_cells(spots, np.array([*centre, yaw]))
+            dark = darkness(self.ink, cells / 2 - ahead, cells / 2 - leftward, blur)
+            within = np.maximum(np.abs(ahead), np.abs(leftward)) < cells / 2 + quiet
+            shown, mask = (x.reshape(u.shape).astype(np.float32) for x in (1 - dark, within))
+            rendered.append(_Pattern(float(yaw), shown, mask))
+        return rendered
+
+    def _in_cells(self, spots: Array, pose: Array) -> tuple[Array, Array]:
+        """Points of the plane (N, 2) ahead and to the left of a print's centre, in cells."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        east, north = ((spots - pose[:2]) / self.cell_m).T
+        return c * east + s * north, c * north - s * east
+
+    def _world(self, pixels: Array) -> Array:
+        return self.plane.world(pixels, self.height_m)
+
+    def _pixels_per_m(self, point: Array) -> float:
+        return self.plane.pixels_per_m(point, self.height_m)
+
+    def _patch(self, frame: Picture, pose: Array, scale: float) -> tuple[Array, Array] | None:
+        """Grey levels (N,) of the pixels around a pose, and their positions in the plane (N, 2)."""
+        reach = (self.side_m / 2 + 2 * self.cell_m) * np.sqrt(2) * scale
+        centre = self.plane.pixels(pose[None, :2], self.height_m)[0]
+        rows, columns = frame.shape
+        low = np.maximum(np.floor(centre - reach).astype(int), 0)
+        high = np.minimum(np.ceil(centre + reach).astype(int), (columns - 1, rows - 1))
+        if np.any(high - low < reach):
+            return None
+        stride = max(1, round(self.side_m * scale / SUBSAMPLED_PX))
+        ranges = (np.arange(low[k], high[k] + 1, stride) for k in (0, 1))
+        pixels = np.stack(np.meshgrid(*ranges), axis=-1).reshape(-1, 2)
+        return frame[pixels[:, 1], pixels[:, 0]].astype(np.float64), self._world(pixels)

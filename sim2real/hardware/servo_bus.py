@@ -1,28 +1,29 @@
-"""Interface of the servo buses: what the commands need of servos, whatever their protocol."""
+"""A bus of servos: what the commands need of it, and requests with deadlines and repetition."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, TypeVar
 
+from sim2real.hardware.frames import FrameDecoder, Packet, Protocol
+from sim2real.hardware.transport import Transport
+
+T = TypeVar("T")
 INSISTENCE = 10
 """Attempts at a request to a servo that must answer."""
 PATIENCE_S = 0.03
 """Time to wait for the answer to such a request."""
+QUIET_S = 0.02
+"""Silence after a missing answer before the next request."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Conversion of the ticks in which a servo counts angles.
-
-    Attributes:
-        tick_rad: Angle of a tick.
-        centre_ticks: Ticks at the servo's centre.
-        lowest_ticks: Smallest set-point that the servo accepts.
-        largest_ticks: Largest set-point that the servo accepts.
-    """
+    """Conversion of the ticks in which a servo counts angles, and its range of set-points."""
 
     tick_rad: float
     centre_ticks: int
@@ -38,16 +39,11 @@ class Scale:
 class BusServo:
     """A servo on the bus.
 
-    Attributes:
-        servo_id: Identity.
-        model: Name of its model.
-        scale: Its ticks.
-        quantities: What it reports in each cycle besides its position, named as the columns of a
-            recording.
+    ``quantities`` are what it reports in each cycle besides its position, named as the columns of
+    a recording.
     """
 
     servo_id: int
-    model: str
     scale: Scale
     quantities: tuple[str, ...] = ()
 
@@ -56,14 +52,7 @@ class BusServo:
 class Reading:
     """What a servo reported in a cycle; None or NaN for values without a reply.
 
-    Attributes:
-        position_ticks: Position.
-        goal_ticks: Set-point in effect, if the servo reports it.
-        velocity_rad_s: Speed.
-        current_A: Motor current.
-        load: Drive as a share of the largest, -1 to 1.
-        supply_V: Supply voltage.
-        temperature_C: Temperature.
+    ``goal_ticks`` is the set-point in effect, ``load`` the drive as a share of the largest.
     """
 
     position_ticks: int | None = None
@@ -79,12 +68,9 @@ class Reading:
 class Cycle:
     """One round over the bus.
 
-    Attributes:
-        sent_s: Time at which the set-points arrived at the servos, by ``time.monotonic``; the mean
-            if they are addressed one after the other.
-        readings: What each servo reported.
-        round_trip_s: Longest time to an answer; NaN without answers.
-        device_s: Clock of a remote device; NaN if there is none.
+    The set-points arrived at the servos at ``sent_s`` by ``time.monotonic``; the mean if they are
+    addressed one after the other. ``round_trip_s`` is the longest time to an answer, ``device_s``
+    the clock of a remote device; NaN without.
     """
 
     sent_s: float
@@ -97,15 +83,8 @@ class Cycle:
 class Found:
     """A servo that answered a scan; None for values without a reply.
 
-    Attributes:
-        servo_id: Identity.
-        model: Name or number of its model; empty if the protocol does not tell it.
-        ticks: Position in ticks.
-        angle_rad: Position from the servo's centre; None also for unknown models.
-        supply_V: Supply voltage.
-        temperature_C: Temperature.
-        powered: Whether its torque is on.
-        errors: Errors that it reports, and limits stored in it that are exceeded.
+    ``model`` is its name or number, empty if the protocol does not tell it; ``errors`` are those
+    that it reports, and limits stored in it that are exceeded.
     """
 
     servo_id: int
@@ -122,30 +101,41 @@ class Stopped(Exception):
     """The servos must not be driven any further; the message is the reason."""
 
 
-class ServoBus(Protocol):
-    """Servos on one port. Methods raise ``OSError`` if the port is lost.
+def reason(error: Stopped | OSError) -> str:
+    """Why the servos are not driven any further, for a message."""
+    if isinstance(error, Stopped):
+        return str(error)
+    return f"the port was lost ({error.strerror or error})"
+
+
+class ServoBus(ABC):
+    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost.
 
     Attributes:
         name: Name of the bus on the command line.
         baud_rates: Rates at which such servos are searched for, the usual first.
-        largest_id: Largest identity.
-        garbled: Number of corrupted packets until now.
+        protocol: Frames of its packets.
+        longest_answer: Largest number of bytes of an answer's frame.
     """
 
     name: ClassVar[str]
     baud_rates: ClassVar[tuple[int, ...]]
-    largest_id: ClassVar[int]
+    protocol: ClassVar[Protocol]
+    longest_answer: ClassVar[int]
 
-    @property
-    def garbled(self) -> int:
-        """Number of corrupted packets until now."""
+    def __init__(self, transport: Transport, baud: int | None = None) -> None:
+        self._transport, self.baud = transport, baud or self.baud_rates[0]
+        self._decoder = FrameDecoder(self.protocol, self.longest_answer)
 
+    @abstractmethod
     def answers(self, servo_id: int, patience_s: float) -> bool:
         """Whether a servo has this identity; one request."""
 
+    @abstractmethod
     def look(self, servo_id: int, patience_s: float) -> Found:
         """The state of a servo that answers; nothing is written to it."""
 
+    @abstractmethod
     def servo(self, servo_id: int) -> BusServo:
         """Model and scale of a servo.
 
@@ -155,55 +145,103 @@ class ServoBus(Protocol):
         """
 
     def settings(self, servo_id: int) -> dict[str, Any]:
-        """Settings of a servo, for the recording: firmware, gains, profile, delays."""
+        """Settings of a servo, for the recording, if it tells them: firmware, gains, delays."""
+        return {}
 
+    @abstractmethod
     def saved(self, servo_id: int) -> dict[str, int]:
-        """Values that ``begin`` changes and ``restore`` restores, as they are now.
+        """Values that ``begin`` changes and ``restore`` restores, of a servo that must answer."""
 
-        Raises:
-            Stopped: If the servo does not answer.
-        """
-
+    @abstractmethod
     def reading(self, servo_id: int) -> Reading:
-        """Position and temperature of a servo that must answer.
+        """Position and temperature of a servo that must answer; ``Stopped`` if it does not."""
 
-        Raises:
-            Stopped: If it does not answer.
-        """
-
+    @abstractmethod
     def begin(self, goals: Mapping[int, int]) -> None:
-        """Hold these set-points (ticks by identity) with the torque on, without motion profile.
+        """Hold set-points (ticks by identity) without profile; ``Stopped`` if not confirmed."""
 
-        Raises:
-            Stopped: If a servo does not confirm it.
-        """
-
+    @abstractmethod
     def cycle(self, goals: Mapping[int, int], deadline: float) -> Cycle:
-        """Send set-points (ticks by identity) and read every servo.
+        """Send set-points (ticks by identity) and read every servo by ``deadline``."""
 
-        Args:
-            goals: Set-point of each servo, in ticks, by identity.
-            deadline: Time limit of the whole round, by ``time.monotonic``.
-        """
-
+    @abstractmethod
     def restore(self, servo_id: int, saved: Mapping[str, int]) -> bool:
-        """Stop a servo, switch its torque off and restore what ``begin`` changed.
+        """Switch the torque of a servo off and restore ``saved``; whether it confirmed all."""
 
-        Returns:
-            Whether the servo confirmed all of it.
-        """
-
+    @abstractmethod
     def cycle_s(self, count: int) -> float:
         """Time on the wire of a cycle with so many servos."""
 
+    @abstractmethod
     def sample_delay_s(self, count: int) -> float:
         """Time from the arrival of set-points to the sampling of positions, of so many servos."""
 
+    @property
+    def garbled(self) -> int:
+        """Number of corrupted packets until now."""
+        return self._decoder.garbled
+
     def close(self) -> None:
         """Close the port."""
+        self._transport.close()
 
+    def transfer(
+        self, data: bytes, expected: Sequence[Callable[[Packet], bool]], deadline: float
+    ) -> list[Packet | None]:
+        """Send bytes and wait for the replies until ``deadline``, by ``time.monotonic``.
 
-def mean_known(values: Sequence[float]) -> float:
-    """Mean of the values that are not NaN; NaN if there are none."""
-    known = [value for value in values if not math.isnan(value)]
-    return sum(known) / len(known) if known else math.nan
+        Args:
+            data: Encoded requests.
+            expected: For each expected reply whether a packet is that reply. Others are ignored,
+                such as the echo of a request on a single wire.
+            deadline: Time limit.
+
+        Returns:
+            The expected replies in order; None for those that are missing.
+        """
+        replies: list[Packet | None] = [None] * len(expected)
+        due = list(range(len(expected)))
+        self._transport.write(data)
+        while due:
+            arrived = self._transport.read(deadline)
+            if not arrived:
+                break
+            for packet in self._decoder.feed(arrived):
+                k = next((k for k in due if expected[k](packet)), None)
+                if k is not None:
+                    replies[k] = packet
+                    due.remove(k)
+            if time.monotonic() > deadline:
+                break
+        return replies
+
+    def drain(self, quiet_s: float = 0.0) -> None:
+        """Discard late replies until a silence, lest they pass for those to later requests."""
+        deadline = time.monotonic() + 0.001 + 5 * quiet_s
+        while self._transport.read(time.monotonic() + quiet_s) and time.monotonic() < deadline:
+            pass
+        self._decoder.clear()
+
+    def _insist(self, servo_id: int, ask: Callable[[], T | None]) -> T:
+        """The first answer of a servo that must answer."""
+        answer = self._insisted(ask)
+        if answer is None:
+            raise Stopped(f"no reply from servo {servo_id} ({self.name}, {self.baud} baud)")
+        return answer
+
+    def _insisted(self, ask: Callable[[], T | None]) -> T | None:
+        for _ in range(INSISTENCE):
+            answer = ask()
+            if answer is not None:
+                return answer
+            self.drain(QUIET_S)
+        return None
+
+    def _wire_s(self, count: int) -> float:
+        """Time of so many bytes on the wire, with start and stop bits."""
+        return 10 * count / self.baud
+
+    def _device_s(self, answered: bool) -> float:
+        """Clock of the remote device at the last answer; NaN if it has none."""
+        device_s = self._transport.device_s
+        return math.nan if device_s is None or not answered else device_s

@@ -2,85 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from sim2real.errors import InputError
-from sim2real.hardware.buses import Connection
-from sim2real.hardware.interruption import interruption
-from sim2real.hardware.journal import Changed
-from sim2real.hardware.motion import approach, release
-from sim2real.hardware.mounting import Mounting, check_ids, check_joints, mount
-from sim2real.hardware.recorder import BUSY_SHARE, Outcome, columns, record
-from sim2real.hardware.row_stream import FEWEST_ROWS, RowStream
-from sim2real.hardware.servo_bus import Stopped
+from sim2real.hardware.buses import Changed, Connection, release
+from sim2real.hardware.mounting import Mounting, Wiring, mount
+from sim2real.hardware.process import interruption
+from sim2real.hardware.recorder import BUSY_SHARE, Run, columns, record, row_file
+from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
 from sim2real.robot import Robot
 from sim2real.signals import Excitation
 
 RATE_HZ = 50.0
-
-
-@dataclass(frozen=True)
-class Wiring:
-    """Which servo is in which joint.
-
-    Attributes:
-        ids: Identity of the servo of each joint.
-        joints: Names of the joints; None for all of the robot.
-        trim_ticks: Trim of each servo; None for 0.
-        reverse: Names of the joints whose servo turns in the opposite direction.
-    """
-
-    ids: Sequence[int]
-    joints: Sequence[str] | None = None
-    trim_ticks: Sequence[int] | None = None
-    reverse: Sequence[str] | None = None
-
-    def check(self, robot: Robot, largest_id: int) -> None:
-        """Check it against the robot and the bus, before the port is opened.
-
-        Raises:
-            InputError: If numbers do not match, or a name or an identity is wrong.
-        """
-        check_joints(robot, len(self.ids), self.joints, self.trim_ticks, self.reverse)
-        check_ids(self.ids, largest_id)
-
-
-@dataclass(frozen=True)
-class Run:
-    """What became of a recording.
-
-    Attributes:
-        outcome: Outcome of the recording; ``stopped`` is the reason of an early end.
-        rows: Number of rows.
-        unreleased: Servos whose torque may still be on.
-        servos: Number of servos.
-    """
-
-    outcome: Outcome
-    rows: int
-    unreleased: tuple[Mounting, ...]
-    servos: int
-
-    @property
-    def torque(self) -> str:
-        """State of the servos, for a message."""
-        if not self.unreleased:
-            return "torque off"
-        every = len(self.unreleased) == self.servos
-        names = ", ".join(mounting.joint.name for mounting in self.unreleased)
-        where = "any servo" if every else names
-        return f"the torque of {where} may still be on: switch off the supply"
-
-    def written(self, out: Path) -> str:
-        """What is written, for a message."""
-        return f"{self.rows} rows in {out}" if self.rows >= FEWEST_ROWS else "nothing written"
+APPROACH_RAD_S = 0.5
+LARGEST_JUMP_RAD = 0.1
 
 
 def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
@@ -91,12 +32,11 @@ def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mount
         InputError: If its model is unknown, it does not control its position, or it does not fit
             its joint; or if the rate of the bus is too slow.
     """
-    servos = [connection.bus.servo(servo_id) for servo_id in wiring.ids]
-    names, trims, reverse = wiring.joints, wiring.trim_ticks, wiring.reverse
-    mountings = mount(robot, servos, joints=names, trim_ticks=trims, reverse=reverse)
-    takes, longest = connection.bus.cycle_s(len(servos)), BUSY_SHARE / RATE_HZ
+    bus = connection.bus
+    mountings = mount(robot, [bus.servo(servo_id) for servo_id in wiring.ids], wiring)
+    takes, longest = bus.cycle_s(len(mountings)), BUSY_SHARE / RATE_HZ
     if takes > longest:
-        found = f"{connection.baud} baud, {1e3 * takes:.1f} ms to address {len(servos)} servos"
+        found = f"{bus.baud} baud, {1e3 * takes:.1f} ms to address {len(mountings)} servos"
         raise InputError("--baud", "", found, f"at most {1e3 * longest:.0f} ms: a faster rate")
     return mountings
 
@@ -104,19 +44,16 @@ def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mount
 def bus_settings(
     connection: Connection, port: str, mountings: Sequence[Mounting]
 ) -> dict[str, Any]:
-    """Port, wiring and settings of the servos, for a recording's JSON.
-
-    Raises:
-        Stopped: If a servo does not answer.
-    """
+    """Port, wiring and settings of the servos, for a recording's JSON."""
+    bus = connection.bus
     return {
-        "name": connection.bus.name,
+        "name": bus.name,
         "port": port,
-        "baud": connection.baud,
+        "baud": bus.baud,
         "ids": [mounting.servo_id for mounting in mountings],
         "trim_ticks": [mounting.trim_ticks for mounting in mountings],
         "sign": [mounting.sign for mounting in mountings],
-        "servos": [connection.bus.settings(mounting.servo_id) for mounting in mountings],
+        "servos": [bus.settings(mounting.servo_id) for mounting in mountings],
     }
 
 
@@ -132,70 +69,84 @@ def drive(
     """Move to the start, record, and release the servos in any case.
 
     What is changed in the servos is noted in the port's journal before, so that after a kill the
-    next command on the port restores it.
-
-    Args:
-        connection: The bus.
-        mountings: The J servos.
-        signal: Set-points, shape (T, J).
-        out: The CSV file.
-        sidecar: Content of its JSON file, to which the outcome is added.
-        hottest_C: Temperature at which to stop.
+    next command on the port restores it. The outcome is added to ``sidecar``, which is written
+    beside ``out``.
     """
-    bus, outcome, rows = connection.bus, Outcome.of(mountings), 0
+    bus, run = connection.bus, Run(mountings)
     changed: list[Changed] = []
     delay = round(bus.sample_delay_s(len(mountings)), 6)
     sidecar["context"] = {**sidecar.get("context", {}), "sample_delay_s": delay}
     with interruption() as interrupted:
+        limits: dict[str, Any] = {"hottest_C": hottest_C, "interrupted": interrupted}
         try:
             changed = note_changes(connection, mountings)
-            start = [float(angle) for angle in signal.command[0]]
-            approach(bus, mountings, start, hottest_C=hottest_C, interrupted=interrupted)
+            approach(bus, mountings, [float(angle) for angle in signal.command[0]], **limits)
             sidecar["started"] = datetime.now(UTC).isoformat(timespec="milliseconds")
-            with (
-                RowStream(out, columns(mountings), sidecar) as stream,
-                tqdm(total=signal.t.size, desc="record", unit="row", disable=None) as bar,
-            ):
-                outcome = record(
-                    bus,
-                    mountings,
-                    signal.command,
-                    stream.write,
-                    rate_hz=RATE_HZ,
-                    hottest_C=hottest_C,
-                    interrupted=interrupted,
-                    progress=bar.update,
-                )
-                rows = stream.rows
-                stream.add(outcome=_summary(outcome, rows))
-        except Stopped as stop:
-            outcome = replace(outcome, stopped=str(stop))
-        except OSError as error:
-            outcome = replace(outcome, stopped=f"the port was lost ({error.strerror or error})")
+            bar = tqdm(total=signal.t.size, desc="record", unit="row", disable=None)
+            with row_file(out, columns(mountings), sidecar) as write, bar:
+                limits |= {"rate_hz": RATE_HZ, "progress": bar.update}
+                record(run, bus, signal.command, write, **limits)
+                sidecar["outcome"] = run.summary()
+        except (Stopped, OSError) as error:
+            run.stopped = reason(error)
         finally:
-            unreleased = let_go(connection, mountings, changed)
-    return Run(outcome, rows, tuple(unreleased), len(mountings))
+            run.unreleased = let_go(connection, mountings, changed)
+    return run
+
+
+def approach(
+    bus: ServoBus,
+    mountings: Sequence[Mounting],
+    target: Sequence[float],
+    *,
+    hottest_C: float,
+    interrupted: Callable[[], bool],
+    settle_s: float = 0.5,
+    period_s: float = 0.02,
+) -> None:
+    """Move every joint slowly to its first set-point in rad, and wait until it is at rest.
+
+    Raises:
+        Stopped: If a servo does not answer, is above ``hottest_C`` or outside of its range, or the
+            user has asked to stop.
+        OSError: If the port is lost.
+    """
+    start, ways = {}, {}
+    for mounting, angle in zip(mountings, target, strict=True):
+        reading = bus.reading(mounting.servo_id)
+        mounting.check_temperature(reading.temperature_C, hottest_C)
+        assert reading.position_ticks is not None
+        _check_range(mounting, reading.position_ticks)
+        start[mounting.servo_id] = reading.position_ticks
+        ways[mounting.servo_id] = mounting.ticks(angle) - reading.position_ticks
+
+    def goals(share: float) -> dict[int, int]:
+        ids = {m.servo_id: m for m in mountings}
+        return {k: m.within(start[k] + round(share * ways[k])) for k, m in ids.items()}
+
+    bus.begin(goals(0.0))
+    fastest = APPROACH_RAD_S / min(mounting.scale.tick_rad for mounting in mountings)
+    longest = max(abs(way) for way in ways.values()) / fastest
+    begin = time.monotonic()
+    while (now := time.monotonic() - begin) < longest + settle_s:
+        if interrupted():
+            raise Stopped("interrupted")
+        bus.cycle(goals(min(now / longest, 1.0) if longest else 1.0), time.monotonic() + period_s)
+        time.sleep(max(begin + now + period_s - time.monotonic(), 0.0))
 
 
 def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[Changed]:
-    """Note in the port's journal what is about to be changed in the servos.
-
-    Raises:
-        Stopped: If a servo does not answer.
-        InputError: If the journal cannot be written.
-    """
+    """Note in the port's journal what is about to be changed in the servos."""
     bus, ids = connection.bus, [mounting.servo_id for mounting in mountings]
-    before = [Changed(bus.name, connection.baud, k, bus.saved(k)) for k in ids]
-    return connection.journal.note(before)
+    return connection.journal.note([Changed(bus.name, bus.baud, k, bus.saved(k)) for k in ids])
 
 
 def let_go(
     connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
 ) -> list[Mounting]:
-    """Release all servos; those that are changed and do not confirm it stay in the journal.
+    """Release all servos; returns those whose torque may still be on.
 
-    Returns:
-        Servos whose torque may still be on.
+    Those that are changed and do not confirm it stay in the journal.
     """
     values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
     values |= {entry.servo_id: entry.values for entry in changed}
@@ -204,13 +155,11 @@ def let_go(
     return [mounting for mounting in mountings if mounting.servo_id in left]
 
 
-def _summary(outcome: Outcome, rows: int) -> dict[str, Any]:
-    late = float(np.quantile(outcome.late_s, 0.999)) if outcome.late_s else 0.0
-    return {
-        "rows": rows,
-        "missing_positions": outcome.missing,
-        "lost_set_points": outcome.lost,
-        "skipped_set_points": outcome.skipped,
-        "late_999_s": round(late, 6),
-        "stopped": outcome.stopped,
-    }
+def _check_range(mounting: Mounting, ticks: int) -> None:
+    """Check that a servo can be held where it is: outside its range it would jump to the end."""
+    if abs(mounting.within(ticks) - ticks) * mounting.scale.tick_rad > LARGEST_JUMP_RAD:
+        ends = f"{mounting.scale.lowest_ticks} to {mounting.scale.largest_ticks} ticks"
+        raise Stopped(
+            f"{mounting.joint.name}'s servo is at {ticks} ticks, outside its range of {ends}: turn "
+            "it by hand"
+        )

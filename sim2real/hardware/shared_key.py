@@ -14,17 +14,12 @@ from sim2real.errors import InputError
 from sim2real.structured import read_text
 
 VARIABLE = "SIM2REAL_KEY"
-"""Environment variable with the key, where no file is given."""
-SHORTEST = 16
-"""Smallest number of characters of a key."""
-_CODE = 16
+SHORTEST, CODE_BYTES = 16, 16
+"""Characters of a key, bytes of a code."""
 
 
 def shared_key(file: str | os.PathLike[str] | None = None) -> bytes | None:
-    """The key in a file or in the environment, without white space around it; None if neither.
-
-    Args:
-        file: Text file with the key; default: the environment variable ``SIM2REAL_KEY``.
+    """The key in a file, or by default in ``SIM2REAL_KEY``, stripped; None if there is none.
 
     Raises:
         InputError: If the file cannot be read, or the key is too short.
@@ -48,9 +43,9 @@ def unsealed(datagram: bytes, key: bytes | None) -> bytes | None:
     """The content of a datagram; None if it was sealed with another key or not at all."""
     if key is None:
         return datagram
-    content, code = datagram[:-_CODE], datagram[-_CODE:]
+    content, code = datagram[:-CODE_BYTES], datagram[-CODE_BYTES:]
     return content if hmac.compare_digest(code, _code(content, key)) else None
 
 
 def _code(content: bytes, key: bytes) -> bytes:
-    return hmac.digest(key, content, "sha256")[:_CODE]
+    return hmac.digest(key, content, "sha256")[:CODE_BYTES]

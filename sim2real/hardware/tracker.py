@@ -1,7 +1,8 @@
 """Tracking of the body's pose in an overhead video.
 
 The position of the marker is predicted from its motion; if it is not found there, it is searched
-nearby, then in the whole frame. Frames in which it is not found are missing.
+nearby, then in the whole frame. Frames in which it is not found are missing. Robots that cannot
+carry a marker have a coloured patch.
 """
 
 from __future__ import annotations
@@ -15,12 +16,8 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
-from sim2real.hardware.blob import ahead, find_blob
-from sim2real.hardware.board_search import Bank, bank, search
-from sim2real.hardware.camera_file import Camera
-from sim2real.hardware.marker import Marker, ink
-from sim2real.hardware.plane import Plane
-from sim2real.hardware.registration import Print, Sighting, register
+from sim2real.hardware.camera import Blob, Camera, Marker, Plane
+from sim2real.hardware.registration import Finder, Sighting
 from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 
 LIKENESS = 0.85
@@ -39,10 +36,8 @@ _TURN = np.deg2rad(25)
 class Track:
     """Track of the body in a video.
 
-    Attributes:
-        t: Times in s since the first frame, shape (T,).
-        pose: x, y in m and unwrapped heading in rad of the body, shape (T, 3); NaN if not found.
-        brightness: Mean grey level of each frame, shape (T,).
+    ``t`` are times in s since the first frame (T,), ``pose`` x, y in m and unwrapped heading in rad
+    (T, 3), NaN if not found, ``brightness`` the mean grey level of each frame (T,).
     """
 
     t: Array
@@ -56,16 +51,10 @@ class Track:
 
 
 class MarkerTracker:
-    """Follows one marker from frame to frame.
-
-    Attributes:
-        plane: The camera.
-        marker: The marker.
-    """
+    """Follows one marker from frame to frame."""
 
     def __init__(self, plane: Plane, marker: Marker) -> None:
-        self.plane, self.marker = plane, Print(ink(marker), marker.side_m, marker.height_m)
-        self._bank: Bank = bank(plane, self.marker)
+        self._finder = Finder(plane, marker)
         self._last: Array | None = None
         self._rate = np.zeros(3)
         self._blur: float | None = None
@@ -91,7 +80,7 @@ class MarkerTracker:
         if self._last is None or self._lost > 3:
             return None
         guess = self._last + (self._lost + 1) * self._rate
-        sighting = register(frame, self.plane, self.marker, guess, self._blur)
+        sighting = self._finder.register(frame, guess, self._blur)
         if sighting is None or sighting.likeness < LIKENESS:
             return None
         turned = (sighting.pose[2] - self._last[2] + np.pi) % (2 * np.pi) - np.pi
@@ -104,12 +93,10 @@ class MarkerTracker:
         if self._lost % EVERYWHERE == (0 if self._last is None else EVERYWHERE - 1):
             windows.append((0, 0, frame.shape[1], frame.shape[0]))
         for window in windows:
-            poses = search(frame, self.plane, self.marker, self._bank, window)
-            best: Sighting | None = None
-            for pose in poses[:TRIES]:
-                sighting = register(frame, self.plane, self.marker, pose, self._blur)
-                if sighting and (best is None or sighting.likeness > best.likeness):
-                    best = sighting
+            poses = self._finder.search(frame, window)[:TRIES]
+            found = [self._finder.register(frame, pose, self._blur) for pose in poses]
+            seen = [sighting for sighting in found if sighting is not None]
+            best = max(seen, key=lambda sighting: sighting.likeness, default=None)
             if best is not None and best.likeness >= LIKENESS:
                 return best
         return None
@@ -117,21 +104,59 @@ class MarkerTracker:
     def _window(self, frame: Picture, pose: Array) -> tuple[int, int, int, int]:
         reach = NEARBY_M * (1 + self._lost / 10)
         corners = pose[:2] + reach * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
-        pixels = self.plane.pixels(corners, self.marker.height_m)
+        pixels = self._finder.plane.pixels(corners, self._finder.height_m)
         low = np.clip(np.floor(pixels.min(axis=0)), 0, None).astype(int)
         high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 1, frame.shape[::-1]).astype(int)
         return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
+def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6) -> Array | None:
+    """x, y in m and direction of the long axis (modulo pi) of the largest patch, shape (3,).
+
+    The pose is the mean and the principal axis of its pixels in world coordinates. None if there
+    is no such patch in the picture (blue, green, red), or it has fewer than ``fewest_px`` pixels.
+    """
+    import cv2
+
+    hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
+    low, high = blob.low_hsv, blob.high_hsv
+    mask = cv2.inRange(hsv, low, high)
+    if low[0] > high[0]:
+        red = cv2.inRange(hsv, low, np.array([180.0, *high[1:]]))
+        mask = cv2.bitwise_or(red, cv2.inRange(hsv, np.array([0.0, *low[1:]]), high))
+    _, label, stats, _ = cv2.connectedComponentsWithStats(mask)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    if max(areas, default=0) < fewest_px:
+        return None
+    rows, columns = np.nonzero(label == 1 + int(np.argmax(areas)))
+    spots = plane.world(np.column_stack([columns, rows]), blob.height_m)
+    middle = spots.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov((spots - middle).T))
+    return np.array([*middle, np.arctan2(axes[1, -1], axes[0, -1])])
+
+
+def ahead(poses: Array) -> Array:
+    """Poses (T, 3) of blobs with unwrapped headings in the mean direction of motion.
+
+    A robot swims head first; NaN where the blob is missing.
+    """
+    out = np.array(poses)
+    found = np.flatnonzero(np.isfinite(out[:, 2]))
+    if found.size < 2:
+        return out
+    out[found, 2] = np.unwrap(out[found, 2], period=np.pi)
+    steps = np.diff(out[found, :2], axis=0)
+    heading = (out[found, 2][1:] + out[found, 2][:-1]) / 2
+    forward = steps[:, 0] * np.cos(heading) + steps[:, 1] * np.sin(heading)
+    if forward.sum() < 0:
+        out[found, 2] += np.pi
+    return out
+
+
 def track(
     video: str | os.PathLike[str], camera: Camera, *, progress: Callable[[], None] = lambda: None
 ) -> Track:
-    """Track the body in a video.
-
-    Args:
-        video: A file that OpenCV can read.
-        camera: Lens, pool, and marker or else blob.
-        progress: Called after every frame.
+    """Track the body in a video; ``progress`` is called after every frame.
 
     Raises:
         InputError: If the video cannot be read, has another size than the camera, or the body is
@@ -140,7 +165,7 @@ def track(
     import cv2
 
     frames, rate = open_video(video, camera)
-    poses_found: list[Array] = []
+    found: list[Array] = []
     bright: list[float] = []
     tracker = MarkerTracker(camera.plane, camera.marker) if camera.marker else None
     for picture in frames:
@@ -149,9 +174,9 @@ def track(
         pose = tracker.see(grey) if tracker else None
         if tracker is None and camera.blob is not None:
             pose = find_blob(picture, camera.plane, camera.blob)
-        poses_found.append(np.full(3, np.nan) if pose is None else pose)
+        found.append(np.full(3, np.nan) if pose is None else pose)
         progress()
-    poses = np.array(poses_found).reshape(-1, 3)
+    poses = np.array(found).reshape(-1, 3)
     if not np.isfinite(poses).any():
         target = "marker" if camera.marker else "blob"
         raise InputError(video, "", f"no {target} in any of {len(poses)} frames", f"the {target}")
@@ -175,34 +200,19 @@ def open_video(
     rate = float(source.get(cv2.CAP_PROP_FPS))
     size = tuple(int(source.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     if camera is not None and size != camera.plane.lens.size_px:
-        expected = "x".join(map(str, camera.plane.lens.size_px))
-        raise InputError(
-            video, "", f"frames of {size[0]}x{size[1]}", f"{expected}, as the camera's"
-        )
+        expected = "x".join(map(str, camera.plane.lens.size_px)) + ", as the camera's"
+        raise InputError(video, "", f"frames of {size[0]}x{size[1]}", expected)
     if not rate > 0:
         raise InputError(video, "", "no frame rate", "a video with a frame rate")
 
     def frames() -> Iterator[Picture]:
         try:
-            while True:
-                success, picture = source.read()
-                if not success:
-                    return
-                yield picture  # type: ignore[misc]
+            while (taken := source.read())[0]:
+                yield taken[1]  # type: ignore[misc]
         finally:
             source.release()
 
     return frames(), rate
-
-
-def frame_count(video: str | os.PathLike[str]) -> int | None:
-    """Number of frames stated in the file, for a progress bar."""
-    import cv2
-
-    source = cv2.VideoCapture(_checked(video))
-    count = int(source.get(cv2.CAP_PROP_FRAME_COUNT))
-    source.release()
-    return count if count > 0 else None
 
 
 def _checked(path: str | os.PathLike[str]) -> str:

@@ -1,34 +1,42 @@
-"""Connections to virtual servos: a pseudo-terminal, or UDP datagrams as with the radio."""
+"""Connections to virtual servos: a pseudo-terminal, or the radio's end of ``datagram.py``."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
+import secrets
 import select
 import socket
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from sim2real.errors import InputError
-from sim2real.hardware.datagram import LARGEST
+from sim2real.hardware.datagram import (
+    AHEAD,
+    HALF,
+    LARGEST,
+    NUMBERS,
+    SEALED_NUMBERS,
+    SILENCE_S,
+    Datagram,
+    answer,
+    read_request,
+)
 from sim2real.hardware.virtual_bus import VirtualBus
-from sim2real.hardware.virtual_radio import VirtualRadio
 
 TICK_S = 0.02  # period of the simulation without requests
 
 
 def serve_terminal(
-    bus: VirtualBus[Any], announce: Callable[[str], object], stop: Callable[[], bool]
+    bus: VirtualBus, announce: Callable[[str], object], stop: Callable[[], bool]
 ) -> None:
     """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name.
 
     If the host has set another rate than that of the bus, the servos understand nothing.
-
-    Raises:
-        InputError: On a system without pseudo-terminals.
+    ``InputError`` on a system without pseudo-terminals.
     """
     try:
         import tty
@@ -66,7 +74,7 @@ def _rate(device: int) -> int | None:
 
 
 def serve_udp(
-    bus: VirtualBus[Any],
+    bus: VirtualBus,
     address: tuple[str, int],
     announce: Callable[[str], object],
     stop: Callable[[], bool],
@@ -75,16 +83,9 @@ def serve_udp(
     loss: float = 0.0,
     key: bytes | None = None,
 ) -> None:
-    """Serve a radio at ``address`` until ``stop``.
+    """Serve a radio at ``address`` until ``stop``; ``announce`` is called with its URL.
 
-    Args:
-        bus: The bus of the radio.
-        address: Host and port; port 0 for any free port.
-        announce: Called with ``udp://HOST:PORT``.
-        stop: Whether to end.
-        rng: Random number generator.
-        loss: Share of lost datagrams in both directions.
-        key: Key that the computer shares; none by default.
+    ``loss`` is the share of lost datagrams in both directions. Port 0 stands for any free port.
 
     Raises:
         InputError: If the address is not available.
@@ -101,24 +102,62 @@ def serve_udp(
         while not stop():
             if select.select([socket_], [], [], TICK_S)[0]:
                 with contextlib.suppress(ConnectionRefusedError):
-                    _serve_datagram(socket_, radio, bus, rng, loss)
+                    datagram, sender = socket_.recvfrom(LARGEST)
+                    clock = time.monotonic()
+                    heard = rng.random() >= loss
+                    packets = radio.receive(datagram, sender, clock) if heard else None
+                    if packets is not None:
+                        reply = radio.answer(clock, b"".join(bus.receive(packets)))
+                        if rng.random() >= loss:
+                            socket_.sendto(reply, sender)
             bus.advance()
 
 
-def _serve_datagram(
-    socket_: socket.socket,
-    radio: VirtualRadio,
-    bus: VirtualBus[Any],
-    rng: np.random.Generator,
-    loss: float,
-) -> None:
-    datagram, sender = socket_.recvfrom(LARGEST)
-    clock = time.monotonic()
-    if rng.random() < loss:
-        return
-    packets = radio.receive(datagram, sender, clock)
-    if packets is None:
-        return
-    reply = radio.answer(clock, b"".join(bus.receive(packets)))
-    if rng.random() >= loss:
-        socket_.sendto(reply, sender)
+class VirtualRadio:
+    """Requests of the sender that was heard first, until it is silent; with a key, if given."""
+
+    def __init__(self, key: bytes | None = None) -> None:
+        self._key, self._numbers = key, NUMBERS if key is None else SEALED_NUMBERS
+        self._sender: object = None
+        self._session: bytes | None = None
+        self._number: int | None = None
+        self._heard = -math.inf
+
+    def receive(self, datagram: bytes, sender: object, now: float) -> bytes | None:
+        """Packets for the servos; None for a datagram that is a stranger's, old or invalid."""
+        request = read_request(datagram, self._key)
+        if request is None:
+            return None
+        held = now - self._heard <= SILENCE_S
+        if self._key is not None and request.number == 0:
+            return self._begin(request, sender, now) if not held or self._number == 0 else None
+        ours = (sender, request.session) == (self._sender, self._session)
+        anyone = self._key is None and not held
+        if not anyone and not (ours and self._fresh(request.number)):
+            return None
+        self._sender, self._session, self._number = sender, request.session, request.number
+        released = request.number is not None and not request.data
+        self._heard = -math.inf if released else now
+        return request.data
+
+    def _begin(self, request: Datagram, sender: object, now: float) -> bytes | None:
+        """Answer the first datagram of a session, with the same session if it is repeated."""
+        half = (request.session or b"")[:HALF]
+        again = self._session is not None and (sender, half) == (self._sender, self._session[:HALF])
+        if now - self._heard <= SILENCE_S:
+            return b"" if again else None
+        self._session = half + secrets.token_bytes(HALF)
+        self._sender, self._number, self._heard = sender, 0, now
+        return b""
+
+    def _fresh(self, number: int | None) -> bool:
+        """Whether a number is a little larger than the last; those without are of a bridge."""
+        if number is None or self._number is None:
+            return True
+        return 0 < (number - self._number) % self._numbers <= AHEAD
+
+    def answer(self, clock_s: float, replies: bytes) -> bytes:
+        """The datagram that answers the last request."""
+        if self._number is None:
+            return replies
+        return answer(self._number, clock_s, replies, self._session or b"", self._key)

@@ -8,12 +8,9 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.control_loop import undetected_loop
-from sim2real.identification.fit import (
-    Fit,
-    residuals,
-)
-from sim2real.identification.motor_fit import MotorFit
 from sim2real.identification.play import play_between_pulls
+from sim2real.identification.problem import Fit
+from sim2real.identification.search import errors_of
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
 from sim2real.inference.least_squares import rms
 from sim2real.inference.parameters import column
@@ -21,7 +18,7 @@ from sim2real.noise import ABOVE_NOISE
 from sim2real.recording import PER_INERTIA, Load, Recording
 from sim2real.robot import Robot, Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
-from sim2real.servo.parameters import INERTIA_LEFT_OUT
+from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT, LINE
 from sim2real.servo.trace import Trace, firmware_gain
 from sim2real.units import readable_name
 
@@ -191,13 +188,13 @@ def on_data_sheet(robot: Robot, joint: str, needed: Sequence[str]) -> list[str]:
     ]
 
 
-def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
+def on_motor(motor: Fit, spread: Uncertainty, servo: Servo) -> list[str]:
     """Notes on motor parameters that are undetermined or contradict the data sheet."""
-    values, prior_sd = motor.fit.values, column(motor.fit.parameters, "prior_sd")
-    sd = np.where(motor.log_scale, spread.sd / np.maximum(values, 1e-300), spread.sd)
-    names = [readable_name(name) for name in motor.fit.names]
-    shift = np.abs(motor.x[list(motor.problem.free)] - column(motor.fit.parameters, "nominal"))
-    by_prior = (shift <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)
+    problem, values = motor.problem, motor.values
+    prior_sd, nominal = (column(problem.parameters, name) for name in ("prior_sd", "nominal"))
+    sd = spread.sd * problem.unit
+    names = [readable_name(name) for name in motor.names]
+    by_prior = (np.abs(motor.x * problem.unit - nominal) <= 2 * prior_sd) & (sd >= _KEPT * prior_sd)
     undetermined = [name for name, of_prior in zip(names, by_prior, strict=True) if of_prior]
     notes = []
     if undetermined:
@@ -205,7 +202,7 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
     loop = undetected_loop(motor)
     if loop is not None:
         period_s, loop_kp, loop_kd = loop
-        kp, kd = (float(x) for x in motor.fit.row[:2])
+        kp, kd = (float(x) for x in motor.row[:2])
         notes.append(
             "these recordings do not distinguish a control loop that is synchronous with their "
             "samples from a continuous one, which is assumed: at "
@@ -214,17 +211,15 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
             "distinguish them"
         )
     if motor.law == "current_limited":
+        stall = float(motor.row[COLUMNS.index(LINE[0])])
         notes.append(
-            f"the torque is limited to {motor.values['stall_torque_Nm']:.3g} N m at any speed, as "
+            f"the torque is limited to {stall:.3g} N m at any speed, as "
             "by the drive's current: the no-load speed of the data sheet is no limit"
         )
-    if motor.problem.traces[0].load is PER_INERTIA:
+    if problem.traces[0].load is PER_INERTIA:
         return notes
-    for name, stated in (
-        ("motor.stall_torque_Nm", servo.max_torque_Nm),
-        ("motor.no_load_speed_rad_s", servo.no_load_speed_rad_s),
-    ):
-        k = motor.fit.names.index(name)
+    for name, stated in zip(LINE, (servo.max_torque_Nm, servo.no_load_speed_rad_s), strict=True):
+        k = motor.names.index(name)
         deviation = abs(np.log(values[k] / stated))
         if deviation > 2 * prior_sd[k] and sd[k] < 0.5 * deviation:
             notes.append(
@@ -235,14 +230,14 @@ def on_motor(motor: MotorFit, spread: Uncertainty, servo: Servo) -> list[str]:
 
 
 def on_optima(
-    names: Sequence[str], values: Array, half_width: Array, optima: Sequence[Array]
+    names: Sequence[str], values: Array, half_width: Array, optima: Sequence[Array] | Array
 ) -> list[str]:
     """A note on the other optimum that differs most, if one fits the recordings as well.
 
     Args:
         names: Columns of the F fitted parameters.
         values: Their values, shape (F,).
-        half_width: Half-widths of their 90 % intervals, shape (F,).
+        half_width: Half-widths of their intervals, shape (F,).
         optima: Values at other optima with the same loss, each of shape (F,).
     """
     apart = [np.abs(other - values) > half_width for other in optima]
@@ -267,11 +262,10 @@ def on_inertia(fixed: Fit, free: Fit, scored: Sequence[Trace], stated: Load) -> 
 
     It requires an inertia that differs significantly, and a better fit of held-out data as well.
     """
-    unit = np.array([*free.row[:2], 0.05, free.inertia])
-    spread = uncertainty(free, np.maximum(unit, 1e-9))
-    extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3])
-    before, after = (rms(f.residuals) for f in (fixed, free))
-    heldout = [rms(residuals(f.row, scored)) for f in (fixed, free)]
+    spread = uncertainty(free, repeating=False)
+    extra, sd = float(free.row[INERTIA_LEFT_OUT]), float(spread.sd[3] * free.problem.unit[3])
+    before, after = (rms([f.error]) for f in (fixed, free))
+    heldout = [rms(errors_of(f.row, scored)) for f in (fixed, free)]
     significant = abs(extra) > max(3 * sd, _MATERIAL * stated.inertia_kgm2)
     if not significant or after > 0.95 * before or (scored and heldout[1] > heldout[0]):
         return []

@@ -14,19 +14,28 @@ from dataclasses import replace
 import numpy as np
 
 from sim2real.arrays import Array, Index
-from sim2real.identification.motor_fit import MotorFit, refitted
+from sim2real.identification.priors import MotorPrior
+from sim2real.identification.problem import Fit, ServoProblem
+from sim2real.identification.search import fit, search
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, LOOP, ROTOR
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace
 
 _KP, _KD, _LATENCY = (BASE.index(n) for n in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"))
+_LOOP = [COLUMNS.index(name) for name in LOOP]
 _RATES_HZ = (90.0, 1100.0)
 """Range of rates; faster loops are not distinguishable from continuous ones."""
 
 
 def fit_sampled_loop(
-    motor: MotorFit, *, fewest: int = 12, first_steps: int = 8, best: int = 2, rounds: int = 3
-) -> MotorFit | None:
+    motor: Fit,
+    prior: MotorPrior,
+    *,
+    fewest: int = 12,
+    first_steps: int = 8,
+    best: int = 2,
+    rounds: int = 3,
+) -> Fit | None:
     """Fit a sampled loop, without a test of its significance.
 
     The latency of a fit without a loop includes the mean wait for the next sample. All recordings
@@ -34,6 +43,7 @@ def fit_sampled_loop(
 
     Args:
         motor: A fit without a loop.
+        prior: Prior of its parameters.
         fewest: Smallest number of large steps of the command in all recordings.
         first_steps: Largest number of steps of the search in the first fits.
         best: Number of the best phases, from which later fits start.
@@ -45,21 +55,35 @@ def fit_sampled_loop(
     sent, delay, spread = _arrivals(motor)
     if sent.size < fewest:
         return None
+    free = (*motor.parameters, *prior.of(LOOP[:1]))
+    problem = replace(motor.problem, parameters=free)
+    noise = motor.scale_rad, motor.inflation
+
+    def ranked(rows: Array) -> Array:
+        error = problem.row_residuals(rows, rough=True)
+        return np.asarray(rows[np.argsort(problem.loss(problem.searched(rows), error, *noise))])
+
     rates = _rates(sent + delay, spread)
-    coarse = np.stack([_starts(motor, 1 / hz, sent, delay, spread) for hz in rates])
-    loss = motor.losses(np.concatenate(coarse), coarse=True).reshape(coarse.shape[:2])
-    starts = coarse[np.arange(rates.size), loss.argmin(axis=1)]
-    fit = refitted(motor, starts, first_steps)
+    coarse = [ranked(_starts(motor, 1 / hz, sent, delay, spread))[:1] for hz in rates]
+    row = _searched(problem, np.concatenate(coarse), noise, first_steps)
     for _ in range(rounds):
-        candidates = np.concatenate([fit.x[None], _with_other_phases(fit)])
-        order = np.argsort(fit.losses(candidates, coarse=True))
-        fit = refitted(fit, candidates[order[:best]])
-    return fit
+        candidates = ranked(np.concatenate([row[None], _with_other_phases(row)]))
+        row = _searched(problem, candidates[:best], noise, 10)
+    return fit(replace(problem, row=row), row[None], rounds=1, first=1)
 
 
-def undetected_loop(
-    motor: MotorFit, *, synchronous: float = 0.95
-) -> tuple[float, float, float] | None:
+def _searched(problem: ServoProblem, rows: Array, noise: tuple[float, float], steps: int) -> Array:
+    """The best servo (P,) of searches from some (S, P), each with its phase of the loop."""
+    found = []
+    for row in rows:
+        own = replace(problem, row=row)
+        x, loss, _, _ = search(own, own.searched(row[None]), noise, steps)
+        found.append((float(loss[0]), own.rows(x)[0]))
+    best: Array = min(found, key=lambda pair: pair[0])[1]
+    return best
+
+
+def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, float, float] | None:
     """The slowest sampled loop that is not distinguishable from a continuous one.
 
     Its samples are synchronous with the set-points, whose mean phase vector is longer than
@@ -70,7 +94,7 @@ def undetected_loop(
         Its period in s and the gains kp and kd that it implies; None if set-points are sent at
         irregular times, or if the fit has a loop.
     """
-    if motor.fit.row[COLUMNS.index(LOOP[0])] > 0:
+    if motor.row[COLUMNS.index(LOOP[0])] > 0:
         return None
     changes = [t.t[1:][np.diff(t.command) != 0] - t.t[0] for t in motor.problem.traces]
     times = np.concatenate(changes)
@@ -86,7 +110,7 @@ def undetected_loop(
 
 
 def _arrivals(
-    motor: MotorFit, *, most_steps: int = 60, least_step: float = 0.1, delay_sd_s: float = 0.004
+    motor: Fit, *, most_steps: int = 60, least_step: float = 0.1, delay_sd_s: float = 0.004
 ) -> tuple[Array, Array, Array]:
     """Times of large steps of the command, their delays and standard deviations, in s, (K,).
 
@@ -94,10 +118,9 @@ def _arrivals(
     the largest. The prior standard deviation of a delay about the mean is ``delay_sd_s``.
     """
     times, delays, spreads = [], [], []
-    scale = motor.fit.scale_rad
-    for trace, error, slopes in zip(
-        motor.problem.traces, motor.fit.residuals, motor.fit.jacobians, strict=True
-    ):
+    scale = motor.scale_rad
+    by_trace = motor.residuals, motor.problem.by_trace(motor.slopes)
+    for trace, error, slopes in zip(motor.problem.traces, *by_trace, strict=True):
         jump = np.abs(np.diff(trace.command, prepend=trace.command[0]))
         step = np.flatnonzero(jump > least_step * jump.max())
         step = np.sort(step[np.argsort(-jump[step])[:most_steps]])
@@ -111,15 +134,13 @@ def _arrivals(
         inverse = np.linalg.inv(slope_matrix.T @ slope_matrix + np.diag(prior))
         delay = -(inverse @ (slope_matrix.T @ error))[: step.size]
         times.append(trace.t[step] - trace.t[0])
-        delays.append(motor.fit.row[_LATENCY] + delay)
+        delays.append(motor.row[_LATENCY] + delay)
         spreads.append(scale * np.sqrt(np.diag(inverse)[: step.size]))
     sent, delay, spread = (np.concatenate([[], *x]) for x in (times, delays, spreads))
     return sent, delay, spread
 
 
-def _effect_of_delay(
-    motor: MotorFit, trace: Trace, step: Index, *, longest_s: float = 1e-3
-) -> Array:
+def _effect_of_delay(motor: Fit, trace: Trace, step: Index, *, longest_s: float = 1e-3) -> Array:
     """Derivatives of the angle by the delay of each step, rad/s, shape (T, K)."""
     shifted = [trace]
     for k in step:
@@ -132,7 +153,8 @@ def _effect_of_delay(
             used=np.insert(trace.used, k, False),
         )
         shifted.append(variant)
-    angle = Simulator(shifted).angles(motor.fit.row[None], motor.problem.substep_s)
+    substeps = motor.problem.substeps(motor.row[None])
+    angle = Simulator(shifted).angles(motor.row[None], substeps)
     derivatives = [
         (np.delete(rollout[0], k + 1) - angle[0][0]) / (variant.t[k + 1] - variant.t[k])
         for k, rollout, variant in zip(step, angle[1:], shifted[1:], strict=True)
@@ -166,46 +188,40 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
 
 
 def _starts(
-    motor: MotorFit, period_s: float, sent: Array, delay: Array, spread: Array, *, count: int = 16
+    motor: Fit, period_s: float, sent: Array, delay: Array, spread: Array, *, count: int = 16
 ) -> Array:
-    """Parameters as searched with a loop of this period, one row per latency, (count, F).
+    """Servos with a loop of this period, one for each of some latencies, (count, P).
 
     The phase is that of the arrivals; latencies are up to a period below the median delay.
     """
-    prior = motor.problem.prior
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
-    x = np.tile(motor.x, (count, 1))
+    rows = np.tile(motor.row, (count, 1))
     shortest = float(np.median(delay)) - period_s * np.linspace(0, 1, count)
-    x[:, _LATENCY] = np.maximum(shortest, 0.0)
-    x[:, prior.index(LOOP[0])] = period_s
-    x[:, prior.index(LOOP[1])] = (turn / (2 * np.pi) * period_s - x[:, _LATENCY]) % period_s
-    kp, kd = _equivalent_gains(motor, period_s)
-    x[:, _KP], x[:, _KD] = np.log(kp), np.log(kd)
-    return x
+    rows[:, _LATENCY] = np.maximum(shortest, 0.0)
+    rows[:, _LOOP] = period_s, (turn / (2 * np.pi) * period_s) % period_s
+    rows[:, [_KP, _KD]] = _equivalent_gains(motor, period_s)
+    return rows
 
 
-def _equivalent_gains(motor: MotorFit, period_s: float) -> tuple[float, float]:
+def _equivalent_gains(motor: Fit, period_s: float) -> tuple[float, float]:
     """Gains kp, kd with a loop that are equivalent to those of the fit without.
 
     A delay of half a period P makes the torque kp (e + v P / 2) - (kd - b) (v - a P / 2) - b v, b
     from the back-EMF: less damping by the first term, more inertia by the second.
     """
-    row, half = motor.fit.row, 0.5 * period_s
+    row, half = motor.row, 0.5 * period_s
     kp, kd = (float(x) for x in row[[_KP, _KD]])
     line = row[[COLUMNS.index(name) for name in LINE]]
     back_emf = line[0] / line[1] if line.all() else kd
-    inertia = motor.fit.inertia + float(row[COLUMNS.index(ROTOR)])
+    inertia = motor.inertia + float(row[COLUMNS.index(ROTOR)])
     ratio = (1 + back_emf * half / inertia) / (1 + (kd + kp * half) * half / inertia)
     return ratio * kp, ratio * (kd + kp * half)
 
 
-def _with_other_phases(fit: MotorFit, *, phases: int = 64) -> Array:
-    """Parameters as searched in which set-points wait for earlier or later samples."""
-    prior = fit.problem.prior
-    length, phase = fit.x[prior.index(LOOP[0])], prior.index(LOOP[1])
-    shift = np.linspace(-0.5, 0.5, phases + 1) * length
-    x = np.tile(fit.x, (shift.size, 1))
-    x[:, _LATENCY] = np.maximum(x[:, _LATENCY] - shift, 0.0)  # the sampling times do not change
-    x[:, phase] = (fit.x[phase] + fit.x[_LATENCY] - x[:, _LATENCY]) % length
-    return x
+def _with_other_phases(row: Array, *, phases: int = 64) -> Array:
+    """Servos (phases + 1, P) in which set-points wait for earlier or later samples."""
+    shift = np.linspace(-0.5, 0.5, phases + 1) * row[_LOOP[0]]
+    rows = np.tile(row, (shift.size, 1))
+    rows[:, _LATENCY] = np.maximum(rows[:, _LATENCY] - shift, 0.0)
+    return rows

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.identification.fit import first_guess, fit, gains, inertia_left_out
+from sim2real.identification.first_guess import first_guess
+from sim2real.identification.priors import gains, inertia_left_out
+from sim2real.identification.problem import ServoProblem
+from sim2real.identification.search import point_fit
 from sim2real.inference.normal import Z90
-from sim2real.inference.parameters import column
 from sim2real.noise import noise_floor
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.servo.trace import traces
@@ -32,13 +34,15 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
     trace = moving[0]
     start, _ = first_guess(moving, np.random.default_rng(seed))
     inertia = trace.load.inertia_kgm2
-    parameters = list(gains(start, inertia))
+    parameters = list(gains(inertia))
     if trace.load is not PER_INERTIA and trace.load.gravity_Nm > 0:  # a pendulum
         parameters.append(inertia_left_out(start, inertia))
-    slopes = fit(moving, start, parameters, rounds=0, evaluations=1).jacobians[0]
-    unit = column(parameters, "typical")
-    noise = max(noise_floor(trace.t, trace.command, trace.position), 1e-6)
-    scaled = slopes * unit / noise
+    at_start = point_fit(ServoProblem(moving, start, tuple(parameters)), start)
+    kp, kd = float(start[0]), max(float(start[1]), 0.4 * float(np.sqrt(start[0] * inertia)))
+    unit = np.array([kp, kd, 0.05, inertia])[: len(parameters)]
+    problem, noise = at_start.problem, noise_floor(trace.t, trace.command, trace.position)
+    size = problem.unit * np.where(problem.log, at_start.values, 1.0)
+    scaled = at_start.slopes / size * unit / max(noise, 1e-6)
     level, directions = np.linalg.eigh(scaled.T @ scaled)
     variance = (directions**2) @ (1 / np.maximum(level, 1e-12))
     half = Z90 * np.sqrt(variance) * unit

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from sim2real.arrays import Array
-from sim2real.identification.fit import Fit
+from sim2real.identification.problem import Fit
 from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.servo.parameters import beyond_load
 from sim2real.servo.trace import Trace
@@ -20,8 +20,6 @@ from sim2real.servo.trace import Trace
 
 def repeating_error(
     best: Fit,
-    traces: Sequence[Trace],
-    slopes: Array,
     prior: Array,
     *,
     slow_per_rad: float = 2.0,
@@ -40,9 +38,7 @@ def repeating_error(
 
     Args:
         best: The fit.
-        traces: The fitted recordings.
-        slopes: Derivatives of the residuals by the free parameters in units, shape (n, F).
-        prior: Precision of the prior in units, times the variance of a residual, shape (F, F).
+        prior: Precision of the prior by ``x``, times the variance of a residual, shape (F, F).
         slow_per_rad: Cycles per radian up to which waves are slow: eccentric sensors, gravity.
         finest_per_rad: Cycles per radian of the finest wave: 79 a turn, cogging behind gears.
         most_waves: Largest number of waves, for joints that visit many radians.
@@ -51,8 +47,8 @@ def repeating_error(
         The covariance of each kind of error, shape (C, F, F), and the effective number of
         coefficients from which its power is estimated, shape (C,).
     """
-    error = np.concatenate(best.residuals)
-    traces = [trace for trace in traces if trace.used.any()]
+    error, slopes = best.error, best.slopes
+    traces = [trace for trace in best.problem.traces if trace.used.any()]
     none = np.zeros((0, *prior.shape)), np.zeros(0)
     if best.scale_rad <= 0.0 or not traces:
         return none

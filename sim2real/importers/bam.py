@@ -12,7 +12,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError, shown
-from sim2real.importers.missing import import_warnings
+from sim2real.importers.options import import_warnings
 from sim2real.recording import Load, Recording
 from sim2real.structured import Fields, read_json
 
@@ -45,20 +45,31 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
         InputError: If a field does not conform to the format or the torque is off at the start.
     """
     top = _top(path)
-    samples = _samples(top)
-    load = _load(top)
-    t = _times(samples)
+    load, source = _load(top)
+    entries = top.content.get("entries")
+    if not isinstance(entries, list) or len(entries) < 2:
+        found = f"{len(entries)} samples" if isinstance(entries, list) else "no list of samples"
+        raise InputError(top.file, "entries", found, "at least two samples of a BAM log")
+    samples = [Fields(top.file, f"entries[{k}]", entry) for k, entry in enumerate(entries)]
+    t = np.array([sample.number("timestamp") for sample in samples])
+    decreasing = np.flatnonzero(np.diff(t) <= 0)
+    if decreasing.size:
+        k = int(decreasing[0])
+        raise samples[k + 1].error("timestamp", f"a time after {t[k]:g} s")
     off, stop = _torque(samples)
     command = [_angle(sample, "goal_position") for sample in samples[:off]]
     position = [_angle(sample, "position") for sample in samples]
     read = {name: _optional(samples, name) for name in COLUMNS}
     measured = {name: values[:stop] for name, values in read.items() if values is not None}
-    not_imported = {str(name) for sample in samples for name in sample.content} - {
-        *SAMPLE,
-        *measured,
-    }
-    metadata = _metadata(top) | {"not_imported": sorted(not_imported)}
-    metadata |= import_warnings(_unknown(top, not_imported - set(COLUMNS)))
+    others = {str(name) for sample in samples for name in sample.content} - {*SAMPLE, *measured}
+    unknown = [str(name) for name in top.content if name not in TOP]
+    unknown += [f"entries.{name}" for name in sorted(others - set(COLUMNS))]
+    metadata: dict[str, Any] = {ours: top.text(n) for n, ours in TEXTS.items() if n in top}
+    metadata |= {ours: top.number(name) for name, ours in NUMBERS.items() if name in top}
+    metadata |= {"original_file": Path(path).name, "not_imported": sorted(others)}
+    if unknown:
+        sentence = f"Unknown fields of the log are not read: {', '.join(unknown)}."
+        metadata |= import_warnings([sentence])
     if off < stop:
         metadata["torque_off_from_s"] = float(t[off])
     if stop < t.size:
@@ -72,7 +83,7 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
         command=np.array(command + [math.nan] * (stop - off))[:, None],
         position=np.array(position[:stop])[:, None],
         loads={"j1": load},
-        source=_source(top),
+        source=source,
         columns={COLUMNS[name]: values for name, values in measured.items()},
         metadata=metadata,
     )
@@ -83,56 +94,43 @@ def _top(path: str | os.PathLike[str]) -> Fields:
     content = read_json(path)
     for name in [name for name in content if "-" in name]:
         ours = name.replace("-", "_")
-        if ours in TOP and content.setdefault(ours, content[name]) != content[name]:
-            expected = f"the value of {ours}, {shown(content[ours])}"
-            raise InputError(path, name, shown(content[name]), expected)
         if ours in TOP:
-            del content[name]
+            value = content.pop(name)
+            if content.setdefault(ours, value) != value:
+                expected = f"the value of {ours}, {shown(content[ours])}"
+                raise InputError(path, name, shown(value), expected)
     return Fields(path, "", content)
 
 
-def _unknown(top: Fields, of_samples: set[str]) -> list[str]:
-    """A sentence on fields of the log, and of its samples, that BAM's format does not have."""
-    unknown = [str(name) for name in top.content if name not in TOP]
-    unknown += [f"entries.{name}" for name in sorted(of_samples)]
-    return [f"Unknown fields of the log are not read: {', '.join(unknown)}."] if unknown else []
+def _load(top: Fields) -> tuple[Load, str]:
+    """The load of BAM's test bench, and a description of the log.
 
-
-def _load(top: Fields) -> Load:
-    """A point mass m at the end of a uniform rod of length l, the load of BAM's test bench.
-
-    Inertia: m l^2 + m_arm l^2 / 3. Gravity acts on the rod at half its length, so the point mass
-    at l with the same gravity torque is m + m_arm / 2.
+    A point mass m at the end of a uniform rod of length l has the inertia m l^2 + m_arm l^2 / 3.
+    Gravity acts on the rod at half its length, so the point mass at l with the same gravity torque
+    is m + m_arm / 2.
     """
     mass, arm = top.number("mass", low=0), top.number("arm_mass", 0.0, low=0)
     length = top.number("length", above=0)
     if mass + arm <= 0:
         raise top.error("mass", "a mass above 0, or an arm_mass")
-    return Load((mass + arm / 3) * length**2, mass + arm / 2, length)
-
-
-def _samples(top: Fields) -> list[Fields]:
-    entries = top.content.get("entries")
-    if not isinstance(entries, list) or len(entries) < 2:
-        found = f"{len(entries)} samples" if isinstance(entries, list) else "no list of samples"
-        raise InputError(top.file, "entries", found, "at least two samples of a BAM log")
-    return [Fields(top.file, f"entries[{k}]", entry) for k, entry in enumerate(entries)]
-
-
-def _times(samples: list[Fields]) -> Array:
-    t = np.array([sample.number("timestamp") for sample in samples])
-    decreasing = np.flatnonzero(np.diff(t) <= 0)
-    if decreasing.size:
-        raise samples[decreasing[0] + 1].error("timestamp", f"a time after {t[decreasing[0]]:g} s")
-    return t
+    load = "inertia_kgm2 is mass*length^2: arm and rotor are not in it."
+    if arm > 0:
+        load = "inertia_kgm2 is mass*length^2 + arm_mass*length^2/3, without the rotor; the point "
+        load += "mass mass + arm_mass/2 at that length has the gravity torque of weight and arm."
+    source = (
+        "Log in the format of Rhoban's BAM, Better Actuator Models (github.com/Rhoban/bam); "
+        f"licence not stated in the log. {load} Position 0 is taken to hang straight down. A "
+        "set-point left a few milliseconds, how many was not logged, before its t_s."
+    )
+    return Load((mass + arm / 3) * length**2, mass + arm / 2, length), source
 
 
 def _torque(samples: list[Fields]) -> tuple[int, int]:
     """Index of the first sample with the torque off, and of the first with it on again."""
-    for sample in samples:
-        if not isinstance(sample.content.get("torque_enable"), bool):
+    enabled = [sample.content.get("torque_enable") for sample in samples]
+    for sample, on in zip(samples, enabled, strict=True):
+        if not isinstance(on, bool):
             raise sample.error("torque_enable", "true or false")
-    enabled = [sample.content["torque_enable"] for sample in samples]
     if not enabled[0]:
         raise samples[0].error("torque_enable", "true: a recording starts on its first command")
     off = enabled.index(False) if False in enabled else len(enabled)
@@ -159,21 +157,3 @@ def _optional(samples: list[Fields], name: str) -> Array | None:
     # The XL330's recorder logs a signed 16-bit register as unsigned: -1 is logged as 65535.
     # Resampling interpolates between 0 and 65535, which cannot be undone.
     return None if (values[present] % 1).any() else np.where(negative, values - 2**16, values)
-
-
-def _metadata(top: Fields) -> dict[str, Any]:
-    texts = {ours: top.text(name) for name, ours in TEXTS.items() if name in top}
-    numbers = {ours: top.number(name) for name, ours in NUMBERS.items() if name in top}
-    return {**texts, **numbers, "original_file": Path(top.file).name}
-
-
-def _source(top: Fields) -> str:
-    load = "inertia_kgm2 is mass*length^2: arm and rotor are not in it."
-    if top.number("arm_mass", 0.0) > 0:
-        load = "inertia_kgm2 is mass*length^2 + arm_mass*length^2/3, without the rotor; the point "
-        load += "mass mass + arm_mass/2 at that length has the gravity torque of weight and arm."
-    return (
-        "Log in the format of Rhoban's BAM, Better Actuator Models (github.com/Rhoban/bam); "
-        f"licence not stated in the log. {load} Position 0 is taken to hang straight down. A "
-        "set-point left a few milliseconds, how many was not logged, before its t_s."
-    )

@@ -35,25 +35,19 @@ from sim2real.structured import Fields, finite_number, read_json
 ACTUATORS = Path(__file__).parent / "bam_actuators.json"
 """Supply, firmware gain and its scale, and limits of BAM's servos, from its programs."""
 
-_MOTOR = ("kt", "R", "armature")
 _STRIBECK = ("friction_stribeck", "dtheta_stribeck", "alpha")
-_REQUIRED = {
+_LOAD = ("load_friction_motor", "load_friction_external")
+_M5 = (*_STRIBECK, *_LOAD, *(f"{name}_stribeck" for name in _LOAD))
+_QUADRATIC = tuple(f"{name}_quad" for name in _LOAD)
+_REQUIRED: dict[str, tuple[str, ...]] = {
     "m1": (),
     "m2": _STRIBECK,
     "m3": ("load_friction_base",),
     "m4": (*_STRIBECK, "load_friction_base", "load_friction_stribeck"),
-    "m5": (
-        *_STRIBECK,
-        "load_friction_motor",
-        "load_friction_external",
-        "load_friction_motor_stribeck",
-        "load_friction_external_stribeck",
-    ),
+    "m5": _M5,
+    "m6": (*_M5, *_QUADRATIC),
 }
-_REQUIRED["m6"] = (*_REQUIRED["m5"], "load_friction_motor_quad", "load_friction_external_quad")
 _OPTIONAL = ("q_offset", "error_gain_ratio", "max_velocity", "command_delay")
-_QUADRATIC = ("load_friction_motor_quad", "load_friction_external_quad")
-_QUADRATIC_WHY = "friction that grows with the square of the torque has no counterpart"
 
 
 def is_bam_parameters(content: dict[str, Any]) -> bool:
@@ -61,67 +55,36 @@ def is_bam_parameters(content: dict[str, Any]) -> bool:
     return {"kt", "actuator", "model"} <= content.keys()
 
 
-def read_bam_parameters(
-    path: str | os.PathLike[str],
-    load: Load,
-    *,
-    firmware_gain: float | None = None,
-    supply_V: float | None = None,
-    joint: str = "j1",
-) -> Model:
-    """A model of one joint from a parameter file of BAM (``bam/params/SERVO/M1.json`` to ``M6``).
+def read_bam_parameters(path: str | os.PathLike[str], load: Load) -> Model:
+    """A model of the joint ``j1`` from a parameter file of BAM (``bam/params/SERVO/M1.json``, ...).
 
     Notes of the joint state what the model cannot express.
 
     Args:
         path: The file.
         load: Load on the output shaft. A parameter file states none.
-        firmware_gain: Proportional gain of the firmware; by default that of BAM's program.
-        supply_V: Supply in V; by default that of BAM's program.
-        joint: Name of the joint.
 
     Returns:
-        The model. BAM gives no intervals; ``provenance["servo"]`` has firmware gain and supply.
+        The model. BAM gives no intervals; ``provenance["servo"]`` has the gain of the firmware and
+        the supply in V of BAM's program.
 
     Raises:
         InputError: If a field is missing or invalid, or the servo is not controlled by a voltage.
     """
     fields = Fields(path, "", read_json(path))
-    friction = fields.text("model")
+    friction, actuator = fields.text("model"), fields.text("actuator")
     if friction not in _REQUIRED:
         raise fields.error("model", one_of(friction, list(_REQUIRED)))
-    bench = _bench(fields)
-    gain = firmware_gain or bench.number("firmware_gain")
-    volts = supply_V or bench.number("supply_V")
-    names = (*_MOTOR, "friction_base", "friction_viscous", *_REQUIRED[friction])
-    values = {name: fields.number(name, low=0) for name in names}
-    values |= {name: fields.number(name) for name in _OPTIONAL if name in fields}
-    for name in ("kt", "R", *(("dtheta_stribeck", "alpha") if "alpha" in values else ())):
-        fields.number(name, above=0)
-    model = JointModel(
-        **_gains(values, bench, gain, volts),
-        latency_s=values.get("command_delay", 0.0),
-        inertia_kgm2=load.inertia_kgm2,
-        load=load,
-        law="motor",
-        effects=_effects(values, bench),
-        notes=_not_mapped(fields, values),
-    )
-    servo = {"firmware_gain": gain, "supply_V": volts}
-    return Model({joint: model}, provenance={"servo": servo})
-
-
-def _bench(fields: Fields) -> Fields:
-    """What BAM's program states of a servo."""
     table = Fields(ACTUATORS, "", read_json(ACTUATORS)).table("actuators")
-    name = fields.text("actuator")
-    if name not in table:
-        raise fields.error("actuator", one_of(name, list(table.content)))
-    return table.table(name)
-
-
-def _gains(values: dict[str, float], bench: Fields, gain: float, volts: float) -> dict[str, Any]:
-    """Gains, and parameters of the motor."""
+    if actuator not in table:
+        raise fields.error("actuator", one_of(actuator, list(table.content)))
+    bench = table.table(actuator)  # what BAM's program states of the servo
+    positive = ("kt", "R", *(_STRIBECK[1:] if "alpha" in _REQUIRED[friction] else ()))
+    values = {name: fields.number(name, above=0) for name in positive}
+    for name in ("armature", "friction_base", "friction_viscous", *_REQUIRED[friction]):
+        values[name] = fields.number(name, low=0)
+    values |= {name: fields.number(name) for name in _OPTIONAL if name in fields}
+    gain, volts = bench.number("firmware_gain"), bench.number("supply_V")
     per_volt = values["kt"] / values["R"]
     scale = bench.number("duty_per_gain_rad") * values.get("error_gain_ratio", 1.0)
     kd = values["kt"] * per_volt + values["friction_viscous"]
@@ -139,8 +102,18 @@ def _gains(values: dict[str, float], bench: Fields, gain: float, volts: float) -
         "stribeck_load_friction": values.get("load_friction_external_stribeck", both[1]),
         "stribeck_speed_rad_s": _stribeck_speed(values),
     }
-    kept = {name: value for name, value in motor.items() if value > 0}
-    return {"kp_Nm_per_rad": per_volt * volts * gain * scale, "kd_Nms_per_rad": kd, "motor": kept}
+    model = JointModel(
+        kp_Nm_per_rad=per_volt * volts * gain * scale,
+        kd_Nms_per_rad=kd,
+        latency_s=values.get("command_delay", 0.0),
+        inertia_kgm2=load.inertia_kgm2,
+        load=load,
+        law="motor",
+        motor={name: value for name, value in motor.items() if value > 0},
+        effects=_effects(values, bench, kd),
+        notes=_not_mapped(fields, values),
+    )
+    return Model({"j1": model}, provenance={"servo": {"firmware_gain": gain, "supply_V": volts}})
 
 
 def _stribeck_speed(values: dict[str, float]) -> float:
@@ -151,7 +124,7 @@ def _stribeck_speed(values: dict[str, float]) -> float:
     return area / math.gamma(1.5)
 
 
-def _effects(values: dict[str, float], bench: Fields) -> tuple[FittedEffect, ...]:
+def _effects(values: dict[str, float], bench: Fields, kd: float) -> tuple[FittedEffect, ...]:
     effects: dict[str, dict[str, float]] = {}
     if "friction_stribeck" in values:
         sliding = values["friction_base"]
@@ -163,10 +136,8 @@ def _effects(values: dict[str, float], bench: Fields) -> tuple[FittedEffect, ...
     current = bench.optional_number("largest_current_A")
     if current is not None:
         # The limit is of the motor, so viscous friction, which is part of kd, acts beyond it.
-        kd = values["kt"] ** 2 / values["R"] + values["friction_viscous"]
         beyond = values["friction_viscous"] / kd
-        limit = values["kt"] * current
-        effects["torque_saturation"] = {"limit_Nm": limit, "free_damping": beyond}
+        effects["torque_saturation"] = {"limit_Nm": values["kt"] * current, "free_damping": beyond}
     speed = values.get("max_velocity", bench.optional_number("largest_speed_rad_s"))
     if speed is not None:
         effects["rate_limit"] = {"limit_rad_s": speed}
@@ -183,7 +154,8 @@ def _not_mapped(fields: Fields, values: dict[str, float]) -> tuple[str, ...]:
         )
     for name in _QUADRATIC:
         if values.get(name, 0.0) > 0:
-            notes.append(f"{name} = {values[name]:.3g}: not mapped, {_QUADRATIC_WHY}")
+            why = "friction that grows with the square of the torque has no counterpart"
+            notes.append(f"{name} = {values[name]:.3g}: not mapped, {why}")
     if offset := values.get("q_offset"):
         notes.append(f"q_offset = {offset:.3g} rad: not mapped, it belongs to BAM's bench")
     known = {*values, "model", "actuator"}

@@ -1,15 +1,19 @@
-"""Messages of ROS 1 and ROS 2 bags, read with the package rosbags, and their values."""
+"""Messages of ROS 1 and ROS 2 bags, read with the package rosbags, and the angles in them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
+from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError
 from sim2real.extras import optional
 from sim2real.structured import LARGEST_STREAM_BYTES, check_size
@@ -21,6 +25,11 @@ FLOAT = "std_msgs/msg/Float64"
 CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 STATE_TYPES = (JOINT_STATE, CONTROLLER)
 COMMAND_TYPES = (JOINT_STATE, TRAJECTORY, CONTROLLER, ARRAY, FLOAT)
+
+LARGEST_DELAY_NS = 10**8  # from stamp to receipt, if both are of the same clock
+LARGEST_DISORDER_NS = 10**9  # of stamps of a clock that was not set back
+
+Times = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,25 @@ class Message:
         return tuple(self.content.joint_names) if self.type in (TRAJECTORY, CONTROLLER) else ()
 
 
+@dataclass(frozen=True)
+class Stream:
+    """The N messages of one topic, with the times of sampling or sending.
+
+    Attributes:
+        file: The bag.
+        topic: The topic.
+        messages: The messages.
+        t: Their times in ns, shape (N,).
+        clock: Kind of the times.
+    """
+
+    file: str | os.PathLike[str]
+    topic: str
+    messages: Sequence[Message]
+    t: Times
+    clock: str
+
+
 def read_messages(
     path: str | os.PathLike[str], allowed_types: Mapping[str, tuple[str, ...]]
 ) -> dict[str, list[Message]]:
@@ -70,11 +98,21 @@ def read_messages(
     try:
         # Older ROS 2 bags do not contain the definitions of their messages.
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            _check_topics(path, allowed_types, [(c.topic, c.msgtype) for c in bag.connections])
+            recorded = sorted({(c.topic, c.msgtype) for c in bag.connections})
+            for topic, allowed in allowed_types.items():
+                kinds = [kind for name, kind in recorded if name == topic]
+                if not kinds:
+                    listed = ", ".join(f"{name} ({kind})" for name, kind in recorded) or "none"
+                    expected = f"one of: {listed}"
+                    raise InputError(path, topic, "no such topic in the bag", expected)
+                if not set(kinds) <= set(allowed):
+                    raise InputError(path, topic, ", ".join(kinds), " or ".join(allowed))
             connections = [c for c in bag.connections if c.topic in allowed_types]
             for connection, receive_ns, raw in bag.messages(connections):
                 content: Any = bag.deserialize(raw, connection.msgtype)
-                message = Message(receive_ns, _header_ns(content), connection.msgtype, content)
+                stamp = getattr(getattr(content, "header", None), "stamp", None)
+                header_ns = stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0
+                message = Message(receive_ns, header_ns, connection.msgtype, content)
                 messages[connection.topic].append(message)
     except InputError:
         raise
@@ -85,6 +123,90 @@ def read_messages(
         if not received:
             raise InputError(path, topic, "0 messages", "at least one")
     return messages
+
+
+def streams(
+    file: str | os.PathLike[str], messages: Mapping[str, Sequence[Message]]
+) -> dict[str, Stream]:
+    """The messages of each topic with their times.
+
+    Header stamps if every message of a topic has one, else receive times. If both differ by more
+    than the transmission time of a message, they are of different clocks (simulated time, or
+    another computer), and receive times are used for all topics.
+
+    Raises:
+        InputError: If a clock was set back.
+    """
+    receive = {topic: _ns([m.receive_ns for m in sent]) for topic, sent in messages.items()}
+    header = {topic: _ns([m.header_ns for m in sent]) for topic, sent in messages.items()}
+    stamped = {topic for topic in messages if header[topic].all()}
+    delays = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
+    if stamped != set(messages) and max(delays, default=0) > LARGEST_DELAY_NS:
+        stamped = set()
+    result = {}
+    for topic, sent in messages.items():
+        t, clock = receive[topic], "receive time"
+        if topic in stamped:
+            t, clock = header[topic], "header stamp"
+        back = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
+        if back.size:
+            k, expected = int(back[0]), "a clock never set back"
+            found = f"a time {(t[k] - t[k + 1]) / 1e9:g} s before the previous one"
+            if back.size > 1:
+                found += f", and {back.size} such times"
+                expected += (
+                    ", or one publisher of the topic instead of two with clocks of their own"
+                )
+            raise InputError(file, f"{topic}, message {k + 1}", found, expected)
+        result[topic] = Stream(file, topic, sent, t, clock)
+    return result
+
+
+def _ns(times: list[int]) -> Times:
+    return np.array(times, dtype=np.int64)
+
+
+def joint_series(
+    stream: Stream,
+    joints: Sequence[str],
+    values: Callable[[Message], Mapping[str, float]],
+    *,
+    angles: bool = True,
+) -> dict[str, pd.Series[float]]:
+    """Values of joints in a stream, each by time in ns in order of time.
+
+    NaN, which drivers send for missing values, is omitted.
+
+    Args:
+        stream: Messages and times.
+        joints: The joints.
+        values: Reads the values by joint name out of one message.
+        angles: Whether they are angles in rad, which every joint must have.
+
+    Raises:
+        InputError: If a message is inconsistent, a value too large, or a joint has no angle.
+    """
+    rows = []
+    for k, message in enumerate(stream.messages):
+        try:
+            read = values(message)
+        except ValueError as error:
+            raise InputError(stream.file, f"{stream.topic}, message {k}", *error.args) from None
+        rows.append([read.get(joint, np.nan) for joint in joints])
+    table = np.array(rows, dtype=np.float64)
+    limit = LARGEST_ANGLE_RAD if angles else sys.float_info.max
+    for k, j in np.argwhere(np.abs(table) > limit):
+        place = f"{stream.topic}, message {k}, {joints[j]}"
+        expected = f"a size of at most {limit:.3g} (for angles: radians, not degrees)"
+        raise InputError(stream.file, place, f"{table[k, j]:g}", expected)
+    frame = pd.DataFrame(table, stream.t, list(joints)).sort_index(kind="stable")
+    series = {joint: frame[joint].dropna() for joint in joints if frame[joint].notna().any()}
+    for joint in joints if angles else ():
+        if joint not in series:
+            available = sorted({name for message in stream.messages for name in message.joints})
+            expected = f"one of {', '.join(available)}" if available else "one"
+            raise InputError(stream.file, stream.topic, f"no angle of joint {joint}", expected)
+    return series
 
 
 def measured(message: Message, field: str) -> dict[str, float]:
@@ -134,27 +256,6 @@ def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
     """A point of a controller's state by its present or, if empty, its former name."""
     point = getattr(content, name, None)
     return point if point is not None and len(point.positions) else getattr(content, before, point)
-
-
-def _check_topics(
-    path: str | os.PathLike[str],
-    allowed_types: Mapping[str, tuple[str, ...]],
-    recorded: list[tuple[str, str]],
-) -> None:
-    recorded_topics = (
-        ", ".join(f"{topic} ({kind})" for topic, kind in sorted(set(recorded))) or "none"
-    )
-    for topic, allowed in allowed_types.items():
-        kinds = {kind for name, kind in recorded if name == topic}
-        if not kinds:
-            raise InputError(path, topic, "no such topic in the bag", f"one of: {recorded_topics}")
-        if not kinds <= set(allowed):
-            raise InputError(path, topic, ", ".join(sorted(kinds)), " or ".join(allowed))
-
-
-def _header_ns(content: Any) -> int:  # noqa: ANN401 - rosbags makes a class for each type
-    header = getattr(content, "header", None)
-    return header.stamp.sec * 10**9 + header.stamp.nanosec if header is not None else 0
 
 
 def _by_name(names: Sequence[str], values: Sequence[float], field: str) -> dict[str, float]:

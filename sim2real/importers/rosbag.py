@@ -8,28 +8,23 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.importers.missing import import_warnings
+from sim2real.importers.options import import_warnings
 from sim2real.importers.ros_messages import (
     COMMAND_TYPES,
     STATE_TYPES,
+    Stream,
+    Times,
+    joint_series,
     measured,
     read_messages,
     set_points,
-)
-from sim2real.importers.ros_series import (
-    Series,
-    Stream,
-    Times,
-    angle_series,
-    command_topics,
-    joint_names,
-    joint_series,
     streams,
 )
-from sim2real.importers.ros_sources import check_sources
 from sim2real.recording import Recording
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}
@@ -44,7 +39,7 @@ def read_bag(
     path: str | os.PathLike[str],
     *,
     state_topic: str,
-    command_topic: str | Sequence[str] | Mapping[str, str],
+    command_topic: str | Sequence[str],
     joints: Sequence[str] | None = None,
 ) -> Recording:
     """Read the joint states and commands of a bag as a recording with unknown loads.
@@ -55,7 +50,7 @@ def read_bag(
     states have no command and are omitted, and counted in the metadata. The last row is the last
     state. Joints that a state does not name are missing samples.
 
-    See `ros_series.streams` for the times, and `ros_messages.set_points` for the set-point of a
+    See `ros_messages.streams` for the times, and `ros_messages.set_points` for the set-point of a
     trajectory.
 
     Args:
@@ -65,7 +60,7 @@ def read_bag(
         command_topic: Topic of ``JointState``, ``JointTrajectory``,
             ``JointTrajectoryControllerState`` (its reference) or ``Float64MultiArray`` messages
             (an array is in the order of ``joints``); or a topic for each joint, of ``Float64``
-            for example, in the order of ``joints`` or by joint name.
+            for example, in the order of ``joints``.
         joints: The J joints to read; default: those named in the first command.
 
     Returns:
@@ -75,82 +70,189 @@ def read_bag(
         InputError: If the bag, a topic, a message or a joint is invalid, or two sources write one
             topic.
     """
-    topics = command_topics(path, command_topic, joints)
-    if state_topic in topics:
+    listed = [command_topic] if isinstance(command_topic, str) else list(command_topic)
+    if len(listed) != 1 and len(joints or ()) != len(listed):
+        found = f"{len(joints or ())} joints and {len(listed)} command topics for them"
+        raise InputError(path, "joints", found, "one topic for all or one for each joint")
+    if state_topic in listed:
         raise InputError(path, state_topic, "one topic for states and commands", "two topics")
-    allowed_types = dict.fromkeys(topics, COMMAND_TYPES) | {state_topic: STATE_TYPES}
+    allowed_types = dict.fromkeys(listed, COMMAND_TYPES) | {state_topic: STATE_TYPES}
     bag = streams(path, read_messages(path, allowed_types))
-    names = joint_names(joints, topics, bag, state_topic)
     state = bag[state_topic]
-    position = angle_series(state, names, partial(measured, field="position"))
+    names = _joint_names(joints, bag[listed[0]], state)
+    position = joint_series(state, names, partial(measured, field="position"))
     warnings = check_sources(state, position, commands=False)
-    command: dict[str, Series] = {}
-    for topic, topic_joints in topics.items():
-        topic_names = topic_joints or names
-        sent = angle_series(bag[topic], topic_names, partial(set_points, joints=topic_names))
-        warnings += check_sources(bag[topic], sent, commands=True)
-        command |= sent
-    rows = _rows(state, position, command)
-    columns = {}
-    for field, column in OPTIONAL.items():
-        for name, read in joint_series(state, names, partial(measured, field=field)).items():
-            if read[1].any():  # drivers write 0 for quantities that they do not measure
-                columns[f"{name}.{column}"] = _sampled(rows, read)
+    command: dict[str, pd.Series[float]] = {}
+    for topic in dict.fromkeys(listed):
+        own = names
+        if len(listed) > 1:
+            own = tuple(name for name, one in zip(names, listed, strict=True) if one == topic)
+        of_topic = joint_series(bag[topic], own, partial(set_points, joints=own))
+        warnings += check_sources(bag[topic], of_topic, commands=True)
+        command |= of_topic
+    start = max(values.index[0] for values in command.values())
+    for joint, values in position.items():
+        if values.index[-1] <= start:
+            found = f"no position of {joint} after the first set-points"
+            raise InputError(path, state_topic, found, "states while commands are sent")
+    others = {
+        f"{joint}.{column}": values
+        for field, column in OPTIONAL.items()
+        for joint, values in joint_series(
+            state, names, partial(measured, field=field), angles=False
+        ).items()
+        if values.any()  # drivers write 0 for quantities that they do not measure
+    }
+    angles, sent = _frame(position)[list(names)], _frame(command)[list(names)]
+    rows = angles.index.union(sent.index)
+    sent = sent.reindex(rows).ffill()
+    stop = max(values.index[-1] for values in position.values())
+    rows = rows[sent.notna().all(axis=1) & (rows <= stop)]
+    other_names = {joint for topic in listed for m in bag[topic].messages for joint in m.joints}
+    if rest := sorted(other_names - set(names)):
+        warnings.append(f"Set-points of {', '.join(rest)} are not read: --joints selects.")
     return Recording(
         name=Path(path).stem,
         kind="servo",
         joints=names,
-        t=(rows - rows[0]) / 1e9,
-        command=np.stack([_held(rows, command[name]) for name in names], axis=1),
-        position=np.stack([_sampled(rows, position[name]) for name in names], axis=1),
+        t=(rows.to_numpy() - rows[0]) / 1e9,
+        command=sent.loc[rows].to_numpy(),
+        position=angles.reindex(rows).to_numpy(),
         source=SOURCE,
-        columns=columns,
+        columns={str(name): x.to_numpy() for name, x in _frame(others).reindex(rows).items()},
         metadata={
             "original_file": Path(path).name,
             "state_topic": state_topic,
-            "command_topics": list(topics),
+            "command_topics": list(dict.fromkeys(listed)),
             "clock": {topic: stream.clock for topic, stream in bag.items()},
             "clock_at_start_s": float(rows[0] / 1e9),
             "states_before_first_command": int((state.t < rows[0]).sum()),
-            **import_warnings(warnings + _not_read(topics, bag, names)),
+            **import_warnings(warnings),
         },
     )
 
 
-def _not_read(
-    topics: Mapping[str, Sequence[str]], bag: Mapping[str, Stream], names: Sequence[str]
+def _frame(series: Mapping[str, pd.Series[float]]) -> pd.DataFrame:
+    """One column for each joint, with the last of several values of one time."""
+    return pd.DataFrame({n: x[~x.index.duplicated(keep="last")] for n, x in series.items()})
+
+
+def _joint_names(joints: Sequence[str] | None, first: Stream, state: Stream) -> tuple[str, ...]:
+    """The requested joints, else those named in the first command, else the only one of a state."""
+    state_joints = state.messages[0].joints
+    names = tuple(joints or first.messages[0].joints)
+    if not names and len(state_joints) == 1:
+        return state_joints
+    if not names:
+        expected = f"names in the order of the set-points on {first.topic}, of "
+        raise InputError(first.file, "joints", "none named", expected + ", ".join(state_joints))
+    if len(set(names)) != len(names):
+        raise InputError(first.file, "joints", ", ".join(names), "each name once")
+    return names
+
+
+def check_sources(
+    stream: Stream,
+    series: Mapping[str, pd.Series[float]],
+    *,
+    commands: bool,
+    fewest: int = 5,
+    warned: float = 0.01,
+    most_warned: float = 0.1,
 ) -> list[str]:
-    """Sentences on joints with set-points that the recording lacks."""
-    sent = {
-        joint for topic in topics for message in bag[topic].messages for joint in message.joints
-    }
-    rest = sorted(sent - set(names))
-    return [f"Set-points of {', '.join(rest)} are not read: --joints selects."] if rest else []
+    """Check that the angles of each joint on a topic are of one source.
+
+    An angle that lies apart from those before and after it, which agree, contradicts them. Two
+    sources are certain where such messages come within a quarter of the usual interval of another
+    (equal stamps), at every second, third ... place throughout, or form a moving series of their
+    own. Joints that are moved near half the sampling rate, and set-points that are sent as steps,
+    do none of these.
+
+    Args:
+        stream: The messages.
+        series: Angles in rad of each joint by time in ns, in order of time.
+        commands: Whether they are set-points, which may jump to and fro by themselves.
+        fewest: Fewest contradictions that are not left to chance.
+        warned: Share of contradictions that may be failed readings.
+        most_warned: Largest such share; with more, no result would be right.
+
+    Returns:
+        Sentences on what may be a second source, or failed readings.
+
+    Raises:
+        InputError: If two sources write the topic, or too many angles contradict others.
+    """
+    warnings = []
+    for joint, values in series.items():
+        t: Times = np.asarray(values.index, np.int64)
+        angles: Array = np.asarray(values, np.float64)
+        apart, size = _contradictions(angles)
+        two = apart.size >= fewest and _of_two_sources(t, angles, apart, size, commands)
+        share = 0.0 if commands or apart.size < fewest else apart.size / angles.size
+        if two or share > warned:
+            why = "two publishers" if two else "two publishers, or failed readings"
+            found = (
+                f"{apart.size} of {angles.size} angles of {joint} apart from those before and "
+                f"after them (the first {size[0]:.2g} rad, {(t[apart[0]] - t[0]) / 1e9:.4g} s "
+                f"after the first message): {why}"
+            )
+            if two or share > most_warned:
+                expected = (
+                    f"messages of one source (ros2 topic info --verbose {stream.topic} lists the "
+                    "publishers): record again with one, or remove the messages of the other"
+                )
+                raise InputError(stream.file, stream.topic, found, expected)
+            warnings.append(f"{stream.topic}: {found}.")
+        same = np.flatnonzero((np.diff(t) == 0) & (np.abs(np.diff(angles)) > 1e-6))
+        if same.size > 1:
+            largest = float(np.abs(np.diff(angles))[same].max())
+            warnings.append(
+                f"{stream.topic}: {same.size} messages have the same time as the previous one and "
+                f"another angle of {joint}, up to {largest:.2g} rad apart, the first "
+                f"{(t[same[0]] - t[0]) / 1e9:.4g} s after the first message: two publishers of the "
+                "topic, or coarse stamps. The last one is imported."
+            )
+    return warnings
 
 
-def _rows(state: Stream, position: Mapping[str, Series], command: Mapping[str, Series]) -> Times:
-    """Times in ns, shape (T,), of the states and commands that the recording has rows for."""
-    start = max(t[0] for t, _ in command.values())
-    for joint, (t, _) in position.items():
-        if t[-1] <= start:
-            found = f"no position of {joint} after the first set-points"
-            raise InputError(state.file, state.topic, found, "states while commands are sent")
-    stop = max(t[-1] for t, _ in position.values())
-    rows: Times = np.unique(np.concatenate([t for t, _ in (*position.values(), *command.values())]))
-    selected: Times = rows[(rows >= start) & (rows <= stop)]
-    return selected
+def _contradictions(angles: Array, least_rad: float = 0.02) -> tuple[NDArray[np.intp], Array]:
+    """Places of angles apart from both neighbours, which agree, and their distances in rad.
+
+    A distance is at least ``least_rad``, several counts of coarse encoders.
+    """
+    if angles.size < 3:
+        return np.empty(0, np.intp), np.empty(0)
+    before, after = angles[1:-1] - angles[:-2], angles[1:-1] - angles[2:]
+    size = np.minimum(np.abs(before), np.abs(after))
+    agree = np.abs(angles[2:] - angles[:-2])
+    least = max(8 * float(np.quantile(agree, 0.25)), least_rad)  # above noise, and common motion
+    apart = (before * after > 0) & (size > np.maximum(5 * agree, least))
+    return np.flatnonzero(apart) + 1, size[apart]
 
 
-def _held(rows: Times, read: Series) -> Array:
-    """The last value at or before each row, shape (T,)."""
-    t, values = read
-    return values[np.searchsorted(t, rows, side="right") - 1]
+def _of_two_sources(
+    t: Times,
+    angles: Array,
+    apart: NDArray[np.intp],
+    size: Array,
+    commands: bool,
+    fastest_commands_s: float = 0.03,
+) -> bool:
+    """Whether messages ``apart`` from their neighbours can only be of a second source.
 
-
-def _sampled(rows: Times, read: Series) -> Array:
-    """The values at their rows and NaN elsewhere, shape (T,)."""
-    t, values = read
-    present = np.isin(t, rows)
-    sampled = np.full(rows.size, np.nan)
-    sampled[np.searchsorted(rows, t[present])] = values[present]
-    return sampled
+    Set-points that alternate at shorter intervals than ``fastest_commands_s`` are of two.
+    """
+    steps = np.diff(t) / 1e9
+    usual = float(np.quantile(steps, 0.75))
+    nearest = np.minimum(steps[apart - 1], steps[apart])
+    if float(np.mean(nearest <= 0.25 * usual)) > 0.5:
+        return True
+    places = np.diff(apart)
+    every = int(np.median(places))
+    regular = float(np.mean(places == every)) > 0.8 and every * apart.size > 0.3 * angles.size
+    if regular and (not commands or usual < fastest_commands_s):
+        return True
+    theirs = angles[apart]
+    moves = float(np.subtract(*np.quantile(theirs, [0.75, 0.25]))) > 0.02
+    own = float(np.median(np.abs(np.diff(theirs)))) < 0.2 * float(np.median(size))
+    return not commands and moves and own

@@ -22,14 +22,13 @@ from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.csv_columns import LARGEST_FILE_BYTES
 from sim2real.errors import InputError, shown
-from sim2real.importers.units import ANGLES, SECONDS_PER, Conversion
+from sim2real.importers.options import ANGLES, MAP, SECONDS_PER, Conversion, check_increasing
 from sim2real.recording import Recording
 from sim2real.structured import check_size
 
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
 COMMENTS = ("#", "//", "%")
-MAP = "t=COLUMN J.command=COLUMN J.position=COLUMN ..."
 
 
 def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
@@ -49,13 +48,10 @@ def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
             expected = f"t, supply_V or J. and one of {', '.join((*ANGLES, *OTHERS))}"
             raise InputError("--columns", "", repr(ours), expected)
         columns[ours] = theirs
-    joints = _joints(columns)
-    lacking = [
-        name for name in ["t", *(f"{j}.{q}" for j in joints for q in ANGLES)] if name not in columns
-    ]
-    if lacking or not joints:
-        missing = lacking[0] if lacking else "a joint"
-        raise InputError("--columns", "", f"nothing for {missing}", MAP)
+    names = [f"{joint}.{quantity}" for joint in _joints(columns) for quantity in ANGLES]
+    lacking = [name for name in ("t", *(names or ["a joint"])) if name not in columns]
+    if lacking:
+        raise InputError("--columns", "", f"nothing for {lacking[0]}", MAP)
     return columns
 
 
@@ -87,13 +83,12 @@ def read_table(
     if time_unit not in SECONDS_PER:
         found = "nothing" if time_unit is None else repr(time_unit)
         raise InputError("--time-unit", "", found, f"one of {', '.join(SECONDS_PER)}")
-    read = _npz if file.suffix == ".npz" else _csv
-    table, form = read(file, columns)
+    if file.suffix == ".npz":
+        table, form = _npz(file, columns), ""
+    else:
+        table, form = _csv(file, columns)
     t = (table["t"] - table["t"][0]) * SECONDS_PER[time_unit]
-    decreasing = np.flatnonzero(~(np.diff(t) > 0))
-    if decreasing.size:
-        found = f"{t[decreasing[0] + 1]:g} s after {t[decreasing[0]]:g} s"
-        raise InputError(file, f"row {decreasing[0] + 2} of the data", found, "times that increase")
+    check_increasing(file, t, "row {} of the data", 1)
     joints = _joints(columns)
     conversion.check_joints(joints)
     sent, measured = (
@@ -104,17 +99,18 @@ def read_table(
     if measured_at.size < 2:
         found = f"{measured_at.size} rows with angles"
         raise InputError(file, "positions", found, "two or more")
-    where, unit_s = f"--time-unit {time_unit}", SECONDS_PER[time_unit]
-    check_sampling(file, measured_at, where=where, unit_s=unit_s)
+    where = f"--time-unit {time_unit}"
+    check_sampling(file, measured_at, where=where, unit_s=SECONDS_PER[time_unit])
     sent = pd.DataFrame(sent).ffill().to_numpy()
     started = np.isfinite(sent).all(axis=1)
     if started.sum() < 2:
         raise InputError(file, "commands", f"{started.sum()} rows with set-points", "two or more")
     first = int(np.flatnonzero(started)[0])
     others = {
-        name: table[name][first:] for name in columns if name.rpartition(".")[2] not in ANGLES
+        name: table[name][first:]
+        for name in columns
+        if name != "t" and name.rpartition(".")[2] not in ANGLES
     }
-    others.pop("t")
     return Recording(
         name=file.stem,
         kind="servo",
@@ -248,37 +244,32 @@ def _numbers(file: Path, theirs: str, cells: pd.Series, comma: bool) -> Array:
     return values
 
 
-def _npz(file: Path, columns: Mapping[str, str]) -> tuple[dict[str, Array], str]:
-    """The columns of an archive; there is nothing to say about its format."""
+def _npz(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
+    """The columns of an archive: arrays ``NAME``, or columns ``NAME[K]`` of one."""
     stored = read_arrays(file, "an .npz archive", what="arrays of numbers")
-    try:
-        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in stored.items()}
-    except (TypeError, ValueError) as error:
-        raise InputError(file, "", f"no arrays of numbers ({error})", "an .npz archive") from None
-    read = {ours: _array(file, arrays, theirs) for ours, theirs in columns.items()}
-    for ours, values in read.items():
+    read = {}
+    for ours, theirs in columns.items():
+        name, _, index = theirs.removesuffix("]").partition("[")
+        if name not in stored:
+            raise InputError(file, "", f"no array {name}", f"one of {', '.join(stored)}")
+        try:
+            values = np.asarray(stored[name], dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            found = f"no arrays of numbers ({error})"
+            raise InputError(file, "", found, "an .npz archive") from None
+        wide = values.shape[1] if values.ndim == 2 else 0
+        if values.ndim == 2 and index.isdecimal() and int(index) < wide:
+            values = values[:, int(index)]
+        elif values.ndim != 1 or index:
+            shape = " x ".join(str(n) for n in values.shape)
+            expected = f"{name}[K] with K below {wide}"
+            raise InputError(file, theirs, f"an array of {shape}", expected)
         if (infinite := np.flatnonzero(np.isinf(values))).size:
-            place = f"row {infinite[0] + 1} of the data, {columns[ours]}"
+            place = f"row {infinite[0] + 1} of the data, {theirs}"
             raise InputError(file, place, f"{values[infinite[0]]}", "a number or NaN")
+        read[ours] = values
     rows = {values.size for values in read.values()}
     if len(rows) > 1 or rows.pop() < 2:
         sizes = ", ".join(f"{columns[ours]}: {values.size}" for ours, values in read.items())
         raise InputError(file, "", f"rows: {sizes}", "as many in each, at least two")
-    return read, ""
-
-
-def _array(file: Path, arrays: Mapping[str, Array], place: str) -> Array:
-    """The column of an array ``NAME`` or ``NAME[K]``."""
-    parts = re.fullmatch(r"(.*?)(?:\[(\d+)\])?", place)
-    name, index = (parts[1], parts[2]) if parts else (place, None)
-    if name not in arrays:
-        raise InputError(file, "", f"no array {name}", f"one of {', '.join(arrays)}")
-    values = arrays[name]
-    if values.ndim == 1 and index is None:
-        return values
-    if values.ndim == 2 and index is not None and int(index) < values.shape[1]:
-        column: Array = values[:, int(index)]
-        return column
-    shape = " x ".join(str(n) for n in values.shape)
-    expected = f"{name}[K] with K below {values.shape[-1] if values.ndim == 2 else 0}"
-    raise InputError(file, place, f"an array of {shape}", expected)
+    return read

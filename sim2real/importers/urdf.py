@@ -12,7 +12,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.errors import InputError, shown
-from sim2real.importers.chain import Body, Hinge, Tree
+from sim2real.importers.robots import Body, Hinge, Tree
 from sim2real.structured import read_text
 
 _LARGEST = 1e9
@@ -40,37 +40,28 @@ def read_urdf(path: str | os.PathLike[str]) -> Tree:
     root = _root(file)
     links = {_name(file, link): link for link in root.findall("link")}
     above: dict[str, Element] = {}
+    parents: dict[str, str] = {}
     for joint in root.findall("joint"):
         child = _end(file, joint, "child", links)
-        _end(file, joint, "parent", links)
+        parent = _end(file, joint, "parent", links)
         if child in above:
             raise InputError(file, f"link {child}", "two joints that it hangs on", "one")
-        above[child] = joint
-    frames = _frames(file, links, above)
-    bodies = {
-        name: _body(file, links[name], _end(file, above[name], "parent", links), *frame)
-        if name in above
-        else _body(file, links[name], "", *frame)
-        for name, frame in frames.items()
-    }
-    hung = {name: above[name] for name in frames if name in above}
-    left_out = [
-        f"{_name(file, joint)}: a {joint.get('type')} joint: taken for stiff"
-        for joint in hung.values()
-        if joint.get("type") not in (*TURNS, "fixed")
-    ]
-    left_out += [
-        f"{_name(file, joint)}: {what}: not taken"
-        for joint in hung.values()
-        for tag, what in NOT_TAKEN.items()
-        if joint.find(tag) is not None and joint.get("type") in TURNS
-    ]
-    hinges = [
-        _hinge(file, joint, body, *frames[body])
-        for body, joint in hung.items()
-        if joint.get("type") in TURNS
-    ]
-    return Tree(str(file), root.get("name", "robot"), bodies, hinges, tuple(left_out))
+        above[child], parents[child] = joint, parent
+    frames = _frames(file, [*links], above, parents)
+    bodies, hinges, left_out, not_taken = {}, [], [], []
+    for name, frame in frames.items():
+        bodies[name] = _body(file, links[name], parents.get(name, ""), *frame)
+        if name not in above:
+            continue
+        joint, kind = above[name], above[name].get("type")
+        if kind in TURNS:
+            hinges.append(_hinge(file, joint, name, *frame))
+            here = [what for tag, what in NOT_TAKEN.items() if joint.find(tag) is not None]
+            not_taken += [f"{_name(file, joint)}: {what}: not taken" for what in here]
+        elif kind != "fixed":
+            left_out.append(f"{_name(file, joint)}: a {kind} joint: taken for stiff")
+    title = root.get("name", "robot")
+    return Tree(str(file), title, bodies, hinges, (*left_out, *not_taken))
 
 
 def _root(file: Path) -> Element:
@@ -86,20 +77,19 @@ def _root(file: Path) -> Element:
     return root
 
 
-def _frames(file: Path, links: dict[str, Element], above: dict[str, Element]) -> dict[str, Frame]:
+def _frames(
+    file: Path, links: list[str], above: dict[str, Element], parents: dict[str, str]
+) -> dict[str, Frame]:
     """Frame of each link with every joint at 0, parents before their children."""
     bases = [name for name in links if name not in above]
     if len(bases) != 1:
         raise InputError(file, "link", f"{len(bases)} links that hang on no joint", "one")
-    below: dict[str, list[str]] = {name: [] for name in links}
-    for child, joint in above.items():
-        below[_end(file, joint, "parent", links)].append(child)
     frames: dict[str, Frame] = {}
     waiting: list[tuple[str, Frame]] = [(bases[0], (np.zeros(3), np.eye(3)))]
     while waiting:
         name, (place, turned) = waiting.pop()
         frames[name] = place, turned
-        for child in reversed(below[name]):
+        for child in reversed([child for child, parent in parents.items() if parent == name]):
             offset, rotation = _origin(file, above[child])
             waiting.append((child, (place + turned @ offset, turned @ rotation)))
     if len(frames) != len(links):
@@ -126,52 +116,50 @@ def _body(file: Path, link: Element, parent: str, place: Array, turned: Array) -
 
 def _hinge(file: Path, joint: Element, body: str, place: Array, turned: Array) -> Hinge:
     name = _name(file, joint)
-    element = joint.find("axis")
-    axis = np.array([1.0, 0.0, 0.0]) if element is None else _vector(file, element, "xyz", name)
+    axis = _vector(file, joint.find("axis"), "xyz", name, "1 0 0")
     size = float(np.linalg.norm(axis))
     if size < 1e-9:
         raise InputError(file, f"joint {name}, axis", "a vector of no length", "a direction")
-    limit = joint.find("limit")
-    ends = torque = speed = None
-    if limit is not None:
-        torque = _number(file, limit, "effort", f"joint {name}, limit", 0.0) or None
-        speed = _number(file, limit, "velocity", f"joint {name}, limit", 0.0) or None
-        low, high = (
-            _number(file, limit, end, f"joint {name}, limit", 0.0) for end in ("lower", "upper")
-        )
-        ends = (low, high) if low < high and joint.get("type") == "revolute" else None
-    return Hinge(name, body, turned @ axis / size, place, ends, torque, speed)
+    low, high, torque, speed = (
+        _number(file, joint.find("limit"), end, f"joint {name}, limit", 0.0, math.inf)
+        for end in ("lower", "upper", "effort", "velocity")  # of which many are placeholders
+    )
+    ends = (low, high) if low < high and joint.get("type") == "revolute" else None
+    return Hinge(name, body, turned @ axis / size, place, ends, torque or None, speed or None)
 
 
 def _origin(file: Path, element: Element) -> Frame:
     """Place and rotation of an element; roll, pitch and yaw turn about fixed axes in that order."""
-    origin = element.find("origin")
-    if origin is None:
-        return np.zeros(3), np.eye(3)
-    name = element.get("name", element.tag)
-    (a, b, c) = _vector(file, origin, "rpy", name)
-    sines, cosines = np.sin([a, b, c]), np.cos([a, b, c])
-    roll = np.array([[1, 0, 0], [0, cosines[0], -sines[0]], [0, sines[0], cosines[0]]])
-    pitch = np.array([[cosines[1], 0, sines[1]], [0, 1, 0], [-sines[1], 0, cosines[1]]])
-    yaw = np.array([[cosines[2], -sines[2], 0], [sines[2], cosines[2], 0], [0, 0, 1]])
-    return _vector(file, origin, "xyz", name), yaw @ pitch @ roll
+    from scipy.spatial.transform import Rotation
+
+    origin, name = element.find("origin"), element.get("name", element.tag)
+    angles = _vector(file, origin, "rpy", name)
+    return _vector(file, origin, "xyz", name), Rotation.from_euler("xyz", angles).as_matrix()
 
 
-def _vector(file: Path, element: Element, name: str, where: str) -> Array:
-    words = element.get(name, "0 0 0").split()
+def _vector(
+    file: Path, element: Element | None, name: str, where: str, default: str = "0 0 0"
+) -> Array:
+    if element is None:
+        return np.array(default.split(), dtype=np.float64)
+    text = element.get(name, "0 0 0")
     try:
-        values = np.array([float(word) for word in words])
+        values = np.array([float(word) for word in text.split()])
     except ValueError:
         values = np.empty(0)
     if values.size != 3 or not (np.abs(values) <= _LARGEST).all():
-        found = shown(element.get(name))
         expected = f"three numbers within {_LARGEST:g}"
-        raise InputError(file, f"{where}, {element.tag} {name}", found, expected)
+        raise InputError(file, f"{where}, {element.tag} {name}", shown(text), expected)
     return values
 
 
 def _number(
-    file: Path, element: Element | None, name: str, where: str, default: float | None = None
+    file: Path,
+    element: Element | None,
+    name: str,
+    where: str,
+    default: float | None = None,
+    largest: float = _LARGEST,
 ) -> float:
     text = None if element is None else element.get(name)
     if text is None and default is not None:
@@ -180,9 +168,8 @@ def _number(
         value = float(text or "")
     except ValueError:
         value = np.nan
-    limit = math.inf if where.endswith("limit") else _LARGEST  # of which many are placeholders
-    if not math.isfinite(value) or abs(value) > limit:
-        expected = "a number" if limit == math.inf else f"a number within {limit:g}"
+    if not math.isfinite(value) or abs(value) > largest:
+        expected = "a number" if largest == math.inf else f"a number within {largest:g}"
         raise InputError(file, f"{where} {name}", shown(text) if text else "nothing", expected)
     return value
 

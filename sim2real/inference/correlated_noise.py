@@ -16,6 +16,13 @@ from sim2real.arrays import Array, Mask
 MEMORY_S = 0.5
 """Time span of the autoregression of the noise."""
 FEWEST_LAGS, MOST_LAGS = 4, 25
+_FIXED_B = (
+    (0.80, 1.2816, 1.3040, 0.5135, -0.3386),
+    (0.90, 1.6449, 2.1859, 0.3142, -0.3427),
+    (0.95, 1.9600, 2.9694, 0.4160, -0.5324),
+    (0.98, 2.3263, 4.1618, 0.5368, -0.9060),
+)
+"""Probability of an interval, and the coefficients of its critical value as a polynomial of b."""
 _WINDOW_TIMES = 5.0
 """Autocorrelation times over which autocorrelations are summed (Sokal)."""
 
@@ -172,14 +179,16 @@ def bandwidth(samples: int, time: float) -> int:
     return int(np.clip(np.ceil(max(3 * time, least)), 1, max(samples // 4, 1)))
 
 
-def fixed_b(span: float, samples: float) -> float:
-    """Factor by which a 90 % interval widens for the bias and uncertainty of ``long_run``.
+def fixed_b(span: float, samples: float, level: float) -> float:
+    """Factor by which an interval widens for the bias and uncertainty of ``long_run``.
 
     The critical value of a t-test whose lags are a share b of the samples, over that for b = 0:
-    Kiefer and Vogelsang, Econometric Theory 21 (2005) 1130-1164, table 1, Bartlett weights.
+    Kiefer and Vogelsang, Econometric Theory 21 (2005) 1130-1164, table 1, Bartlett weights;
+    between the probabilities of the table interpolated, beyond them that of the nearest.
     """
     b = min(span / max(samples, 1.0), 1.0)
-    return (1.6449 + 2.1859 * b + 0.3142 * b**2 - 0.3427 * b**3) / 1.6449
+    factors = [1 + (c1 * b + c2 * b**2 + c3 * b**3) / c0 for _, c0, c1, c2, c3 in _FIXED_B]
+    return float(np.interp(level, [row[0] for row in _FIXED_B], factors))
 
 
 def long_run(score: Array, span: int) -> Array:

@@ -22,8 +22,6 @@ _DAMPING = 1e-6, 1e6
 """Smallest damping, and damping above which a search ends."""
 _LARGEST_STEP = 3.0
 """Longest step of a parameter, in units."""
-_SAME_SCALE = 0.05
-"""Relative change of the scale below which robust rounds end."""
 
 
 @dataclass(frozen=True)
@@ -280,56 +278,6 @@ def stacked(expansions: Sequence[Expansion]) -> Expansion:
     return Expansion(loss, slope, curvature, {})
 
 
-def minimise_robustly(
-    residuals: Callable[[Array], tuple[Array, Array]],
-    start: Array,
-    low: Array,
-    high: Array,
-    *,
-    rounds: int = 3,
-    evaluations: int = 60,
-    settled: float = 1e-9,
-) -> tuple[Array, bool]:
-    """Least squares, then robust rounds (soft L1) in which the scale is estimated again.
-
-    Args:
-        residuals: Residuals (n,) and their derivatives (n, F) at a point (F,).
-        start: Starting point, in units, shape (F,).
-        low: Smallest values, likewise.
-        high: Largest values, likewise.
-        rounds: Largest number of robust rounds after the first one.
-        evaluations: Largest number of evaluations in one round.
-        settled: Expected gain, relative to the scale, below which a search ends.
-
-    Returns:
-        The minimum, shape (F,), and whether the search converged to it.
-    """
-    point, converged, scale = start, True, 0.0
-    cache: dict[bytes, tuple[Array, Array]] = {}
-
-    def evaluate(x: Array) -> tuple[Array, Array]:
-        key = x.tobytes()
-        if key not in cache:
-            cache.clear()
-            cache[key] = residuals(x)
-        return cache[key]
-
-    for number in range(rounds + 1):
-        before, scale = scale, robust_scale(evaluate(point)[0])
-        if number > 1 and abs(scale / before - 1) < _SAME_SCALE:
-            break
-        limit = OUTLIER_SD if number else np.inf
-
-        def expand(x: Array, _: Index, limit: float = limit, scale: float = scale) -> Expansion:
-            error, slope = evaluate(x[0])
-            return expansion(error / scale, slope / scale, limit)
-
-        box = low[None], high[None]
-        minimum = minimise(expand, point[None], *box, evaluations=evaluations, settled=settled)
-        point, converged = minimum.x[0], bool(minimum.converged[0])
-    return point, converged
-
-
 def rms(errors: Sequence[Array]) -> float:
     """Root mean square over all arrays; 0 where there is no sample, infinite where it overflows."""
     count = sum(error.size for error in errors)
@@ -337,11 +285,11 @@ def rms(errors: Sequence[Array]) -> float:
         return float(np.sqrt(sum(np.sum(error**2) for error in errors) / max(count, 1)))
 
 
-def robust_loss(error: Array, scale: float) -> float:
-    """Soft L1 loss of residuals, nearly their sum of squares if none exceeds ``scale``."""
+def robust_loss(error: Array, scale: float) -> Array:
+    """Soft L1 loss of residuals (..., n), nearly their sum of squares if none exceeds ``scale``."""
     if np.isinf(scale):
-        return float(np.sum(error**2))
-    return float(np.sum(np.sqrt(1 + (error / scale) ** 2) - 1)) * 2 * scale**2
+        return np.asarray(np.sum(error**2, axis=-1))
+    return np.asarray(np.sum(np.sqrt(1 + (error / scale) ** 2) - 1, axis=-1)) * 2 * scale**2
 
 
 def robust_scale(error: Array) -> float:

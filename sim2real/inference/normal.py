@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+LEVEL = 0.9
+"""Probability of intervals unless another one is asked for."""
 Z90 = 1.645
 """Half-width of a 90 % interval, in standard deviations; its ends are the quantiles 5 and 95 %."""
 NINE_IN_TEN = 1.28

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array
 from sim2real.units import unit_of
-
-_INSIDE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -50,6 +48,9 @@ class Parameter:
 
     def __str__(self) -> str:
         """Description of its prior."""
+        if np.isfinite(self.prior_sd) and self.log:
+            middle, factor = np.exp([self.nominal, self.prior_sd])
+            return f"log-normal {middle:.4g} {self.unit}, a factor of {factor:.3g}"
         if np.isfinite(self.prior_sd):
             return f"normal {self.nominal:.4g} ± {self.prior_sd:.4g} {self.unit}".rstrip()
         kind = "log-uniform" if self.log else "uniform"
@@ -59,67 +60,6 @@ class Parameter:
 def column(parameters: Sequence[Parameter], field: str) -> Array:
     """One field of each of F parameters, shape (F,)."""
     return np.array([getattr(p, field) for p in parameters], dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Independent priors of F bounded parameters, in unbounded coordinates.
-
-    The coordinate is z = log(s / (1 - s)), where s, between 0 and 1, is the position of the value,
-    or of its logarithm, between ``low`` and ``high``.
-    """
-
-    each: Sequence[Parameter]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters, in order."""
-        return tuple(parameter.name for parameter in self.each)
-
-    @property
-    def _ends(self) -> tuple[Array, Array, Mask]:
-        log = np.array([p.log for p in self.each])
-        ends = np.array([[p.low, p.high] for p in self.each])
-        scaled = np.where(log[:, None], np.log(np.where(log[:, None], ends, 1.0)), ends)
-        return scaled[:, 0], scaled[:, 1], log
-
-    def values(self, z: Array) -> Array:
-        """Values of the parameters at coordinates ``z`` (..., F)."""
-        low, high, log = self._ends
-        scaled = low + (high - low) * _share(z)
-        return np.where(log, np.exp(np.where(log, scaled, 0.0)), scaled)
-
-    def coordinates(self, values: Array) -> Array:
-        """Coordinates of ``values`` (..., F); values at or beyond a bound are moved inside."""
-        low, high, log = self._ends
-        scaled = np.where(log, np.log(np.maximum(np.where(log, values, 1.0), 1e-300)), values)
-        share = np.clip((scaled - low) / (high - low), _INSIDE, 1 - _INSIDE)
-        return np.asarray(np.log(share) - np.log1p(-share))
-
-    def slope(self, z: Array) -> Array:
-        """Derivative of each value by its coordinate at ``z`` (..., F)."""
-        low, high, log = self._ends
-        share = _share(z)
-        steep = (high - low) * share * (1 - share)
-        return np.where(log, steep * self.values(z), steep)
-
-    def curvature(self, z: Array) -> Array:
-        """Minus the second derivative of ``log_density`` by each coordinate ``z`` (..., F)."""
-        share = _share(z)
-        return np.asarray(2 * share * (1 - share))
-
-    def log_density(self, z: Array) -> Array:
-        """Log-density of the coordinates ``z`` (..., F), shape (...): logistic for each."""
-        return np.asarray(-(np.logaddexp(0.0, z) + np.logaddexp(0.0, -z)).sum(axis=-1))
-
-    def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Values drawn from the priors, shape (count, F)."""
-        share = rng.random((count, len(self.each)))
-        return self.values(np.log(share) - np.log1p(-share))
-
-
-def _share(z: Array) -> Array:
-    return np.asarray(0.5 * (1 + np.tanh(0.5 * z)))
 
 
 @dataclass(frozen=True)

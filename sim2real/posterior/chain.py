@@ -212,7 +212,7 @@ def _check(chain: Chain) -> None:
         ("log_density", chain.log_density.shape, (N, W)),
         ("accepted", chain.accepted.shape, (W,)),
     ]
-    sizes = {"centre": (F,), "factor": (F, F), "noise_sd": ()}
+    sizes = {"centre": (F,), "factor": (F, F), "spread": (F, F), "noise": (2,)}
     shapes += [(k, v.shape, sizes[k]) for k, v in chain.origin.items() if k in sizes]
     for name, found, expected in shapes:
         if found != expected:

@@ -74,7 +74,7 @@ class Posteriors(NotebookDisplay):
         columns, units = {}, {}
         for joint, servo in self.joints.items():
             values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
-            for k, prior in enumerate(servo.priors.each):
+            for k, prior in enumerate(servo.parameters):
                 columns[f"{joint}.{prior.name}"] = values[:, :, k].T
                 units[f"{joint}.{prior.name}"] = prior.unit
         if len({column.shape[0] for column in columns.values()}) > 1:
@@ -111,7 +111,7 @@ def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator)
     ]
     return JointSample(
         names=tuple(f"{joint}.{name}" for joint, servo in servos.items() for name in servo.names),
-        units=tuple(prior.unit for servo in servos.values() for prior in servo.priors.each),
+        units=tuple(prior.unit for servo in servos.values() for prior in servo.parameters),
         values=np.concatenate(columns, axis=1),
     )
 

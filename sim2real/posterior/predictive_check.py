@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sim2real.arrays import Array
+from sim2real.identification.search import fit
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel
-from sim2real.posterior.likelihood import loaded
-from sim2real.posterior.servo import ServoPosterior
+from sim2real.posterior.servo import ServoPosterior, loaded, normal_draws
 from sim2real.servo.rollout import rollout_on
 from sim2real.servo.trace import Trace
 
@@ -50,28 +50,34 @@ class PredictiveCheck:
 
 
 def predictive_check(
-    posterior: ServoPosterior, joint: JointModel, held_out: Trace, rng: np.random.Generator
+    posterior: ServoPosterior,
+    joint: JointModel,
+    fitted: Sequence[Trace],
+    held_out: Trace,
+    rng: np.random.Generator,
 ) -> PredictiveCheck:
-    """Predict a recording with draws of the posterior and compare it with the measured angles.
+    """Predict a recording with a fit to others and compare it with the measured angles.
 
-    Noise is added to every prediction, with the root mean square of the residual of the fit.
-    Source: Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807.
+    The parameters are drawn from the normal distribution of a fit without the recording; noise is
+    added to every prediction, with the root mean square of the residual of that fit. Source:
+    Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807.
 
     Args:
-        posterior: The posterior.
+        posterior: The posterior from all recordings.
         joint: Its model.
-        held_out: A trace whose ``used`` samples were not fitted.
+        fitted: Traces to fit.
+        held_out: A trace whose ``used`` samples are not fitted.
         rng: Generator for draws and noise.
     """
     trace = loaded(held_out, joint)
-    values = posterior.values[rng.choice(posterior.values.shape[0], DRAWS, replace=True)]
-    optimum = posterior.data.theta(posterior.optimum[None])
-    residuals = [
-        (rollout_on(fitted, optimum)[0] - fitted.position)[fitted.used]
-        for fitted in posterior.data.traces
-    ]
-    angles = rollout_on(trace, posterior.data.theta(values))
-    noisy = angles + rng.normal(0.0, rms(residuals), angles.shape)
+    without = replace(posterior.problem, traces=[loaded(one, joint) for one in fitted])
+    start = without.row.copy()
+    start[without.columns] = posterior.optimum
+    best = fit(without, start[None], rounds=2)
+    rows = np.tile(best.row, (DRAWS, 1))
+    rows[:, without.columns] = normal_draws(best, rng, DRAWS)
+    angles = rollout_on(trace, rows)
+    noisy = angles + rng.normal(0.0, rms([best.error]), angles.shape)
     measured = trace.measured
     present = np.isfinite(measured)
     covered = {}

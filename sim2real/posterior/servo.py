@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from dataclasses import fields as dataclass_fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.effects import SIGNATURE, named
-from sim2real.effects.effect import scaled
 from sim2real.errors import InputError
-from sim2real.identification.fit import DAMPING_RATIO, FREQUENCY_RAD_S, LATENCY_S
-from sim2real.inference.parameters import Parameter, Priors
+from sim2real.identification.priors import motor_prior, of_effects, plain_parameters, scale_inertia
+from sim2real.identification.problem import Fit, ServoProblem
+from sim2real.identification.search import fit
+from sim2real.identification.uncertainty import uncertainty
+from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
     Chain,
@@ -27,12 +28,16 @@ from sim2real.posterior.chain import (
     run_chain,
     sample,
 )
-from sim2real.posterior.laplace import Laplace, laplace, sharpened
-from sim2real.posterior.likelihood import RANDOM_EFFECTS, Likelihood, ServoData, loaded, servo_data
+from sim2real.recording import PER_INERTIA, Load
+from sim2real.robot import Servo
+from sim2real.servo.parameters import BASE, FIRST_COLUMN, LINE, joint_row
 from sim2real.servo.trace import Trace
 from sim2real.units import unit_of
 
 STEPS, WALKERS = 2000, 32
+RANDOM_EFFECTS = ("latency_jitter", "packet_loss")
+"""Effects that are random for given parameters; their parameters are not sampled."""
+_ORIGIN = ("centre", "factor", "spread", "noise")
 
 
 @dataclass(frozen=True)
@@ -40,91 +45,111 @@ class ServoPosterior:
     """A sample of the posterior of one servo.
 
     Attributes:
-        priors: Priors of the F parameters, with their names and units.
+        problem: The recordings, and the F sampled parameters with their priors.
         values: The sample, shape (N, F), ordered by step and then by walker.
         convergence: How well the chain has mixed.
         optimum: Values at the optimum, shape (F,).
-        noise_sd: Standard deviation of the innovations at the optimum in rad.
-        autoregression: Coefficients of the noise, shape (p,).
-        data: The recordings and the fixed parameters.
-        exact: Whether the servo was solved in closed form, without sub-steps.
+        noise_sd: Robust standard deviation of the residual at the optimum in rad.
         chain: The chain, with all steps.
         undetermined: Parameters of effects that the recordings do not determine, which are held at
             the model's values.
     """
 
-    priors: Priors
+    problem: ServoProblem
     values: Array
     convergence: Convergence
     optimum: Array
     noise_sd: float
-    autoregression: Array
-    data: ServoData
-    exact: bool
     chain: Chain
     undetermined: tuple[str, ...] = ()
 
     @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The F parameters, with their units and priors."""
+        return self.problem.parameters
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return self.priors.names
+        return self.problem.names
 
     def quantiles(self, *shares: float) -> Array:
         """Quantiles of each parameter, shape (len(shares), F)."""
         return np.asarray(np.quantile(self.values, shares, axis=0))
 
 
-def servo_priors(joint: JointModel) -> Priors:
-    """Wide priors of a servo's gains, latency and the effects that its model holds.
+def loaded(trace: Trace, joint: JointModel) -> Trace:
+    """The trace with its load, or ``PER_INERTIA`` if the model is per unit of inertia."""
+    if joint.per_inertia:
+        return replace(trace, load=PER_INERTIA)
+    if trace.load is PER_INERTIA:
+        return replace(trace, load=joint.load or Load(joint.inertia_kgm2))
+    return trace
 
-    Gains are log-uniform over natural frequencies of 2 to 300 rad/s and damping ratios of 0.05 to
-    4, latency is uniform up to 0.3 s, and parameters of effects are uniform within the bounds of
-    the catalogue, scaled to this servo. Parameters that the model does not state are fixed.
+
+def servo_problem(
+    traces: Sequence[Trace],
+    joint: JointModel,
+    servo: Servo | None = None,
+    held: Sequence[str] = (),
+) -> ServoProblem:
+    """All parameters that the fit of a model determined, with the bounds and priors of the fit.
+
+    Args:
+        traces: Recordings of the joint.
+        joint: Its model.
+        servo: Its data sheet, for the prior of a motor; without one, the motor is as in the model.
+        held: Parameters to hold at the model's values. So are those of effects that are random for
+            given parameters, which are set to 0: a rollout without them has approximately their
+            mean response, and the deviation from it is noise.
     """
-    inertia = joint.inertia_kgm2
-    (slow, fast), (low, high) = FREQUENCY_RAD_S, DAMPING_RATIO
-
-    def gain(name: str, low: float, high: float, typical: float) -> Parameter:
-        unit = unit_of(name, per_inertia=joint.per_inertia)
-        return Parameter(name, low * inertia, high * inertia, typical, log=True, unit=unit)
-
-    kp, kd = joint.kp_Nm_per_rad, max(joint.kd_Nms_per_rad, 1e-9)
-    parameters = [
-        gain("kp_Nm_per_rad", slow**2, fast**2, kp),
-        gain("kd_Nms_per_rad", 2 * low * slow, 2 * high * fast, kd),
-        Parameter("latency_s", *LATENCY_S, 0.05),
-    ]
-    for fitted in joint.effects:
-        if fitted.effect in RANDOM_EFFECTS:
-            continue
-        for parameter in named(fitted.effect).parameters:
-            if parameter.name in fitted.parameters:
-                p = scaled(parameter, joint.kp_Nm_per_rad, inertia)
-                name = f"{fitted.effect}.{p.name}"
-                parameters.append(Parameter(name, p.low, p.high, p.typical))
-    return Priors(tuple(parameters))
+    with_loads = [loaded(trace, joint) for trace in traces]
+    row = joint_row(joint, with_loads[0].load)
+    for name in RANDOM_EFFECTS:
+        row[FIRST_COLUMN[name]] = 0.0
+    ties, free = None, plain_parameters(with_loads, row)
+    if joint.motor and servo is not None and servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+        prior = motor_prior(servo, with_loads)
+        if joint.law == "current_limited":
+            prior = prior.flat(max(joint.kd_Nms_per_rad, 1e-9))
+        motor = {f"motor.{name}" for name in joint.motor}
+        motor |= {name for name in joint.interval if name.startswith("motor.")}
+        free, ties = prior.of((*BASE[:3], *motor)), prior.ties
+    stated = {f"{e.effect}.{name}" for e in joint.effects for name in e.parameters}
+    known = {p.name for p in free}
+    effects = [named(e.effect) for e in joint.effects if e.effect not in RANDOM_EFFECTS]
+    of_all = of_effects(effects, row, scale_inertia(with_loads, row))
+    free += tuple(p for p in of_all if p.name in stated - known)
+    units = {p.name: unit_of(p.name, per_inertia=joint.per_inertia) for p in free}
+    free = tuple(replace(p, unit=units[p.name]) for p in free if p.name not in held)
+    return ServoProblem(with_loads, row, free, ties if set(LINE) <= set(units) else None)
 
 
 def sample_servo(
     traces: Sequence[Trace],
     joint: JointModel,
+    servo: Servo | None = None,
     *,
     seed: int = 0,
     steps: int = STEPS,
     walkers: int = WALKERS,
-    priors: Priors | None = None,
     file: Path | None = None,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> ServoPosterior:
-    """Sample gains, latency and the parameters of the effects that the model holds.
+    """Sample all parameters that the fit of a model determined.
+
+    The likelihood is that of the fit, which counts correlated residuals as fewer samples. Draws are
+    spread about the optimum by the ratio of the covariances of the fit (a sandwich) and of this
+    likelihood, which makes their intervals those of ``identify`` (curvature adjustment: Ribatet,
+    Cooley and Davison, Statistica Sinica 22 (2012) 813-845).
 
     Args:
         traces: Recordings of the joint.
         joint: Its model, from which the search for the optimum starts.
+        servo: Its data sheet, for the prior of a motor.
         seed: Seed of the chain.
         steps: Total steps of each walker, including those in ``file``.
         walkers: Number of walkers, at least twice the number of parameters.
-        priors: Priors; by default ``servo_priors`` of the parameters that are not `undetermined`.
         file: File of the chain, which is continued if it exists; None keeps it in memory.
         progress: Called with the number of completed steps.
 
@@ -134,96 +159,108 @@ def sample_servo(
     Raises:
         InputError: If ``file`` is the chain of another problem, or there are too few walkers.
     """
-    with_loads = [loaded(trace, joint) for trace in traces]
-    held: tuple[str, ...] = ()
-    if priors is None:
-        priors = servo_priors(joint)
-        held = undetermined(servo_data(with_loads, joint, priors))
-        priors = Priors(tuple(prior for prior in priors.each if prior.name not in held))
-    data = servo_data(with_loads, joint, priors)
-    F = len(data.priors.each)
+    best, held = _determined(traces, joint, servo)
+    problem = best.problem
+    F = len(problem.parameters)
     if walkers < 2 * F:
         raise InputError("--walkers", "", str(walkers), f"at least {2 * F} for {F} parameters")
-    chain = _resumed_or_new(data, seed, walkers, file)
-    origin = chain.origin
-    start = Laplace(
-        origin["centre"], origin["factor"], origin["autoregression"], float(origin["noise_sd"])
-    )
-    likelihood = Likelihood(data, start.autoregression)
+    chain = _resumed_or_new(best, seed, walkers, file)
+    centre, factor, spread, noise = (chain.origin[name] for name in _ORIGIN)
+
+    def log_posterior(w: Array) -> Array:
+        x = _folded(problem, centre + w @ factor.T)
+        inside = ((x >= problem.box[0]) & (x <= problem.box[1])).all(axis=1)
+        value = np.full(len(x), -np.inf)
+        if inside.any():
+            error = problem.residuals(x[inside])
+            value[inside] = -0.5 * problem.loss(x[inside], error, *noise)
+        return np.where(np.isfinite(value), value, -np.inf)
+
     progress(chain.steps)
-    chain = run_chain(
-        chain, lambda w: likelihood.log_posterior(start.coordinates(w)), steps, file, progress
-    )
+    chain = run_chain(chain, log_posterior, steps, file, progress)
     mixing = convergence(chain)
+    x = _folded(problem, centre + sample(chain, mixing) @ spread.T)
     return ServoPosterior(
-        priors=data.priors,
-        values=data.priors.values(start.coordinates(sample(chain, mixing))),
+        problem=problem,
+        values=problem.values(np.clip(x, *problem.box)),
         convergence=mixing,
-        optimum=data.priors.values(start.centre),
-        noise_sd=start.noise_sd,
-        autoregression=start.autoregression,
-        data=data,
-        exact=likelihood.exact,
+        optimum=problem.values(centre),
+        noise_sd=float(noise[0]),
         chain=chain,
         undetermined=held,
     )
 
 
-def undetermined(
-    data: ServoData, *, points: int = 21, worse: float = 1.35, most: float = 0.5
-) -> tuple[str, ...]:
-    """Parameters of effects that hardly change the fit over most of their prior range.
+def normal_draws(best: Fit, rng: np.random.Generator, count: int) -> Array:
+    """Values of the free parameters drawn from the normal distribution of a fit, (count, F)."""
+    _, spread = _factors(best)
+    x = best.x + rng.standard_normal((count, best.x.size)) @ spread.T
+    return best.problem.values(np.clip(_folded(best.problem, x), *best.problem.box))
 
-    Each is varied alone, with the others at the model's values; noise is taken to be white, which
-    overstates what the recordings tell.
 
-    Args:
-        data: The joint, with the priors of all parameters.
-        points: Number of equal shares of each prior range, at whose centres the fit is compared.
-        worse: Largest decrease of the log-likelihood that is compatible with the recordings: that
-            of a 90 % interval.
-        most: Compatible share of the range from which the parameter is undetermined.
+def _determined(
+    traces: Sequence[Trace], joint: JointModel, servo: Servo | None
+) -> tuple[Fit, tuple[str, ...]]:
+    """The fit of the parameters to sample, and those of effects that are not determined."""
+    problem = servo_problem(traces, joint, servo)
+    best = fit(problem, problem.row[None])
+    of_effects = {p.name for p in problem.parameters if "." in p.name and p.name not in LINE}
+    opened = {best.names[k] for k in uncertainty(best, repeating=False).undetermined}
+    held = tuple(n for n in best.names if n in opened & of_effects and not n.startswith("motor."))
+    if held:
+        problem = servo_problem(traces, joint, servo, held)
+        best = fit(problem, problem.row[None])
+    return best, held
+
+
+def _folded(problem: ServoProblem, x: Array) -> Array:
+    """Points with those below 0 reflected, of parameters that begin at 0 (B, F)."""
+    from_zero = ~problem.log & (problem.box[0] == 0)
+    return np.where(from_zero, np.abs(x), x)
+
+
+def _factors(best: Fit) -> tuple[Array, Array]:
+    """Factors of the covariance of the likelihood that is sampled, and of that of the fit.
+
+    A product of the first with its transpose is the covariance; a direction that the recordings
+    leave open keeps the width of the prior.
     """
-    varied = [k for k, prior in enumerate(data.priors.each) if "." in prior.name]
-    if not varied:
-        return ()
-    share = (np.arange(points) + 0.5) / points
-    anywhere = data.priors.values(np.log(share / (1 - share))[:, None])
-    values = np.tile(data.row[data.columns], (len(varied), points + 1, 1))
-    for n, k in enumerate(varied):
-        values[n, 1:, k] = anywhere[:, k]
-    level = Likelihood(data, np.zeros(0))(values.reshape(-1, values.shape[2]))
-    level = level.reshape(len(varied), points + 1)
-    compatible = (level[:, 1:] > level[:, :1] - worse).mean(axis=1)
-    return tuple(data.priors.names[k] for k, s in zip(varied, compatible, strict=True) if s >= most)
+    weight = 1 / (best.scale_rad**2 * best.inflation)
+    natural = best.problem.natural
+    information = weight * best.slopes.T @ best.slopes + best.prior + np.diag(natural**-2.0)
+    factor = np.linalg.cholesky(np.linalg.inv(information))
+    inverse = np.linalg.inv(factor)
+    ratio, directions = np.linalg.eigh(inverse @ uncertainty(best).covariance @ inverse.T)
+    ratio = np.where(ratio > 1e-6, ratio, 1.0)
+    return factor, factor @ (directions * np.sqrt(ratio)) @ directions.T
 
 
-def _resumed_or_new(data: ServoData, seed: int, walkers: int, file: Path | None) -> Chain:
+def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Chain:
     """The chain in ``file``, or a new one from the optimum."""
-    fingerprint = _fingerprint(data, seed, walkers)
+    fingerprint = _fingerprint(best.problem, seed, walkers)
     if file is not None:
         clear_leftovers(file)
     if file is not None and file.exists():
         chain = read_chain(file)
         if chain.fingerprint != fingerprint:
-            found = "the chain of other recordings, another model or seed"
+            found = "the chain of other recordings, another model, version or seed"
             raise InputError(file, "", found, "that of this call; remove the file to start again")
-        for field in dataclass_fields(Laplace):
-            if field.name not in chain.origin:
+        for name in _ORIGIN:
+            if name not in chain.origin:
                 expected = "it, in a chain; remove the file to start again"
-                raise InputError(file, f"origin.{field.name}", "nothing", expected)
+                raise InputError(file, f"origin.{name}", "nothing", expected)
         return chain
-    start = laplace(data)
-    start = sharpened(start, Likelihood(data, start.autoregression).log_posterior)
-    origin = {name: np.asarray(value) for name, value in vars(start).items()}
-    return new_chain(walkers, len(data.priors.each), seed, origin, fingerprint)
+    noise = np.array([best.scale_rad, best.inflation])
+    origin = dict(zip(_ORIGIN, (best.x, *_factors(best), noise), strict=True))
+    return new_chain(walkers, best.x.size, seed, origin, fingerprint)
 
 
-def _fingerprint(data: ServoData, seed: int, walkers: int) -> str:
+def _fingerprint(problem: ServoProblem, seed: int, walkers: int) -> str:
     """SHA-256 of everything that the chain depends on, except its length."""
-    digest = hashlib.sha256(f"{SIGNATURE} {data.priors.each} {seed} {walkers}".encode())
-    digest.update(data.row.tobytes())
-    for trace in data.traces:
+    stated = f"{SIGNATURE} {problem.parameters} {problem.ties} {seed} {walkers}"
+    digest = hashlib.sha256(stated.encode())
+    digest.update(problem.row.tobytes())
+    for trace in problem.traces:
         digest.update(str(trace.load).encode())
         for values in (trace.t, trace.command, trace.position, trace.used):
             digest.update(np.ascontiguousarray(values).tobytes())

@@ -35,7 +35,7 @@ from sim2real.ranges.sources import (
 )
 from sim2real.recording import Recording
 from sim2real.robot import Robot, match_recordings
-from sim2real.servo.trace import at_one_gain, check_runs, split, traces
+from sim2real.servo.trace import at_one_gain, check_samples, split, traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +85,7 @@ class Sampling:
     Attributes:
         steps, walkers: Steps and walkers of each chain.
         seed: Seed of the random numbers.
-        held_out: Name of the recording to check on and not to sample; by default the last one.
+        held_out: Name of the recording to check a fit to the others on; by default the last.
         file: Function from a joint to the file of its chain; None keeps the chain in memory.
         progress: Called with a joint and the number of completed steps.
     """
@@ -104,7 +104,7 @@ def gather(
     """Make ranges.
 
     Latency and noise are estimated from all recordings, gains and effects from posteriors of the
-    bench recordings (``kind`` ``servo``) except the held-out one, or else from the model.
+    bench recordings (``kind`` ``servo``), or else from the model.
 
     Args:
         recordings: Bench and pool recordings.
@@ -119,7 +119,7 @@ def gather(
     _check(recordings, robot, model)
     recordings, warnings = admitted(at_one_gain(recordings, model.firmware_p_gain), robot)
     bench = [recording for recording in recordings if recording.kind == "servo"]
-    posteriors, checks = sample_joints(bench, model, sampling)
+    posteriors, checks = sample_joints(bench, robot, model, sampling)
     fits = latencies(recordings, model)
     scatter = spread(fits.seconds, fits.sd) if fits is not None else None
     density = normalised_density(robot) if robot.weighed else None
@@ -132,7 +132,7 @@ def gather(
     for joint, servo in model.joints.items():
         sampled: list[Range] = []
         if joint in posteriors:
-            fitted = [labels[trace.file] for trace in posteriors[joint].data.traces]
+            fitted = [labels[trace.file] for trace in posteriors[joint].problem.traces]
             sampled = from_posterior(joint, posteriors[joint], listed(fitted))
         entries += sampled + from_model(joint, servo, [entry.parameter for entry in sampled])
         without_range += absent(joint, servo)
@@ -156,7 +156,7 @@ def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
 
 
 def sample_joints(
-    bench: Sequence[Recording], model: Model, sampling: Sampling
+    bench: Sequence[Recording], robot: Robot, model: Model, sampling: Sampling
 ) -> tuple[dict[str, ServoPosterior], dict[str, PredictiveCheck]]:
     """Posteriors of every joint that moves on the bench, and their predictive checks.
 
@@ -173,10 +173,13 @@ def sample_joints(
         if not joint_traces:
             continue
         fitted, scored, _ = split(joint_traces, sampling.held_out)
-        check_runs(fitted, joint)
+        check_samples(fitted, joint)
+        described = robot.joint(joint)
+        sheet = None if described is None else described.servo
         posteriors[joint] = sample_servo(
-            fitted,
+            joint_traces,
             servo,
+            sheet,
             seed=sampling.seed + number,
             steps=sampling.steps,
             walkers=sampling.walkers,
@@ -185,7 +188,7 @@ def sample_joints(
         )
         if scored and scored[0].used.any():
             rng = np.random.default_rng([sampling.seed, number])
-            checks[joint] = predictive_check(posteriors[joint], servo, scored[0], rng)
+            checks[joint] = predictive_check(posteriors[joint], servo, fitted, scored[0], rng)
     mixing = {joint: posterior.convergence for joint, posterior in posteriors.items()}
     for joint in sorted(mixing, key=lambda name: (mixing[name].reached, -mixing[name].needed)):
         require(mixing[joint], f"posterior of {joint}", posteriors[joint].names)

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from sim2real.arrays import Array, Index
 from sim2real.identification.servo_problem import Fits, Servos, minimise, plain_servos
 from sim2real.model import JointModel, Model
-from sim2real.posterior.likelihood import loaded
+from sim2real.posterior.servo import loaded
 from sim2real.ranges.sources import labelled
 from sim2real.recording import Recording
 from sim2real.servo.batch import Batch

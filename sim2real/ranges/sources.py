@@ -53,7 +53,7 @@ def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> li
     source = f"{recordings}: 5 % and 95 % quantiles of the posterior"
     return [
         uniform(f"{joint}.{prior.name}", low[k], high[k], prior.unit, source)
-        for k, prior in enumerate(posterior.priors.each)
+        for k, prior in enumerate(posterior.parameters)
         if prior.name != "latency_s"
     ]
 

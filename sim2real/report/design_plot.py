@@ -9,7 +9,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.design.plan import Design, JointDesign
 from sim2real.design.tell_apart import JointForecast, RivalDesign
-from sim2real.diagnose.separation import task
+from sim2real.diagnose.rival_sets import task
 from sim2real.report.page import Block, Note, Section, Table, Text
 from sim2real.report.quantity import printable
 from sim2real.report.series import Panel, series_block, series_figure
@@ -89,7 +89,7 @@ def _panels(t: Array, name: str, joint: JointDesign) -> list[Panel]:
     motion = {COMMAND: joint.found.command, "expected": angle[0, 0]}
     parts = max(round(float(t[-1]) / _PART_S), 1)
     ends = np.linspace(0.0, float(t[-1]), parts + 1)[1:]
-    names = [readable_name(parameter) for parameter in joint.belief.names]
+    names = [readable_name(parameter) for parameter in joint.prior.names]
     widths = dict(zip(names, 100 * joint.over_time(parts).T, strict=True))
     return [
         Panel(SignalGroup((name, "position"), "rad", t, motion), "command and motion, rad"),

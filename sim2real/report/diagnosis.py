@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.diagnose.result import Diagnosis, JointSeries, Mismatch, NamedEffect, percent
-from sim2real.diagnose.separation import SEPARATED
+from sim2real.diagnose.rival_sets import SEPARATED
 from sim2real.model import JointModel
 from sim2real.report.diagnosis_plots import (
     candidate_figure,

@@ -105,7 +105,7 @@ def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
     quantiles = posterior.quantiles(0.05, 0.5, 0.95).T
     rows = [
         (joint, Quantity(readable_name(prior.name), prior.unit, middle, (low, high)))
-        for prior, (low, middle, high) in zip(posterior.priors.each, quantiles, strict=True)
+        for prior, (low, middle, high) in zip(posterior.parameters, quantiles, strict=True)
     ]
     return quantity_table(rows, caption="Medians and 90 % intervals.")
 
@@ -124,11 +124,11 @@ def _posterior_section(gathered: Gathered, joint: str) -> Section:
         spans=mixing.spans,
         least=LEAST_TIMES,
         accepted=100 * mixing.accepted,
-        how=_HOW[posterior.exact],
+        how=_HOW[posterior.problem.exact],
     )
     rows = [
         (printable(readable_name(prior.name)), str(prior), f"{time:.1f}")
-        for prior, time in zip(posterior.priors.each, mixing.times, strict=True)
+        for prior, time in zip(posterior.parameters, mixing.times, strict=True)
     ]
     blocks: list[Block] = [
         posterior_table(joint, posterior),
@@ -229,7 +229,7 @@ def corner_figure(posterior: ServoPosterior, joint: str) -> Drawing:
         joint: Name of the joint, for screen readers.
     """
     F = len(posterior.names)
-    units = [prior.unit for prior in posterior.priors.each]
+    units = [prior.unit for prior in posterior.parameters]
     scale = np.array([1e3 if unit == "s" else 1.0 for unit in units])
     values = posterior.values[:: max(1, posterior.values.shape[0] // _DRAWN)] * scale
     ends = np.quantile(values, [0.001, 0.999], axis=0)

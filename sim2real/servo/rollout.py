@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim2real.arrays import Array, Index, Integers, Mask
+from sim2real.arrays import Array, Index, Integers
 from sim2real.effects import CATALOGUE
 from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
@@ -24,7 +24,6 @@ from sim2real.servo.parameters import (
     context_factors,
 )
 from sim2real.servo.trace import Trace
-from sim2real.servo.whitening import innovation_energy
 from sim2real.varying_load import VaryingLoad
 
 STEPS_PER_RADIAN = 32.0
@@ -34,8 +33,6 @@ SHORTEST_SUBSTEP_S = 20e-6
 """No servo has a mode that needs shorter ones: 500 Hz has 16 of them per radian."""
 _COARSENING = 4.0
 _LONGEST_COARSE_SUBSTEP_S = 0.004
-_LANES = 4
-"""Coefficients of the autoregression are padded to a multiple of this."""
 Signals = tuple[Array, Array, Integers, Array, Array]
 _LATENCY = BASE.index("latency_s")
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
@@ -217,13 +214,23 @@ class Simulator:
         constant = all(trace.varying is None for trace in self.traces)
         return constant and not theta[:, len(BASE) :].any() and not self._load[:, 1].any()
 
-    def substep(self, theta: Array, steps_per_radian: float, longest_s: float) -> float:
-        """Common sub-step in s for all servos (B, P), infinite if all are linear."""
-        return float(self.substeps(theta, steps_per_radian, longest_s).min())
+    def substeps(
+        self,
+        theta: Array,
+        steps_per_radian: float = STEPS_PER_RADIAN,
+        longest_s: float = LONGEST_SUBSTEP_S,
+        *,
+        exact: bool | None = None,
+    ) -> Array:
+        """Sub-step in s for each of the servos (B, P), shape (B,), infinite for exact solutions.
 
-    def substeps(self, theta: Array, steps_per_radian: float, longest_s: float) -> Array:
-        """Sub-step in s for each of the servos (B, P), shape (B,), infinite if all are linear."""
-        if self.is_linear(theta):
+        Args:
+            theta: The servos.
+            steps_per_radian: Sub-steps per radian of the fastest mode.
+            longest_s: Upper limit in s.
+            exact: Whether to solve exactly; by default if all servos are linear.
+        """
+        if self.is_linear(theta) if exact is None else exact:
             return np.full(len(theta), np.inf)
         inertia = self._load[:, 0, None]
         least: Array = longest_substep(theta, inertia, steps_per_radian, longest_s).min(axis=0)
@@ -271,56 +278,6 @@ class Simulator:
                 active_effects(rows), rows[:, 2], servos, signal, self._signals, longest, angle
             )
         return angle
-
-
-class WhitenedServo(Simulator):
-    """Recordings of one joint with a fixed noise model, for servos with any parameters."""
-
-    def __init__(
-        self,
-        traces: Sequence[Trace],
-        counts: Sequence[Mask],
-        autoregression: Array,
-        substep_s: float = np.inf,
-        threads: int = 2,
-    ) -> None:
-        """Copy recordings and noise model to Warp arrays.
-
-        Args:
-            traces: The recordings.
-            counts: Mask of the samples whose innovations count, one array (T,) per recording.
-            autoregression: The noise model, shape (p,).
-            substep_s: Longest sub-step in s, the same for all servos, so that the sums are smooth
-                functions of the parameters; infinite for the exact solution of linear servos.
-            threads: CPU threads.
-        """
-        super().__init__(traces, threads)
-        self.substep_s = substep_s
-        p = autoregression.size
-        counted = np.zeros(self.position.shape, dtype=np.int32)
-        for s, mask in enumerate(counts):
-            counted[s, : mask.size] = mask
-        self._counts = to_warp(counted, "cpu")
-        self._noise = (p, to_warp(np.pad(autoregression, (0, -p % _LANES if p else _LANES)), "cpu"))
-
-    def energy(self, theta: Array) -> Array:
-        """Sum of squared innovations in rad2 of servos (B, P), shape (B,).
-
-        Each sum is independent of the other rows to the last bit.
-        """
-        parts = [part for part in np.array_split(theta, self.threads) if part.size]
-        sums = np.concatenate(list(self._pool.map(self._energy, parts)))
-        return np.asarray(sums.reshape(theta.shape[0], -1).sum(axis=1))
-
-    def _energy(self, theta: Array) -> Array:
-        """Sums of a part of the servos, one per servo and recording."""
-        angle = self.run(theta, self.substep_s)
-        sums: Any = wp.zeros(angle.shape[0], dtype=wp.float64, device="cpu")
-        lags, coefficients = self._noise
-        inputs = [len(self.traces), lags, self.length, self.position, self._counts, coefficients]
-        wp.launch(innovation_energy, angle.shape[0], [*inputs, angle], [sums], device="cpu")
-        energies: Array = sums.numpy()
-        return energies
 
 
 @cache

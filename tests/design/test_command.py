@@ -1,18 +1,14 @@
 """``sim2real design``: what it writes, that the recorder plays it, and what it refuses."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from sim2real.cli import main
-from sim2real.identification.identify import identify
 from sim2real.model import JointModel, Model, write_model
 from sim2real.recording import read_commands, read_recording
-from sim2real.robot import read_robot
 
 ROBOT = """
 name = "bench"
@@ -91,46 +87,3 @@ def test_a_model_of_other_joints_is_refused(folder, capsys):
     write_model(Model({"tail": JointModel(*TRUTH.values(), INERTIA)}), "model.json")
     assert design("--model", "model.json") == 2
     assert "tail" in capsys.readouterr().err
-
-
-def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-m", "sim2real", *arguments], stdout=subprocess.PIPE, text=True
-    )
-
-
-@pytest.mark.slow  # what is played takes its time; test_search and above watch the same code
-def test_promise_and_outcome_over_a_bus_that_loses_packets(folder):
-    seconds = "16"
-    assert design("--inertia", f"j1={INERTIA}", "--seconds", seconds, "--no-page") == 0
-    law = ["--kp", "2.2", "--kd", "0.06", "--latency", "0.05", "--inertia", str(INERTIA)]
-    widths = {}
-    for name, signal in (("steps", "steps"), ("design", "next.csv")):
-        servo = start("virtual-servo", *law, "--loss", "0.005", "--noise", "0.0005")
-        try:
-            port = servo.stdout.readline().removeprefix("port: ").strip()
-            out = f"{name}.csv"
-            run = start(
-                "record", signal, "--seconds", seconds, "--robot", "robot.toml", "--port", port,
-                "--ids", "1", f"--inertia={INERTIA}", "--out", out,
-            )  # fmt: skip
-            run.communicate(timeout=120)
-            assert run.returncode == 0
-        finally:
-            servo.terminate()
-            servo.communicate(timeout=10)
-        recording = read_recording(out)
-        late = recording.metadata["outcome"]["late_999_s"]
-        answered = np.nanquantile(recording.columns["round_trip_s"], 0.99)
-        if max(late, answered / 2) > 0.004 or np.isnan(recording.position).mean() > 0.04:
-            pytest.skip("this machine is too busy to keep the schedule of a bus")
-        joint = identify([recording], read_robot("robot.toml"), law="pd").joints["j1"]
-        widths[name] = {n: np.ptp(joint.interval[n]) / 2 / TRUTH[n] for n in TRUTH}
-        estimates = {n: getattr(joint, n) / TRUTH[n] - 1 for n in TRUTH}
-    expected = json.loads((folder / "next.json").read_text())["design"]["j1"]["expected"]
-    # Which set-points get lost differs; how much designs gain is measured by benchmarks/design.py
-    assert max(widths["design"].values()) < 1.25 * max(widths["steps"].values())
-    for name, error in estimates.items():
-        promised = expected[name]["relative_half_width"]
-        assert 0.2 < widths["design"][name] / promised < 5
-        assert abs(error) < 3 * max(widths["design"][name], promised)

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from violations import violations
 
-from sim2real.design.belief import belief_of
-from sim2real.design.candidates import draw
-from sim2real.design.information import Information
+from sim2real.design.information import Information, prior_of
 from sim2real.design.limits import limits_of
 from sim2real.design.plan import design
-from sim2real.design.search import best
+from sim2real.design.search import best, draw
 from sim2real.recording import Load
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.signals import UNIT, excitation
@@ -22,7 +20,7 @@ SMALL = {"drawn": 24, "rounds": 2, "batch": 12}
 
 
 def test_a_design_is_expected_to_tell_twice_as_much_as_any_usual_signal():
-    information = Information(belief_of(ROBOT, None, LIMITS, load=Load(0.002), draws=3), LIMITS)
+    information = Information(prior_of(ROBOT, None, LIMITS, load=Load(0.002), draws=3), LIMITS)
     usual = [
         excitation(name, ROBOT.joints, seconds=8, rate_hz=50, rng=np.random.default_rng(0)).command
         for name in UNIT
@@ -35,13 +33,6 @@ def test_a_design_is_expected_to_tell_twice_as_much_as_any_usual_signal():
     assert widest[0] < 0.5 * widest[1:].min()
 
 
-def test_exchanging_parts_finds_more_than_the_best_random_command():
-    information = Information(belief_of(ROBOT, None, LIMITS, load=Load(0.002), draws=3), LIMITS)
-    found = best(information, LIMITS, 8.0, rng=np.random.default_rng(1), **SMALL | {"rounds": 0})
-    random, assembled = found.scores
-    assert assembled > random + 0.1
-
-
 def test_any_objective_can_be_searched():
     def reversals(commands):
         return np.abs(np.diff(commands, 2, axis=1)).sum(axis=1)
@@ -50,15 +41,6 @@ def test_any_objective_can_be_searched():
     assert found.score > reversals(draw(np.random.default_rng(2), 24, LIMITS, 6.0)).max()
     assert list(found.scores) == sorted(found.scores)
     assert violations(found.command[None], LIMITS) == [[]]
-
-
-def test_a_start_is_never_made_worse():
-    def near(commands):
-        return -np.abs(commands - target).sum(axis=1)
-
-    target = draw(np.random.default_rng(5), 1, LIMITS, 6.0)
-    found = best(near, LIMITS, 6.0, rng=np.random.default_rng(6), start=target, **SMALL)
-    np.testing.assert_array_equal(found.command, target[0])
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +63,6 @@ def test_a_plan_states_what_it_promises(plan):
     assert (np.diff(widths[:, 2]) < 0.02 * widths[:-1, 2]).all()
     assert "kp" in str(plan)
     assert "latency" in plan._repr_html_() and plan.plot().axes
-
-
-def test_a_seed_determines_the_plan(plan):
-    again = planned()
-    np.testing.assert_array_equal(again.joints["j1"].found.command, plan.joints["j1"].found.command)
 
 
 def test_a_heavy_pendulum_is_moved_where_it_can_be_held(plan):

@@ -23,14 +23,11 @@ def contexts(folder, text):
     return read_contexts(path)
 
 
-def test_loads_are_those_of_the_file(tmp_path):
+def test_loads_and_ratios_are_those_of_the_file(tmp_path):
     (arm,) = contexts(tmp_path, GOOD)
     assert arm.name == "second arm"
     assert arm.load(RIVALS) == Load(0.004, 0.05, 0.1)
     assert AS_IT_IS.load(RIVALS) == RIVALS.load
-
-
-def test_ratios_are_those_of_the_file(tmp_path):
     text = '[[contexts]]\nname = "low"\nsupply_ratio = 0.5\ngain_ratio = 2.0\n'
     assert contexts(tmp_path, text)[0].ratios == {"supply_ratio": 0.5, "gain_ratio": 2.0}
 

@@ -84,14 +84,6 @@ def test_a_diagnosis_that_does_not_fit_is_one_line(files, capsys, change, parts)
     assert not (files / "next.csv").exists()
 
 
-@pytest.mark.parametrize("limits", ["[0.5, 0.5]", "[0.1, 0.1001]"])
-def test_limits_that_contradict_are_one_line(files, capsys, limits):
-    text = ROBOT.replace("limits_rad = [-0.8, 0.8]", f"limits_rad = {limits}")
-    (files / "robot.toml").write_text(text)
-    assert design() == 2
-    refused(capsys, "robot.toml", "limits_rad")
-
-
 def test_options_that_exclude_each_other_are_one_line(files, capsys):
     assert design("--inertia", "j1=0.002") == 2
     refused(capsys, "--inertia", "--diagnosis")

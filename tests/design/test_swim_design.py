@@ -9,19 +9,17 @@ from good_input import message
 from rival_swims import FISH, POOL, SERVOS, swim_rivals, swim_set
 from violations import violations
 
-from sim.design.design_swim import design_swim
-from sim.design.swim_commands import SwimLimits, draw, within
-from sim.design.swim_objective import SwimObjective
-from sim.fluid.tank import POOL_M
+from sim.fluid.fluid import POOL_M
+from sim.inference.design_swim import SwimObjective, design_swim
+from sim.inference.swim_commands import SwimLimits, draw, within
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.design.limits import limits_of
-from sim2real.diagnose.swim_rivals import read_swim_rivals
+from sim2real.diagnose.swim_rivals import swim_rivals_of_file
 from sim2real.recording import read_commands
-from sim2real.structured import Fields
 
 RIVALS = swim_rivals()
-LIMITS = SwimLimits(tuple(limits_of(FISH, None, joint.name) for joint in FISH.joints))
+LIMITS = SwimLimits(tuple(limits_of(FISH, joint.name) for joint in FISH.joints))
 SECONDS = 7.0
 FEW = {"seconds": SECONDS, "drawn": 6, "rounds": 1, "threads": 1}
 
@@ -78,19 +76,15 @@ def test_a_designed_swim_tells_more_than_a_random_one(designed):
     assert body.remaining < body.entropy
 
 
-def test_sets_of_the_same_prediction_are_not_told_apart():
+def test_what_is_alike_or_imitated_by_the_error_of_the_twin_is_told_apart_less():
     same = replace(RIVALS, sets=(RIVALS.sets[0], replace(RIVALS.sets[0], probability=0.4)))
+    wide = swim_rivals({name: 20 * sd for name, sd in RIVALS.imitation.items()})
     command = draw(np.random.default_rng(1), 1, LIMITS, SECONDS)
-    assert objective(same).distances(command)[0, 0, 1] == pytest.approx(0.0, abs=1e-6)
-    assert objective().distances(command)[0, 0, 1] > 0.1
-
-
-def test_what_the_error_of_the_twin_imitates_is_told_apart_less():
-    command = draw(np.random.default_rng(1), 1, LIMITS, SECONDS)
-    wide = {name: 20 * sd for name, sd in RIVALS.imitation.items()}
-    apart, imitated = (
-        objective(one).distances(command)[0, 0, 1] for one in (RIVALS, swim_rivals(wide))
+    alike, apart, imitated = (
+        objective(one).distances(command)[0, 0, 1] for one in (same, RIVALS, wide)
     )
+    assert alike == pytest.approx(0.0, abs=1e-6)
+    assert apart > 0.1
     assert imitated < 0.5 * apart
 
 
@@ -99,12 +93,6 @@ def test_the_difference_over_time_begins_when_the_robot_moves():
     difference = objective().difference(command, 0, 1)
     assert difference.shape == (len(command),)
     assert difference[:40].max() < 0.2 * difference[50:].max()
-
-
-def test_rivals_of_swims_survive_a_file():
-    content = json.loads(json.dumps(RIVALS.content()))
-    again = read_swim_rivals(Fields("d.json", "", content))
-    assert again.content() == RIVALS.content()
 
 
 @pytest.fixture
@@ -119,6 +107,11 @@ def files(tmp_path, monkeypatch):
 def write(folder, rivals):
     content = {"schema": "sim2real.diagnosis/1", "rival_sets": [], "model": "model.json"}
     (folder / "diagnosis.json").write_text(json.dumps(content | {"swim_rivals": rivals}))
+
+
+def test_rivals_of_swims_survive_a_file(files):
+    again, model = swim_rivals_of_file("diagnosis.json")
+    assert (again.content(), model) == (RIVALS.content(), "model.json")
 
 
 def design(*more):

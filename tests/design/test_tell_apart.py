@@ -13,10 +13,7 @@ from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import limits_of
 from sim2real.design.rivals import RivalObjective
 from sim2real.design.tell_apart import design_for_rivals, forecast
-from sim2real.diagnose.rival_sets import read_rival_sets
 from sim2real.recording import PER_INERTIA, read_recording, write_recording
-from sim2real.report.design_plot import rivals_section
-from sim2real.structured import Fields
 
 SECONDS = 6.0
 
@@ -41,16 +38,6 @@ def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
     np.testing.assert_allclose(again.command[:, 0], command, atol=1e-6)
     assert again.metadata["rivals"] == [joint.content() for joint in plain.joints]
     assert again.loads["j1"] == RIVALS.load
-
-
-def test_it_tells_more_than_commands_drawn_at_random(plain):
-    (joint,) = plain.joints
-    random = designed(samples=1.0)
-    assert joint.remaining < random.joints[0].remaining < joint.entropy
-
-
-def test_the_same_seed_makes_the_same_commands(plain):
-    np.testing.assert_array_equal(designed().recording().command, plain.recording().command)
 
 
 def test_what_is_stated_is_the_forecast_of_its_commands(plain):
@@ -90,22 +77,8 @@ def test_a_load_is_known_of_all_recordings_or_of_none():
     message(lambda: designed(RIVALS, [elsewhere]), "'j7'")
 
 
-def test_the_page_has_figure_and_table(plain):
-    kinds = [type(block).__name__ for block in rivals_section(plain).blocks]
-    assert kinds == ["Note", "Text", "Figure", "Table"]
-    assert len(plain.plot("j1").axes) == 2
-
-
 def test_no_rivals_left_is_said_in_one_line():
     sure, other = RIVALS.sets
     sets = (replace(sure, probability=0.98), replace(other, probability=0.02))
     known = replace(RIVALS, sets=sets)
     message(lambda: design_for_rivals([known], robot("j1"), file="d.json"), "d.json", "rival_sets")
-
-
-def test_rival_sets_survive_a_file():
-    stated = Fields("diagnosis.json", "", {"rival_sets": [RIVALS.content()]})
-    (again,) = read_rival_sets(stated)
-    assert again.content() == RIVALS.content()
-    np.testing.assert_allclose(again.sets[0].theta[:3], RIVALS.sets[0].theta[:3])
-    assert again.entropy == RIVALS.entropy

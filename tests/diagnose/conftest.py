@@ -1,45 +1,14 @@
 """Two short recordings each of a servo that misses nothing and of some that miss one effect."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
 import pytest
-from simulated import FRICTION, robot, traced, two
+from searching import Searched, searched
+from simulated import FRICTION, robot, two
 from strange import position_damping, strange
 
 from sim2real.diagnose.diagnose import Case, diagnose, diagnose_all, examined
 from sim2real.diagnose.joint_result import JointFindings
-from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.effect_search import search
-from sim2real.diagnose.missing.servo_search import ServoSearch
 from sim2real.diagnose.result import Diagnosis
-from sim2real.identification.servo_problem import Fits, Tried
 from sim2real.recording import Recording
-from sim2real.servo.batch import Batch
-from sim2real.servo.trace import Trace
-
-
-@dataclass(frozen=True)
-class Searched:
-    traces: Sequence[Trace]
-    batch: Batch
-    plain: Fits
-    tried: Tried
-    search: ServoSearch
-
-    @property
-    def seen(self):
-        """The screen of the plain servo, and its candidates."""
-        return self.search.seen(self.tried, frozenset())
-
-
-def searched(**effects) -> Searched:
-    traces = [traced(1, "a", **effects), traced(2, "b", **effects)]
-    batch = Batch([traces])
-    plain = baselines(batch)
-    (tried,), problem = search(batch, plain, level=0.01, rng=np.random.default_rng(0))
-    return Searched(traces, batch, plain, tried, problem)
 
 
 @pytest.fixture(scope="session")
@@ -66,7 +35,7 @@ def explained() -> Diagnosis:
 @pytest.fixture(scope="session")
 def explained_joint() -> tuple[Case, list[JointFindings]]:
     """What is known of its joint, before it is put into words."""
-    return examined([Case(two(**FRICTION), robot("j1"))])[0]
+    return examined(Case(two(**FRICTION), robot("j1")))
 
 
 @pytest.fixture(scope="session")

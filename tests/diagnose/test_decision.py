@@ -53,15 +53,6 @@ def test_a_number_of_a_group_is_read_and_has_its_type(tmp_path):
         read_decision(file)
 
 
-def test_a_number_that_is_missing_is_told(tmp_path):
-    content = json.loads(FILE.read_text())
-    del content["values"]["structured_excess"]
-    file = tmp_path / "decision.json"
-    file.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"values\.structured_excess\.value"):
-        read_decision(file)
-
-
 def row(**more):
     usual = {
         "case": "a", "set": "own", "kind": "null", "joint": "j1", "truth": [], "outside": False,
@@ -76,36 +67,6 @@ def test_a_logistic_curve_comes_back(curves):
     x = np.stack([np.ones(4000), rng.normal(0, 2, 4000)], axis=1)
     y = (rng.random(4000) < 1 / (1 + np.exp(-(-1 + 0.8 * x[:, 1])))).astype(float)
     assert curves.logistic(x, y, 2.4) == pytest.approx([-1, 0.8], abs=0.15)
-
-
-def test_a_curve_is_judged_on_plants_left_out(curves):
-    """What says nothing gets no weight worth having, and half of all is stated as half."""
-    rng = np.random.default_rng(0)
-    given = [
-        curves.Sample(
-            f"plant {k % 3}", str(k), {"intercept": 1.0, "noise": rng.normal()}, bool(k % 2)
-        )
-        for k in range(400)
-    ]
-    found = curves.curve(given)
-    assert abs(found.weights["noise"]) < 0.2
-    assert found.report()["calibration_error"] < 0.08
-
-
-def test_a_quantile_is_that_of_what_misses_nothing(script):
-    rng = np.random.default_rng(0)
-    rows = [row(case=str(k), excess_plain=1 + 0.1 * rng.random()) for k in range(400)]
-    rows += [row(case=f"x{k}", kind="outside", outside=True, excess_plain=50.0) for k in range(50)]
-    value, count, _ = script.values_of(rows)["structured_excess"]
-    assert count == 400
-    assert value == pytest.approx(1.1, abs=0.003)
-
-
-def test_an_effect_that_a_nuisance_is_counts_as_there(script):
-    group = {"members": ["cogging"], "p": 0.9, "changes": 0.2, "features": {"intercept": 1.0}}
-    there = row(groups=[group], nuisances={"cogging": 3.0})
-    told = script.samples([there, row(groups=[group])], 0.05)["effect"]
-    assert [one.right for one in told] == [True, False]
 
 
 def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
@@ -124,14 +85,6 @@ def test_few_cases_change_nothing(script, tmp_path, monkeypatch):
     assert set(report["odds"]) == set(CURVES)
 
 
-def test_steps_of_sensors_lie_between_those_as_stated_and_the_coarser(script):
-    fine = [row(case=str(k), step=1.0) for k in range(60)]
-    coarse = [row(case=f"x{k}", step=2.0 + k, truth=["encoder_quantization"]) for k in range(9)]
-    found = script.of_sensors(fine + coarse)
-    assert 1.2 < found["coarse_step_ratio"][0] < 2.0
-    assert found["most_certain"][0] == pytest.approx(10 / 11)
-
-
 def test_the_detection_gain_is_that_from_which_most_are_named(script):
     """An eighth of those below are named by chance, and as many of those above are not."""
     rows = []
@@ -142,18 +95,3 @@ def test_the_detection_gain_is_that_from_which_most_are_named(script):
         more = {"kind": "single", "truth": ["backlash"], "said": said, "alone": {"backlash": gain}}
         rows.append(row(case=str(k), **more))
     assert script.values_of(rows)["detection_gain"][0] == pytest.approx(15, abs=1.0)
-
-
-def test_a_number_that_turns_decisions_is_told_from_one_that_turns_none(script):
-    from benchmarks.decision_sensitivity import alike, sensitivity
-
-    group = {"members": ["backlash"], "features": {"intercept": 1.0}}
-    named, less = (
-        [["backlash"], [[["backlash"], 0.9, 1.0]]],
-        [["backlash"], [[["backlash"], 0.4, 1.0]]],
-    )
-    varied = {"": named, "law_error=0": named, "law_error=0.1": less}
-    rows = [row(case=str(k), groups=[group], varied=varied) for k in range(5)]
-    told = sensitivity(rows, {"law_error": 0.03}, {"intercept": -0.5, "probability": 1.0})
-    assert told["law_error"] == {"value": 0.03, "0": 0, "0.1": 5}
-    assert alike("law_error", told).startswith("from 0 to 0.03 at most 0 of 5 joints")

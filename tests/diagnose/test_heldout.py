@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from simulated import KD, KP, LATENCY, NOISE, traced
 
+from sim2real.diagnose.baseline import baselines
+from sim2real.diagnose.calibrated_odds import _add_errors
 from sim2real.diagnose.case import JointCase
-from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.offer import _add_errors
 from sim2real.diagnose.rival_sets import StatedSet
 from sim2real.identification.held_out import folds, held_out
 from sim2real.servo.batch import Batch
@@ -32,14 +32,6 @@ def spoiled(trace, since=0.0):
     return replace(
         trace, position=trace.position + (trace.t >= since) * rng.normal(0, 0.1, trace.t.size)
     )
-
-
-def test_every_recording_is_held_out_once(three):
-    pairs = folds(three)
-    assert [scored[0].name for _, scored in pairs] == ["a", "b", "c"]
-    for fitted, (scored,) in pairs:
-        assert len(fitted) == 2
-        assert all(one is not scored for one in fitted)
 
 
 def test_of_a_lone_recording_the_end_is_held_out(three):
@@ -83,23 +75,6 @@ def test_the_right_servo_leaves_noise(three, start):
     assert [x.size for x in found.residuals] == [x.used.sum() for x in three]
 
 
-def test_missing_samples_are_not_scored(three, start):
-    used = np.arange(three[0].t.size) % 10 != 0
-    gappy = replace(three[0], used=used, position=np.where(used, three[0].position, np.nan))
-    (found,) = held_out([[gappy, *three[1:]]], [start])
-    assert found.residuals[0].size == used.sum()
-    assert np.isfinite(found.rmse)
-
-
-def test_servos_of_any_number_of_parameters(rubbing):
-    """An effect that is there brings the error on unseen data down to the noise."""
-    tried = rubbing.tried
-    servos = [tried.plain.fit.servos, tried.tried[frozenset({"coulomb_friction"})].fit.servos]
-    plain, rich = held_out([rubbing.traces] * 2, servos)
-    assert rich.rmse == pytest.approx(NOISE, rel=0.06)
-    assert plain.rmse > 3 * rich.rmse
-
-
 def test_nothing_to_hold_out(three, start):
     """The command moves at the very end only."""
     trace = three[0]
@@ -118,3 +93,11 @@ def test_of_a_recording_that_was_designed_only_the_end_is_held_out(three, start,
     _add_errors(errors, [joint], [finding], [[BASE]], "cpu")
     share = np.mean([x.size for x in errors[0][BASE].residuals]) / three[0].t.size
     assert share == pytest.approx(0.25 if designed else 1.0, abs=0.01)
+
+
+def test_missing_samples_are_not_scored(three, start):
+    used = np.arange(three[0].t.size) % 10 != 0
+    gappy = replace(three[0], used=used, position=np.where(used, three[0].position, np.nan))
+    (found,) = held_out([[gappy, *three[1:]]], [start])
+    assert found.residuals[0].size == used.sum()
+    assert np.isfinite(found.rmse)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sim2real.diagnose.link.angle_noise import with_noise
-from sim2real.diagnose.link.link_effect import EFFECTS, MOST_LAGS, LinkData, fitted, link
+from sim2real.diagnose.angle_noise import with_noise
+from sim2real.diagnose.link_effect import EFFECTS, MOST_LAGS, LinkData, fitted, link_of
 from sim2real.recording import Load
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, propagator
 from sim2real.servo.linearised import Residual, servo_modes
@@ -129,37 +129,12 @@ def test_tells_them_apart():
 
 def test_a_link_says_which_and_on_which_joints():
     quiet = recording(20, scale=0.0)[0]
-    jitter = link(LinkData(((recording(5, jitter=0.008)[0],), (quiet,)), LAGS, LEAST_GAIN, 10.0))
+    jitter = link_of(LinkData(((recording(5, jitter=0.008)[0],), (quiet,)), LAGS, LEAST_GAIN, 10.0))
     assert jitter.effect == "latency_jitter"
     assert jitter.shares[0] > 25
     assert jitter.shares[1] < 4
-    nothing = link(LinkData(((quiet,),), LAGS, LEAST_GAIN, 10.0))
+    nothing = link_of(LinkData(((quiet,),), LAGS, LEAST_GAIN, 10.0))
     assert nothing.gain == 0
-
-
-def test_pools_recordings_and_joints():
-    one, two = (recording(seed, jitter=0.003)[0] for seed in (5, 6))
-    separate = [fit("latency_jitter", [given]).result() for given in (one, two)]
-    for joints in ([[one, two]], [[one], [two]]):
-        pooled = fit("latency_jitter", *joints).result()
-        assert pooled.gain > 0.8 * sum(jitter.gain for jitter in separate)
-        assert pooled.sd < min(jitter.sd for jitter in separate)
-        assert pooled.value == pytest.approx(0.003, rel=0.15)
-
-
-def test_what_is_lost_is_lost_for_all():
-    first, lost = recording(7, loss=0.05)
-    second = recording(8, lost=lost, scale=0.5)[0]
-    separate = sum(fit("packet_loss", [given]).gain for given in (first, second))
-    assert fit("packet_loss", [first], [second]).gain > separate + 20
-
-
-def test_joints_of_different_recordings_lose_each_its_own():
-    short = recording(9, loss=0.05, t=np.arange(1200) / 50)[0]
-    both = [recording(9, loss=0.05)[0], short]
-    separate = [fit("packet_loss", [given]).gain for given in both]
-    together = fit("packet_loss", *([given] for given in both)).gain
-    assert together == pytest.approx(sum(separate), rel=0.01)
 
 
 def test_gains_that_are_wrong_are_neither():
@@ -194,12 +169,6 @@ def test_needs_samples():
     given.trace.used[MOST_LAGS:] = False
     with pytest.raises(ValueError, match="0 samples count"):
         uneven([given])
-
-
-def test_short_recordings():
-    jitter, loss = uneven([recording(14, t=np.arange(60) / 50)[0]])
-    assert jitter.gain < 10
-    assert loss.gain < 10
 
 
 def packets(seed, *, burst=1.0, loss=0.05, n=T):
@@ -287,13 +256,6 @@ def test_the_filter_sums_over_all_histories(timing):
     track = short_track()
     ((found,),) = EventFilter([[track]], alike=0.0).run([timing], width=2000)
     assert found.loglikelihood == pytest.approx(exact(track, timing), abs=1e-6)
-
-
-def test_models_of_arrivals_are_filtered_each_by_itself():
-    track, timing = short_track(), [Arrivals(delay_sd_s=x) for x in (1e-3, 3e-3, 5e-3)]
-    together = [found.loglikelihood for (found,) in EventFilter([[track]]).run(timing)]
-    alone = [EventFilter([[track]]).run([one])[0][0].loglikelihood for one in timing]
-    assert together == alone and len(set(alone)) == 3
 
 
 def test_propagator_is_the_servo_equation():

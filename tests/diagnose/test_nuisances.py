@@ -5,17 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated import FRICTION, INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
+from searching import searched
+from simulated import INERTIA, KD, KP, LATENCY, NOISE, robot, row, traced, two
 
+from sim2real.diagnose.baseline import as_read, baselines
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.diagnose import _first_look, diagnose
-from sim2real.diagnose.missing.baseline import as_read, baselines
-from sim2real.diagnose.missing.effect_search import search
-from sim2real.diagnose.missing.nuisances import _best, first_look, size_in_noise, with_nuisances
-from sim2real.diagnose.missing.screening import FITTED, NUISANCES
-from sim2real.diagnose.missing.servo_search import ServoSearch, ledgers_of
+from sim2real.diagnose.effect_search import _best, first_look, size_in_noise, with_nuisances
+from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.effects import named
-from sim2real.identification.motor_prior import largest_rotor
+from sim2real.identification.priors import largest_rotor
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
@@ -27,23 +26,9 @@ from sim2real.servo.rollout import rollout
 WAVE = {"amplitude_rad": 4 * NOISE, "period_rad": 0.6, "phase_rad": 0.5}
 
 
-def plain_servo(**effects):
-    traces = [traced(1, "a", **effects), traced(2, "b", **effects)]
-    batch = Batch([traces])
-    (found,), _ = search(
-        batch, baselines(batch), level=0.01, rng=np.random.default_rng(0), noise=[NOISE]
-    )
-    return found
-
-
 @pytest.fixture(scope="module")
 def wavy():
-    return plain_servo(sensor_eccentricity=WAVE)
-
-
-def test_eccentricity_is_a_nuisance_and_never_named():
-    assert named("sensor_eccentricity") in NUISANCES
-    assert named("sensor_eccentricity") not in FITTED
+    return searched(sensor_eccentricity=WAVE).tried
 
 
 def test_a_sensor_that_errs_by_a_little_wave_is_a_plain_servo(wavy):
@@ -51,32 +36,21 @@ def test_a_sensor_that_errs_by_a_little_wave_is_a_plain_servo(wavy):
     assert size_in_noise(wavy.plain, "sensor_eccentricity", NOISE) == pytest.approx(4, rel=0.3)
 
 
-def test_the_plain_servo_with_its_wave_is_as_good_as_its_noise(wavy):
-    error = np.sqrt(wavy.plain.fit.error2[0] / wavy.plain.fit.count[0])
-    assert error == pytest.approx(NOISE, rel=0.1)
-
-
 def test_the_base_has_no_prior_that_other_sets_lack():
     """What every set has costs none of them: the plain servo is not compared with a handicap."""
-    batch = Batch([[traced(1, "a", sensor_eccentricity=WAVE)]])
+    traces = [traced(1, "a", sensor_eccentricity=WAVE)]
+    batch, joints = Batch([traces]), [JointCase("j1", traces, NOISE, None)]
     problem = ServoSearch(batch, 0.01, np.random.default_rng(0))
-    ledgers = ledgers_of(baselines(batch))
-    first_look(problem, ledgers, [20 * NOISE])
-    best = [one.best for one in ledgers]
-    (based,) = with_nuisances(problem, ledgers, [20 * NOISE], best)
+    cases = plain_sets(baselines(batch))
+    first_look(problem, cases, joints)
+    (based,) = with_nuisances(problem, cases, joints, [cases[0].best])
     assert "sensor_eccentricity" in based.base
     (again,) = problem.refit([(based, based.base, based.plain.fit.servos.theta[0])])
     assert again.evidence == pytest.approx(based.plain.evidence, abs=0.5)
 
 
-def test_a_servo_without_a_wave_gets_none():
-    assert plain_servo().base == frozenset()
-
-
-def test_the_wave_is_free_again_when_rivals_are_compared(wavy):
-    wave = {COLUMNS.index(f"sensor_eccentricity.{name}") for name in WAVE}
-    assert wave <= {*wavy.plain.fit.servos.columns[0].tolist()}
-    assert wave <= {*wavy.best.fit.servos.columns[0].tolist()}
+def test_a_servo_without_a_wave_gets_none(nothing):
+    assert nothing.tried.base == frozenset()
 
 
 def explained(evidence, **waves_rad):
@@ -95,12 +69,6 @@ def test_no_small_wave_stands_in_for_a_large_one():
     small = explained(60.0, cogging=0.005)
     assert _best(bare, [small], large_rad=0.01) is small
     assert _best(bare, [small, large], large_rad=0.01) is bare
-
-
-def test_a_small_wave_beside_a_large_one_is_still_a_nuisance():
-    bare, alone = explained(0.0), explained(60.0, sensor_eccentricity=0.002)
-    both = explained(500.0, cogging=0.03, sensor_eccentricity=0.002)
-    assert _best(bare, [alone, both], large_rad=0.01) is alone
 
 
 GAIN, OFFSET = 0.04, 0.012
@@ -122,20 +90,6 @@ def test_waves_stay_where_they_were_seen_when_a_gain_and_an_offset_of_the_sensor
     np.testing.assert_array_equal(as_read(before, frozenset({"cogging", *errors})), before)
 
 
-def test_a_weight_beside_cogging_is_no_gain_of_the_sensor():
-    cogging = {"torque_Nm": 0.016, "period_rad": 0.0944, "phase_rad": 0.5}
-    given = {"gravity_load": {"torque_Nm": 0.15}, "cogging": cogging, "noise": NOISE / 3}
-    loads = Load(INERTIA, 0.08, 0.06), Load(2 * INERTIA)
-    traces = [traced(k, "ab"[k], load=load, **given) for k, load in enumerate(loads)]
-    batch, noise = Batch([traces]), [2 * NOISE]
-    (found,), _ = search(
-        batch, baselines(batch), level=0.01, rng=np.random.default_rng(0), noise=noise
-    )
-    assert found.best.members - found.base == {"gravity_load"}
-    (period,) = found.best.fit.servos.theta[:, COLUMNS.index("cogging.period_rad")]
-    assert period == pytest.approx(0.0944, rel=0.003)
-
-
 @pytest.mark.parametrize(
     ("effect", "parameter", "value"),
     [("sensor_offset", "offset_rad", -0.0408), ("sensor_gain", "gain", 0.04)],
@@ -143,10 +97,8 @@ def test_a_weight_beside_cogging_is_no_gain_of_the_sensor():
 def test_an_error_of_the_sensor_is_found_beside_cogging(effect, parameter, value):
     cogging = {"torque_Nm": 0.016, "period_rad": 0.0816, "phase_rad": -2.4}
     given = {effect: {parameter: value}, "cogging": cogging, "noise": NOISE / 3}
-    batch, noise = Batch([[traced(k, "ab"[k], **given) for k in range(2)]]), [2 * NOISE]
-    (found,), problem = search(
-        batch, baselines(batch), level=0.01, rng=np.random.default_rng(0), noise=noise
-    )
+    result = searched(2 * NOISE, [traced(k, "ab"[k], **given) for k in range(2)])
+    found, problem = result.tried, result.search
     assert effect in found.best.members
     column = COLUMNS.index(f"{effect}.{parameter}")
     assert found.best.fit.servos.theta[0, column] == pytest.approx(value, rel=0.05)
@@ -233,14 +185,6 @@ def test_an_inertia_that_no_rotor_has_is_found():
     assert [one.effect for one in diagnosed(bench=small).effects] == ["unmodelled_inertia"]
     lighter = {"unmodelled_inertia": {"inertia_kgm2": -0.2 * INERTIA}}
     assert [one.effect for one in diagnosed(**lighter).effects] == ["unmodelled_inertia"]
-
-
-def test_friction_is_named_beside_a_rotor():
-    found = diagnosed(**FRICTION)
-    assert [one.effect for one in found.effects] == ["coulomb_friction"]
-    assert found.verdict == "explained"
-    rotor = found.model.joints["j1"].motor["rotor_inertia_kgm2"]
-    assert rotor == pytest.approx(ROTOR, rel=0.05)
 
 
 def test_play_is_named_alone_where_its_rotor_is_not_in_the_stated_load():

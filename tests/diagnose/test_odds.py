@@ -1,71 +1,45 @@
-"""Odds of findings: weights of features, read from the file, and what the features say."""
+"""Odds of findings, what they say of links, and which effects the enriched model has."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sim2real.diagnose.decision import CURVES, ODDS, Odds, read_odds
-from sim2real.diagnose.missing.calibrated_odds import scaled
+from sim2real.diagnose.calibrated_odds import judged, judged_together, offer, scaled, simpler
+from sim2real.diagnose.decision import CURVES, DECISION, ODDS, Odds, read_odds
+from sim2real.diagnose.investigate import _on_all
+from sim2real.diagnose.link_effect import IrregularTiming
 from sim2real.errors import InputError
+from sim2real.identification.held_out import Unseen
 
-EFFECT = {
-    "probability": 0.9,
-    "evidence": 40.0,
-    "error_change": 0.3,
-    "groups": 0,
-    "excess": 1.0,
-    "uncatalogued_lead": -20.0,
-}
+EFFECT = {"probability": 0.9, "evidence": 40.0, "error_change": 0.3, "groups": 0, "excess": 1.0,
+          "uncatalogued_lead": -20.0}  # fmt: skip
 JOINT = {"joint excess_plain": 0.0, "joint error_plain": 0.0, "joint error": 0.0}
-WHOLE = {
-    "excess_plain": 1.0,
-    "excess": 1.0,
-    "explained_share": 0.5,
-    "smooth_evidence": -5.0,
-    "windows_evidence": -np.inf,
-    "uncatalogued_lead": -5.0,
-    "named_evidence": 0.0,
-    "remaining_gain": 0.5,
-    "groups": 0,
-    "error_plain": 1.0,
-    "error": 1.0,
-}
-
-
-def test_odds_are_the_sum_of_weights_times_features():
-    odds = Odds({"intercept": 1.0, "gain": -2.0})
-    assert odds.probability({"intercept": 1.0, "gain": 0.25}) == pytest.approx(
-        1 / (1 + np.exp(-0.5))
-    )
+WHOLE = {"excess_plain": 1.0, "excess": 1.0, "explained_share": 0.5, "smooth_evidence": -5.0,
+         "windows_evidence": -np.inf, "uncatalogued_lead": -5.0, "named_evidence": 0.0,
+         "remaining_gain": 0.5, "groups": 0, "error_plain": 1.0, "error": 1.0}  # fmt: skip
+BASE = frozenset()
+SMALL, BOTH = frozenset({"coulomb_friction"}), frozenset({"coulomb_friction", "deadband"})
+NEGLIGIBLE = 0.5 * DECISION.negligible
 
 
 def test_features_and_weights_must_have_the_same_names():
     """A renamed feature whose weight keeps the old name would silently count as 0."""
-    odds = Odds({"intercept": 0.0, "gain": 1.0})
-    with pytest.raises(ValueError, match="gain, gains"):
-        odds.probability({"intercept": 1.0, "gains": 2.0})
-    with pytest.raises(ValueError, match="extra"):
-        odds.probability({"intercept": 1.0, "gain": 0.0, "extra": 1.0})
+    odds = Odds({"intercept": 1.0, "gain": -2.0})
+    half = odds.probability({"intercept": 1.0, "gain": 0.25})
+    assert half == pytest.approx(1 / (1 + np.exp(-0.5)))
+    for features in ({"intercept": 1.0, "gains": 2.0}, {"intercept": 1.0, "gain": 0.0, "x": 1.0}):
+        with pytest.raises(ValueError, match="features and weights differ"):
+            odds.probability(features)
 
 
 @pytest.mark.parametrize("extreme", [np.inf, -np.inf, 1e12, 0.0])
 def test_all_features_are_finite_whatever_was_measured(extreme):
     """Also where nothing was held out, nothing tried, or nothing is left."""
-    names = (
-        "error_change",
-        "evidence",
-        "remaining_gain",
-        "excess",
-        "uncatalogued_lead",
-        "gain",
-        "irregularity",
-        "windows_evidence",
-    )
+    names = ("error_change", "evidence", "remaining_gain", "excess", "uncatalogued_lead", "gain",
+             "irregularity", "windows_evidence")  # fmt: skip
     assert np.isfinite(list(scaled(**dict.fromkeys(names, extreme)).values())).all()
-
-
-def test_what_takes_more_of_the_error_away_says_so():
-    much, little = (scaled(**{**EFFECT, "error_change": c}) for c in (0.5, 0.05))
-    assert much["error_change"] > little["error_change"]
 
 
 def test_the_curves_that_ship_call_a_servo_that_fits_well():
@@ -76,19 +50,14 @@ def test_the_curves_that_ship_call_a_servo_that_fits_well():
 
 def test_a_large_error_on_left_out_data_that_nothing_lowers_has_no_name():
     """A horn that slips late in one of two recordings: little beyond the noise, but elsewhere."""
-    slipped = {
-        "excess_plain": 1.4,
-        "excess": 1.37,
-        "windows_evidence": 400.0,
-        "smooth_evidence": 110.0,
-        "named_evidence": 4.0,
-    }
+    slipped = {"excess_plain": 1.4, "excess": 1.37, "windows_evidence": 400.0,
+               "smooth_evidence": 110.0, "named_evidence": 4.0}  # fmt: skip
     there = {"error_plain": 11.0, "error": 30.0, "groups": 1}
     assert ODDS["uncatalogued"].probability(scaled(**{**WHOLE, **slipped, **there})) > 0.5
     assert ODDS["uncatalogued"].probability(scaled(**{**WHOLE, **slipped})) < 0.5
 
 
-def test_the_effect_that_explains_all_of_a_large_error_is_likely():
+def test_the_effect_that_explains_all_of_a_large_error_is_probable():
     sure = {**EFFECT, "probability": 0.99, "evidence": 2000.0, "error_change": 0.9}
     weak = {**EFFECT, "probability": 0.6, "evidence": 6.0, "error_change": 0.02}
     strong, faint = (ODDS["effect"].probability(scaled(**x) | JOINT) for x in (sure, weak))
@@ -101,3 +70,81 @@ def test_a_weight_that_is_no_number_is_said(tmp_path):
     path.write_text('{"schema": "sim2real.decision/1", "odds": {"effect": {"intercept": "x"}}}')
     with pytest.raises(InputError, match=r"odds\.effect\.intercept"):
         read_odds(path)
+
+
+def finding(*sets, **changes):
+    """What was tried, and by what share each effect lowers the held-out error."""
+    tried = {members: SimpleNamespace(members=members) for members in (BASE, *sets)}
+    return SimpleNamespace(
+        tried=SimpleNamespace(base=BASE, tried=tried),
+        changes=lambda unseen, effect: changes[effect],
+    )
+
+
+@pytest.mark.parametrize(
+    ("sets", "friction", "deadband", "expected"),
+    [
+        ((SMALL, BOTH), 0.5, NEGLIGIBLE, SMALL),
+        ((SMALL, BOTH), 0.5, 2 * DECISION.negligible, BOTH),
+        ((SMALL, BOTH), NEGLIGIBLE, NEGLIGIBLE, BASE),
+        ((BOTH,), 0.5, NEGLIGIBLE, BOTH),  # without the dead band it was not tried
+    ],
+)
+def test_negligible_effects_are_what_is_taken_off(sets, friction, deadband, expected):
+    result = finding(*sets, coulomb_friction=friction, deadband=deadband)
+    assert simpler(result, result.tried.tried[BOTH], {}) == expected
+
+
+@pytest.mark.parametrize(("more", "expected"), [(1.0, SMALL), (0.995, SMALL), (0.97, BOTH)])
+def test_a_negligible_effect_stays_where_it_lowers_the_held_out_error(more, expected):
+    result = finding(SMALL, BOTH, coulomb_friction=0.5, deadband=NEGLIGIBLE)
+    held_out = {
+        s: Unseen((np.full(4, x),), np.zeros((1, 1))) for s, x in ((SMALL, 1.0), (BOTH, more))
+    }
+    assert offer(result, result.tried.tried[BOTH], SMALL, held_out).members == expected
+    assert offer(result, result.tried.tried[BOTH], SMALL, {}).members == BOTH
+
+
+def on_all(gain, *shares):
+    """Whether joints of which each but the last misses something else share this link."""
+    link = IrregularTiming("packet_loss", gain, shares=shares)
+    findings = [SimpleNamespace(mismatch=True) for _ in shares[:-1]]
+    return _on_all(link, link, [*findings, SimpleNamespace(mismatch=False)])
+
+
+def test_a_link_is_of_all_joints_unless_some_contradict_it():
+    assert not on_all(150.0, 190.0, 0.0, 0.0)
+    assert not on_all(0.0, 0.0, 0.0)
+    assert on_all(188.0, 190.0, 0.0), "a joint that hardly moves contradicts nothing"
+    assert on_all(740.0, 90.0, 30.0, 625.0)
+
+
+@pytest.fixture
+def shared(explained_joint):
+    """Findings of two joints on one link, the second with structure that stays."""
+    _, (joint,) = explained_joint
+    base = joint.finding.tried.plain
+    link = IrregularTiming("packet_loss", 700.0, 0.02, 0.002, shares=(650.0, 50.0))
+    without = replace(joint.finding.unmodelled, windows_evidence=300.0, excess=6.0)
+    first = replace(joint.finding, best=base, groups=(), link=link, excess=1.0, unmodelled=without)
+    return [first, replace(first, place=1, excess=2.2)], joint.unseen
+
+
+def of_link(finding):
+    return max(g.probability for g in finding.groups if g.members == ("packet_loss",))
+
+
+def test_a_link_is_as_likely_on_all_joints_that_share_it(shared):
+    findings, unseen = shared
+    alone = judged(findings[1], unseen)
+    together = judged_together(findings, [unseen, unseen])
+    assert of_link(alone) < of_link(together[1])
+    assert all(of_link(finding) >= 0.9 for finding in together)
+
+
+def test_events_that_nobody_foretells_are_nothing_outside_the_catalogue(shared):
+    findings, unseen = shared
+    regular = judged(replace(findings[0], link=None), unseen)
+    lossy = judged(findings[0], unseen)
+    assert regular.unknown > lossy.unknown and lossy.unknown < 0.1
+    assert not lossy.unexplained and lossy.mismatch

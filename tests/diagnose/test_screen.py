@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from simulated import traced
 
-from sim2real.diagnose.missing.baseline import BLOCKS, baselines
-from sim2real.diagnose.missing.screening import FITTED, Screen, candidate, screen
+from sim2real.diagnose.baseline import baselines
+from sim2real.diagnose.screening import FITTED, Screen, candidate, screen
 from sim2real.effects import named
 from sim2real.servo.batch import Batch
 
@@ -29,27 +29,11 @@ def test_the_threshold_keeps_its_level_on_white_noise(level):
     assert 0.4 * level < alarms < 1.4 * level
 
 
-def test_a_threshold_for_fewer_alarms_is_higher():
-    result = of_noise(np.random.default_rng(0))
-    levels = (0.3, 0.1, 0.01, 0.001)
-    bars = [result.threshold(level, np.random.default_rng(1)) for level in levels]
-    assert (np.diff(bars) > 0).all()
-
-
 def test_gain_counts_positive_scores_only():
     result = of_noise(np.random.default_rng(0))
     assert (result.gain[result.score <= 0] == 0).all()
     positive = result.score > 0
     np.testing.assert_allclose(result.gain[positive], 0.5 * result.score[positive] ** 2, rtol=1e-4)
-
-
-def test_starts_of_some_candidates():
-    result = of_noise(np.random.default_rng(0))
-    wanted = np.arange(STARTS) % 3 == 0
-    subset = result.of(wanted)
-    np.testing.assert_array_equal(subset.candidate, np.flatnonzero(wanted))
-    np.testing.assert_array_equal(subset.score, result.score[wanted])
-    assert subset.blocks.shape == (BLOCK_COUNT, wanted.sum())
 
 
 def best(result, candidates):
@@ -60,17 +44,6 @@ def test_the_effect_that_is_there_stands_out(rubbing):
     result, candidates = rubbing.seen
     assert best(result, candidates).family == "dry friction"
     assert result.gain.max() > result.threshold(0.01, np.random.default_rng(0))
-
-
-def test_nothing_stands_out_where_nothing_is_missing(nothing):
-    result = nothing.seen[0]
-    assert result.gain.max() < result.threshold(0.01, np.random.default_rng(0))
-
-
-def test_blocks_add_up_to_the_score(rubbing):
-    result = rubbing.seen[0]
-    assert result.blocks.shape[0] == 2 * BLOCKS
-    np.testing.assert_allclose(result.blocks.sum(axis=0), result.score)
 
 
 def test_an_effect_of_a_start_s_strength_scores_what_is_visible_of_it():

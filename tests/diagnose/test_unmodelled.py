@@ -7,9 +7,8 @@ import pytest
 from scipy.signal import lsim
 from simulated import INERTIA, KD, KP, NOISE, PERIOD, row, traced
 
-from sim2real.diagnose.missing.baseline import baselines
-from sim2real.diagnose.missing.unmodelled import excess, unmodelled
-from sim2real.identification.servo_problem import residual_angles
+from sim2real.diagnose.baseline import baselines
+from sim2real.diagnose.unmodelled import excess, unmodelled
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.servo.batch import Batch, Problems
 
@@ -50,36 +49,18 @@ def test_noise_that_wanders_is_nothing():
     assert excess_of(wandering(RESIDUAL_WANDER.share)) == pytest.approx(1.0, abs=0.1)
 
 
-def test_white_noise_is_nothing():
-    assert excess_of(wandering(0.0)) == pytest.approx(1.0, abs=0.1)
-
-
 def test_motion_of_its_own_is_something():
     wave = [shifted(x, 4 * NOISE * np.sin(2 * np.pi * 0.8 * x.t)) for x in wandering(1.0)]
     assert excess_of(wave) > 1.3
 
 
-def test_missing_samples_do_not_count():
-    gappy = []
-    for x in wandering(1.0):
-        used = np.random.default_rng(0).random(x.t.size) > 0.02
-        gappy.append(replace(x, used=used, position=np.where(used, x.position, np.nan)))
-    assert excess_of(gappy) == pytest.approx(1.0, abs=0.15)
-
-
-def test_residual_angles_are_those_of_the_fit(nothing):
-    residual = residual_angles(nothing.batch, nothing.plain)
-    assert residual.shape == (1, 2, nothing.traces[0].t.size)
-    assert np.std(residual) == pytest.approx(NOISE, rel=0.05)
-
-
 def looked_at(traces):
     batch = Batch([traces])
-    return unmodelled(batch, [traces], [[0]], baselines(batch))[0]
+    return unmodelled(batch, [traces], baselines(batch))[0]
 
 
 def test_a_plain_servo_has_nothing_unknown(nothing):
-    (found,) = unmodelled(nothing.batch, [nothing.traces], [[0]], nothing.plain)
+    (found,) = unmodelled(nothing.batch, [nothing.traces], nothing.plain)
     assert found.excess == pytest.approx(1.0, abs=0.12)
     assert found.windows is None
     assert found.windows_evidence == -np.inf

@@ -567,7 +567,7 @@ import sys
 sys.path.insert(0, {str(robot)!r})
 from dataclasses import replace
 import numpy as np
-from sim.calibration.swim_parameters import candidates
+from sim.inference.swim_parameters import candidates
 from sim.twin.twin import Twin
 from sim2real.body import listed
 from sim2real.report.diagnosis_plots import plain

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_effects import SQUARE, STEP, T, each, simulate
 
-from sim2real.diagnose.missing.screening import candidate
+from sim2real.diagnose.screening import candidate
 from sim2real.effects import BODY, CAMERA, CATALOGUE, named
 from sim2real.units import readable, three_digits
 

@@ -1,7 +1,5 @@
 """A job for the tests: a random walk that can be killed at any moment and goes on."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -20,9 +18,7 @@ HELD_AT = 30
 LONGEST_HOLD_S = 120.0
 
 
-def walk(
-    folder: Path, *, seed: int, steps: int, pause_s: float = 0.1, held_until: str = ""
-) -> None:
+def walk(folder, *, seed, steps, pause_s=0.1, held_until=""):
     """Walk ``steps`` steps, with a checkpoint and a pause after every ten.
 
     A walk that begins at 0 stays at step 30 until the file ``held_until`` exists, if one is named:
@@ -51,49 +47,49 @@ def walk(
     write_json(folder / "result.json", {"position": state["position"]})
 
 
-def _wait_for(file: Path) -> None:
+def _wait_for(file):
     last = time.monotonic() + LONGEST_HOLD_S
     while not file.exists() and time.monotonic() < last:
         time.sleep(0.01)
 
 
-def _checkpoint(folder: Path, made_with: dict[str, Any]) -> dict[str, Any] | None:
+def _checkpoint(folder, made_with):
     """The state to go on from, if there is one and it was made with the same options."""
     path = folder / "walk.json"
     state: dict[str, Any] | None = json.loads(path.read_text()) if path.exists() else None
     return state if state and state["made_with"] == made_with else None
 
 
-def raise_error(folder: Path) -> None:
+def raise_error(folder):
     raise ValueError("a fish out of water")
 
 
-def find_input_wanting(folder: Path) -> None:
+def find_input_wanting(folder):
     raise InputError("model.json", "kp", "-1", "a positive number")
 
 
-def die(folder: Path) -> None:
+def die(folder):
     print("about to die", flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def finish_then_crash(folder: Path) -> None:
+def finish_then_crash(folder):
     """Crash as some libraries do on the way out, when everything is written."""
     import atexit
 
     atexit.register(os.abort)
 
 
-def leave_early(folder: Path) -> None:
+def leave_early(folder):
     raise SystemExit(0)
 
 
-def tell_environment(folder: Path) -> None:
+def tell_environment(folder):
     names = ("CUDA_VISIBLE_DEVICES", "OMP_NUM_THREADS")
     write_json(folder / "environment.json", {name: os.environ[name] for name in names})
 
 
-def start_helper(folder: Path) -> None:
+def start_helper(folder):
     """Start another process, as a training with its own workers does, and wait."""
     helper = subprocess.Popen(["sleep", "300"])
     (folder / "helper").write_text(str(helper.pid))

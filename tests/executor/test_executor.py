@@ -1,14 +1,11 @@
 """Jobs on this machine: resumed when killed, left alone when done, named when they fail."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from random_walk import walk
@@ -27,22 +24,21 @@ import sim2real.executor.__main__ as worker
 from sim2real.errors import InputError
 from sim2real.executor import Job, map_jobs, run_jobs
 from sim2real.executor.job import NOT_STARTED
-from sim2real.executor.slots import slots, visible_gpus
+from sim2real.executor.run import slots, visible_gpus
 
 DRIVER = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 from pathlib import Path
 from watching import walks
-from sim2real.executor import Job, map_jobs, run_jobs
-from sim2real.executor.job import NOT_STARTED
+from sim2real.executor import Job, run_jobs
 folder = Path(sys.argv[1])
 helped = Job("h", "random_walk:start_helper", {}, folder / "h")
 run_jobs([*walks(folder, steps=60, count=1, held=[0]), helped], at_once=2)
 """
 
 
-def uninterrupted(folder: Path, *, steps: int, count: int = 4) -> list[Any]:
+def uninterrupted(folder, *, steps, count=4):
     """Results of the same sweep, walked in this process at one go."""
     for job in walks(folder, steps=steps, count=count):
         job.folder.mkdir(parents=True)
@@ -50,7 +46,7 @@ def uninterrupted(folder: Path, *, steps: int, count: int = 4) -> list[Any]:
     return results(folder)
 
 
-def test_a_killed_job_goes_on_and_ends_the_same(tmp_path: Path) -> None:
+def test_a_killed_job_goes_on_and_ends_the_same(tmp_path):
     jobs = walks(tmp_path / "run", steps=60, held=[2])
     killed = kill_in_the_middle(jobs[2].folder)
     outcomes = run_jobs(jobs, at_once=2)
@@ -63,7 +59,7 @@ def test_a_killed_job_goes_on_and_ends_the_same(tmp_path: Path) -> None:
     assert "at step 60" in (jobs[2].folder / "log.txt").read_text()
 
 
-def test_what_is_done_is_left_alone_and_other_options_are_not(tmp_path: Path) -> None:
+def test_what_is_done_is_left_alone_and_other_options_are_not(tmp_path):
     jobs = walks(tmp_path, steps=10, count=2)
     run_jobs(jobs)
     before = (jobs[0].folder / "done.json").stat().st_mtime_ns
@@ -74,17 +70,12 @@ def test_what_is_done_is_left_alone_and_other_options_are_not(tmp_path: Path) ->
     assert starts(jobs[0].folder) == [0]
     assert starts(jobs[1].folder) == [0, 0]  # the walk does not go on from other options
     assert json.loads((jobs[1].folder / "done.json").read_text())["options"]["steps"] == 20
+    run_jobs([Job("seed0", "random_walk:raise_error", {}, jobs[0].folder)])
+    assert run_jobs([jobs[0]])[0].failure is None
+    assert starts(jobs[0].folder) == [0, 10], "done again, as others have overwritten it"
 
 
-def test_what_other_options_have_overwritten_is_done_again(tmp_path: Path) -> None:
-    (job,) = walks(tmp_path, steps=10, count=1)
-    run_jobs([job])
-    run_jobs([Job(job.name, "random_walk:raise_error", {}, job.folder)])
-    assert run_jobs([job])[0].failure is None
-    assert starts(job.folder) == [0, 10]
-
-
-def test_failures_are_named_and_the_others_go_on(tmp_path: Path) -> None:
+def test_failures_are_named_and_the_others_go_on(tmp_path):
     functions = (
         "raise_error",
         "find_input_wanting",
@@ -111,7 +102,7 @@ def test_failures_are_named_and_the_others_go_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_jobs_end_with_the_program_that_started_them(tmp_path: Path, how: int) -> None:
+def test_jobs_end_with_the_program_that_started_them(tmp_path, how):
     program = [sys.executable, "-c", DRIVER, str(tmp_path)]
     paths = os.pathsep.join([str(Path(__file__).parent), os.getcwd()])
     driver = subprocess.Popen(
@@ -129,9 +120,7 @@ def test_jobs_end_with_the_program_that_started_them(tmp_path: Path, how: int) -
     assert starts(tmp_path / "0")[1] >= 30
 
 
-def test_one_process_at_a_time_works_in_a_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_process_at_a_time_works_in_a_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(worker, "PATIENCE_S", 0.0)
     with worker.locked(tmp_path):
         expected = f"in use by process {os.getpid()} on .*, expected no process"
@@ -141,9 +130,7 @@ def test_one_process_at_a_time_works_in_a_folder(
         pass
 
 
-def test_jobs_side_by_side_get_gpus_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_jobs_side_by_side_get_gpus_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     jobs = [Job(n, "random_walk:tell_environment", {}, tmp_path / n) for n in "ab"]
     run_jobs(jobs, cpus=2, gpus=1)
@@ -163,14 +150,12 @@ def test_jobs_side_by_side_get_gpus_of_their_own(
         (3, 0, ["", "", ""]),
     ],
 )
-def test_seats(
-    monkeypatch: pytest.MonkeyPatch, at_once: int | None, gpus: float, expected: list[str]
-) -> None:
+def test_seats(monkeypatch, at_once, gpus, expected):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     assert slots(at_once, cpus=1, gpus=gpus) == expected
 
 
-def test_gpus_are_those_the_driver_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpus_are_those_the_driver_names(tmp_path, monkeypatch):
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     assert visible_gpus() == []
@@ -189,23 +174,21 @@ def test_gpus_are_those_the_driver_names(tmp_path: Path, monkeypatch: pytest.Mon
         ({"executor": "slurm"}, "--executor: found 'slurm', expected local or ray"),
     ],
 )
-def test_what_can_not_be_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], message: str
-) -> None:
+def test_what_can_not_be_run(tmp_path, monkeypatch, options, message):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     with pytest.raises(InputError, match=message):
         run_jobs(walks(tmp_path, steps=10, count=1), **options)
     assert not list(tmp_path.iterdir())
 
 
-def test_no_ray(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_ray(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"no Ray, .* pip install 'sim2real\[cluster\]'"):
         run_jobs(walks(tmp_path, steps=10), executor="ray")
     assert not list(tmp_path.iterdir())
 
 
-def test_jobs_that_are_none(tmp_path: Path) -> None:
+def test_jobs_that_are_none(tmp_path):
     with pytest.raises(InputError, match="found 'walk', expected package.module:function"):
         Job("a", "walk", {}, tmp_path)
     for value in (tmp_path, (1, 2), float("nan"), {1: 2}):
@@ -219,23 +202,16 @@ def test_jobs_that_are_none(tmp_path: Path) -> None:
     assert run_jobs([]) == []
 
 
-def test_calls_by_name_return_their_folders(tmp_path: Path) -> None:
-    calls = {f"seed{seed}": {"seed": seed, "steps": 10, "pause_s": 0.0} for seed in (3, 4)}
+def test_calls_by_name_return_their_folders(tmp_path):
+    calls = {str(seed): {"seed": seed, "steps": 10, "pause_s": 0.0} for seed in (0, 1)}
     folders = map_jobs("random_walk:walk", calls, tmp_path / "run")
     assert folders == [tmp_path / "run" / name for name in calls]
-    jobs = [Job(n, "random_walk:walk", call, tmp_path / "one" / n) for n, call in calls.items()]
-    for job in jobs:
-        job.folder.mkdir(parents=True)
-        walk(job.folder, **job.options)
-    assert results(tmp_path / "run") == results(tmp_path / "one")
-
-
-def test_a_failed_call_is_named_after_the_others_have_ended(tmp_path: Path) -> None:
+    assert results(tmp_path / "run") == uninterrupted(tmp_path / "one", steps=10, count=2)
     with pytest.raises(RuntimeError, match=r"^b: ValueError: a fish out of water; see [^;]+$"):
         map_jobs("random_walk:raise_error", {"b": {}}, tmp_path)
 
 
-def test_no_job_starts_when_the_time_is_over(tmp_path: Path) -> None:
+def test_no_job_starts_when_the_time_is_over(tmp_path):
     jobs = walks(tmp_path, steps=10, count=3)
     outcomes = run_jobs(jobs, at_once=1, seconds=0.0)
     assert [outcome.failure for outcome in outcomes] == [NOT_STARTED] * 3

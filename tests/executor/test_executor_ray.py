@@ -1,11 +1,6 @@
 """The same jobs on a Ray cluster of two nodes, both on this machine."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 from random_walk import walk
@@ -37,7 +32,7 @@ NODE = {
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
+def cluster():
     """Two nodes of one CPU and one GPU each."""
     from ray.cluster_utils import Cluster
 
@@ -48,7 +43,7 @@ def cluster() -> Iterator[Any]:
     cluster.shutdown()
 
 
-def test_a_sweep_loses_nothing_when_a_worker_is_killed(cluster: Any, tmp_path: Path) -> None:
+def test_a_sweep_loses_nothing_when_a_worker_is_killed(cluster, tmp_path):
     jobs = walks(tmp_path / "run", steps=60, held=[0, 1])
     workers = kill_in_the_middle(jobs[0].folder, parent_of), kill_in_the_middle(jobs[1].folder)
     outcomes = run_jobs(jobs, executor="ray", address=cluster.address)
@@ -64,7 +59,7 @@ def test_a_sweep_loses_nothing_when_a_worker_is_killed(cluster: Any, tmp_path: P
     assert [len(starts(job.folder)) for job in jobs] == [2, 2, 1, 1]
 
 
-def test_failures_are_named_and_the_others_go_on(cluster: Any, tmp_path: Path) -> None:
+def test_failures_are_named_and_the_others_go_on(cluster, tmp_path):
     jobs = [Job(n, f"random_walk:{n}", {}, tmp_path / n) for n in ("raise_error", "die")]
     outcomes = run_jobs(
         [*jobs, *walks(tmp_path, steps=10, count=1)],
@@ -80,33 +75,31 @@ def test_failures_are_named_and_the_others_go_on(cluster: Any, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("gpus", "seen"), [(1, "0"), (0, "")])
-def test_a_job_sees_the_gpus_it_asked_for(
-    cluster: Any, tmp_path: Path, gpus: int, seen: str
-) -> None:
+def test_a_job_sees_the_gpus_it_asked_for(cluster, tmp_path, gpus, seen):
     job = Job("a", "random_walk:tell_environment", {}, tmp_path / "a")
     run_jobs([job], executor="ray", address=cluster.address, gpus=gpus)
     told = json.loads((job.folder / "environment.json").read_text())
     assert told == {"CUDA_VISIBLE_DEVICES": seen, "OMP_NUM_THREADS": "1"}
 
 
-def test_a_job_that_fits_nowhere_is_refused(cluster: Any, tmp_path: Path) -> None:
+def test_a_job_that_fits_nowhere_is_refused(cluster, tmp_path):
     message = "--executor: ray: found 2 nodes too small, expected 1 CPUs and 2 GPUs on one of them"
     with pytest.raises(InputError, match=message):
         run_jobs(walks(tmp_path, steps=10), executor="ray", address=cluster.address, gpus=2)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_cluster_that_does_not_answer(tmp_path: Path) -> None:
+def test_a_cluster_that_does_not_answer(tmp_path):
     with pytest.raises(InputError, match="--address: 127.0.0.1:9: found Connection refused"):
         run_jobs(walks(tmp_path, steps=10), executor="ray", address="127.0.0.1:9")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster: Any, tmp_path: Path) -> None:
+def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster, tmp_path):
     third = cluster.add_node(**NODE)
     jobs = walks(tmp_path, steps=60, count=3, held=range(3))
 
-    def lose() -> bool:
+    def lose():
         wait_for(lambda: all(reached(job.folder, 30) for job in jobs))
         processes = [process_of(job.folder) for job in jobs]
         cluster.remove_node(third, allow_graceful=False)

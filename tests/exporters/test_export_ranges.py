@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
-import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sim2real.exporters.ranges import terms
-from sim2real.exporters.ranges_isaaclab import isaaclab_ranges
-from sim2real.exporters.ranges_mjlab import mjlab_ranges
-from sim2real.exporters.ranges_newton import newton_ranges
-from sim2real.exporters.ranges_playground import playground_ranges
+from sim2real.exporters.ranges import TARGETS
 from sim2real.ranges.entry import Range, Ranges, normal, read_ranges, uniform
 
-EXPORTS = (isaaclab_ranges, mjlab_ranges, newton_ranges, playground_ranges)
+each_target = pytest.mark.parametrize("target", TARGETS)
 RANGES = Ranges(
     (
         uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
@@ -46,28 +41,19 @@ LACKED = {
 }
 
 
-def test_names_are_taken_apart() -> None:
-    found = {term.range.parameter: (term.joint, term.quantity) for term in terms(RANGES)}
-    assert found["command_latency_s"] == ("robot", "command_latency_s")
-    assert found["arm.j2.kp_Nm_per_rad"] == ("arm.j2", "kp_Nm_per_rad")
-    assert found["arm.j2.unmodelled_inertia.inertia_kgm2"][0] == "arm.j2"
-    assert found["body.normalised_density.tail"] == ("body", "normalised_density.tail")
-    assert found["packet_loss.probability"] == ("robot", "packet_loss.probability")
-
-
-@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
-def test_what_a_target_lacks_is_listed_there(export: Any) -> None:
-    made = export(RANGES)
-    of_mjlab = {"shape of kp_Nm_per_rad", "kp_Nm_per_rad"} if export is mjlab_ranges else set()
+@each_target
+def test_what_a_target_lacks_is_listed_there(target: str) -> None:
+    made = TARGETS[target].write(RANGES)
+    of_mjlab = {"shape of kp_Nm_per_rad", "kp_Nm_per_rad"} if target == "mjlab" else set()
     assert {line.what.partition(" (")[0] for line in made.left_out} == LACKED | of_mjlab
     head = [node for node in made.text.splitlines() if node.startswith("#")]
     assert all(f"#   {line}" in head for line in made.left_out)
 
 
-@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
-def test_shipped_ranges_compile_and_keep_their_values(export: Any) -> None:
+@each_target
+def test_shipped_ranges_compile_and_keep_their_values(target: str) -> None:
     ranges = read_ranges("datasets/pool/ranges.json")
-    text = export(ranges).text
+    text = TARGETS[target].write(ranges).text
     numbers = {
         float(node.value)
         for node in ast.walk(ast.parse(text))
@@ -77,29 +63,25 @@ def test_shipped_ranges_compile_and_keep_their_values(export: Any) -> None:
     assert len(gains) == 6
     for entry in gains:
         low, high = entry.first, entry.second
-        if entry.distribution == "normal" and export is mjlab_ranges:  # uniform, two deviations
+        if entry.distribution == "normal" and target == "mjlab":  # uniform, two deviations
             low, high = low - 2 * high, low + 2 * high
         assert {low, high} <= numbers
 
 
-def test_isaaclab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
-    def kept(**fields: Any) -> SimpleNamespace:
-        return SimpleNamespace(**fields)
-
-    mdp = ModuleType("isaaclab.envs.mdp")
-    mdp.randomize_actuator_gains, mdp.randomize_joint_parameters = "gains", "joint"  # type: ignore[attr-defined]
-    managers, utils = ModuleType("isaaclab.managers"), ModuleType("isaaclab.utils")
-    managers.EventTermCfg = kept  # type: ignore[attr-defined]
-    managers.SceneEntityCfg = lambda name, joint_names: (name, joint_names)  # type: ignore[attr-defined]
-    utils.configclass = lambda cls: cls  # type: ignore[attr-defined]
-    envs = ModuleType("isaaclab.envs")
-    envs.mdp = mdp  # type: ignore[attr-defined]
-    package = ModuleType("isaaclab")
-    package.envs = envs  # type: ignore[attr-defined]
-    for module in (package, envs, mdp, managers, utils):
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-    space: dict[str, Any] = {}
-    exec(compile(isaaclab_ranges(RANGES).text, "exported.py", "exec"), space)
+def test_isaaclab_terms(modules: Any) -> None:
+    managers = {
+        "EventTermCfg": lambda **fields: SimpleNamespace(**fields),
+        "SceneEntityCfg": lambda name, joint_names: (name, joint_names),
+    }
+    space = modules(
+        TARGETS["isaaclab"].write(RANGES).text,
+        isaaclab__envs__mdp={
+            "randomize_actuator_gains": "gains",
+            "randomize_joint_parameters": "joint",
+        },
+        isaaclab__managers=managers,
+        isaaclab__utils={"configclass": lambda cls: cls},
+    )
     found = [
         (one.func, *one.params["asset_cfg"][1], *list(one.params.items())[1], one.params)
         for name, one in vars(space["RandomizationCfg"]).items()
@@ -119,30 +101,26 @@ def test_isaaclab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     assert space["JOINT_POS_NOISE_SD"] == {"j1": 0.002}
 
 
-def test_mjlab_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mjlab_terms(modules: Any) -> None:
     """Terms as `mjlab.envs.mdp.dr` (1.6) takes them: gains together, back-EMF apart."""
-    dr = SimpleNamespace(pd_gains="gains")
-    dr.joint_friction = SimpleNamespace(__name__="joint_friction")
-    dr.joint_armature = SimpleNamespace(__name__="joint_armature")
-    modules = {name: ModuleType(f"mjlab{name}") for name in ("", ".envs", ".envs.mdp", ".managers")}
-    modules[".envs.mdp"].dr = dr  # type: ignore[attr-defined]
-    event = modules[".managers.event_manager"] = ModuleType("mjlab.managers.event_manager")
-    event.EventTermCfg = lambda **fields: SimpleNamespace(**fields)  # type: ignore[attr-defined]
-    entity = ModuleType("mjlab.managers.scene_entity_config")
-    entity.SceneEntityCfg = lambda name, **which: (name, which)  # type: ignore[attr-defined]
-    for module in (*modules.values(), entity):
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-    space: dict[str, Any] = {}
-    exec(compile(mjlab_ranges(RANGES).text, "exported.py", "exec"), space)
+    dr = SimpleNamespace(pd_gains="gains", joint_friction="friction", joint_armature="armature")
+    space = modules(
+        TARGETS["mjlab"].write(RANGES).text,
+        mjlab__envs__mdp={"dr": dr},
+        mjlab__managers__event_manager={"EventTermCfg": lambda **given: SimpleNamespace(**given)},
+        mjlab__managers__scene_entity_config={
+            "SceneEntityCfg": lambda name, **which: (name, which)
+        },
+    )
     found = space["events"](viscous_damping={"j1": 0.055})
-    gains = found["gains of j1"]
+    gains = found["pd_gains of j1"]
     assert (gains.func, gains.mode) == ("gains", "reset")
     assert gains.params["kp_range"] == pytest.approx((2.0, 2.2))  # two standard deviations
     assert gains.params["kd_range"] == pytest.approx((0.0, 0.015))
     assert gains.params["asset_cfg"] == ("robot", {"actuator_names": ["j1"]})
     friction = found["joint_friction of j1"].params
     assert (friction["ranges"], friction["distribution"]) == ((0.03, 0.004), "gaussian")
-    armature = found[r"joint_armature of arm\.j2"].params
+    armature = found["joint_armature of arm.j2"].params
     assert armature["asset_cfg"] == ("robot", {"joint_names": [r"arm\.j2"]})
     assert armature["operation"] == "abs"
     assert len(found) == 3  # arm.j2 has no range of kd, which mjlab draws together with kp
@@ -162,13 +140,10 @@ class WarpArray:
         self.values = values
 
 
-def test_newton_draws_into_the_right_places(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newton_draws_into_the_right_places(modules: Any) -> None:
     """Two worlds of two joints, their actuators in two groups, as ``newton.Model`` has them."""
-    package = ModuleType("newton")
-    package.ModelFlags = SimpleNamespace(JOINT_DOF_PROPERTIES=2)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "newton", package)
-    space: dict[str, Any] = {}
-    exec(compile(newton_ranges(RANGES).text, "exported.py", "exec"), space)
+    flags = SimpleNamespace(JOINT_DOF_PROPERTIES=2)
+    space = modules(TARGETS["newton"].write(RANGES).text, newton={"ModelFlags": flags})
 
     def group(*dofs: int) -> SimpleNamespace:
         drive = SimpleNamespace(kp=WarpArray([9.0] * len(dofs)), kd=WarpArray([9.0] * len(dofs)))
@@ -225,30 +200,23 @@ class Tree(SimpleNamespace):
 
 
 @pytest.mark.parametrize("passive", [0.0, 0.02], ids=["all in the drive", "partly in the joint"])
-def test_playground_draws_into_the_right_places(
-    passive: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_playground_draws_into_the_right_places(passive: float, modules: Any) -> None:
     """With the mean of each distribution in place of a draw; kd is the damping of all parts."""
-    jax, numpy = ModuleType("jax"), ModuleType("jax.numpy")
-    numpy.maximum = np.maximum  # type: ignore[attr-defined]
-    jax.numpy = numpy  # type: ignore[attr-defined]
-    jax.vmap = lambda f: (
-        lambda keys: {  # type: ignore[attr-defined]
-            name: np.stack([f(key)[name] for key in keys]) for name in f(keys[0])
-        }
-    )
-    jax.random = SimpleNamespace(  # type: ignore[attr-defined]
-        split=lambda rng: (rng, rng),
-        uniform=lambda key, minval, maxval: (minval + maxval) / 2,
-        normal=lambda key: 0.0,
-    )
-    jax.tree_util = SimpleNamespace(  # type: ignore[attr-defined]
-        tree_map=lambda f, tree: Tree(**{name: f(x) for name, x in vars(tree).items()})
-    )
-    monkeypatch.setitem(sys.modules, "jax", jax)
-    monkeypatch.setitem(sys.modules, "jax.numpy", numpy)
-    space: dict[str, Any] = {}
-    exec(compile(playground_ranges(RANGES).text, "exported.py", "exec"), space)
+    jax = {
+        "vmap": lambda f: (
+            lambda keys: {name: np.stack([f(key)[name] for key in keys]) for name in f(keys[0])}
+        ),
+        "random": SimpleNamespace(
+            split=lambda rng: (rng, rng),
+            uniform=lambda key, minval, maxval: (minval + maxval) / 2,
+            normal=lambda key: 0.0,
+        ),
+        "tree_util": SimpleNamespace(
+            tree_map=lambda f, tree: Tree(**{name: f(x) for name, x in vars(tree).items()})
+        ),
+    }
+    text = TARGETS["mujoco-playground"].write(RANGES).text
+    space = modules(text, jax=jax, jax__numpy={"maximum": np.maximum})
     number = {"j1": 1, "arm.j2": 0}
     mj_model = SimpleNamespace(
         actuator=lambda name: SimpleNamespace(id=number[name]),
@@ -274,15 +242,15 @@ def test_playground_draws_into_the_right_places(
     assert (axes.actuator_gainprm, axes.opt) == (0, None)
 
 
-@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
-def test_ranges_of_a_motor_are_drawn_or_listed(export: Any) -> None:
+@each_target
+def test_ranges_of_a_motor_are_drawn_or_listed(target: str) -> None:
     entries = (
         uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
         uniform("j1.motor.coulomb_Nm", 0.025, 0.035, "N m", "model"),
         uniform("j1.motor.rotor_inertia_kgm2", 0.0011, 0.0012, "kg m2", "model"),
         uniform("j1.motor.stall_torque_Nm", 1.3, 1.7, "N m", "model"),
     )
-    made = export(Ranges(entries))
+    made = TARGETS[target].write(Ranges(entries))
     (line,) = made.left_out
     assert line.component == "j1"
     assert "motor.stall_torque_Nm (uniform 1.3, 1.7 N m)" in str(line)
@@ -291,19 +259,17 @@ def test_ranges_of_a_motor_are_drawn_or_listed(export: Any) -> None:
         assert number in made.text
     assert "j1.motor" not in made.text  # as the name of a joint
     both = (*entries, uniform("j1.coulomb_friction.torque_Nm", 0.01, 0.02, "N m", "posterior"))
-    assert any("motor.coulomb_Nm" in line.what for line in export(Ranges(both)).left_out)
+    assert any(
+        "motor.coulomb_Nm" in line.what for line in TARGETS[target].write(Ranges(both)).left_out
+    )
 
 
-@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
-def test_latency_without_joints_is_listed(export: Any) -> None:
-    made = export(Ranges((uniform("command_latency_s", 0.04, 0.08, "s", "windows"),)))
+def test_latencies_that_are_not_drawn_as_stated_are_listed() -> None:
+    write = TARGETS["newton"].write
+    made = write(Ranges((uniform("command_latency_s", 0.04, 0.08, "s", "windows"),)))
     assert "name no joint" in str([*map(str, made.left_out)])
     ast.parse(made.text)
-
-
-@pytest.mark.parametrize("export", EXPORTS, ids=lambda f: f.__name__)
-def test_a_normal_latency_is_drawn_within_two_deviations(export: Any) -> None:
     latency = Range("command_latency_s", "normal", 0.06, 0.01, "s", "episode", "windows")
-    made = export(Ranges((latency, uniform("j1.kp_Nm_per_rad", 1, 2, "N m/rad", "model"))))
+    made = write(Ranges((latency, uniform("j1.kp_Nm_per_rad", 1, 2, "N m/rad", "model"))))
     assert "(0.039999999999999994, 0.08)" in made.text or "(0.04, 0.08)" in made.text
     assert "two standard deviations" in str([*map(str, made.left_out)])

@@ -95,6 +95,8 @@ def test_rough_friction_is_mostly_there_and_said_to_be_rough() -> None:
         ("rate_limit", "quadratic_drag", "gravity_load", "sensor_gain"),
         ("command_filter", "asymmetric_friction", "torque_saturation", "sensor_offset"),
         ("integral_action", "cogging", "presliding_friction"),
+        ("compliance", "torque_saturation", "coulomb_friction", "quadratic_drag"),
+        ("backlash", "torque_saturation", "coulomb_friction", "quadratic_drag"),
     ],
 )
 def test_several_effects_together(effects: tuple[str, ...]) -> None:
@@ -103,14 +105,6 @@ def test_several_effects_together(effects: tuple[str, ...]) -> None:
     model = servo(Load(0.004, 0.1, 0.1), **{name: values[name] for name in effects})
     assert not mujoco(model).left_out
     assert apart(model) < WITHIN_RAD
-
-
-def test_a_train_behind_a_drive_that_clips() -> None:
-    for effect in ("compliance", "backlash"):
-        names = (effect, "torque_saturation", "coulomb_friction", "quadratic_drag")
-        model = servo(**{name: TYPICAL[name] for name in names})
-        assert not mujoco(model).left_out
-        assert apart(model) < WITHIN_RAD
 
 
 @pytest.mark.parametrize("effect", ["compliance", "backlash"])
@@ -131,19 +125,17 @@ def test_the_rotor_of_a_train_adds_to_the_load(effect: str, of_law: float) -> No
     assert apart(model) < WITHIN_RAD
 
 
-def test_a_sensor_on_either_side_of_a_spring() -> None:
-    for side in (0.0, 1.0):
-        assert (
-            apart(servo(compliance=TYPICAL["compliance"] | {"sensor_on_output": side})) < WITHIN_RAD
-        )
-
-
-def test_inertia_that_the_load_overstates() -> None:
-    assert apart(servo(unmodelled_inertia={"inertia_kgm2": -0.0005})) < WITHIN_RAD
-
-
-def test_a_weight_that_pulls_up() -> None:
-    assert apart(servo(gravity_load={"torque_Nm": -0.1})) < WITHIN_RAD
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("compliance", TYPICAL["compliance"] | {"sensor_on_output": 0.0}),
+        ("compliance", TYPICAL["compliance"] | {"sensor_on_output": 1.0}),
+        ("unmodelled_inertia", {"inertia_kgm2": -0.0005}),  # the load overstates it
+        ("gravity_load", {"torque_Nm": -0.1}),  # a weight that pulls up
+    ],
+)
+def test_other_values(effect: str, values: dict[str, float]) -> None:
+    assert apart(servo(**{effect: values})) < WITHIN_RAD
 
 
 def test_a_servo_identified_from_recordings_on_the_one_held_out() -> None:
@@ -160,20 +152,6 @@ def test_a_servo_identified_from_recordings_on_the_one_held_out() -> None:
         assert np.sqrt(np.mean((seen[joint] - expected[joint]) ** 2)) < WITHIN_RAD
         error = [np.nanstd(chirp.position[:, j] - x[joint]) for x in (seen, expected)]
         assert error[0] == pytest.approx(error[1], rel=0.05)  # as near to what was measured
-
-
-def test_without_delays_the_bench_holds_commands_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
-    t, signals = commands()
-    xml = mujoco(servo()).text
-    assert xml.count("delay") == 1
-    monkeypatch.setattr("sim2real.exporters.mujoco.version", lambda package: "3.4.0")
-    export = mujoco(servo())
-    assert "MuJoCo 3.4.0 has no delays" in str(*export.left_out)
-    old = export.text
-    assert "delay=" not in old
-    now, then = (simulate(x, t, {"j1": signals["steps"]})["j1"] for x in (xml, old))
-    assert np.sqrt(np.mean((now - then) ** 2)) < WITHIN_RAD
 
 
 def test_every_effect_is_expressed_or_listed_with_a_reason() -> None:
@@ -194,26 +172,20 @@ def test_what_no_combination_has_is_listed() -> None:
     assert "command_filter (0.03 s)" in str(*mujoco(model).left_out)
     model = servo(rate_limit=TYPICAL["rate_limit"], sensor_offset=TYPICAL["sensor_offset"])
     assert "constant torque" in str(*mujoco(model).left_out)
-
-
-def test_effects_of_the_whole_robot_are_listed() -> None:
-    model = Model(
-        servo().joints, effects=(FittedEffect("voltage_sag", {"loss_at_full_load": 0.2}),)
-    )
-    assert "robot: voltage_sag" in str(*mujoco(model).left_out)
-
-
-def test_limits_of_the_robot_become_ranges() -> None:
-    robot = read_robot(SERVO_STEPS / "robot.toml")
-    assert 'range="-0.8 0.8"' in mujoco(servo(), robot).text
-
-
-def test_gains_per_inertia_are_said_to_be() -> None:
+    sag = FittedEffect("voltage_sag", {"loss_at_full_load": 0.2})
+    assert "robot: voltage_sag" in str(*mujoco(Model(servo().joints, effects=(sag,))).left_out)
     model = Model({"j1": JointModel(1100, 30, 0.05, 1.0, per_inertia=True)})
     assert "per kg m2" in str(*mujoco(model).left_out)
 
 
-def test_bad_models(tmp_path: Path) -> None:
+def test_the_file_states_limits_integrator_and_time_step() -> None:
+    text = mujoco(servo(), read_robot(SERVO_STEPS / "robot.toml")).text
+    assert 'range="-0.8 0.8"' in text
+    assert '<option timestep="0.00025" integrator="implicitfast"' in text
+    assert "implicitfast, 0.25 ms" in text.split("-->")[0]
+
+
+def test_bad_models() -> None:
     with pytest.raises(InputError, match="at least one identified joint"):
         mujoco(Model({}))
     with pytest.raises(InputError, match="ghost"):
@@ -236,37 +208,14 @@ def motor(**parameters: float) -> Model:
     return Model({"j1": joint})
 
 
-def clipped(t: np.ndarray, command: np.ndarray, limit: float, speed: float) -> np.ndarray:
-    """The same by its equations: 2.2 e - 0.06 v within the torque-speed line, 50.7 ms late."""
-    step = 5e-5
-    angle = velocity = 0.0
-    ticks = np.arange(0, t[-1] + step, step)
-    sent = command[np.maximum(np.searchsorted(t + 0.0507, ticks, side="right") - 1, 0)]
-    angles = np.empty(ticks.size)
-    slope = limit / speed
-    for k, u in enumerate(sent.tolist()):
-        angles[k] = angle
-        drive = 2.2 * (u - angle - 0.5 * step * velocity) - (0.06 - slope) * velocity
-        torque = min(max(drive, -limit), limit) - slope * velocity
-        before = velocity
-        velocity += step * torque / 0.002
-        angle += step * 0.5 * (before + velocity)
-    return np.interp(t, ticks, angles)
-
-
 def test_a_drive_that_clips_before_the_back_emf() -> None:
-    pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
-    t, signals = commands()
     model = motor(stall_torque_Nm=0.6, no_load_speed_rad_s=4.0)
-    export = mujoco(model)
-    assert not export.left_out
-    for sent in signals.values():
-        expected = clipped(t, sent, 0.6, 4.0)
-        seen = simulate(export.text, t, {"j1": sent})["j1"]
-        assert np.sqrt(np.mean((seen - expected) ** 2)) < WITHIN_RAD
-    linear = simulate(mujoco(servo()).text, t, {"j1": signals["steps"]})["j1"]
-    seen = simulate(export.text, t, {"j1": signals["steps"]})["j1"]
-    assert np.sqrt(np.mean((seen - linear) ** 2)) > 10 * WITHIN_RAD
+    assert not mujoco(model).left_out
+    assert apart(model) < WITHIN_RAD
+    t, signals = commands()
+    sent = {"j1": signals["steps"]}
+    clipped = predict(model, t, sent)["j1"] - predict(servo(), t, sent)["j1"]
+    assert np.sqrt(np.mean(clipped**2)) > 10 * WITHIN_RAD
 
 
 @pytest.mark.parametrize("timestep_s", [0.002, 0.005])
@@ -298,14 +247,6 @@ def test_a_current_limit_below_the_torque_speed_line(free_damping: float) -> Non
     object.__setattr__(model.joints["j1"], "effects", effects)
     assert "torque_saturation" in str(*mujoco(model).left_out)
     assert "torque_saturation" not in expressed(model.joints["j1"])
-
-
-def test_the_file_states_integrator_and_time_step() -> None:
-    root = ElementTree.fromstring(mujoco(servo()).text)
-    option = root.find("option")
-    assert option is not None
-    assert (option.get("integrator"), option.get("timestep")) == ("implicitfast", "0.00025")
-    assert "implicitfast, 0.25 ms" in mujoco(servo()).text.split("-->")[0]
 
 
 @pytest.mark.parametrize("creep_time_s", [0.0, 0.01])

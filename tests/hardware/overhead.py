@@ -16,9 +16,6 @@ import numpy as np
 
 from sim2real.arrays import Array, Picture
 
-Paint = Callable[[Array, Array], Array]
-"""Colours (..., 3), linear, of the points x, y of a plane."""
-
 POOL_M = 3.6
 SIZE = (640, 480)
 
@@ -50,10 +47,8 @@ class Eye:
     def pixels(self, points: Array) -> Array:
         """Where points (..., 3) of the world are seen, (..., 2)."""
         p = (points - np.array(self.position)) @ self.rotation.T
-        x, y = self.bend(p[..., 0] / p[..., 2], p[..., 1] / p[..., 2])
-        return np.stack(
-            [self.focal[0] * x + self.centre[0], self.focal[1] * y + self.centre[1]], -1
-        )
+        bent = self.bend(p[..., 0] / p[..., 2], p[..., 1] / p[..., 2])
+        return np.stack(bent, -1) * self.focal + self.centre
 
     def rays(self, u: Array, v: Array) -> Array:
         """Directions (..., 3) in the camera's axes in which pixels look, by fixed point."""
@@ -71,16 +66,7 @@ class Eye:
         """Where rays meet the level z = height: x and y."""
         ahead = rays @ self.rotation
         reach = (height - self.position[2]) / ahead[..., 2]
-        return (
-            self.position[0] + reach * ahead[..., 0],
-            self.position[1] + reach * ahead[..., 1],
-        )
-
-
-def printed(dictionary: int, number: int, pixels: int = 480) -> Array:
-    """A marker as printed: 1 for white, its quiet zone of one cell left out."""
-    book = cv2.aruco.getPredefinedDictionary(dictionary)
-    return cv2.aruco.generateImageMarker(book, number, pixels) / 255.0
+        return self.position[0] + reach * ahead[..., 0], self.position[1] + reach * ahead[..., 1]
 
 
 def stuck_on(picture: Array, forward: Array, left: Array, side: float) -> tuple[Array, Array]:
@@ -104,22 +90,22 @@ def tiles(x: Array, y: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Swimmer:
-    """What swims: a dark head with a marker, or with an orange blob, on top."""
+class Shot:
+    """How a video is taken, of a dark head with a marker, or with an orange blob, on top."""
 
-    dictionary: int = cv2.aruco.DICT_4X4_50
+    eye: Eye = field(default_factory=Eye)
     number: int = 3
     side: float = 0.06
     height: float = 0.05
     blob: bool = False
+    exposure_s: float = 0.008
+    noise: float = 4.0  # grey levels
+    samples: int = 3  # along each side of a pixel
 
-    @property
-    def reach(self) -> float:
-        return 0.24
-
-    def paint(self) -> Callable[[Array, Array], tuple[Array, Array]]:
+    def swimmer(self) -> Callable[[Array, Array], tuple[Array, Array]]:
         """A function from a point of the body to: is there body, and its colour."""
-        picture = printed(self.dictionary, self.number)
+        book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+        picture = cv2.aruco.generateImageMarker(book, self.number, 480) / 255.0
 
         def colours(forward: Array, left: Array) -> tuple[Array, Array]:
             body = (np.abs(left) < 0.065 * (1 - (forward / 0.18).clip(-1, 1) ** 4)) & (
@@ -137,21 +123,6 @@ class Swimmer:
         return colours
 
 
-@dataclass(frozen=True)
-class Shot:
-    """How a video is taken."""
-
-    eye: Eye = field(default_factory=Eye)
-    swimmer: Swimmer = field(default_factory=Swimmer)
-    rate: float = 30.0
-    exposure_s: float = 0.008
-    noise: float = 4.0  # grey levels
-    flicker: float = 0.02
-    ripple: float = 0.06  # of the light, moving over the pool
-    blur_px: float = 0.45  # of the lens
-    samples: int = 8  # along each side of a pixel
-
-
 def swim(t: Array) -> Array:
     """Poses (T, 3) of a swim in a figure of eight, the head swinging at 1.1 Hz; continuous in t."""
     start = np.clip(t - 1.0, 0.0, None)
@@ -161,8 +132,7 @@ def swim(t: Array) -> Array:
     y = POOL_M / 2 + 1.25 * np.sin(2 * (phase + 0.5)) / 2
     dx, dy = 1.15 * np.cos(phase + 0.5), 1.25 * np.cos(2 * (phase + 0.5))
     swing = 0.16 * np.sin(2 * np.pi * 1.1 * start) * (1 - np.exp(-2 * start))
-    yaw = np.unwrap(np.arctan2(dy, dx)) + swing
-    return np.stack([x, y, yaw], -1)
+    return np.stack([x, y, np.unwrap(np.arctan2(dy, dx)) + swing], -1)
 
 
 def sample_rays(eye: Eye, u: Array, v: Array, samples: int) -> Array:
@@ -175,26 +145,26 @@ def sample_rays(eye: Eye, u: Array, v: Array, samples: int) -> Array:
 
 
 @cache
-def still(eye: Eye, paint: Paint, height: float = 0.0, samples: int = 3) -> Array:
-    """A level plane as the camera sees it, linear, (V, U, 3)."""
+def still(eye: Eye) -> Array:
+    """The pool as the camera sees it, linear, (V, U, 3)."""
     rows = []
     for v in np.array_split(np.arange(SIZE[1], dtype=float), 24):
-        rays = sample_rays(eye, np.arange(SIZE[0], dtype=float), v, samples)
-        rows.append(paint(*eye.plane(rays, height)).mean(axis=2))
+        rays = sample_rays(eye, np.arange(SIZE[0], dtype=float), v, 3)
+        rows.append(tiles(*eye.plane(rays, 0.0)).mean(axis=2))
     return np.concatenate(rows)
 
 
-def with_swimmer(shot: Shot, pool: Array, poses: Array) -> Array:
-    """``pool`` with the swimmer in it, averaged over ``poses`` (K, 3) of one exposure."""
-    swimmer, eye, picture = shot.swimmer, shot.eye, pool.copy()
-    x, y, _ = poses.mean(axis=0)
-    around = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * swimmer.reach + (x, y)
-    corners = eye.pixels(np.column_stack([around, np.full(4, swimmer.height)]))
+def with_swimmer(shot: Shot, poses: Array) -> Array:
+    """The pool with the swimmer in it, averaged over ``poses`` (K, 3) of one exposure."""
+    eye, pool = shot.eye, still(shot.eye)
+    picture, (x, y, _) = pool.copy(), poses.mean(axis=0)
+    around = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * 0.24 + (x, y)
+    corners = eye.pixels(np.column_stack([around, np.full(4, shot.height)]))
     low = np.floor(corners.min(axis=0)).astype(int).clip(0, np.array(SIZE) - 1)
     high = np.ceil(corners.max(axis=0)).astype(int).clip(1, np.array(SIZE))
     u, v = np.arange(low[0], high[0], dtype=float), np.arange(low[1], high[1], dtype=float)
-    px, py = eye.plane(sample_rays(eye, u, v, shot.samples), swimmer.height)
-    paint, water = swimmer.paint(), pool[low[1] : high[1], low[0] : high[0], None]
+    px, py = eye.plane(sample_rays(eye, u, v, shot.samples), shot.height)
+    paint, water = shot.swimmer(), pool[low[1] : high[1], low[0] : high[0], None]
     total = np.zeros((v.size, u.size, 3))
     for x, y, yaw in poses:
         c, s = np.cos(yaw), np.sin(yaw)
@@ -207,44 +177,30 @@ def with_swimmer(shot: Shot, pool: Array, poses: Array) -> Array:
 def developed(linear: Array, shot: Shot, t: float, rng: np.random.Generator) -> Picture:
     """Light (flicker, moving ripple), the sensor's gamma and noise; blue, green, red bytes."""
     v, u = np.mgrid[0 : SIZE[1], 0 : SIZE[0]]
-    light = 1 + shot.flicker * rng.standard_normal()
-    light = light + shot.ripple * np.sin(u / 23 + 4 * t) * np.sin(v / 31 - 3 * t)
-    if shot.blur_px:
-        linear = cv2.GaussianBlur(linear, (0, 0), shot.blur_px)
+    light = 1 + 0.02 * rng.standard_normal()
+    light = light + 0.06 * np.sin(u / 23 + 4 * t) * np.sin(v / 31 - 3 * t)
+    linear = cv2.GaussianBlur(linear, (0, 0), 0.45)
     grey = 255 * (linear * light[..., None]).clip(0, 1) ** (1 / 2.2)
     noise = shot.noise * rng.standard_normal(grey.shape[:2], dtype=np.float32)
     return (grey[..., ::-1] + noise[..., None]).round().clip(0, 255).astype(np.uint8)
 
 
 def frames(
-    shot: Shot,
-    t: Array,
-    *,
-    rng: np.random.Generator,
-    poses: Callable[[Array], Array] = swim,
-    hidden: tuple[float, float] = (0.0, 0.0),
-    flash: tuple[float, float] = (0.0, 0.0),
-    paint: Paint = tiles,
+    shot: Shot, t: Array, *, rng: np.random.Generator, hidden: tuple[float, float] = (0.0, 0.0)
 ) -> Iterator[Picture]:
-    """One frame for each time t (its middle of exposure).
-
-    ``hidden``: from when to when an arm is in the way; ``flash``: a lamp is on.
-    """
-    pool = still(shot.eye, paint)
+    """One frame for each time t (its middle of exposure); while ``hidden`` an arm is in the way."""
     inside = (np.arange(5) - 2) / 5 * shot.exposure_s
     for time in t:
-        at = poses(time + inside)
-        picture = with_swimmer(shot, pool, at)
+        at = swim(time + inside)
+        picture = with_swimmer(shot, at)
         if hidden[0] <= time < hidden[1]:
-            u, v = shot.eye.pixels(np.array([*at[2, :2], shot.swimmer.height])).round().astype(int)
+            u, v = shot.eye.pixels(np.array([*at[2, :2], shot.height])).round().astype(int)
             picture[max(v - 14, 0) : v + 14, max(u - 60, 0) : u + 14] = (0.35, 0.2, 0.12)
-        if flash[0] <= time < flash[1]:
-            picture = picture * 1.5 + 0.1
         yield developed(picture, shot, float(time), rng)
 
 
-def write_video(path: Path, pictures: Iterator[Picture], rate: float, codec: str) -> Path:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), rate, SIZE)
+def write_video(path: Path, pictures: Iterator[Picture], rate: float) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, SIZE)
     assert writer.isOpened()
     for picture in pictures:
         writer.write(picture)

@@ -10,7 +10,7 @@ import pytest
 from virtual_bench import LAW, robot_file, served
 
 from sim2real.cli import main
-from sim2real.hardware.bench import Weight, load
+from sim2real.hardware.bench import Weight
 from sim2real.model import read_model
 
 LOSSES = {"loss": 0.02, "noise": 0.001}
@@ -53,8 +53,8 @@ def test_the_load_is_asked_for_on_a_terminal_only(tmp_path, capsys, monkeypatch)
     assert _asked(1) == Weight(0.1, 0.12)
     hanging = {"pendulum_mass_kg": 0.1, "pendulum_length_m": 0.12}
     inertia = {"inertia_kgm2": pytest.approx(0.1 * 0.12**2)}
-    assert load(Weight(0.1, 0.12), hangs=True) == inertia | hanging
-    assert load(Weight(0.1, 0.12), hangs=False) == inertia
+    assert Weight(0.1, 0.12).load(hangs=True) == inertia | hanging
+    assert Weight(0.1, 0.12).load(hangs=False) == inertia
 
 
 @pytest.mark.parametrize(

@@ -8,31 +8,18 @@ import time
 
 import numpy as np
 import pytest
-from virtual_bench import LAW, record, served, virtual, when_rows
+from virtual_bench import LAW, record, refused, served, when_rows
 
 from sim2real.cli import main
 from sim2real.errors import InputError
-from sim2real.hardware.buses import BUSES, bus_class, connection
-from sim2real.hardware.dynamixel_bus import DynamixelBus
-from sim2real.hardware.feetech_bus import FeetechBus
-from sim2real.hardware.journal import Changed, Journal
-from sim2real.hardware.latency_timer import latency_advice
-from sim2real.hardware.registers import LAYOUTS
+from sim2real.hardware.buses import BUSES, Changed, Journal, connection, latency_advice
 from sim2real.hardware.servo_bus import Stopped
 from sim2real.hardware.servo_models import model_of, servo_models
-from sim2real.hardware.virtual_shaft import Shaft
+from sim2real.hardware.virtual_bus import Shaft
 from sim2real.recording import read_recording
 
 REGISTERS = ("dynamixel", "feetech")
 LIMITS = {"profile_velocity": 44, "profile_acceleration": 7}
-
-
-def refused(capsys, status, expected, *parts):
-    output = capsys.readouterr()
-    assert status == expected
-    assert output.err.count("\n") == 1, output.err
-    for part in parts:
-        assert part in output.err
 
 
 def limit(servo, values):
@@ -246,15 +233,6 @@ def test_nothing_is_written_to_the_eeprom(bus):
             link.bus.servo(4)
 
 
-@pytest.mark.parametrize("family", LAYOUTS)
-def test_what_is_restored_is_read_in_a_block_of_a_length_of_its_own(family):
-    """A late answer to another request, which does not tell its address, can't pass for it."""
-    layout = LAYOUTS[family]
-    _, own = layout.span(("torque_enable", *layout.changed))
-    single = {register.size for register in layout.registers.values()}
-    assert own not in single | {3, layout.span(layout.reported)[1]}, "3: the answer to a ping"
-
-
 class Noise:
     """A transport from which random bytes come."""
 
@@ -272,11 +250,11 @@ class Noise:
         return self.rng.choice([0xFF, 0xFF, 0xFD, 0, 1, 4, 9, 85], count).astype("u1").tobytes()
 
 
-@pytest.mark.parametrize("kind", [DynamixelBus, FeetechBus])
-def test_random_bytes_instead_of_answers(kind):
-    line = Noise()
+@pytest.mark.parametrize("name", REGISTERS)
+def test_random_bytes_instead_of_answers(name):
+    line, kind = Noise(), BUSES[name]
     bus = kind(line, 1_000_000)
-    bus._models[1] = model_of(kind.name, 1200 if kind is DynamixelBus else 777)
+    bus._models[1] = model_of(name, 1200 if name == "dynamixel" else 777)
     while line.left:
         begin = time.monotonic()
         bus.cycle({1: 2048}, begin + 0.01)
@@ -297,22 +275,10 @@ def test_random_bytes_to_the_servos(bus):
             assert any(link.bus.answers(1, 0.05) for _ in range(20))
 
 
-def test_the_profile_of_a_servo_slows_it():
-    servo = virtual("dynamixel", 1, 0.0)
-    servo.write(112, (20).to_bytes(4, "little"), 0.0)  # 4.58 rev/min
-    servo.write(64, b"\x01", 0.0)
-    servo.write(116, (2548).to_bytes(4, "little"), 0.0)
-    takes = 500 / 4096 / (4.58 / 60)
-    servo.read(132, 4, takes / 2 + 0.06)
-    assert servo.get("present_position") == pytest.approx(2298, abs=25)
-    servo.read(132, 4, takes + 1.0)
-    assert servo.get("present_position") == 2548
-
-
 def test_every_model_has_a_source_and_plausible_ratings():
     for model in servo_models():
         assert model.source and model.layout
-        assert bus_class(model.bus).name == model.bus
+        assert model.bus in BUSES
         for rating in model.ratings:
             assert 3 < rating.supply_V < 25
             assert 0.1 < rating.stall_torque_Nm < 15

@@ -1,28 +1,22 @@
 """A lens from rendered views of a board: another renderer than OpenCV's own projection."""
 
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from sim2real.cli import main
+from sim2real.commands.camera import board_of
+from sim2real.hardware.camera import read_camera
+
 cv2 = pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
-sys.path.insert(0, str(Path(__file__).parent))
-import overhead  # noqa: E402
+overhead = pytest.importorskip("overhead")
 
-from sim2real.cli import main  # noqa: E402
-from sim2real.hardware.camera_file import read_camera  # noqa: E402
-from sim2real.hardware.charuco import Board, corner_markers  # noqa: E402
-
-BOARD = Board((7, 5), 0.04, 0.03, "4x4_50")
 SPEC = "7,5,0.04,0.03"
+BOARD = board_of(SPEC, "4x4_50")
 
 
 def view(eye, turn, centre, rng):
     """The board at ``centre`` before the camera, turned, as each pixel's ray meets it."""
-    sheet = BOARD.drawn().generateImage((700, 500), marginSize=0)
+    sheet = BOARD.generateImage((700, 500), marginSize=0)
     rotation = cv2.Rodrigues(np.array(turn, dtype=float))[0]
     v, u = np.mgrid[0 : overhead.SIZE[1], 0 : overhead.SIZE[0]].astype(float)
     rays = eye.rays(u, v)
@@ -62,15 +56,3 @@ def test_a_lens_is_found(tmp_path, capsys):
     assert main([*few, "--out", str(tmp_path / "no.toml")]) == 2
     assert "views of the board" in capsys.readouterr().err
     assert not (tmp_path / "no.toml").exists()
-
-
-def test_corner_markers_are_found_in_order():
-    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    picture = np.full((480, 640), 210, np.uint8)
-    places = {10: (60, 400), 11: (560, 410), 12: (550, 40), 13: (70, 50)}
-    for number, (u, v) in places.items():
-        picture[v - 20 : v + 20, u - 20 : u + 20] = cv2.aruco.generateImageMarker(words, number, 40)
-    found = corner_markers(picture, "4x4_50", (10, 11, 12, 13))
-    assert np.allclose(found, np.array(list(places.values())) - 0.5, atol=0.6)
-    with pytest.raises(ValueError, match="marker 14"):
-        corner_markers(picture, "4x4_50", (10, 14))

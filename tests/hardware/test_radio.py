@@ -9,15 +9,14 @@ import pytest
 from virtual_bench import served
 
 from sim2real.hardware.datagram import AHEAD, HALF, SILENCE_S, answer, read_answer, request
-from sim2real.hardware.lx import BusCommand, Packet, encode
-from sim2real.hardware.lx_bus import LxBus
-from sim2real.hardware.transport import open_transport
-from sim2real.hardware.transport_udp import PATIENCE, UdpTransport
-from sim2real.hardware.virtual_radio import VirtualRadio
+from sim2real.hardware.frames import LX, Packet
+from sim2real.hardware.lx import LxBus, LxCommand
+from sim2real.hardware.transport import PATIENCE, UdpTransport, open_transport
+from sim2real.hardware.virtual_link import VirtualRadio
 
 KEY = b"a key of the swimming pool"
 MINE, OTHER = ("127.0.0.1", 1), ("127.0.0.1", 2)
-ASK = encode(Packet(1, BusCommand.POS_READ, b""))
+ASK = LX.encode(Packet(1, LxCommand.POS_READ, b""))
 SESSION = bytes(2 * HALF)
 
 
@@ -28,14 +27,14 @@ def opened(bench, key):
 @pytest.mark.parametrize("key", [None, KEY])
 def test_a_stranger_is_not_heard(key):
     with served(1, udp=True, key=key) as bench, closing(opened(bench, key)) as bus:
-        assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+        assert bus.ask(1, LxCommand.POS_READ, 1.0) is not None
         host, port = bench.port.removeprefix("udp://").split(":")
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             stranger.settimeout(0.1)
             for number in (0, 1, 2, 500, 60_000):
                 stranger.sendto(request(number, ASK, SESSION, key), (host, int(port)))
                 stranger.sendto(ASK, (host, int(port)))
-                assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+                assert bus.ask(1, LxCommand.POS_READ, 1.0) is not None
             with pytest.raises(TimeoutError):
                 stranger.recv(2048)
 
@@ -45,19 +44,19 @@ def test_a_computer_that_is_done_leaves_the_radio_to_the_next():
         with served(1, udp=True, key=key) as bench:
             for _ in range(3):
                 with closing(opened(bench, key)) as bus:
-                    assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+                    assert bus.ask(1, LxCommand.POS_READ, 1.0) is not None
 
 
 @pytest.mark.parametrize(("radios", "computers"), [(KEY, None), (None, KEY), (KEY, KEY[::-1])])
 def test_another_key_is_no_key(radios, computers):
     with served(1, udp=True, key=radios) as bench, closing(opened(bench, computers)) as bus:
-        assert bus.ask(1, BusCommand.POS_READ, 0.1) is None
+        assert bus.ask(1, LxCommand.POS_READ, 0.1) is None
 
 
 def test_the_key_comes_from_the_environment(monkeypatch):
     monkeypatch.setenv("SIM2REAL_KEY", KEY.decode())
     with served(1, udp=True, key=KEY) as bench, closing(LxBus(open_transport(bench.port))) as bus:
-        assert bus.ask(1, BusCommand.POS_READ, 1.0) is not None
+        assert bus.ask(1, LxCommand.POS_READ, 1.0) is not None
 
 
 def test_a_radio_that_was_switched_off_is_found_again():

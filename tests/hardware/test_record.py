@@ -1,13 +1,16 @@
 """A recording from beginning to end, on virtual servos."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
-from virtual_bench import record, robot_file, served
+from virtual_bench import LAW, record, robot_file, served
 
 from sim2real.cli import main
+from sim2real.identification.identify import identify
 from sim2real.recording import read_recording
-
-pytestmark = pytest.mark.usefixtures("recorders")
+from sim2real.robot import read_robot
 
 
 def test_three_joints_keep_apart_on_a_wire_that_echoes(tmp_path, capsys):
@@ -62,3 +65,55 @@ def test_scan_lists_who_is_there(capsys):
         assert main(["scan", "--port", bench.port, "--ids", "3"]) == 1
         assert "no servo answers" in capsys.readouterr().err
     assert main(["scan", "--port", bench.port, "--ids", "1-300"]) == 2
+
+
+def test_identify_finds_the_servo_through_a_radio_that_loses_packets(tmp_path, capsys):
+    """What is lost is missing; the rest is what the servo did."""
+    with served(1, udp=True, loss=0.02, noise=0.001) as bench:
+        more = ["--inertia=0.002", "--seconds", "14"]
+        assert record(tmp_path, bench.port, *more, signal="steps") == 0
+    recording, said = read_recording(tmp_path / "run.csv"), capsys.readouterr().out
+    rows, missing = recording.t.size, int(np.isnan(recording.position).sum())
+    assert f"{rows} rows" in said and f"j1 {missing}" in said
+    assert 5 < missing < 0.4 * rows, "two per cent of packets each way, and noise"
+    assert recording.t[-1] == pytest.approx(14, abs=0.1), "its schedule does not drift"
+    assert recording.loads["j1"].inertia_kgm2 == 0.002
+    supply, temperature = (recording.columns[c] for c in ("supply_V", "j1.temperature_C"))
+    assert np.nanmin(supply) == np.nanmax(supply) == 7.4
+    assert np.nanmin(temperature) == np.nanmax(temperature) == 30
+    clock = recording.columns["device_t_s"]
+    told = np.isfinite(clock)
+    assert told.sum() > 0.6 * rows
+    apart = np.diff(clock[told]) - np.diff(recording.t[told])
+    assert np.abs(np.median(apart)) < 1e-3
+    robot = read_robot(tmp_path / "robot.toml")
+    model = identify([recording], robot, law="pd").joints["j1"]  # what the virtual servo obeys
+    assert model.kp_Nm_per_rad == pytest.approx(LAW.kp_Nm_per_rad, rel=0.03)
+    assert model.kd_Nms_per_rad == pytest.approx(LAW.kd_Nms_per_rad, rel=0.03)
+    assert model.latency_s == pytest.approx(LAW.latency_s, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("more", "bus"),
+    [
+        ([], "lx"),
+        (["--udp", "127.0.0.1:0"], "lx"),
+        (["--bus", "dynamixel", "--servo", "XM430-W350"], "dynamixel"),
+    ],
+)
+def test_scan_finds_what_virtual_servo_serves(more, bus, capsys):
+    command = [sys.executable, "-m", "sim2real", "virtual-servo", "--ids", "1,3", *more]
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        port = program.stdout.readline().removeprefix("port: ").strip()
+        assert main(["scan", "--port", port, "--ids", "1-4", "--bus", bus]) == 0
+        rows = capsys.readouterr().out.splitlines()[1:]
+        assert [row.split()[0] for row in rows] == ["1", "3"]
+        assert bus == "lx" or "XM430-W350" in rows[0]
+    finally:
+        program.terminate()
+        program.communicate(timeout=10)
+    assert program.returncode == 0
+    assert main(["virtual-servo", "--bus", "dynamixel", "--servo", "XM430"]) == 2
+    refused = capsys.readouterr().err
+    assert "--servo: found 'XM430'" in refused and refused.count("\n") == 1

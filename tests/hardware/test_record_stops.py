@@ -5,26 +5,19 @@ import signal
 
 import numpy as np
 import pytest
-from virtual_bench import record, robot_file, served, when_rows
+from virtual_bench import record, refused, robot_file, served, when_rows
 
 from sim2real.cli import main
 from sim2real.recording import read_recording
-
-pytestmark = pytest.mark.usefixtures("recorders")
 
 ROWS = 15
 
 
 def stopped(folder, capsys, status, *parts):
     """The recording that is left after one line with ``parts`` and exit status 1."""
-    output = capsys.readouterr()
-    assert status == 1
-    assert output.err.count("\n") == 1, output.err
-    assert output.err.startswith("sim2real record: ")
-    for part in parts:
-        assert part in output.err
+    error = refused(capsys, status, 1, "sim2real record: ", *parts)
     recording = read_recording(folder / "run.csv")
-    assert f"{recording.t.size} rows" in output.err
+    assert f"{recording.t.size} rows" in error
     assert recording.metadata["outcome"]["rows"] == recording.t.size
     assert np.isfinite(recording.command).all()
     return recording
@@ -76,14 +69,6 @@ def test_a_servo_gets_hot(tmp_path, capsys):
         recording = stopped(tmp_path, capsys, status, "above 57 C", "torque off")
         assert 57 < np.nanmax(recording.columns["j1.temperature_C"]) < 60
         assert not bench.servos[0].powered
-
-
-def refused(capsys, status, expected, *parts):
-    output = capsys.readouterr()
-    assert status == expected
-    assert output.err.count("\n") == 1, output.err
-    for part in parts:
-        assert part in output.err
 
 
 def test_what_never_began_leaves_no_file(tmp_path, capsys):

@@ -5,11 +5,11 @@ import pytest
 from good_input import ROBOT
 from virtual_bench import robot_file
 
-from sim2real.hardware import lx_bus, recorder
-from sim2real.hardware.lx import BusCommand, Decoder, Packet
-from sim2real.hardware.lx_bus import LxBus, lx_servo
-from sim2real.hardware.mounting import mount
-from sim2real.hardware.row_stream import RowStream
+from sim2real.hardware import lx, recorder, servo_bus
+from sim2real.hardware.frames import LX, FrameDecoder, Packet
+from sim2real.hardware.lx import LxBus, LxCommand, lx_servo
+from sim2real.hardware.mounting import Wiring, mount
+from sim2real.hardware.recorder import Run, row_file
 from sim2real.recording import read_recording
 from sim2real.robot import read_robot
 
@@ -30,67 +30,66 @@ class Clock:
 class Line:
     """A wire whose servo answers after as long as the script says; ``hot`` from a cycle on."""
 
-    together, device_s, garbled = False, None, 0
+    together, device_s = False, None
 
     def __init__(self, clock, takes, hot=10**9):
-        self.clock, self.takes, self.hot, self.cycle = clock, takes, hot, -1
+        self.clock, self.takes, self.hot, self.cycle, self.reply = clock, takes, hot, -1, b""
 
-    def drain(self):
-        self.cycle += 1
-
-    def exchange(self, data, expected, deadline):
+    def write(self, data):
+        command = FrameDecoder(LX).feed(data)[-1].code
+        self.cycle += command == LxCommand.POS_READ  # of the only servo
         self.clock.now += self.takes(self.cycle) / 2
-        command = Decoder().feed(data)[-1].command
         replies = {
-            BusCommand.POS_READ: b"\x26\x02",
-            BusCommand.VIN_READ: b"\xe8\x1c",
-            BusCommand.TEMP_READ: bytes([99 if self.cycle >= self.hot else 30]),
+            LxCommand.POS_READ: b"\x26\x02",
+            LxCommand.VIN_READ: b"\xe8\x1c",
+            LxCommand.TEMP_READ: bytes([99 if self.cycle >= self.hot else 30]),
         }
-        reply = Packet(1, command, replies[command])
-        assert [ours(reply) for ours in expected] == [True]
-        return [reply]
+        self.reply = LX.encode(Packet(1, command, replies[command]))
 
-
-def bus_on(line):
-    bus = LxBus(None)
-    bus.wire = line
-    return bus
+    def read(self, deadline):
+        arrived, self.reply = self.reply, b""
+        return arrived
 
 
 @pytest.fixture
-def play(tmp_path, monkeypatch):
-    (tmp_path / "robot.toml").write_text(ROBOT)
-    mountings = mount(read_robot(tmp_path / "robot.toml"), [lx_servo(1)])
+def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(recorder, "time", clock)
-    monkeypatch.setattr(lx_bus, "time", clock)
+    for module in (recorder, lx, servo_bus):
+        monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def play(tmp_path, clock):
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    mountings = mount(read_robot(tmp_path / "robot.toml"), [lx_servo(1)], Wiring([1]))
 
     def run(takes, command, **given):
-        rows, bus = [], bus_on(Line(clock, takes, **given))
-        outcome = recorder.record(bus, mountings, command, rows.append, rate_hz=HZ, hottest_C=65)
-        return outcome, np.array(rows)
+        rows, bus, run = [], LxBus(Line(clock, takes, **given)), Run(mountings)
+        recorder.record(run, bus, command, rows.append, rate_hz=HZ, hottest_C=65)
+        return run, np.array(rows)
 
     return run
 
 
 def test_the_schedule_does_not_drift(play):
-    outcome, rows = play(lambda _: 0.018, np.zeros((200, 1)))
+    run, rows = play(lambda _: 0.018, np.zeros((200, 1)))
     np.testing.assert_allclose(rows[:, 0], np.arange(200) / HZ, atol=1e-9)
     np.testing.assert_allclose(rows[:, 2], 50 * np.deg2rad(0.24))
-    assert outcome.stopped is None
-    assert outcome.missing == {"j1": 0}
-    assert outcome.skipped == 0
+    assert run.stopped is None
+    assert run.missing == {"j1": 0}
+    assert run.skipped == 0
 
 
 def test_a_stall_skips_set_points_and_then_it_is_on_time_again(play):
     command = np.linspace(0, 0.5, 100)[:, None]
-    outcome, rows = play(lambda cycle: 0.071 if cycle == 10 else 0.004, command)
+    run, rows = play(lambda cycle: 0.071 if cycle == 10 else 0.004, command)
     slots = np.round(rows[:, 0] * HZ).astype(int)
     assert list(slots[:13]) == [*range(11), 14, 15]
     assert slots[-1] == 99
-    assert outcome.skipped == 3
+    assert run.skipped == 3
     np.testing.assert_allclose(rows[:, 1], command[slots, 0], atol=0.0022)
-    late = np.array(outcome.late_s)
+    late = np.array(run.late_s)
     assert late[11] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -103,8 +102,8 @@ def test_supply_and_temperature_take_turns(play):
 
 
 def test_heat_stops_it(play):
-    outcome, rows = play(lambda _: 0.004, np.zeros((100, 1)), hot=40)
-    assert "99 C" in outcome.stopped
+    run, rows = play(lambda _: 0.004, np.zeros((100, 1)), hot=40)
+    assert "99 C" in run.stopped
     assert len(rows) == 42, "the hot row is kept too"
 
 
@@ -112,33 +111,34 @@ def test_a_crash_loses_nothing(tmp_path):
     """The recording can be read while it is being written."""
     path = tmp_path / "run.csv"
     sidecar = {"schema": "sim2real.recording/1", "kind": "servo", "joints": ["j1"]}
-    with RowStream(path, ["t_s", "j1.command_rad", "j1.position_rad"], sidecar) as stream:
+    with row_file(path, ["t_s", "j1.command_rad", "j1.position_rad"], sidecar) as write:
         for k in range(5):
-            stream.write([0.02 * k, 0.1, np.nan if k == 2 else 0.1])
+            write([0.02 * k, 0.1, np.nan if k == 2 else 0.1])
         recording = read_recording(path)
         assert recording.t.size == 5
         assert np.isnan(recording.position[2, 0])
-        stream.add(outcome="fine")
+        sidecar["outcome"] = "fine"
     assert read_recording(path).metadata["outcome"] == "fine"
 
 
-def test_a_silent_servo_leaves_the_others_their_time(tmp_path, monkeypatch):
-    clock, given = Clock(), []
+def test_a_silent_servo_leaves_the_others_their_time(tmp_path, clock):
+    given = []
 
     class Silent(Line):
-        def exchange(self, data, expected, deadline):
-            given.append(deadline - clock.now)
-            clock.now = deadline
-            return [None] * len(expected)
+        def write(self, data):
+            self.reply = b""
 
-    monkeypatch.setattr(recorder, "time", clock)
-    monkeypatch.setattr(lx_bus, "time", clock)
-    mountings = mount(read_robot(robot_file(tmp_path, 3)), [lx_servo(k) for k in (1, 2, 3)])
-    bus = bus_on(Silent(clock, None))
-    outcome = recorder.record(
-        bus, mountings, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65
-    )
-    assert outcome.stopped == "no reply from j1's servo for 0.5 s"
+        def read(self, deadline):
+            if deadline > clock.now:
+                given.append(deadline - clock.now)
+                clock.now = deadline
+            return b""
+
+    three = [lx_servo(k) for k in (1, 2, 3)]
+    run = Run(mount(read_robot(robot_file(tmp_path, 3)), three, Wiring([1, 2, 3])))
+    bus = LxBus(Silent(clock, None))
+    recorder.record(run, bus, np.zeros((50, 3)), lambda _: None, rate_hz=HZ, hottest_C=65)
+    assert run.stopped == "no reply from j1's servo for 0.5 s"
     for cycle in np.reshape(given, (-1, 4)):
         assert cycle.min() > 0.0024
         assert cycle.sum() <= 0.8 / HZ + 1e-9

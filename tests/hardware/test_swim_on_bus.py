@@ -8,33 +8,19 @@ import numpy as np
 import pytest
 from virtual_bench import robot_file, served
 
-from rl.deploy.forward import Policy, npz
 from rl.deploy.link import Telemetry, telemetry_bytes
-from rl.observer import PAPER
-from rl.task import observation_bounds, observation_names
+from rl.deploy.policy import npz
 from sim2real.cli import main
 from sim2real.recording import read_recording
+from tests.rl.test_swim import random_policy
 
 JOINTS = ("j1", "j2", "j3")
 
 
 @pytest.fixture
 def policy(tmp_path):
-    rng = np.random.default_rng(5)
-    sizes = [(24, PAPER.size(3)), (3, 24)]
-    network = Policy(
-        weights=tuple(rng.normal(0, 1.4 / n**0.5, (m, n)).astype(np.float32) for m, n in sizes),
-        biases=tuple(rng.normal(0, 0.5, m).astype(np.float32) for m, _ in sizes),
-        low=np.full(3, -0.6, np.float32),
-        high=np.full(3, 0.6, np.float32),
-        joints=JOINTS,
-        observation=tuple(observation_names(JOINTS)),
-        observation_limit=np.array(observation_bounds(3), dtype=np.float32),
-        view=PAPER,
-    )
-    path = tmp_path / "policy.npz"
-    path.write_bytes(npz(network))
-    return path
+    (tmp_path / "policy.npz").write_bytes(npz(random_policy()))
+    return tmp_path / "policy.npz"
 
 
 @pytest.fixture

@@ -7,20 +7,14 @@ from contextlib import contextmanager
 import numpy as np
 
 from sim2real.cli import main
-from sim2real.hardware.priority import priority
+from sim2real.hardware.buses import BUSES
+from sim2real.hardware.process import priority
 from sim2real.hardware.servo_models import model_named
-from sim2real.hardware.virtual_bus import VirtualBus
-from sim2real.hardware.virtual_dynamixel import DYNAMIXEL, dynamixel_servo
-from sim2real.hardware.virtual_feetech import FEETECH, feetech_servo
+from sim2real.hardware.virtual_bus import Law, VirtualBus
 from sim2real.hardware.virtual_link import serve_terminal, serve_udp
-from sim2real.hardware.virtual_lx import LX, VirtualServo
-from sim2real.hardware.virtual_shaft import Law
+from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
-IDENTIFIED = {"kp": 2.2, "kd": 0.06, "latency": 0.05, "inertia": 0.002}
-"""The servo that programs record and the fit has to find."""
-SECONDS = 14
-PORTS = {"terminal": [], "udp": ["--udp", "127.0.0.1:0"]}
 HEAD = """
 name = "bench"
 [servos.lx824]
@@ -54,14 +48,10 @@ def robot_file(folder, joints):
 def virtual(bus, servo_id, now, model=None, **servo):
     """A virtual servo on a bus."""
     if bus == "lx":
-        return VirtualServo(servo_id, LAW, now, **servo)
+        return VirtualLx(servo_id, LAW, now, **servo)
     if bus == "dynamixel":
-        chosen = model_named(bus, model or "XL330-M288")
-        return dynamixel_servo(servo_id, chosen, LAW, now, **servo)
-    return feetech_servo(servo_id, model_named(bus, model or "STS3215"), LAW, now, **servo)
-
-
-SPEECHES = {"lx": (LX, 115_200), "dynamixel": (DYNAMIXEL, 1_000_000), "feetech": (FEETECH, 10**6)}
+        return VirtualDynamixel(model_named(bus, "XL330-M288"), servo_id, LAW, now, **servo)
+    return VirtualFeetech(model_named(bus, model or "STS3215"), servo_id, LAW, now, **servo)
 
 
 class Served:
@@ -76,13 +66,16 @@ class Served:
             self.port = port
             announced.set()
 
-        rng, (speech, baud) = np.random.default_rng(0), SPEECHES[bus]
-        line = {"echo": echo, "noise": noise, "loss": loss, "baud": baud, "fast": True}
-        bus = VirtualBus(self.servos, speech, rng, **line)
+        kind, line = (
+            BUSES[bus],
+            {"echo": echo, "noise": noise, "loss": 0.0 if udp else loss, "fast": True},
+        )
+        rng, baud = np.random.default_rng(0), kind.baud_rates[0]
+        bus = VirtualBus(self.servos, kind.protocol, rng, baud=baud, **line)
         stop = self._pulled.is_set
         if udp:
             where = ("127.0.0.1", 0)
-            given = {"rng": np.random.default_rng(1), "key": key}
+            given = {"rng": np.random.default_rng(1), "key": key, "loss": loss}
             arguments = (bus, where, announce, stop)
         else:
             given, arguments = {}, (bus, announce, stop)
@@ -116,6 +109,16 @@ def record(folder, port, *more, joints=1, signal="sine"):
         ["record", signal, "--robot", str(robot_file(folder, joints)), "--port", port,
          "--ids", ids, "--out", str(folder / "run.csv"), *more]
     )  # fmt: skip
+
+
+def refused(capsys, status, expected, *parts):
+    """The one line of an error with ``parts``."""
+    error = capsys.readouterr().err
+    assert status == expected
+    assert error.count("\n") == 1, error
+    for part in parts:
+        assert part in error
+    return error
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Writes small LeRobot datasets in the exact layout of formats 2.1 and 3.0.
 
-The layouts are those of the public documentation (huggingface.co/docs/lerobot) and of published
-datasets' ``meta/info.json``: the same folders, columns and types, without videos.
+Folders, columns and types that are read are those of the public documentation
+(huggingface.co/docs/lerobot) and of published datasets' ``meta/info.json``.
 """
 
 from __future__ import annotations
@@ -43,44 +43,26 @@ def dataset(
         "codebase_version": version,
         "robot_type": "so101_follower",
         "total_episodes": len(episodes),
-        "total_frames": sum(len(state) for state, _ in episodes),
-        "total_tasks": 1,
         "chunks_size": 1000,
-        "fps": FPS,
-        "splits": {"train": f"0:{len(episodes)}"},
         "features": features,
-        "video_path": None,
     }
     tables = _tables(episodes)
-    lengths = [len(state) for state, _ in episodes]
     if version == "v3.0":
-        info |= {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
         info["data_path"] = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
         _write(pa.concat_tables(tables), root / "data" / "chunk-000" / "file-000.parquet")
-        starts = np.cumsum([0, *lengths])
         index = {
             "episode_index": list(range(len(episodes))),
             "data/chunk_index": [0] * len(episodes),
             "data/file_index": [0] * len(episodes),
-            "dataset_from_index": [int(k) for k in starts[:-1]],
-            "dataset_to_index": [int(k) for k in starts[1:]],
             "tasks": [["wave"]] * len(episodes),
-            "length": lengths,
         }
         _write(pa.table(index), root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
-        tasks = pa.table({"task_index": [0], "__index_level_0__": ["wave"]})
-        _write(tasks, root / "meta" / "tasks.parquet")
     else:
-        info |= {"total_videos": 0, "total_chunks": 1}
         path = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
         info["data_path"] = path
         for k, table in enumerate(tables):
             _write(table, root / path.format(episode_chunk=0, episode_index=k))
-        rows = [{"episode_index": k, "tasks": ["wave"], "length": n} for k, n in enumerate(lengths)]
         (root / "meta").mkdir(parents=True, exist_ok=True)
-        lines = "".join(json.dumps(row) + "\n" for row in rows)
-        (root / "meta" / "episodes.jsonl").write_text(lines)
-        (root / "meta" / "tasks.jsonl").write_text('{"task_index": 0, "task": "wave"}\n')
     (root / "meta" / "info.json").write_text(json.dumps(info, indent=4))
     return root
 

@@ -116,17 +116,6 @@ def test_the_current_limit_of_a_firmware_limits_the_motor(tmp_path: Path) -> Non
     assert limited.provenance["servo"] == {"firmware_gain": 400, "supply_V": 7.5}
 
 
-def test_settings_other_than_bams_scale_gain_and_torque(tmp_path: Path) -> None:
-    read(tmp_path, "m1")
-    path = tmp_path / "m1.json"
-    usual = read_bam_parameters(path, LOAD).joints["j1"]
-    other = read_bam_parameters(path, LOAD, firmware_gain=16, supply_V=12).joints["j1"]
-    assert other.kp_Nm_per_rad == pytest.approx(usual.kp_Nm_per_rad * 0.5 * 0.8)
-    stall = usual.motor["stall_torque_Nm"]
-    assert other.motor["stall_torque_Nm"] == pytest.approx(0.8 * stall)
-    assert other.kd_Nms_per_rad == usual.kd_Nms_per_rad
-
-
 @pytest.mark.parametrize(
     ("changes", "line"),
     [

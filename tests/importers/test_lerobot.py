@@ -10,7 +10,7 @@ from good_input import message
 
 from sim2real.cli import main
 from sim2real.importers.lerobot import read_lerobot
-from sim2real.importers.units import conversion
+from sim2real.importers.options import conversion
 from sim2real.recording import read_recording
 from sim2real.servo.prediction import predict
 
@@ -132,9 +132,7 @@ def test_bad_input(tmp_path: Path, version: str) -> None:
     message(read(joints=["gripper", "gripper"]), "--joints", "each joint once")
     message(read(conversion(["elbow_flex=deg"])), "--units", "none for shoulder_pan")
     message(read(conversion(["rad"])), "if angles are rad", "at most 12.6 rad")
-    message(read(conversion(["range_m100_100"])), "--calibration")
     file = calibration(tmp_path / "c.json")
-    message(read(conversion(["range_m100_100"], None, None, file)), "--counts-per-turn")
     bad = json.loads(file.read_text())
     bad["shoulder_pan"]["range_max"] = 754
     file.write_text(json.dumps(bad))
@@ -155,5 +153,9 @@ def test_units_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main(["import", str(root), "--out", str(tmp_path / "x.csv")]) == 2
     assert "found no --units, expected --units rad|deg" in capsys.readouterr().err
     assert not (tmp_path / "x.csv").exists()
+    message(lambda: conversion(["range_m100_100"], 4096), "--calibration")
+    message(lambda: conversion(["range_0_100"], None, None, "c.json"), "--counts-per-turn")
+    message(lambda: conversion(["counts"], 4096), "--zero-count")
+    message(lambda: conversion(["counts"], None, 2048), "--counts-per-turn")
     message(lambda: conversion(["degrees"]), "--units", "'degrees'", "deg")
     message(lambda: conversion(["deg", "rad"]), "--units", "two for all joints")

@@ -1,15 +1,15 @@
-"""Robots from URDF and MJCF: both formats of one arm give the same chain."""
+"""Robots from URDF."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from good_input import message
 
 from sim2real.cli import main
-from sim2real.importers.chain import robot_toml
-from sim2real.importers.mjcf import read_mjcf
+from sim2real.importers.robots import robot_toml
 from sim2real.importers.urdf import read_urdf
 from sim2real.robot import Robot, read_robot
 
@@ -37,25 +37,6 @@ URDF = """<?xml version="1.0"?>
   <link name="fore"><inertial><origin xyz="0.05 0 0"/><mass value="0.5"/>
     <inertia ixx="0.001" iyy="0.001" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
 </robot>
-"""
-MJCF = """<mujoco model="arm">
-  <compiler angle="radian" boundinertia="1e-9"/>
-  <worldbody><body name="base"><inertial pos="0 0 0" mass="2" diaginertia="0.02 0.02 0.02"/>
-    <body name="upper" pos="0 0 0.1" euler="1.5707963267948966 0 0">
-      <joint name="shoulder" type="hinge" axis="0 0 1" range="-1 1.5"/>
-      <inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.004 0.005"/>
-      <body name="plate" pos="0.3 0 0">
-        <inertial pos="0 0 0" mass="1" diaginertia="0.0005 0.0005 0.001"/>
-        <body name="fore" pos="0 0 0.05">
-          <joint name="elbow" type="hinge" axis="0 0 1"/>
-          <inertial pos="0.05 0 0" mass="0.5" diaginertia="0.001 0.001 0.002"/>
-        </body>
-      </body>
-    </body>
-  </body></worldbody>
-  <actuator><position name="s" joint="shoulder" kp="5" forcerange="-3 3"/>
-    <motor name="e" joint="elbow" gear="2" ctrlrange="-1 1" forcerange="-1.5 1.5"/></actuator>
-</mujoco>
 """
 
 
@@ -101,78 +82,60 @@ def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert f"# not here: {line}" in (tmp_path / "robot.toml").read_text()
 
 
-def test_from_mjcf(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
-    robot = made(tmp_path, "from-mjcf", written(tmp_path, "arm.xml", MJCF))
-    check_arm(robot)
-    message(lambda: robot.joints[0].servo.no_load_speed_rad_s, "no_load_speed_rad_s")
-
-
 def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
-    urdf = read_urdf(written(tmp_path, "arm.urdf", URDF))
-    mjcf = read_mjcf(written(tmp_path, "arm.xml", MJCF))
-    for one, other in zip(urdf.hinges, mjcf.hinges, strict=True):
-        assert one.axis == pytest.approx(other.axis, abs=1e-9)
-        assert one.origin == pytest.approx(other.origin, abs=1e-9)
-    for name in ("upper", "fore"):
-        assert urdf.bodies[name].com == pytest.approx(mjcf.bodies[name].com, abs=1e-9)
-        assert urdf.bodies[name].inertia == pytest.approx(mjcf.bodies[name].inertia, abs=1e-9)
+    mujoco = pytest.importorskip("mujoco")
+    compiler = '<mujoco><compiler fusestatic="false" balanceinertia="true"/></mujoco>'
+    text = URDF.replace('ixx="0" iyy="0"', 'ixx="0.0005" iyy="0.0005"')  # of a plate
+    model = mujoco.MjModel.from_xml_string(text.replace("</robot>", f"{compiler}</robot>"))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    tree = read_urdf(written(tmp_path, "arm.urdf", URDF))
+    for hinge in tree.hinges:
+        assert hinge.axis == pytest.approx(data.joint(hinge.name).xaxis, abs=1e-9)
+        assert hinge.origin == pytest.approx(data.joint(hinge.name).xanchor, abs=1e-9)
+        body = data.body(hinge.body)
+        frame = body.ximat.reshape(3, 3)
+        inertia = frame @ np.diag(model.body(hinge.body).inertia) @ frame.T
+        assert tree.bodies[hinge.body].com == pytest.approx(body.xipos, abs=1e-9)
+        assert tree.bodies[hinge.body].inertia == pytest.approx(inertia, abs=1e-9)
 
 
-def test_a_body_that_turns_on_the_floor(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
-    text = '<mujoco model="bench"><worldbody><body name="horn"><joint name="j1" axis="0 1 0"/>'
-    text += '<inertial pos="0 0 0" mass="0.1" diaginertia="0.002 0.002 0.002"/></body></worldbody>'
-    robot = made(tmp_path, "from-mjcf", written(tmp_path, "b.xml", text + "</mujoco>"))
-    assert [link.name for link in robot.links] == ["world", "horn"]
-    assert robot.links[1].inertia_kgm2 == pytest.approx(0.002)
-
-
-PLACEHOLDERS = [("1000", "6"), ("3", "1e6"), ("1e6", "1000"), ("10", "10"), ("100", "100")]
-
-
-@pytest.mark.parametrize(("effort", "velocity"), PLACEHOLDERS)
+@pytest.mark.parametrize(
+    ("effort", "velocity", "kept"),
+    [
+        ("1000", "6", (False, True)),
+        ("3", "1e6", (True, False)),
+        ("10", "10", (False, False)),
+        ("100", "100", (False, False)),
+        ("8.5", "8.5", (True, True)),  # alike, but no round number
+    ],
+)
 def test_placeholders_are_no_data_sheet(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], effort: str, velocity: str
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    effort: str,
+    velocity: str,
+    kept: tuple[bool, bool],
 ) -> None:
     text = URDF.replace('effort="3" velocity="6"', f'effort="{effort}" velocity="{velocity}"')
     servo = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", text)).joints[0].servo
-    lines = capsys.readouterr().out.splitlines()
-    for field, value, kept in (
-        ("max_torque_Nm", effort, effort == "3"),
-        ("no_load_speed_rad_s", velocity, velocity == "6"),
-    ):
-        said = [
-            line for line in lines if f"servo1: {field}: {float(value):g}, a placeholder" in line
-        ]
-        assert (servo.states(field), len(said)) == (kept, 0 if kept else 1)
-
-
-def test_equal_limits_that_are_no_round_number_are_kept(tmp_path: Path) -> None:
-    text = URDF.replace('effort="3" velocity="6"', 'effort="8.5" velocity="8.5"')
-    servo = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", text)).joints[0].servo
-    assert (servo.max_torque_Nm, servo.no_load_speed_rad_s) == (8.5, 8.5)
+    printed = capsys.readouterr().out
+    fields = ("max_torque_Nm", "no_load_speed_rad_s")
+    for field, value, stated in zip(fields, (effort, velocity), kept, strict=True):
+        assert servo.states(field) == stated
+        said = f"servo1: {field}: {float(value):g}, a placeholder"
+        assert printed.count(said) == (0 if stated else 1)
 
 
 def test_what_a_robot_has_no_place_for_is_named(tmp_path: Path) -> None:
     more = '<mimic joint="shoulder"/><dynamics damping="0.1" friction="0.2"/>'
     text = URDF.replace('<axis xyz="0 0 1"/>', f'<axis xyz="0 0 1"/>{more}')
-    _, notes = robot_toml(read_urdf(written(tmp_path, "arm.urdf", text)))
+    tree = read_urdf(written(tmp_path, "arm.urdf", text))
+    message(lambda: robot_toml(tree, ["wrist"]), "no hinge wrist")
+    message(lambda: robot_toml(tree, ["elbow", "elbow"]), "--joints", "each joint once")
+    _, notes = robot_toml(tree)
     assert "elbow: its coupling to another joint (mimic): not taken" in notes
     assert "elbow: damping and friction (identify finds them): not taken" in notes
-
-
-def test_placeholders_and_omissions_of_mjcf(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
-    text = MJCF.replace('forcerange="-3 3"', 'forcerange="-1000 1000"')
-    text = text.replace('name="elbow" type', 'name="elbow" damping="0.1" type')
-    equality = '<equality><joint joint1="elbow" joint2="shoulder"/></equality></mujoco>'
-    text = text.replace("</mujoco>", equality)
-    _, notes = robot_toml(read_mjcf(written(tmp_path, "arm.xml", text)))
-    assert "servo1: max_torque_Nm: 1000, a placeholder: take it from the data sheet" in notes
-    assert "elbow: damping, friction and armature (identify finds them): not taken" in notes
-    assert "equality constraints (1): not taken" in notes
 
 
 def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
@@ -216,19 +179,6 @@ def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
 def test_bad_urdf(tmp_path: Path, spoil, parts: tuple[str, ...]) -> None:
     file = written(tmp_path, "arm.urdf", spoil(URDF))
     message(lambda: robot_toml(read_urdf(file)), "arm.urdf", *parts)
-
-
-def test_bad_mjcf(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="MJCF is read by MuJoCo")
-    message(lambda: read_mjcf(tmp_path / "no.xml"), "no such file")
-    bad = written(tmp_path, "bad.xml", MJCF.replace("hinge", "spring"))
-    message(lambda: read_mjcf(bad), "bad.xml", "no model")
-    message(lambda: robot_toml(read_mjcf(written(tmp_path, "a.xml", MJCF)), ["wrist"]), "no hinge")
-
-
-def test_a_joint_twice(tmp_path: Path) -> None:
-    tree = read_urdf(written(tmp_path, "arm.urdf", URDF))
-    message(lambda: robot_toml(tree, ["elbow", "elbow"]), "--joints", "each joint once")
 
 
 def test_nothing_half_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

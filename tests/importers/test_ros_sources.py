@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from good_input import message
 
-from sim2real.importers.ros_messages import JOINT_STATE, Message
-from sim2real.importers.ros_series import Series, Stream, streams
-from sim2real.importers.ros_sources import check_sources
+from sim2real.importers.ros_messages import JOINT_STATE, Message, Stream, streams
+from sim2real.importers.rosbag import check_sources
 
 T = np.arange(0, 12, 0.008)
 ANGLE = 0.5 * np.sin(2 * np.pi * (0.2 + 0.1 * T) * T) + np.random.default_rng(0).normal(
@@ -16,15 +16,16 @@ ANGLE = 0.5 * np.sin(2 * np.pi * (0.2 + 0.1 * T) * T) + np.random.default_rng(0)
 )
 
 
-def woven(*series: tuple[np.ndarray, np.ndarray]) -> Series:
+def woven(*series: tuple[np.ndarray, np.ndarray]) -> pd.Series:
     """Messages of several sources in order of time."""
     t = np.concatenate([t for t, _ in series])
     order = np.argsort(t, kind="stable")
-    return (1e9 * t[order]).astype(np.int64), np.concatenate([x for _, x in series])[order]
+    x = np.concatenate([x for _, x in series])
+    return pd.Series(x[order], (1e9 * t[order]).astype(np.int64))
 
 
-def sources(series: Series, *, commands: bool = False) -> list[str]:
-    stream = Stream("run.bag", "/joint_states", [], series[0], "header stamp")
+def sources(series: pd.Series, *, commands: bool = False) -> list[str]:
+    stream = Stream("run.bag", "/joint_states", [], series.index.to_numpy(), "header stamp")
     return check_sources(stream, {"pan": series}, commands=commands)
 
 
@@ -48,7 +49,7 @@ def test_two_publishers_of_states_are_refused(second: tuple[np.ndarray, np.ndarr
     line = message(
         lambda: sources(series), "run.bag: /joint_states: found", "two publishers", "angles of pan"
     )
-    assert f" of {series[0].size} angles" in line
+    assert f" of {series.size} angles" in line
     assert "s after the first message" in line
 
 

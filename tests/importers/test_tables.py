@@ -8,8 +8,8 @@ import pytest
 from good_input import message
 
 from sim2real.cli import main
+from sim2real.importers.options import conversion
 from sim2real.importers.tables import column_map, read_table
-from sim2real.importers.units import conversion
 from sim2real.recording import read_recording
 
 DYNAMIXEL = """time_ms,Goal Position,Present Position,Present Current,Present Input Voltage
@@ -94,14 +94,10 @@ def test_bad_tables(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
     message(lambda: read_table(file, column_map(COLUMNS), COUNTS, time_unit="ms"), *parts)
 
 
-def test_units_of_times_and_counts_are_asked_for(tmp_path: Path) -> None:
+def test_units_of_times_are_asked_for(tmp_path: Path) -> None:
     file, columns = csv(tmp_path), column_map(COLUMNS)
     message(lambda: read_table(file, columns, COUNTS, time_unit=None), "--time-unit", "nothing")
     message(lambda: read_table(file, columns, COUNTS, time_unit="min"), "--time-unit", "'min'")
-    some = conversion(["counts"], 4096)
-    message(lambda: read_table(file, columns, some, time_unit="ms"), "--zero-count")
-    some = conversion(["counts"], None, 2048)
-    message(lambda: read_table(file, columns, some, time_unit="ms"), "--counts-per-turn")
     tilted = conversion(["counts", "tilt=deg"], 4096, 2048)
     message(lambda: read_table(file, columns, tilted, time_unit="ms"), "--units", "tilt", "pan")
 

@@ -1,6 +1,5 @@
 """One servo's posterior: right, exact where it says so, and refusing what is not its own."""
 
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +7,14 @@ import pytest
 import simulated
 
 from sim2real.errors import InputError
+from sim2real.identification.search import fit
+from sim2real.identification.uncertainty import uncertainty
 from sim2real.model import FittedEffect, JointModel
-from sim2real.posterior.laplace import laplace
-from sim2real.posterior.likelihood import LONGEST_SUBSTEP_S, Likelihood
 from sim2real.posterior.posteriors import Posteriors, joint_sample, read_sample, write_sample
 from sim2real.posterior.predictive_check import predictive_check
-from sim2real.posterior.servo import sample_servo
+from sim2real.posterior.servo import sample_servo, servo_problem
 from sim2real.recording import Load
+from sim2real.robot import Servo
 
 JOINT = JointModel(2.0, 0.05, 0.06, simulated.INERTIA, load=Load(simulated.INERTIA))
 TRUTH = np.array([simulated.KP, simulated.KD, simulated.LATENCY])
@@ -35,24 +35,38 @@ def test_it_finds_the_servo_and_says_how_sure(found):
     low, middle, high = found.quantiles(0.01, 0.5, 0.99)
     assert (low < TRUTH).all() and (high > TRUTH).all()
     np.testing.assert_allclose(middle, TRUTH, rtol=0.01)
-    assert found.exact and found.convergence.reached
+    assert found.problem.exact and found.convergence.reached
     assert found.noise_sd == pytest.approx(simulated.NOISE, rel=0.15)
 
 
-def test_with_much_data_it_is_nearly_normal(found):
-    start = laplace(found.data)
-    z = found.priors.coordinates(found.values)
-    expected = start.factor @ start.factor.T
-    np.testing.assert_allclose(np.cov(z.T), expected, rtol=0.25, atol=1e-7)
+def test_its_widths_are_those_of_the_fit(given, found):
+    best = fit(found.problem, found.problem.row[None])
+    spread = uncertainty(best)
+    expected = best.problem.values(best.x + [[0.0], [1.0]] * spread.sd)
+    sd = found.values.std(axis=0)
+    np.testing.assert_allclose(sd, np.abs(np.diff(expected, axis=0)[0]), rtol=0.15)
+    between = spread.correlation[[0, 0, 1], [1, 2, 2]]
+    sampled = np.corrcoef(found.values.T)[[0, 0, 1], [1, 2, 2]]
+    np.testing.assert_allclose(sampled, between, atol=0.1)
 
 
-def test_closed_form_and_substeps_agree(found):
-    closed = Likelihood(found.data, found.autoregression)
-    theta = found.data.theta(found.values[:: found.values.shape[0] // 20])
-    stepped = copy(closed.servo)
-    stepped.substep_s = LONGEST_SUBSTEP_S
-    difference = np.log(closed.servo.energy(theta) / stepped.energy(theta))
-    assert np.std(0.5 * closed.freedom * difference) < 0.1
+def test_a_motor_is_sampled_with_all_that_was_fitted():
+    servo = Servo("small", 1.6, 5.2, 0.0)
+    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
+    joint = replace(JOINT, law="motor", motor=line)
+    found = sample_servo([simulated.traced(1)], joint, servo, steps=300)
+    assert found.names[3:] == ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
+    assert "log-normal 1.6 N m" in str(found.parameters[3]) and not found.problem.exact
+    low, high = found.quantiles(0.01, 0.99)
+    assert (low[:3] < TRUTH).all() and (high[:3] > TRUTH).all()
+
+
+def test_what_is_random_is_not_sampled():
+    jitter = FittedEffect("latency_jitter", {"halfwidth_s": 0.01})
+    backlash = FittedEffect("backlash", {"gap_rad": 0.03})
+    problem = servo_problem([simulated.traced(1)], replace(JOINT, effects=(jitter, backlash)))
+    assert problem.names[3:] == ("backlash.gap_rad",)
+    assert problem.parameters[3].unit == "rad" and "log-uniform" in str(problem.parameters[0])
 
 
 def test_an_effect_of_the_model_is_sampled():
@@ -60,7 +74,7 @@ def test_an_effect_of_the_model_is_sampled():
     trace = simulated.traced(2, seconds=8.0, **truth)
     found = sample_servo([trace], replace(JOINT, effects=(FRICTION,)), steps=120)
     low, high = found.quantiles(0.01, 0.99)
-    assert not found.exact
+    assert not found.problem.exact
     assert found.names[3] == "coulomb_friction.torque_Nm" and low[3] < 0.05 < high[3]
 
 
@@ -102,17 +116,17 @@ def test_too_few_walkers(given):
         sample_servo([given], JOINT, walkers=5)
 
 
-def test_predictions_of_a_recording_never_seen(found):
+def test_predictions_of_a_recording_never_seen(given, found):
     unseen = simulated.traced(7)
-    check = predictive_check(found, JOINT, unseen, np.random.default_rng(0))
+    check = predictive_check(found, JOINT, [given], unseen, np.random.default_rng(0))
     for level, share in check.covered.items():
         assert share == pytest.approx(level, abs=0.06)
     assert check.holds and check.rmse == pytest.approx(simulated.NOISE, rel=0.15)
 
 
-def test_predictions_fail_where_physics_is_missing(found):
+def test_predictions_fail_where_physics_is_missing(given, found):
     loose = simulated.traced(7, backlash={"gap_rad": 0.05})
-    check = predictive_check(found, JOINT, loose, np.random.default_rng(0))
+    check = predictive_check(found, JOINT, [given], loose, np.random.default_rng(0))
     assert not check.holds
 
 

@@ -47,14 +47,14 @@ def test_gains_lie_between_quantiles_of_the_posterior(found):
     low, high = np.quantile(found.posteriors["j1"].values[:, 0], [0.05, 0.95])
     assert (kp.first, kp.second) == pytest.approx((low, high))
     assert kp.first < 1.01 * simulated.KP and kp.second > 0.99 * simulated.KP
-    assert "r0, r1: 5 % and 95 % quantiles" in kp.source and kp.period == "episode"
+    assert "r0, r1, r2: 5 % and 95 % quantiles" in kp.source and kp.period == "episode"
 
 
-def test_what_is_held_out_is_not_sampled(bench, found):
-    assert [t.name for t in found.posteriors["j1"].data.traces] == ["r0", "r1"]
-    assert found.checks["j1"].recording == "r2" and found.checks["j1"].holds
+def test_all_recordings_are_sampled_and_one_is_checked_on(bench, found):
     other = gather(bench, ROBOT, Model({"j1": JOINT}), replace(SAMPLING, held_out="r0"))
-    assert other.checks["j1"].recording == "r0"
+    for gathered, checked in ((found, "r2"), (other, "r0")):
+        assert [t.name for t in gathered.posteriors["j1"].problem.traces] == ["r0", "r1", "r2"]
+        assert gathered.checks["j1"].recording == checked
 
 
 def test_a_bench_needs_no_links(bench, found):

@@ -1,4 +1,4 @@
-"""Nothing that a page shows is cut: text lies inside its figure, marks inside their axes."""
+"""Nothing that a page shows is cut: text lies inside its figure."""
 
 from types import SimpleNamespace
 
@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from rl.experiments.ablation_report import OUTCOME, TITLES, difference_figure, return_figure
-from rl.experiments.differences import Difference
-from sim.cases.case import Curve
-from sim.view.report import curve_figure
+from rl.experiments.statistics import Difference
 from sim2real.report.diagnosis_plots import Bar, bar_figure
 from sim2real.report.identification import parameter_figure
 from sim2real.report.ranges import density_figure, latency_figure
@@ -38,12 +36,6 @@ def _returns():
     return return_figure(arms)
 
 
-def _curve(points=8):
-    x = np.linspace(1, 8, points)
-    ends = np.array([1.0, 8.0])
-    return Curve("Speed", "cycle", "body lengths a cycle", x, np.sqrt(x), ends, np.full(2, 2.9))
-
-
 FIGURES = {
     "fit": _fit,
     "parameters": lambda bench: parameter_figure(bench.model),
@@ -52,7 +44,6 @@ FIGURES = {
         LATENCIES, SimpleNamespace(centre=0.07, half_width=0.02)
     ),
     "bars": lambda bench: bar_figure({"j1": [Bar("j1: one of backlash or play", 1.0, "98 %")]}, ""),
-    "curve": lambda bench: curve_figure(_curve()),
     "returns": lambda bench: _returns(),
     "differences": lambda bench: difference_figure({x: LOST for x in TITLES if x[:3] == "no-"}),
 }
@@ -81,20 +72,3 @@ def test_a_title_that_is_too_long_is_noticed():
     figure.axes[0].set_title("a title that a page has no room for, however it is laid out " * 3)
     (_, _, right, _), (wide, _) = drawn(figure)
     assert right > wide + SLACK_POINTS
-
-
-def test_marks_at_the_ends_of_a_curve_are_whole():
-    figure = curve_figure(_curve())
-    drawn(figure)
-    (axes,) = figure.axes
-    box = axes.get_window_extent()
-    marked = [line for line in axes.get_lines() if line.get_marker() == "o"]
-    assert {line.get_label() for line in marked} == {"ours", "published"}
-    for line in marked:
-        places = axes.transData.transform(line.get_xydata())
-        half = line.get_markersize() / 2 * figure.dpi / POINTS_PER_INCH
-        assert (places - half >= box.min).all() and (places + half <= box.max).all()
-
-
-def test_a_dense_curve_has_no_marks():
-    assert curve_figure(_curve(400)).axes[0].get_lines()[0].get_marker() in ("", "None", None)

@@ -10,14 +10,14 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from rl.decisions import Decisions
 from rl.deploy.export import set_price
 from rl.observer import PAPER, View
 from rl.sac.agents import Agents, Batch, mirrored
 from rl.sac.checkpoint import Progress, save
+from rl.sac.plan import PLAIN, Settings
 from rl.sac.sac import make_sac, read_agent
-from rl.sac.settings import PLAIN, Settings
 from rl.task import Task
+from rl.world import Decisions
 from sim2real.errors import InputError
 
 SETTINGS = replace(PLAIN, hidden=(32, 24), memory=500, batch=64)
@@ -85,21 +85,6 @@ def test_an_update_is_stable_baselines3s(world_of, monkeypatch, norm):
             moved = max(moved, float((value - fresh.policy.state_dict()[name]).abs().max()))
         assert torch.allclose(own[a].log_ent_coef, reference.log_ent_coef, atol=1e-5)
     assert moved > 1e-3, "twenty updates must have moved the parameters"
-
-
-def test_saved_models_are_read_again(world_of, tmp_path):
-    world = world_of(1)
-    models = [make_sac(world, SETTINGS, seed, view=PAPER) for seed in (0, 1)]
-    agents = Agents(models, SETTINGS, world.device)
-    agents.update(batch_of(2, 11, 3, torch.Generator().manual_seed(0)))
-    seen = torch.randn(2, 5, 11)
-    expected = agents.act(seen)
-    for a, model in enumerate(agents.models):
-        model.save(tmp_path / f"{a}.zip")
-        loaded = read_agent(tmp_path / f"{a}.zip")
-        action, _ = loaded.predict(seen[a].numpy(), deterministic=True)
-        assert np.allclose(action, expected[a].numpy(), atol=1e-6)
-        assert np.allclose(loaded.joint_high, 0.8)
 
 
 def test_memories_wrap_and_agents_draw_from_their_own(world_of):

@@ -19,11 +19,11 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import rl  # noqa: F401 - it registers sim2real/Fish-v0
-from rl.controllers.discrete_env import DiscreteCPGEnv
+from rl.controllers.discrete_cpg import DiscreteCPGEnv
 from rl.env import FishEnv, FishVectorEnv
+from rl.make import FISH
 from rl.observer import PAPER, View
 from rl.randomize import Noise
-from rl.registered import FISH
 from rl.task import TASKS, Task, shortened
 from rl.vec_env import FishVecEnv
 from rl.world import Draws
@@ -61,55 +61,27 @@ def test_a_film_runs_at_the_speed_of_the_robot(world_of, view):
     assert 1 / env.metadata["render_fps"] == pytest.approx(took, rel=1e-4)
 
 
-def test_the_class_says_the_default_views_speed():
-    assert FishEnv.metadata["render_fps"] == pytest.approx(12.5)
-
-
-def test_record_video_writes_every_step(tmp_path):
-    pytest.importorskip("moviepy", reason="the extra 'render' is not installed")
-    av = pytest.importorskip("av", reason="the extra 'sim' is not installed")
-    env = gymnasium.make("sim2real/Fish-v0", task="near", render_mode="rgb_array")
-    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "films"))
-    env.reset(seed=3)
-    for _ in range(5):
-        env.step(env.action_space.sample())
-    env.close()
-    (film,) = (tmp_path / "films").glob("*.mp4")
-    with av.open(str(film)) as opened:
-        stream = opened.streams.video[0]
-        assert float(stream.average_rate) == pytest.approx(12.5)
-        assert sum(1 for _ in opened.decode(stream)) == 6, "the start and five steps"
-
-
-def test_a_window_shows_what_rgb_array_gives(monkeypatch):
+def test_a_window_shows_the_pool(monkeypatch):
     """SDL's driver without a screen, so that it needs none."""
-    pytest.importorskip("pygame", reason="the extra 'render' is not installed")
+    pygame = pytest.importorskip("pygame", reason="the extra 'render' is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         seen = gymnasium.make("sim2real/Fish-v0", render_mode="human")
-        drawn = gymnasium.make("sim2real/Fish-v0", render_mode="rgb_array")
-        for env in (seen, drawn):
-            env.reset(seed=3)
-            env.step(np.full(3, 0.5, dtype=np.float32))
-        assert seen.render() is None, "reset and step have shown it"
-        assert np.array_equal(seen.unwrapped.window.shown(), drawn.render())
-        seen.close()
-    assert seen.unwrapped.window is None
+        seen.reset(seed=3)
+        seen.step(np.full(3, 0.5, dtype=np.float32))
+    pixels = np.swapaxes(pygame.surfarray.array3d(pygame.display.get_surface()), 0, 1)
+    drawn = gymnasium.make("sim2real/Fish-v0", render_mode="rgb_array")
+    drawn.reset(seed=3)
+    drawn.step(np.full(3, 0.5, dtype=np.float32))
+    assert np.array_equal(pixels, drawn.render())
+    seen.close()
 
 
-def test_a_window_without_a_screen_is_refused_in_a_line(world_of, monkeypatch):
-    pytest.importorskip("pygame", reason="the extra 'render' is not installed")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
-    with pytest.raises(InputError, match="no screen") as told:
-        FishEnv(world_of(1), render_mode="human")
-    assert "rgb_array" in str(told.value) and "\n" not in str(told.value)
-
-
-def test_a_window_without_pygame_names_the_extra(world_of, monkeypatch):
+def test_a_window_without_pygame_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(InputError, match=r"sim2real\[render\]"):
-        FishEnv(world_of(1), render_mode="human")
+        gymnasium.make("sim2real/Fish-v0", render_mode="human")
 
 
 def test_the_terms_of_the_reward_add_up_to_it(world_of):
@@ -227,44 +199,6 @@ def test_the_next_step_begins_the_next_episode(world_of):
         FishVectorEnv(world_of(1), autoreset_mode="Disabled")
 
 
-def test_gymnasiums_vector_wrappers_take_it():
-    envs = gymnasium.make_vec("sim2real/Fish-v0", num_envs=4, task="near")
-    envs.unwrapped.world.task = shortened(TASKS["near"], 12)
-    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
-    envs = gymnasium.wrappers.vector.NormalizeObservation(envs)
-    envs = gymnasium.wrappers.vector.NormalizeReward(envs)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        envs.reset(seed=1)
-        seen, lengths = [], []
-        for _ in range(40):
-            observation, _, _, _, infos = envs.step(envs.action_space.sample())
-            seen.append(observation)
-            if "episode" in infos:
-                lengths += infos["episode"]["l"][infos["_episode"]].tolist()
-    assert set(lengths) == {3}, "decisions of an episode, the step that begins it not among them"
-    assert len(lengths) == 4 * (40 // 4)
-    assert np.abs(np.mean(seen)) < 0.5
-
-
-def test_the_statistics_are_the_same_in_both_modes():
-    def run(mode: AutoresetMode) -> list[float]:
-        envs = gymnasium.make_vec(
-            "sim2real/Fish-v0", num_envs=2, task="near", autoreset_mode=mode, seed=3
-        )
-        envs.unwrapped.world.task = shortened(TASKS["near"], 12)
-        envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
-        envs.reset(seed=3)
-        found: list[float] = []
-        while len(found) < 4:
-            infos = envs.step(np.full((2, 3), 0.2, dtype=np.float32))[-1]
-            if "episode" in infos:
-                found += infos["episode"]["r"].tolist()
-        return found
-
-    assert np.allclose(run(AutoresetMode.NEXT_STEP), run(AutoresetMode.SAME_STEP), atol=1e-5)
-
-
 def test_the_docs_count_the_columns(world_of):
     """What the how-to says of the observation's size is what the environment has."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "gymnasium.md").read_text()
@@ -272,17 +206,6 @@ def test_the_docs_count_the_columns(world_of):
     sizes = [FishEnv(world_of(1), view).observation_space.shape[0] for view in (View(), PAPER)]
     assert told == sizes
     assert f"{1000 * View().decision_s:.0f} ms" in page
-
-
-def test_sac_learns_on_it_as_on_any_other():
-    env = gymnasium.make("sim2real/Fish-v0", task="near")
-    agent = stable_baselines3.SAC(
-        "MlpPolicy", env, learning_starts=50, batch_size=32, policy_kwargs={"net_arch": [16]}
-    )
-    before = [value.clone() for value in agent.actor.parameters()]
-    agent.learn(120)
-    assert agent.num_timesteps == 120
-    assert any(not torch.equal(a, b) for a, b in zip(before, agent.actor.parameters(), strict=True))
 
 
 def test_the_fish_of_the_package_is_that_of_the_shipped_swims():
@@ -347,20 +270,6 @@ def test_reward_is_the_papers(world_of):
     after = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
     expected = 10 * (before - after) - 0.001 * (world.rate**2).sum(dim=1)
     assert torch.allclose(step.reward, expected, atol=1e-5)
-
-
-def test_arriving_and_leaving_end_an_episode(world_of):
-    def placed(rng: np.random.Generator, n: int, J: int):
-        pose = np.zeros((n, 3))
-        pose[1, 0] = 1.81
-        target = np.tile([[0.02, 0.0]], (n, 1, 1))
-        return pose, np.zeros((n, J)), target
-
-    step = world_of(2, Task("placed", placed)).step(torch.zeros(2, 3))
-    assert step.terminated.tolist() == [True, True]
-    assert step.reached.tolist() == [1, 0]
-    assert step.reward[0] > 9.0
-    assert step.reward[1] < -9.0
 
 
 def test_waypoints_follow_one_another(world_of):

@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rl.metrics import (
-    circle_radius,
-    energy,
-    measure,
-    path_length,
-    time_to_target,
-    turning_radius,
-)
-from rl.task import CONTROL_S
+from rl.metrics import circle_radius, energy, path_length, turning_radius
 
 
 def circling(radius: np.ndarray, turned: float, rows: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -67,28 +59,3 @@ def test_path_of_a_straight_line() -> None:
     line = np.linspace(0, 1, 51)[:, None, None] * np.array([[3.0, 4.0], [0.0, 0.0]])
     line[41:, 0] = np.nan
     assert path_length(line) == pytest.approx([4.0, 0.0])
-
-
-def test_time_is_that_of_the_first_row_near_enough() -> None:
-    distance = np.array([[1.0, 1.0, np.nan], [0.2, 0.04, np.nan], [0.049, 2.0, np.nan]])
-    assert time_to_target(distance)[:2] == pytest.approx([2 * CONTROL_S, CONTROL_S])
-    assert np.isnan(time_to_target(distance)[2])
-
-
-def test_nothing_counts_after_the_target() -> None:
-    position, heading = circling(np.array([0.5, 0.5]), np.pi, 101)
-    distance = np.full((101, 2), 1.0)
-    distance[50, 0] = 0.01
-    found = measure(position, heading, np.ones((101, 2, 3)), distance)
-    assert found.time_s[0] == pytest.approx(1.0)
-    assert np.isnan(found.time_s[1])
-    assert found.energy.tolist() == [153.0, 303.0]
-    assert found.path_m == pytest.approx([np.pi / 4, np.pi / 2], rel=1e-3)
-    assert np.isnan(found.radius_m[0]) or found.radius_m[0] == pytest.approx(0.5)
-    assert found.radius_m[1] == pytest.approx(0.5)
-
-
-def test_arrays_that_do_not_belong_together_are_told() -> None:
-    position, heading = circling(np.array([0.5]), np.pi)
-    with pytest.raises(ValueError, match="same T and E"):
-        measure(position, heading[:-1], np.ones((200, 1, 3)), np.ones((200, 1)))

@@ -15,16 +15,14 @@ import pytest
 import torch
 from stable_baselines3 import DQN, SAC
 
-from rl.controllers.discrete_cpg import TABLE, read_policy, read_table
-from rl.controllers.discrete_env import DiscreteCPGEnv
+from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, read_policy, read_table
 from rl.controllers.discrete_train import make_dqn
-from rl.deploy.export import read_zip, set_price
+from rl.deploy.export import SampledController, read_zip, set_price
 from rl.experiments.named import controller_of
 from rl.observer import PAPER, View
+from rl.sac.plan import Settings
 from rl.sac.policy_zip import LARGEST_BYTES, read_policy_zip
 from rl.sac.sac import make_sac, read_agent, start_from
-from rl.sac.sampled import SampledController
-from rl.sac.settings import Settings
 from rl.vec_env import FishVecEnv
 from sim2real.cli import main
 from sim2real.errors import InputError

@@ -12,8 +12,15 @@ import numpy as np
 import pytest
 
 from rl.deploy import link as protocol
-from rl.deploy.bus_robot import Poses, _listening
-from rl.deploy.link import Link, SetPoints, Telemetry, set_point_bytes, telemetry_bytes
+from rl.deploy.bus_robot import Poses
+from rl.deploy.link import (
+    Link,
+    SetPoints,
+    Telemetry,
+    opened,
+    set_point_bytes,
+    telemetry_bytes,
+)
 from rl.deploy.virtual_robot import Received, served
 from sim2real.errors import InputError
 from sim2real.hardware.shared_key import sealed, shared_key, unsealed
@@ -35,9 +42,8 @@ class Still(Received):
         self.t += 1
         self.desired = self.next_set_points()
 
-    def telemetry(self) -> bytes:
-        seen = Telemetry(0.02 * self.t, np.zeros(3), self._desired, self.session)
-        return telemetry_bytes(seen, self._key)
+    def measured(self) -> tuple[float, np.ndarray, np.ndarray]:
+        return 0.02 * self.t, np.zeros(3), self._desired
 
 
 class Stranger:
@@ -226,7 +232,7 @@ def seen_at():
     with ExitStack() as stack:
 
         def poses(key: bytes | None = None) -> tuple[Poses, Callable[[], Stranger]]:
-            listener = stack.enter_context(_listening("udp://:0"))
+            listener = stack.enter_context(opened("udp://:0", "--pose", "", bind=True))
             host, port = listener.getsockname()
             assert host == "127.0.0.1"
 

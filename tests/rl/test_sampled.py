@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from rl.deploy.controller import PolicyController
-from rl.deploy.export import read_zip
+from rl.deploy.export import SampledController, read_zip
+from rl.deploy.policy import PolicyController
 from rl.observer import PAPER
+from rl.sac.plan import Settings
 from rl.sac.sac import make_sac
-from rl.sac.sampled import SampledController
-from rl.sac.settings import Settings
-from sim2real.errors import InputError
 
 
 @pytest.fixture
@@ -56,8 +54,3 @@ def test_one_seed_gives_one_swim_and_a_robot_that_begins_anew_gets_new_noise(zip
     now, as_before = one.act(seen), other.act(seen)
     assert (now[0] != as_before[0]).any()
     assert np.abs(now[1:] - as_before[1:]).max() < 0.5
-
-
-def test_a_file_that_is_none_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no file"):
-        SampledController(tmp_path / "none.zip")

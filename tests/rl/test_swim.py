@@ -16,8 +16,6 @@ import numpy as np
 import pytest
 
 from rl.commands.swim import run
-from rl.deploy.controller import PolicyController
-from rl.deploy.forward import Policy, npz
 from rl.deploy.link import (
     Link,
     SetPoints,
@@ -27,12 +25,10 @@ from rl.deploy.link import (
     set_point_bytes,
     telemetry_bytes,
 )
-from rl.deploy.measurements import CONTROL_S, Measurements
-from rl.deploy.pilot import REST_S, Pilot
-from rl.deploy.swim import swim
+from rl.deploy.pilot import CONTROL_S, REST_S, Measurements, Pilot, swim
+from rl.deploy.policy import Policy, PolicyController, npz
 from rl.deploy.virtual_robot import VirtualRobot, serve, virtual_robot
-from rl.observer import PAPER, View
-from rl.task import observation_bounds, observation_names
+from rl.observer import PAPER, View, observation_bounds, observation_names
 from sim.inference.swims import swim_of
 from sim.twin.twin import Twin
 from sim2real.errors import InputError
@@ -183,33 +179,6 @@ class TestMeasurements:
         assert observer.blind_s == pytest.approx(0.6)
 
 
-class TestVirtualRobot:
-    def test_passes_over_what_comes_late(self, twin) -> None:
-        robot, angles = VirtualRobot(twin), np.array([0.3, 0.2, 0.1])
-        session = begun(robot)
-        assert robot._desired == pytest.approx(np.zeros(3)), "nothing moves yet"
-        assert robot.receive(set_point_bytes(SetPoints(5, angles, session)))
-        for number in (5, 4, 1, 0):
-            joint = -angles if number else np.empty(0)
-            assert not robot.receive(set_point_bytes(SetPoints(number, joint, session)))
-        assert not robot.receive(b"fish")
-        assert robot._desired == pytest.approx(angles)
-        assert robot.receive(set_point_bytes(SetPoints(6, -angles, session)))
-        assert robot._desired == pytest.approx(-angles)
-
-    def test_goes_to_rest_in_silence(self, twin) -> None:
-        robot = VirtualRobot(twin)
-        robot.receive(set_point_bytes(SetPoints(1, np.array([0.4, 0.4, 0.4]), begun(robot))))
-        bent = []
-        for _ in range(80):
-            robot.advance()
-            seen = read_telemetry(robot.telemetry(), 3)
-            assert seen is not None
-            bent.append(np.abs(seen.joint).max())
-        assert bent[20] == pytest.approx(0.4, abs=0.05)
-        assert bent[-1] < 0.05
-
-
 def options_of(policy, **changes: object) -> argparse.Namespace:
     options = {"target": "1.5,0.4", "port": None, "virtual": True, "seconds": 1.0, "out": None}
     options |= {"bus": None, "key_file": None}
@@ -274,7 +243,7 @@ class TestCommand:
         assert read_recording(out).metadata["swim"]["stopped"] == "interrupted"
 
     def test_without_a_robot_nothing_is_written(self, policy_file, tmp_path, radio, monkeypatch):
-        monkeypatch.setattr("rl.deploy.swim.ANSWER_S", 0.2)
+        monkeypatch.setattr("rl.deploy.pilot.ANSWER_S", 0.2)
         (tmp_path / "out").mkdir()
         for url in (radio[1], "udp://127.0.0.1:9"):
             with pytest.raises(InputError, match="no answer from"):

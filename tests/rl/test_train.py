@@ -13,18 +13,18 @@ import pytest
 import torch
 
 import rl.sac.train
-from rl.deploy.controller import PolicyController
 from rl.deploy.export import policy_of, set_price
-from rl.experiments import paces, selection
-from rl.experiments.evaluate import summary
+from rl.deploy.policy import PolicyController
+from rl.experiments import selection
+from rl.experiments.episodes import summary
 from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.trials import run_trials
+from rl.experiments.testbeds import run_trials
 from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.curve import draw_curves, read_progress
+from rl.sac.plan import Settings
 from rl.sac.sac import read_agent
-from rl.sac.settings import Settings
 from rl.sac.train import Arm, Plan, train, train_in_parts
 from rl.task import TASKS, shortened
 from rl.world import Draws
@@ -305,27 +305,27 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     column = np.linspace(-3, 3, len(agent.by_price["column"]))  # prices that decide how it beats
     agent.by_price["column"] = column.astype(np.float32)
     agent.save(folder / "policy.zip")
-    prices = [2.0**one for one in paces.EXPONENTS]
+    prices = [2.0**one for one in selection.EXPONENTS]
     policies = {}
     for price in prices:
         set_price(agent, price)
         policies[price] = policy_of(agent)
-    monkeypatch.setattr(paces, "TRIED_ON", ("turn",))
-    monkeypatch.setitem(paces.TASKS, "turn", shortened(TASKS["turn"], 60))
-    monkeypatch.setattr(paces, "controller_of", lambda *_: PolicyController(policies[1.0]))
+    monkeypatch.setattr(selection, "PRICED", ("turn",))
+    monkeypatch.setitem(selection.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setattr(selection, "controller_of", lambda *_: PolicyController(policies[1.0]))
 
-    chosen = paces.choose_prices([folder], robot, model, None, episodes=2)
+    chosen = selection.choose_prices([folder], robot, model, None, episodes=2)
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
     swum = run_trials(
         robot, model, None, TASKS["turn"],
         {str(one): PolicyController(policy) for one, policy in policies.items()},
-        episodes=2, seed=paces.SEED,
+        episodes=2, seed=selection.PRICE_SEED,
     )  # fmt: skip
     spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
-    assert paces.choose_prices([folder], robot, model, None, episodes=2) == chosen
+    assert selection.choose_prices([folder], robot, model, None, episodes=2) == chosen
 
 
 def test_a_policy_is_called_with_a_price(tmp_path):

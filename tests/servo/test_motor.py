@@ -11,13 +11,22 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim2real.errors import InputError
+from sim2real.identification import motor_choice
 from sim2real.identification.identify import identify
+from sim2real.identification.motor_choice import fit_motor
+from sim2real.identification.plain_fit import refitted
+from sim2real.identification.priors import motor_prior
+from sim2real.identification.problem import ServoProblem, plain_row
+from sim2real.identification.search import fit, robust_order
+from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.parameters import joint_row
+from sim2real.servo.parameters import BASE, LOSSES, joint_row
+from sim2real.servo.parameters import LINE as LIMIT
 from sim2real.servo.reported_drive import reported_drive
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
+from sim2real.servo.trace import traces
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")
@@ -332,50 +341,43 @@ def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
 
 
 def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
-    from sim2real.identification.motor_prior import MotorPrior
-    from sim2real.identification.motor_problem import MotorProblem, robust_order
-    from sim2real.inference.parameters import Parameter
-
-    class Problem(MotorProblem):
+    class Problem(ServoProblem):
         """A narrow minimum of 0 at 0.2 and a wide one of 0.1 at 0.6."""
 
-        def residuals(self, x):
-            narrow = np.minimum(np.abs(x - 0.2) / 0.005, 1.0)
-            wide = np.minimum(0.1 + np.abs(x - 0.6), 1.0)
+        def residuals(self, x, *, rough=False):
+            value = self.values(x)
+            narrow = np.minimum(np.abs(value - 0.2) / 0.005, 1.0)
+            wide = np.minimum(0.1 + np.abs(value - 0.6), 1.0)
             return np.minimum(narrow, wide)
 
         def terms(self, x):
             return np.zeros_like(x)
 
     friction = Parameter("motor.motor_friction", 0.0, 0.9, 0.2, 0.0, 0.4)
-    problem = Problem((), MotorPrior((friction,), None), (0,), 0.001, None, 10, 30.0)
-    minima = np.array([[0.2], [0.6]])
+    problem = Problem((), row(), (friction,))
+    minima = np.array([[0.2], [0.6]]) / 0.2
     assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
-    order = robust_order(problem, minima, 0.1, 1.0, np.random.default_rng(0))
+    order = robust_order(problem, minima, (0.1, 1.0), np.random.default_rng(0))
     assert list(order) == [1, 0]
 
 
 def test_losses_that_no_first_step_shows_are_not_searched_further():
-    from sim2real.identification.fit import plain_row, refitted
-    from sim2real.identification.motor_fit import fit_motor
-    from sim2real.identification.motor_prior import motor_prior
-    from sim2real.servo.parameters import LINE, LOSSES
-    from sim2real.servo.trace import traces
-
     def fitted(recording, least_gain):
         data = traces([recording], "j1")
         plain, rng = refitted(data, plain_row(KP, KD, LATENCY)), np.random.default_rng(0)
-        prior, sizes = motor_prior(bench().joints[0].servo, data), {"candidates": 32}
-        few = fit_motor(data, plain, prior, LINE, rng)
-        sizes |= {"start": few.x, "least_gain": least_gain}
-        more = fit_motor(data, plain, prior, (*LINE, *LOSSES), rng, **sizes)
-        return few.loss_at(more.fit.scale_rad, more.inflation), more
+        prior, names = motor_prior(bench().joints[0].servo, data), (*BASE[:3], *LIMIT)
+        few = fit_motor(data, plain, prior, names, rng)
+        parameters = prior.of((*few.names, *LOSSES))
+        problem = ServoProblem(data, plain_row(0.0, 0.0, 0.0), parameters, prior.ties)
+        starts = motor_choice._candidates(parameters, plain, rng, 32, few.row)[:4]
+        more = fit(problem, starts, least_gain=least_gain, rng=rng)
+        return few.loss(more.scale_rad, more.inflation), more
 
     line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
     loss, without = fitted(recorded(**line), 2.0)
     assert len(without.others) == 0
-    assert loss - without.loss_at(without.fit.scale_rad, without.inflation) < 4.0
+    assert loss - without.loss(without.scale_rad, without.inflation) < 4.0
     rubbing = recorded(Load(INERTIA, 0.3, 0.1), **line, motor_friction=0.25)
     loss, some = fitted(rubbing, 2.0)
-    assert loss - some.loss_at(some.fit.scale_rad, some.inflation) > 20.0
+    assert loss - some.loss(some.scale_rad, some.inflation) > 20.0
     assert np.array_equal(some.x, fitted(rubbing, 0.0)[1].x)  # followed to the same end

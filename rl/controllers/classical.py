@@ -1,0 +1,323 @@
+"""Controllers by proportional navigation, of a pattern generator's bend or of the heading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rl.controllers.cpg import CentralPatternGenerator, Gait
+from rl.observer import CONTROL_S
+from sim2real.arrays import Array, Array32, Mask
+from sim2real.structured import Fields, read_toml
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    Gains = TypeVar("Gains", bound=DataclassInstance)
+
+TUNED = Path(__file__).with_name("tuned.toml")
+"""Gains, the defaults of the controllers, written by ``benchmarks/tune_controllers.py``."""
+PACES = ("fast", "middle", "frugal")
+"""Trade-offs of the tuning, from little time and much energy to the opposite."""
+_COMMIT_RAD = 1.25 * np.pi
+"""Bearing up to which a turn keeps its direction, even if the other is shorter: hysteresis."""
+_NEAR_M = 0.05
+"""Distance at which the target is reached; smallest distance in the line-of-sight rate."""
+
+
+def tuned(name: str, kind: type[Gains], pace: str = "middle", path: Path = TUNED) -> Gains:
+    """The gains under ``[name.pace]`` in ``path``.
+
+    Raises:
+        InputError: If the file cannot be read, or a value is missing or not a plausible number.
+    """
+    table = Fields(path, "", read_toml(path)).table(name).table(pace)
+    return kind(**{field.name: table.number(field.name) for field in fields(kind)})
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A steady wave with a bend for turning; each value a number or an array (E,).
+
+    Attributes:
+        frequency_hz: Beats per second.
+        amplitude_rad: Amplitude of the last joint.
+        front: Amplitude of the first joint relative to the last.
+        lag_rad: Phase lag of a joint relative to the previous one.
+        bend_rad: Largest offset.
+        ease: Relative reduction of the amplitude at the largest bend.
+    """
+
+    frequency_hz: ArrayLike
+    amplitude_rad: ArrayLike
+    front: ArrayLike
+    lag_rad: ArrayLike
+    bend_rad: ArrayLike
+    ease: ArrayLike
+
+    def bent(self, turn: Array) -> Gait:
+        """The wave about an offset of ``turn`` in rad, shape (E,), positive to the left."""
+        largest = np.asarray(self.bend_rad, dtype=np.float64)
+        offset = np.clip(turn, -largest, largest)
+        share = 1.0 - np.asarray(self.ease) * np.abs(offset) / largest
+        amplitude = np.asarray(self.amplitude_rad) * share
+        return Gait(self.frequency_hz, amplitude, self.front, self.lag_rad, -offset)
+
+
+def line_of_sight_rate(observation: NDArray[np.floating]) -> Array:
+    """Angular rate of the line to a target at rest, in the pool's frame, in rad/s, shape (E,).
+
+    With the target at r in the body's frame and the robot's velocity v, it is
+    ``-(r x v) / |r|^2``, without differentiation of a signal.
+    """
+    columns = np.asarray(observation, dtype=np.float64)
+    surge, sway, x, y = columns[:, 0], columns[:, 1], columns[:, -2], columns[:, -1]
+    return np.asarray((y * surge - x * sway) / np.maximum(x * x + y * y, _NEAR_M**2))
+
+
+class LineOfSight:
+    """Bearing and rate of the line of sight, unwrapped, smoothed over the tail's beat.
+
+    Args:
+        n_envs: Number of robots E.
+        filter_s: Time constant of the filter in s, a number or an array (E,).
+
+    Attributes:
+        bearing: Angle to the target in rad, shape (E,), within 225 degrees to either side.
+        smooth: The bearing after a first-order low-pass filter.
+        rate: Angular rate of the line in rad/s after the same filter.
+    """
+
+    def __init__(self, n_envs: int, filter_s: ArrayLike) -> None:
+        constant = np.maximum(np.asarray(filter_s, dtype=np.float64), 1e-9)
+        self._share = -np.expm1(-CONTROL_S / constant)
+        self._fresh = np.ones(n_envs, dtype=bool)
+        self.bearing, self.smooth, self.rate = (np.zeros(n_envs) for _ in range(3))
+
+    def reset(self, mask: Mask) -> None:
+        """Robots in ``mask`` (E,) begin anew."""
+        self._fresh |= mask
+
+    def update(self, observation: NDArray[np.floating]) -> None:
+        """Update with the observation of a control period."""
+        columns, rate = np.asarray(observation, np.float64), line_of_sight_rate(observation)
+        measured, turn = np.arctan2(columns[:, -1], columns[:, -2]), 2 * np.pi
+        continued = self.bearing + (np.mod(measured - self.bearing + np.pi, turn) - np.pi)
+        current = np.where(self._fresh | (np.abs(continued) > _COMMIT_RAD), measured, continued)
+        # whole turns, where the direction changes
+        self.smooth += turn * np.round((current - continued) / turn)
+        self.smooth = np.where(self._fresh, current, self.smooth)
+        self.rate = np.where(self._fresh, rate, self.rate)
+        self.smooth += self._share * (current - self.smooth)
+        self.rate += self._share * (rate - self.rate)
+        self.bearing = current
+        self._fresh[:] = False
+
+
+class _Steered:
+    """A pattern generator whose bend follows the line of sight; see ``Controller``.
+
+    The first beat is towards the target, so that mirrored targets give mirrored paths.
+    """
+
+    def __init__(self, limits_rad: ArrayLike, n_envs: int, gains: Any, filter_s: ArrayLike) -> None:  # noqa: ANN401
+        self.gains = gains
+        self._generator = CentralPatternGenerator(limits_rad, n_envs)
+        self._sight = LineOfSight(n_envs, filter_s)
+        self._fresh = np.ones(n_envs, dtype=bool)
+
+    def reset(self, mask: Mask) -> None:
+        """Robots in ``mask`` (E,) begin anew."""
+        self._fresh |= mask
+        self._sight.reset(mask)
+
+    def act(self, observation: Array32) -> Array32:
+        """Desired joint angles; see ``Controller``."""
+        self._sight.update(observation)
+        left = self._sight.bearing > 0
+        self._generator.reset(self._fresh, observation, np.where(left, np.pi, 0.0))
+        bend = self._bend(observation)
+        self._fresh[:] = False
+        return self._generator.step(self.gains.bent(bend)).astype(np.float32)
+
+    def _bend(self, observation: Array32) -> Array:
+        """The bend in rad, shape (E,), positive to the left."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class PNLGains(Stroke):
+    """Stroke and gains; each a number or an array (E,).
+
+    Attributes:
+        navigation_s: Bend per angular rate of the line of sight, in s.
+        pursuit: Bend per rad of bearing.
+        filter_s: Time constant of the filter that averages over the tail's beat, in s.
+    """
+
+    navigation_s: ArrayLike
+    pursuit: ArrayLike
+    filter_s: ArrayLike
+
+
+class ProportionalNavigation(_Steered):
+    """The controller "PNL" of the paper: the bend follows the line of sight.
+
+    Proportional navigation (Guelman, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 364) turns the
+    velocity in proportion to the rate of the line of sight; at constant frequency the yaw rate of a
+    fish is about proportional to its bend, so the bend is the command. For a target directly behind
+    the rate of the line of sight is zero; a gain on the bearing makes the 180 degree turn start::
+
+        turn = navigation_s * line_of_sight_rate + pursuit * bearing
+
+    Args:
+        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
+        n_envs: Number of robots.
+        gains: Gains; default: those tuned.
+    """
+
+    def __init__(
+        self, limits_rad: ArrayLike, n_envs: int = 1, gains: PNLGains | None = None
+    ) -> None:
+        gains = tuned("pnl", PNLGains) if gains is None else gains
+        super().__init__(limits_rad, n_envs, gains, gains.filter_s)
+
+    def _bend(self, observation: Array32) -> Array:
+        turn = np.asarray(self.gains.navigation_s) * self._sight.rate
+        return np.asarray(turn + np.asarray(self.gains.pursuit) * self._sight.smooth)
+
+
+@dataclass(frozen=True)
+class ADRCGains(Stroke):
+    """Gains; each a number or an array (E,).
+
+    Attributes:
+        navigation: Rate of the desired heading relative to that of the line of sight.
+        memory_s: Time constant with which the resulting lead decays, in s.
+        agility_rad_s2: Largest angular acceleration of the transient profile.
+        bandwidth_rad_s: Bandwidth of the closed loop of the heading.
+        observer_rad_s: Bandwidth of the extended state observer.
+        effect_per_s2: Angular acceleration per rad of bend.
+    """
+
+    navigation: ArrayLike
+    memory_s: ArrayLike
+    agility_rad_s2: ArrayLike
+    bandwidth_rad_s: ArrayLike
+    observer_rad_s: ArrayLike
+    effect_per_s2: ArrayLike
+
+
+class TransientProfile:
+    """Han's tracking differentiator, which approaches a goal with bounded acceleration.
+
+    IEEE Trans. Ind. Electron. 56 (2009) 900, with its function "fhan", the time-optimal
+    acceleration. ``limit`` is the largest one, a number or an array (E,).
+
+    Attributes:
+        value, rate: The profile and its slope, shape (E,).
+    """
+
+    def __init__(self, n_envs: int, limit: ArrayLike) -> None:
+        self.value, self.rate = np.zeros(n_envs), np.zeros(n_envs)
+        self._limit = np.asarray(limit, dtype=np.float64)
+
+    def reset(self, mask: Mask) -> None:
+        """Robots in ``mask`` (E,) begin anew from zero."""
+        self.value[mask] = self.rate[mask] = 0.0
+
+    def update(self, goal: Array) -> None:
+        """Advance by a period towards ``goal``, shape (E,)."""
+        h, r = CONTROL_S, self._limit
+        d, a0 = r * h * h, h * self.rate
+        y = self.value - goal + a0
+        a1 = np.sqrt(d * (d + 8 * np.abs(y)))
+        a = np.where(np.abs(y) < d, a0 + y, a0 + np.sign(y) * (a1 - d) / 2)
+        push = np.where(np.abs(a) < d, -r * a / d, -r * np.sign(a))
+        self.value = self.value + h * self.rate
+        self.rate = self.rate + h * push
+
+
+class ExtendedStateObserver:
+    """Linear observer of ``y'' = disturbance + effect u``, with the disturbance as third state.
+
+    Gains 3 w, 3 w^2, w^3 put all three poles at -w (Gao, "Scaling and bandwidth-parameterization
+    based controller tuning", ACC 2003); w times the control period must be below 1.
+
+    Attributes:
+        state: Estimates of y, y' and the disturbance a period after the last measurement, (E, 3).
+    """
+
+    def __init__(self, n_envs: int, bandwidth_rad_s: ArrayLike, effect: ArrayLike) -> None:
+        w = np.broadcast_to(np.asarray(bandwidth_rad_s, dtype=np.float64), (n_envs,))
+        self._gain = np.stack([3 * w, 3 * w**2, w**3], axis=1)
+        self._effect = np.asarray(effect, dtype=np.float64)
+        self.state = np.zeros((n_envs, 3))
+
+    def reset(self, mask: Mask) -> None:
+        """Robots in ``mask`` (E,) begin anew from zero."""
+        self.state[mask] = 0.0
+
+    def update(self, y: Array, u: Array) -> None:
+        """Update with a measurement and the input applied until then, each of shape (E,)."""
+        z = self.state
+        slope = np.stack([z[:, 1], z[:, 2] + self._effect * u, np.zeros_like(u)], axis=1)
+        self.state = z + CONTROL_S * (slope + self._gain * (y - z[:, 0])[:, None])
+
+
+class DisturbanceRejection(_Steered):
+    """The controller "Li et al." of the paper: ADRC of the heading with proportional navigation.
+
+    The components are those of Li et al. (Bioinspir. Biomim. 14, 2019): proportional navigation
+    gives the desired heading, a tracking differentiator smooths it, an extended state observer
+    estimates heading, yaw rate and disturbance, and the feedback compensates the disturbance with
+    the bend. The equations are those of Han and Gao.
+
+    Proportional navigation turns the desired heading N times as fast as the line of sight. Its
+    integral is the line of sight plus a lead, which decays here so that past turns are forgotten;
+    N = 1 is pure pursuit::
+
+        desired = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
+
+    Headings are integrals of the yaw rate since the start; their drift cancels in the difference.
+    Arguments as for ``ProportionalNavigation``.
+    """
+
+    def __init__(
+        self, limits_rad: ArrayLike, n_envs: int = 1, gains: ADRCGains | None = None
+    ) -> None:
+        g = tuned("adrc", ADRCGains) if gains is None else gains
+        super().__init__(limits_rad, n_envs, g, 0.0)
+        self._profile = TransientProfile(n_envs, g.agility_rad_s2)
+        self._observer = ExtendedStateObserver(n_envs, g.observer_rad_s, g.effect_per_s2)
+        self._heading, self._lead, self._turn = (np.zeros(n_envs) for _ in range(3))
+
+    def reset(self, mask: Mask) -> None:
+        """Robots in ``mask`` (E,) begin anew."""
+        super().reset(mask)
+        self._profile.reset(mask)
+        self._observer.reset(mask)
+        for signal in (self._heading, self._lead, self._turn):
+            signal[mask] = 0.0
+
+    def _bend(self, observation: Array32) -> Array:
+        """Linear ADRC: poles at the bandwidth, disturbance compensated."""
+        gains, sight = self.gains, self._sight
+        yaw_rate = np.asarray(observation[:, 2], dtype=np.float64)
+        self._heading = self._heading + np.where(self._fresh, 0.0, CONTROL_S * yaw_rate)
+        gained = (np.asarray(gains.navigation) - 1.0) * sight.rate
+        self._lead = self._lead + CONTROL_S * (gained - self._lead / np.asarray(gains.memory_s))
+        self._profile.update(self._heading + sight.bearing + self._lead)
+        self._observer.update(self._heading, self._turn)
+        w, largest, effect = (
+            np.asarray(gain, dtype=np.float64)
+            for gain in (gains.bandwidth_rad_s, gains.bend_rad, gains.effect_per_s2)
+        )
+        heading, rate, disturbance = self._observer.state.T
+        push = w**2 * (self._profile.value - heading) + 2 * w * (self._profile.rate - rate)
+        self._turn = np.clip((push - disturbance) / effect, -largest, largest)
+        return self._turn

@@ -1,0 +1,242 @@
+"""Plans of a training: hyper-parameters, recipes of this library and of the paper, options."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from rl.make import Fidelity
+from rl.observer import PAPER, View
+from rl.task import TASKS, Task
+from rl.world import Draws
+from sim2real.errors import InputError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Hyper-parameters; the defaults are those of this library, ``PLAIN`` those of the paper.
+
+    Attributes:
+        gamma: Discount factor per decision.
+        memory: Size of the replay memory of each agent, in transitions.
+        batch: Transitions of an update.
+        rate: Initial learning rate.
+        rate_end: Final learning rate as a share of ``rate``; it decays linearly.
+        tau: Interpolation factor of the target networks per update.
+        hidden: Widths of the hidden layers.
+        warm_up: Steps of random actions before learning begins.
+        updates_per_step: Updates for each step of an environment.
+        entropy_start: Initial entropy coefficient, of the order of the reward of a decision.
+        entropy_target: Target entropy per joint, at the start and at the end of training. A low
+            final value makes the mean action, which is used after training, representative.
+        noise_s: Correlation time of the exploration noise; 0 for white noise. White noise at 20 ms
+            only makes a joint shake; correlated noise of the same size explores (Eberhard et al.,
+            "Pink noise is all you need", ICLR 2023).
+        mirror: Whether transitions are replaced by their mirror images with probability 1/2.
+        norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
+            networks", ICML 2023, among others): fewer seeds fail.
+        prices: Agents observe a price of energy and learn for all between 1 / ``prices`` and
+            ``prices`` times their default (Abels et al., "Dynamic weights in multi-objective deep
+            reinforcement learning", ICML 2019); 1 for the default only.
+        average: The saved actor is an average, with most weight on this last share of the updates
+            (polynomial-decay averaging; Shamir and Zhang, "Stochastic gradient descent for
+            non-smooth optimization", ICML 2013); 0 for the last actor.
+    """
+
+    gamma: float = 0.99
+    memory: int = 1_000_000
+    batch: int = 256
+    rate: float = 1e-3
+    rate_end: float = 0.1
+    tau: float = 0.005
+    hidden: tuple[int, ...] = (128, 128)
+    warm_up: int = 10_000
+    updates_per_step: float = 0.1
+    entropy_start: float = 0.1
+    entropy_target: tuple[float, float] = (-1.0, -2.5)
+    noise_s: float = 0.25
+    mirror: bool = True
+    norm: bool = True
+    prices: float = 2.0
+    average: float = 0.2
+
+
+PLAIN = Settings(
+    rate=3e-4, rate_end=1.0, hidden=(256, 256), warm_up=5_000, updates_per_step=1.0,
+    entropy_target=(-1.0, -1.0), norm=False, prices=1.0, average=0.0,
+)  # fmt: skip
+"""SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Training conditions of one group of agents.
+
+    Attributes:
+        name: Name, also of its folder.
+        draws: Robots and noise that its episodes are drawn from.
+        energy: Final weight of energy; default: that of the task.
+    """
+
+    name: str
+    draws: Draws
+    energy: float | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Plan of a training.
+
+    Attributes:
+        task: The task.
+        steps: Control periods of the environments for each agent.
+        envs: Environments of each agent.
+        segment: Control periods between checkpoints.
+        seeds: Random seeds, one agent for each.
+        fidelity: ``twin`` or ``fluid``.
+        device: ``cpu`` or ``cuda:0``.
+        cell_m: Side of a cell of the fluid.
+        threads: CPU threads of the simulator.
+        settings: Hyper-parameters.
+        view: Definition of the observations.
+        energy_start: Initial weight of energy as a share of that of the task. With the full weight,
+            a robot that cannot swim yet would learn not to move.
+        ramp: Shares of the steps: when the weight starts to grow, and how long it takes to reach
+            its final value.
+        gate: Share of an agent's last episodes that must have succeeded for its weight to grow, so
+            that agents that learn late are not penalised.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+
+    task: Task
+    steps: int = 1_600_000
+    envs: int = 64
+    segment: int = 200_000
+    seeds: tuple[int, ...] = (0,)
+    fidelity: Fidelity = "fluid"
+    device: str = "cpu"
+    cell_m: float = 0.02
+    threads: int = 1
+    settings: Settings = field(default_factory=Settings)
+    view: View = field(default_factory=View)
+    energy_start: float = 0.1
+    ramp: tuple[float, float] = (0.15, 0.25)
+    gate: float = 0.7
+
+    def __post_init__(self) -> None:
+        s = self.settings
+        for option, value, fits, expected in (
+            ("--steps", self.steps, self.steps >= 1, "at least 1"),
+            ("--envs", self.envs, self.envs >= 1, "at least 1"),
+            ("--segment", self.segment, self.segment >= 1, "at least 1"),
+            ("--updates-per-step", s.updates_per_step, s.updates_per_step > 0, "above 0"),
+            ("--learning-rate", s.rate, s.rate > 0, "above 0"),
+            ("--discount", s.gamma, 0 <= s.gamma < 1, "from 0 to below 1"),
+            ("--energy-start", self.energy_start, 0 <= self.energy_start <= 1, "from 0 to 1"),
+        ):
+            if not fits:
+                raise InputError("train", option, str(value), expected)
+
+    @property
+    def energy(self) -> float:
+        """Final weight of energy."""
+        return self.task.energy
+
+    def grown(self, before: float, steps: int, more: int, success: float) -> float:
+        """Growth of an agent's energy weight, from 0 to 1.
+
+        Args:
+            before: Growth so far.
+            steps: Control periods so far.
+            more: Control periods since the last call.
+            success: Share of its last episodes that succeeded.
+        """
+        begin, length = self.ramp
+        if steps < begin * self.steps or not success >= self.gate:
+            return before
+        return min(before + more / max(length * self.steps, 1.0), 1.0)
+
+    def price(self, arm: Arm, grown: float) -> float:
+        """Weight of energy of an agent, given its growth."""
+        full = self.energy if arm.energy is None else arm.energy
+        return full * (self.energy_start + (1 - self.energy_start) * grown)
+
+    def content(self) -> dict[str, Any]:
+        """All that determines the result, as JSON values."""
+        fields = {k: v for k, v in asdict(self).items() if k not in ("task", "threads")}
+        task = {k: v for k, v in vars(self.task).items() if k != "place"}
+        return json.loads(json.dumps({**fields, "task": task}))  # type: ignore[no-any-return]
+
+
+_CHAIN = replace(TASKS["chain"], energy=7e-4)
+RECIPES: Mapping[str, Plan] = {
+    "default": Plan(_CHAIN, settings=Settings(batch=128)),
+    "paper": Plan(
+        TASKS["point"], energy_start=1.0, steps=800_000, view=PAPER, settings=PLAIN
+    ),
+    "fine": Plan(
+        _CHAIN, energy_start=1.0, steps=200_000, envs=32, segment=32_000,
+        settings=Settings(
+            batch=128, rate=3e-4, rate_end=0.3, warm_up=20_000, entropy_target=(-2.0, -2.5),
+            prices=1.0,
+        ),
+    ),
+    "brief": Plan(
+        replace(_CHAIN, energy=4e-4), energy_start=1.0, steps=160_000, envs=32, segment=160_000,
+        settings=Settings(batch=64, hidden=(64, 64), prices=1.0, average=0.5),
+    ),
+}  # fmt: skip
+"""Plans by the values of ``--recipe``, without seeds and simulator. "brief" continues from small
+networks that were trained in another simulator, for each arm of a quick ablation. "fine" continues
+from policies that nearly swim, such as in the fluid from those of the twin: full energy weight and
+little noise from the start."""
+QUICK: dict[str, Any] = {
+    "steps": 300_000, "envs": 32, "segment": 60_000, "hidden": [64, 64], "updates_per_step": 0.12,
+}  # fmt: skip
+"""Settings of ``--quick``: minutes on two cores, in the twin. With 200 000 steps some seeds do not
+swim yet with their mean action."""
+_OF_PLAN = ("steps", "envs", "segment", "energy_start")
+_OF_SETTINGS = {
+    "updates_per_step": "updates_per_step", "learning_rate": "rate", "discount": "gamma",
+    "hidden": "hidden",
+}  # fmt: skip
+OPTIONS = ("recipe", "task", "energy_weight", *_OF_PLAN, *_OF_SETTINGS)
+"""Options of a plan, as on the command line; None for the value of the recipe."""
+
+
+def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
+    """A plan from options.
+
+    Args:
+        options: Some of ``OPTIONS``; those missing or None have the value of the recipe.
+        fields: Fields of ``Plan``: seeds, fidelity, device, cell_m, threads.
+
+    Raises:
+        InputError: If an option is unknown or out of range.
+    """
+    given = {name: options[name] for name in OPTIONS if options.get(name) is not None}
+    recipe = given.get("recipe", "default")
+    if recipe not in RECIPES:
+        raise InputError("train", "--recipe", repr(recipe), f"one of {', '.join(RECIPES)}")
+    plan = RECIPES[recipe]
+    task = given.get("task", plan.task.name)
+    if task not in TASKS:
+        raise InputError("train", "--task", repr(task), f"one of {', '.join(TASKS)}")
+    settings = {field: given[name] for name, field in _OF_SETTINGS.items() if name in given}
+    if "hidden" in settings:
+        settings["hidden"] = tuple(settings["hidden"])
+    plan = replace(
+        plan,
+        task=replace(TASKS[task], energy=given.get("energy_weight", plan.energy)),
+        settings=replace(plan.settings, **settings),
+        **{name: given[name] for name in _OF_PLAN if name in given},
+        **fields,
+    )
+    if plan.segment < (shortest := plan.envs * plan.task.steps):
+        expected = f"at least {shortest}, or no episode ends in one"
+        raise InputError("train", "--segment", str(plan.segment), expected)
+    return plan

@@ -1,0 +1,293 @@
+"""Calibrated probabilities of a joint's findings, and the servo that its enriched model has.
+
+The probabilities are logistic curves over measured features. ``odds_features`` measures these for
+the diagnosis and for ``benchmarks/calibrate_decisions.py``, which fitted the weights of
+``decision.json`` to development cases whose truth is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.decision import DECISION, ODDS
+from sim2real.diagnose.effect_probabilities import Group
+from sim2real.diagnose.investigate import ROUNDING, Finding
+from sim2real.diagnose.joint_result import JointFindings, includes_zero
+from sim2real.effects import named
+from sim2real.identification.held_out import Unseen, held_out
+from sim2real.identification.servo_problem import Hypothesis, Set
+
+Features = dict[str, float]
+Errors = Mapping[Set, Unseen]
+"""Errors on held-out data, by set of effects."""
+
+
+@dataclass(frozen=True)
+class OddsFeatures:
+    """Features of the curves, for one joint."""
+
+    # groups of effects, each with the features of the curve "effect"
+    groups: tuple[tuple[Group, Features], ...]
+    whole: Features  # features of the curves "mismatch" and "uncatalogued"
+    link: Features | None  # features of the curve "link"; None where the command timing is regular
+
+
+def _logarithm(low: float, high: float) -> Callable[[float], float]:
+    return lambda x: float(np.log(np.clip(x, low, high)))
+
+
+_SCALES: Mapping[str, Callable[[float], float]] = {
+    "probability": lambda p: -_logarithm(1e-3, 1e3)(1 / np.clip(p, 0.02, 0.98) - 1),
+    "error_change": lambda x: _logarithm(3e-3, 1.0)(max(x, 0.0)) if x < 1e6 else 0.0,
+    "uncatalogued_lead": lambda x: float(np.clip(x, -60.0, 60.0)) / 20.0,
+    "irregularity": _logarithm(1e-2, 30.0),
+    "remaining_gain": _logarithm(0.3, 30.0),
+    **dict.fromkeys(("error", "error_plain"), _logarithm(1.0, 30.0)),
+    **dict.fromkeys(("excess", "excess_plain"), _logarithm(0.7, 30.0)),
+    **dict.fromkeys(
+        ("evidence", "smooth_evidence", "windows_evidence", "named_evidence", "gain"),
+        lambda x: float(np.log1p(np.clip(x, 0.0, 1e5))),
+    ),
+}
+"""Transformation of each measure before it is weighted; identity for all others."""
+
+_JOINT_FEATURES = ("excess_plain", "error_plain", "error")
+"""Features of the joint that the curve "effect" has too."""
+
+
+def scaled(**measured: float) -> Features:
+    """Transformed measures, and the constant of the intercept."""
+    return {"intercept": 1.0} | {name: _SCALES.get(name, float)(x) for name, x in measured.items()}
+
+
+def odds_features(finding: Finding, unseen: Errors) -> OddsFeatures:
+    """The features of all findings of a joint."""
+    tried, best, link, without = finding.tried, finding.best, finding.link, finding.unmodelled
+    no_findings = {ROUNDING, link.effect if link is not None else ROUNDING}
+    groups = [g for g in finding.groups if no_findings.isdisjoint(g.members)]
+    smooth = without.smooth.evidence(float(best.fit.count[0]))
+    # Evidence by which a smooth function, which names no effect, exceeds the best set.
+    lead = smooth - (best.evidence - tried.plain.evidence)
+    gain, limit = finding.search.remaining_gain(tried, best.members)
+    # Effects of the best set that no group states are no findings.
+    servo = tried.tried.get(best.members - (finding.effects - tried.base), tried.plain)
+    plain, enriched = unseen.get(tried.base), unseen.get(best.members)
+    more = max(without.excess - 1, 0.0)
+    explained = np.clip((without.excess - finding.excess) / more, 0, 1) if more > 0.02 else 0.5
+    whole = scaled(
+        excess_plain=without.excess,
+        excess=finding.excess,
+        explained_share=explained,
+        smooth_evidence=smooth,
+        windows_evidence=without.windows_evidence,
+        uncatalogued_lead=lead,
+        named_evidence=best.evidence - servo.evidence,
+        remaining_gain=gain / max(limit, 1e-9),
+        groups=len(groups),
+        error_plain=1.0 if plain is None else plain.rmse / finding.noise,
+        error=1.0 if enriched is None else enriched.rmse / finding.noise,
+    )
+    of_joint = {f"joint {name}": whole[name] for name in _JOINT_FEATURES}
+    of_groups = []
+    for group in groups:
+        head = group.members[0]
+        fewer = tried.tried.get(best.members - {head}, tried.plain)
+        features = scaled(
+            probability=group.probability,
+            evidence=best.evidence - fewer.evidence,
+            error_change=finding.changes(unseen, head),
+            groups=len(groups) - 1,
+            excess=finding.excess,
+            uncatalogued_lead=lead,
+        )
+        of_groups.append((group, features | of_joint))
+    of_link = None
+    if link is not None:
+        of_link = scaled(
+            gain=link.gain,
+            joints_share=float(np.mean([x > 0 for x in link.shares])),
+            excess=finding.excess,
+            irregularity=finding.irregularity,
+            single_joint=len(link.shares) == 1,
+        )
+    return OddsFeatures(tuple(of_groups), whole, of_link)
+
+
+def judged_together(findings: Sequence[Finding], unseen: Sequence[Errors]) -> list[Finding]:
+    """The findings of one robot's joints, see ``judged``; its link is as likely on all of them."""
+    pairs = list(zip(findings, unseen, strict=True))
+    on_link = [f.link is not None and len(f.link.shares) > 1 for f in findings]
+    odds = [
+        _link_probability(odds_features(*pair))
+        for pair, is_shared in zip(pairs, on_link, strict=True)
+        if is_shared
+    ]
+    largest = max(odds, default=0.0)
+    return [
+        judged(*pair, link_probability=largest if is_shared else 0.0)
+        for pair, is_shared in zip(pairs, on_link, strict=True)
+    ]
+
+
+def _link_probability(features: OddsFeatures) -> float:
+    """Probability of irregular command timing by its curve; 0 where the timing is regular."""
+    return 0.0 if features.link is None else ODDS["link"].probability(features.link)
+
+
+def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -> Finding:
+    """The finding with calibrated probabilities, verdict and what stays unexplained.
+
+    An effect whose interval includes 0 is not named, whatever its evidence; nor is a nuisance that
+    every sensor has a little of, here larger than usual. ``link_probability`` is that of the link's
+    effect as other joints show it.
+    """
+    features = odds_features(finding, unseen)
+    link_probability = max(link_probability, _link_probability(features))
+    whole = features.whole
+    if link_probability >= DECISION.named:
+        # No model predicts when set-points are lost or late on another recording, so that held-out
+        # errors and segments with a mismatch tell nothing of physics outside the catalogue.
+        error = float(np.sqrt(max(finding.excess, 1.0)))
+        whole = whole | scaled(
+            excess_plain=finding.excess, error_plain=error, error=error, uncatalogued_lead=0.0,
+            smooth_evidence=0.0, windows_evidence=0.0,
+        )  # fmt: skip
+    unknown = ODDS["uncatalogued"].probability(whole)
+    if any(named(g.members[0]).never_named for g, _ in features.groups):
+        unknown = max(unknown, DECISION.uncatalogued_probability)
+
+    def stated(if_known: float) -> float:
+        """Probability that the catalogue has what is missing, and that it is this effect."""
+        probability = (1 - unknown) * if_known
+        # Names stated with 0.9 and more must be right that often.
+        certain = probability >= DECISION.min_certain_probability
+        return probability if certain else min(probability, DECISION.max_uncertain_probability)
+
+    groups = [
+        replace(g, probability=stated(ODDS["effect"].probability(of_name)))
+        for g, of_name in features.groups
+        if not named(g.members[0]).never_named
+        and not includes_zero(finding.tried, finding.best, g.members[0])
+    ]
+    coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
+    if finding.link is not None:
+        groups.append(Group((finding.link.effect,), stated(link_probability), 1.0))
+    probable = [g for g in groups if g.probability >= DECISION.named]
+    matters = [g for g in probable if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
+    mismatch = ODDS["mismatch"].probability(whole) >= DECISION.mismatch_probability
+    # Negligible effects do not explain a residual that is structured without them.
+    negligible = not matters and finding.excess > DECISION.structured_excess
+    unsolved = mismatch and not coarse and (not probable or negligible)
+    return replace(
+        finding,
+        mismatch=bool(coarse or matters) or mismatch or unknown > DECISION.named,
+        groups=tuple(sorted([*coarse, *groups], key=lambda g: -g.probability)),
+        unexplained=unknown > DECISION.named or unsolved,
+        unknown=unknown,
+    )
+
+
+def judged_and_offered(
+    joints: Sequence[JointCase], findings: Sequence[Finding], device: str
+) -> list[JointFindings]:
+    """Judge the findings of a robot by held-out errors, and choose the servos of its model.
+
+    Findings against references are judged already: they are offered as they are named.
+    """
+    judgements, errors = list(findings), [dict[Set, Unseen]() for _ in joints]
+    searched = [j for j, joint in enumerate(joints) if not joint.references]
+    _add_errors(errors, joints, findings, [_sets_to_score(f) for f in findings], device)
+    together = judged_together([findings[j] for j in searched], [errors[j] for j in searched])
+    for j, judgement in zip(searched, together, strict=True):
+        judgements[j] = judgement
+    enriched = [_with_named(finding) for finding in judgements]
+    _add_errors(errors, joints, judgements, [[servo.members] for servo in enriched], device)
+    for j in searched:
+        enriched[j] = _enriched(judgements[j], enriched[j], errors[j])
+    fewer = [simpler(*of_joint) for of_joint in zip(judgements, enriched, errors, strict=True)]
+    _add_errors(errors, joints, judgements, [[members] for members in fewer], device)
+    found = []
+    for j, joint in enumerate(joints):
+        offered = enriched[j]
+        if j in searched:
+            offered = offer(judgements[j], offered, fewer[j], errors[j])
+        found.append(JointFindings(joint, judgements[j], enriched[j], offered, errors[j]))
+    return found
+
+
+def _add_errors(
+    errors: Sequence[dict[Set, Unseen]],
+    joints: Sequence[JointCase],
+    findings: Sequence[Finding],
+    sets: Sequence[Sequence[Set]],
+    device: str,
+) -> None:
+    """Add the held-out errors of those sets of effects of each joint that have none yet.
+
+    The plain servo is refitted for prediction; others keep the noise model of their fit. A
+    recording that was designed to tell effects apart shows what the others do not, so that a fit to
+    these alone would not predict it even with the right effects: only ends are held out then.
+    """
+    jobs = [
+        (j, members)
+        for j, of_joint in enumerate(sets)
+        for members in dict.fromkeys(of_joint)
+        if members not in errors[j]
+    ]
+    for white in (True, False):
+        some = [(j, members) for j, members in jobs if (members == findings[j].tried.base) == white]
+        if not some:
+            continue
+        traces = [joints[j].traces for j, _ in some]
+        servos = [findings[j].tried.tried[members].fit.servos for j, members in some]
+        ends = [bool(joints[j].stated) for j, _ in some]
+        scores = held_out(traces, servos, white=white, ends=ends, device=device)
+        for (j, members), score in zip(some, scores, strict=True):
+            if score is not None:
+                errors[j][members] = score
+
+
+def _sets_to_score(finding: Finding) -> list[Set]:
+    """The sets whose errors on held-out data say what each effect is worth."""
+    best, base, tried = finding.best.members, finding.tried.base, finding.tried.tried
+    fewer = (best - {effect} for effect in best - base)
+    return [base, best, *(members for members in fewer if members in tried)]
+
+
+def _with_named(finding: Finding) -> Hypothesis:
+    """The servo with what is named on the joint, or the plain one; no findings stay as they are."""
+    tried, best = finding.tried, finding.best
+    heads = {g.members[0] for g in finding.groups if g.probability >= DECISION.named}
+    wanted = best.members - (finding.effects - heads)
+    if finding.link is not None:
+        wanted &= heads | {name for name in wanted if named(name).everywhere}
+    return tried.tried.get(tried.base | wanted, best if heads else tried.plain)
+
+
+def _enriched(finding: Finding, fewer: Hypothesis, unseen: Errors) -> Hypothesis:
+    """The servo that predicts better: with what is named, or with all of the most probable set."""
+    best, less = unseen.get(finding.best.members), unseen.get(fewer.members)
+    if not finding.mismatch or finding.link is not None or best is None or less is None:
+        return fewer
+    return finding.best if best.rmse < less.rmse else fewer
+
+
+def simpler(finding: Finding, enriched: Hypothesis, unseen: Errors) -> Set:
+    """The effects of a servo without the negligible ones; all of them where that was not tried."""
+    added = enriched.members - finding.tried.base
+    negligible = {e for e in added if finding.changes(unseen, e) < DECISION.negligible}
+    fewer = enriched.members - negligible
+    return fewer if fewer in finding.tried.tried else enriched.members
+
+
+def offer(finding: Finding, enriched: Hypothesis, fewer: Set, unseen: Errors) -> Hypothesis:
+    """The servo of the enriched model: the one with fewer effects, unless more predict better."""
+    less, more = unseen.get(fewer), unseen.get(enriched.members)
+    if less is None or more is None:
+        return enriched
+    better = more.rmse < (1 - DECISION.min_improvement) * less.rmse
+    return enriched if better else finding.tried.tried[fewer]

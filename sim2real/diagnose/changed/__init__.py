@@ -1,1 +1,0 @@
-"""What has changed in a servo since its reference recordings?"""

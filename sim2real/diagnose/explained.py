@@ -1,0 +1,334 @@
+"""Recordings as their references explain them.
+
+The prediction of an unchanged recording is, in this order, the mean residual of references with the
+same command (``repeat``), where the references came to rest if the servo is sampled slowly, so that
+it is mostly seen at rest (``rest``), or the servo's law with the references' parameters (``law``).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from sim2real.arrays import Array, Mask
+from sim2real.diagnose.decision import DECISION
+from sim2real.effects import CATALOGUE
+from sim2real.identification.priors import motor_prior
+from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.noise import noise_floor
+from sim2real.robot import Servo
+from sim2real.servo.parameters import BASE, COLUMNS, beyond_load
+from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
+from sim2real.servo.trace import Trace
+
+Way = Literal["repeat", "rest", "law"]
+Rest = tuple[float, float]
+"""Set-point in rad, and the side from which the servo came, 0 if unknown."""
+
+DIFFERENCE = 1e-3
+"""Step of the forward differences, in units of the parameter."""
+GAINS = BASE[:3]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Recordings of a joint, the references first, and their residuals."""
+
+    way: Way  # how they are explained
+    traces: tuple[Trace, ...]  # the recordings
+    references: int  # number of references
+    # measured minus explained angles in rad, NaN where not looked at, (T,) each
+    residuals: tuple[Array, ...]
+    row: Array  # parameters of the servo, shape (P,)
+    # derivatives of the angles by what the law shares among all, (T, F) each; F is 0 where no law
+    # explains them
+    shared: tuple[Array, ...]
+    precision: Array  # precision of the prior of these parameters, shape (F, F)
+    variance: float  # variance of a sample relative to that prior, with correlation counted, rad2
+    scale2: float  # mean square residual of the references, at least that of rounding, rad2
+
+    @property
+    def case(self) -> list[int]:
+        """Places of the recordings in question."""
+        return list(range(self.references, len(self.traces)))
+
+    def seen(self, r: int) -> Mask:
+        """Samples of a recording that are looked at, shape (T,)."""
+        return np.isfinite(self.residuals[r])
+
+    def count(self, places: Sequence[int]) -> int:
+        """Number of samples of some recordings that are looked at."""
+        return sum(int(np.count_nonzero(self.seen(r))) for r in places)
+
+    def simulated(self, rows: Array, places: Sequence[int]) -> list[Array]:
+        """Angles of servos (B, P) in some of the recordings, (B, T) each."""
+        return simulated([self.traces[r] for r in places], rows, self.row)
+
+
+def simulated(
+    traces: Sequence[Trace], rows: Array, servo: Array, *, substeps: int = 8
+) -> list[Array]:
+    """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
+    simulator = Simulator(traces, threads=1)
+    # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
+    period = min(trace.period_s for trace in traces)
+    longest = min(LONGEST_SUBSTEP_S, period / substeps)
+    step = float(simulator.substeps(servo[None], longest_s=longest).min())
+    return simulator.angles(rows, min(step, longest))
+
+
+def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
+    """How a case is best compared with its references."""
+    steps = np.concatenate([np.diff(trace.t) for trace in (*references, *case)])
+    if float(np.median(steps)) > DECISION.change.slow_sampling_s:
+        return "rest"
+    limit = DECISION.change.same_command
+    repeats = (any(alignment(trace, other)[1] < limit for other in references) for trace in case)
+    return "repeat" if all(repeats) else "law"
+
+
+def explained(
+    references: Sequence[Trace], case: Sequence[Trace], row: Array, servo: Servo
+) -> Explained:
+    """Explain recordings of a joint by its references, and by a servo of a row (P,)."""
+    traces, R = (*references, *case), len(references)
+    way, step = way_of(references, case), servo.position_step_rad
+    shared, precision = tuple(np.zeros((trace.t.size, 0)) for trace in traces), np.zeros((0, 0))
+    smallest2, predicted = 1e-18, [True] * R
+    if way == "rest":
+        residuals, spread2 = beside_rest(traces, R, step)
+        smallest2 = max(smallest2, spread2, step**2 / 12)
+    else:
+        residuals = _law_errors(traces, row)
+    if way == "repeat":
+        freed, repeated = freed_of_the_common(traces, [-np.nan_to_num(x) for x in residuals], R)
+        triples = zip(residuals, freed, traces, strict=True)
+        residuals = [error + (f.position - t.position) for error, f, t in triples]
+        predicted = repeated[:R].tolist()
+        if not any(predicted):
+            noise = max(noise_floor(t.t, t.command, t.position) for t in references)
+            smallest2 = max(smallest2, 4 * noise**2)
+    if way == "law":
+        shared, precision = _derivatives(traces, row, servo)
+    known = [
+        x[np.isfinite(x)] for x, is_known in zip(residuals, predicted, strict=False) if is_known
+    ]
+    scale2 = max(_mean_square(known), smallest2)
+    correlated = [correlation_samples(x) for x in known] if way == "law" else []
+    variance = scale2 * (float(np.mean(correlated)) if correlated else 1.0)
+    return Explained(way, traces, R, tuple(residuals), row, shared, precision, variance, scale2)
+
+
+def _mean_square(parts: Sequence[Array]) -> float:
+    """Mean square of all values; 0 without any."""
+    values = np.concatenate([*parts, np.zeros(0)])
+    return float(np.mean(values**2)) if values.size else 0.0
+
+
+def _law_errors(
+    traces: Sequence[Trace], row: Array, *, limits_s: tuple[float, float] = (0.05, 0.4)
+) -> list[Array]:
+    """Measured minus simulated angles, NaN soon after the beginning and after gaps, rad.
+
+    What was sent before the one and in the other is unknown: samples count once the servo has
+    forgotten all but e^-12 of it, six of a million.
+    """
+    total = traces[0].load.inertia_kgm2 + float(beyond_load(row))
+    kp, kd, latency = (float(x) for x in row[:3])
+    rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
+    memory_s = float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
+    errors = []
+    for trace, angle in zip(traces, simulated(traces, row[None], row), strict=True):
+        apart = np.diff(trace.t, prepend=trace.t[0])
+        gap = apart > 1.5 * float(np.median(apart[1:]))
+        last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
+        counts = trace.used & (trace.t - trace.t[last] > memory_s)
+        errors.append(np.where(counts, trace.position - angle[0], np.nan))
+    return errors
+
+
+def _derivatives(
+    traces: Sequence[Trace], row: Array, servo: Servo
+) -> tuple[tuple[Array, ...], Array]:
+    """Derivatives of angles by the gains and the motor's parameters, in units; their precision."""
+    prior = motor_prior(servo, traces)
+    parameters = [p for p in prior.parameters if p.name in GAINS or row[COLUMNS.index(p.name)] > 0]
+    rows = np.tile(row, (1 + len(parameters), 1))
+    for k, p in enumerate(parameters):
+        column, step = COLUMNS.index(p.name), DIFFERENCE * p.typical
+        now = rows[1 + k, column]
+        rows[1 + k, column] = now * np.exp(step) if p.log else now + step
+    slopes = [(a[1:] - a[:1]).T / DIFFERENCE for a in simulated(traces, rows, row)]
+    return tuple(slopes), np.diag([(p.typical / p.prior_sd) ** 2 for p in parameters])
+
+
+def energy(of: Explained) -> float:
+    """Mean square residual of the case, rad2; 0 where nothing is looked at."""
+    return _mean_square([of.residuals[r][of.seen(r)] for r in of.case])
+
+
+def loss(of: Explained) -> float:
+    """Sum of squared residuals of all recordings, what they share at its best, rad2."""
+    return _refit(of)[1]
+
+
+def settled(of: Explained) -> Explained:
+    """The same, less what the law explains better with what it shares at its best."""
+    law, _ = _refit(of)
+    pairs = zip(of.residuals, of.shared, strict=True)
+    return replace(of, residuals=tuple(residual - slopes @ law for residual, slopes in pairs))
+
+
+def _refit(of: Explained) -> tuple[Array, float]:
+    """Shared parameters that explain all recordings best, (F,), and the sum of squares, rad2."""
+    normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
+    for r, residual in enumerate(of.residuals):
+        seen = of.seen(r)
+        J, e = of.shared[r][seen], residual[seen]
+        normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
+    law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope
+    return law, total - float(slope @ law)
+
+
+def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
+    """Whether the case is explained better with the load of the references than with its own.
+
+    Both loads are stated, and one servo is fitted to all recordings with the one or the other: with
+    nothing free this tells more than the search for a load of any size.
+
+    Returns:
+        The effects that stand for the difference, the servo under the stated load with the
+        difference, shape (P,), and the gain in log-likelihood with the references' load; None where
+        the loads do not differ.
+    """
+    known, stated = of.traces[0].load, of.traces[of.references].load
+    references, case = of.traces[: of.references], of.traces[of.references :]
+    if any(t.load != known for t in references) or any(t.load != stated for t in case):
+        return None
+    row, effects = of.row.copy(), []
+    for effect in CATALOGUE:
+        if effect.load and (more := getattr(known, effect.load) - getattr(stated, effect.load)):
+            row[COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")] += more
+            effects.append(effect.name)
+    if not effects:
+        return None
+    case = tuple(replace(trace, load=known) for trace in case)
+    residuals = (*of.residuals[: of.references], *_law_errors(case, of.row))
+    with_known = replace(of, traces=(*references, *case), residuals=residuals)
+    return tuple(effects), row, 0.5 * (loss(of) - loss(with_known)) / of.variance
+
+
+def freed_of_the_common(
+    traces: Sequence[Trace], residuals: Sequence[Array], references: int
+) -> tuple[list[Trace], Mask]:
+    """Traces corrected by the residuals of other references with the same command.
+
+    Physics that a model lacks is in both recordings of one command, and not in their difference.
+    ``residuals`` are simulated minus measured angles in rad, the references first.
+
+    Returns:
+        The traces, with angles corrected by the mean residual of those references, NaN at times
+        that none of them covers; and a mask of the traces that have such references.
+    """
+    freed = list(traces)
+    for r, trace in enumerate(traces):
+        common = []
+        for other, residual in zip(traces[:references], residuals, strict=False):
+            lag, difference = (0.0, np.inf) if other is trace else alignment(trace, other)
+            if difference < DECISION.change.same_command:
+                used = other.used
+                known = other.t[used], residual[: used.size][used]
+                common.append(np.interp(trace.t + lag, *known, np.nan, np.nan))
+        if common:
+            mean = np.ma.masked_invalid(common).mean(axis=0).filled(np.nan)
+            freed[r] = replace(trace, position=trace.position + mean)
+    return freed, np.array([new is not old for new, old in zip(freed, traces, strict=True)])
+
+
+def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[float, float]:
+    """How much later the other's command comes, s, and how far both then differ.
+
+    The difference is a root mean square, in standard deviations of the first command.
+    """
+    size = float(np.std(trace.command))
+    if size == 0:
+        return 0.0, np.inf
+
+    def difference(lag: float) -> float:
+        inside = (trace.t + lag >= other.t[0]) & (trace.t + lag <= other.t[-1])
+        if inside.mean() < DECISION.change.same_command_overlap:
+            return float("inf")
+        moved = np.interp(trace.t[inside] + lag, other.t, other.command) - trace.command[inside]
+        return float(np.sqrt(np.mean(moved**2))) / size
+
+    largest = DECISION.change.same_command_lag_s
+    lags = np.linspace(-largest, largest, lags_tried)
+    coarse = [difference(float(lag)) for lag in lags]
+    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
+    if not np.isfinite(coarse[k]):
+        return 0.0, np.inf
+    ends = (float(lags[k]) - step, float(lags[k]) + step)
+    fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    if fine.fun < coarse[k]:
+        return float(fine.x), float(fine.fun)
+    return float(lags[k]), coarse[k]
+
+
+def beside_rest(
+    traces: Sequence[Trace], references: int, step_rad: float
+) -> tuple[list[Array], float]:
+    """Angles less those at which the references came to rest, in rad.
+
+    Returns:
+        For each recording the difference from the mean of the other references after the same
+        set-point and from the same side, NaN in motion and where no reference rested, shape (T,);
+        and the mean square by which angles of one reference differ after one set-point, rad2.
+    """
+    rests = [_rests(trace, step_rad) for trace in traces]
+    levels = []
+    for trace, keys in zip(traces[:references], rests, strict=False):
+        angles: defaultdict[Rest, list[float]] = defaultdict(list)
+        for k, key in keys.items():
+            angles[key].append(float(trace.position[k]))
+        levels.append({key: np.array(values) for key, values in angles.items()})
+    spread = [values - values.mean() for level in levels for values in level.values()]
+    within = float(np.mean(np.concatenate(spread) ** 2)) if spread else 0.0
+    differences = []
+    for r, (trace, keys) in enumerate(zip(traces, rests, strict=True)):
+        difference = np.full(trace.t.size, np.nan)
+        for k, key in keys.items():
+            same = [
+                np.concatenate(values).mean()
+                for q, level in enumerate(levels)
+                if q != r and (values := [x for at, x in level.items() if _same_rest(at, key)])
+            ]
+            if same:
+                difference[k] = trace.position[k] - np.mean(same)
+        differences.append(difference)
+    return differences, within
+
+
+def _rests(trace: Trace, step_rad: float) -> dict[int, Rest]:
+    """The samples of a recording that are at rest."""
+    change = np.diff(trace.command, prepend=trace.command[:1])
+    settling = DECISION.change.settling_samples
+    recent = np.convolve(change != 0, np.ones(settling + 1))[: change.size] > 0
+    steps = np.abs(np.diff(trace.position))
+    quiet = steps < DECISION.change.rest_steps * max(step_rad, 1e-9)
+    still = trace.used & ~recent & np.append(True, quiet) & np.append(quiet, True)
+    still[:settling] = False
+    last = np.maximum.accumulate(np.where(change != 0, np.arange(change.size), 0))
+    grid = DECISION.change.same_set_point_rad
+    command, side = np.round(trace.command / grid) * grid, np.sign(change[last])
+    return {int(k): (float(command[k]), float(side[k])) for k in np.flatnonzero(still)}
+
+
+def _same_rest(rest: Rest, other: Rest) -> bool:
+    """Whether two rests have one set-point and sides that may be the same."""
+    near = abs(rest[0] - other[0]) < 2 * DECISION.change.same_set_point_rad
+    return near and rest[1] * other[1] >= 0

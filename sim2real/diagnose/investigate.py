@@ -1,0 +1,295 @@
+"""From recordings of a robot to what each of its joints is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim2real.diagnose.baseline import plain_again
+from sim2real.diagnose.case import UNMODELLED_INERTIA, JointCase
+from sim2real.diagnose.decision import DECISION
+from sim2real.diagnose.effect_probabilities import EffectPosterior, Group, posteriors
+from sim2real.diagnose.effect_search import (
+    search,
+    search_again,
+    size_in_noise,
+    states_load,
+    with_rotors,
+)
+from sim2real.diagnose.link_effect import IrregularTiming, LinkData, link_of
+from sim2real.diagnose.servo_search import ServoSearch
+from sim2real.diagnose.unmodelled import Unmodelled, beyond_noise, excess, unmodelled
+from sim2real.effects import CATALOGUE, named
+from sim2real.identification.held_out import Unseen
+from sim2real.identification.servo_problem import (
+    FLAT_COLUMNS,
+    SATURATION,
+    Hypothesis,
+    Set,
+    Tried,
+    joined,
+    residual_angles,
+)
+from sim2real.progress import Progress
+from sim2real.servo.batch import Batch
+from sim2real.servo.linearised import Residual
+from sim2real.servo.parameters import COLUMNS
+
+ROUNDING = next(e.name for e in CATALOGUE if not e.fitted and e.component == "joint")
+"""The effect that is read off the recorded numbers themselves."""
+_DRY = "coulomb_friction"
+_PRESLIDING = [
+    COLUMNS.index(f"presliding_friction.{x}") for x in ("torque_Nm", "stiffness_Nm_per_rad")
+]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one joint is missing."""
+
+    tried: Tried  # every set of effects that was tried
+    search: ServoSearch  # what may be asked of it further
+    posterior: EffectPosterior  # their probabilities
+    best: Hypothesis  # the most probable set
+    mismatch: bool  # whether something is missing at all
+    unexplained: bool  # whether the most probable set leaves something
+    groups: tuple[Group, ...]  # what is missing, most probable first
+    unmodelled: Unmodelled  # what could be missing without a name
+    unknown: float  # probability that what is missing is not in the catalogue
+    excess: float  # energy of the best set's residual beyond noise, in variances of the noise
+    noise: float  # standard deviation of the sensor's noise, rad
+    link: IrregularTiming | None = None  # irregular timing of the link, or None
+    place: int = 0  # of the joint among those of the link
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether the search was ended by its budget."""
+        return self.tried.case in self.search.unfinished
+
+    @property
+    def effects(self) -> Set:
+        """Effects of its groups."""
+        return frozenset(effect for group in self.groups for effect in group.members)
+
+    @property
+    def irregularity(self) -> float:
+        """Share by which irregular timing of the link raises the error of the joint."""
+        assert self.link is not None
+        return float(1 - np.exp(-self.link.shares[self.place] / self.best.fit.count[0]))
+
+    def changes(self, unseen: Mapping[Set, Unseen], effect: str) -> float:
+        """Share by which an effect, added to the others, lowers the held-out error.
+
+        Infinite where that cannot be measured: of rounding, and where nothing is held out. Of
+        irregular timing of the link, which cannot be predicted, it is the share by which it raises
+        the error; none where set-points come no later than the controller's next turn would take
+        them anyway.
+        """
+        if self.link is not None and self.link.effect == effect:
+            waits = effect == "latency_jitter" and self.link.value < DECISION.controller_wait_s
+            return 0.0 if waits else self.irregularity
+        best = self.best.members
+        enriched = unseen.get(best)
+        without = unseen.get(best - {effect}, unseen.get(self.tried.base))
+        if effect not in best or enriched is None or without is None:
+            return float("inf")
+        return 1 - enriched.rmse / without.rmse
+
+
+def investigate(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    known: Sequence[Tried],
+    *,
+    rng: np.random.Generator,
+    progress: Progress = lambda share: None,
+) -> list[Finding]:
+    """Find what each joint of a robot is missing; ``known`` is what a first look tried."""
+    level = DECISION.false_alarms / len(joints)
+    findings = _pass(batch, joints, known, level, rng, lambda share: progress(0.7 * share))
+    # Where structure stays, it is no sensor's noise: the noise model must then be free.
+    again = [j for j, finding in enumerate(findings) if finding.excess > DECISION.structured_excess]
+    if again:
+        some = [joints[j] for j in again]
+        data = [joint.traces for joint in some]
+        free = Batch(data, batch.device, batch.threads, bounded=False, period=batch.period)
+        tried = [findings[j].tried for j in again]
+        level = DECISION.false_alarms / len(again)
+        second = _pass(free, some, tried, level, rng, lambda share: progress(0.7 + 0.3 * share))
+        for j, finding in zip(again, second, strict=True):
+            own = replace(placed(finding.tried, j), case=finding.tried.case)
+            mismatch = finding.mismatch or findings[j].mismatch
+            best = own.tried[finding.best.members]
+            findings[j] = replace(finding, tried=own, best=best, mismatch=mismatch)
+    findings, alone = _with_link(batch, joints, range(len(joints)), findings)
+    for j in alone:  # where not all joints show it, one's own controller may be slow
+        findings, _ = _with_link(batch, joints, [j], findings, DECISION.controller_wait_s)
+    progress(1.0)
+    return findings
+
+
+def placed(tried: Tried, joint: int) -> Tried:
+    """What was tried in another batch, as of this joint of the full one."""
+    moved = {
+        members: replace(h, fit=h.fit.of_joints([joint])) for members, h in tried.tried.items()
+    }
+    return replace(tried, case=joint, tried=moved)
+
+
+def _pass(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    known: Sequence[Tried],
+    level: float,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> list[Finding]:
+    """The findings with the noise model of a batch."""
+    plain = plain_again(batch, known, [joint.base for joint in joints])
+    progress(0.1)
+    best_known = [tried.best for tried in known]
+
+    def searching(share: float) -> None:
+        progress(0.1 + 0.8 * share)
+
+    cases, problem = search(
+        batch, joints, plain, best_known, level=level, rng=rng, progress=searching
+    )
+    data = [joint.traces for joint in joints]
+    _, excesses = beyond_noise(batch, data, joined([tried.best.fit for tried in cases]))
+    structured = np.flatnonzero(np.array(excesses) > DECISION.structured_excess)
+    search_again(problem, [cases[j] for j in structured])
+    cases = with_rotors(problem, cases, joints)
+    probable = posteriors(cases, rng)
+    best = [tried.tried[p.sets[0]] for tried, p in zip(cases, probable, strict=True)]
+    without = unmodelled(batch, data, joined([tried.plain.fit for tried in cases]))
+    _, excesses = beyond_noise(batch, data, joined([h.fit for h in best]))
+    progress(1.0)
+    return [
+        Finding(
+            tried=tried,
+            search=problem,
+            posterior=probable[j],
+            best=best[j],
+            mismatch=without[j].excess > DECISION.structured_excess
+            or problem.remains(tried, tried.base),
+            unexplained=excesses[j] > DECISION.structured_excess,
+            groups=_groups(probable[j].groups(tried.base), best[j], joint),
+            unmodelled=without[j],
+            unknown=0.0,
+            excess=excesses[j],
+            noise=joint.noise,
+        )
+        for j, (joint, tried) in enumerate(zip(joints, cases, strict=True))
+    ]
+
+
+def _groups(groups: Sequence[Group], best: Hypothesis, joint: JointCase) -> tuple[Group, ...]:
+    """The groups that are findings."""
+    torque, stiffness = best.fit.servos.theta[0, _PRESLIDING]
+    found = []
+    for group in groups:
+        if is_no_finding(best, group.members[0], joint):
+            continue
+        dry = group.members[0] == "presliding_friction" and _DRY not in group.members
+        if dry and torque <= joint.noise * stiffness:
+            group = replace(group, members=(*group.members, _DRY))
+        found.append(group)
+    if joint.step_rad is not None:
+        found.append(Group((ROUNDING,), DECISION.most_certain, 1.0))
+    return tuple(found)
+
+
+def is_no_finding(best: Hypothesis, effect: str, joint: JointCase) -> bool:
+    """Whether an effect is what every servo has a little of, or what its data sheet says anyway."""
+    if named(effect).everywhere:
+        return size_in_noise(best, effect, joint.noise) < DECISION.nuisance_finding_size
+    if effect == UNMODELLED_INERTIA:
+        return states_load(best, joint)
+    limit = best.fit.servos.theta[0, FLAT_COLUMNS[0]]
+    stated = effect == SATURATION and joint.stall_Nm is not None
+    return bool(stated and limit > DECISION.data_sheet_share * (joint.stall_Nm or 0.0))
+
+
+def _with_link(
+    batch: Batch,
+    joints: Sequence[JointCase],
+    some: Sequence[int],
+    findings: Sequence[Finding],
+    longest_jitter_s: float = np.inf,
+) -> tuple[list[Finding], list[int]]:
+    """Findings with the link of some joints, and the joints that show it alone."""
+    plain, best = [f.tried.plain for f in findings], [f.best for f in findings]
+    plain_link = best_link = link_of(_link_data(batch, joints, some, plain))
+    if any(best[j] is not plain[j] for j in some):
+        best_link = link_of(_link_data(batch, joints, some, best))
+    if not _on_all(plain_link, best_link, [findings[j] for j in some]):
+        shown = [j for j, share in zip(some, best_link.shares, strict=True) if share > 0]
+        return list(findings), [j for j in shown if len(some) > 1 and findings[j].mismatch]
+    explained = list(findings)
+    lacks_rows = any(joints[i].lacks_rows for i in some)  # and so looks irregular
+    for k, j in enumerate(some):
+        finding = findings[j]
+        own = finding.best.evidence - finding.tried.plain.evidence
+        # Irregular timing instead of the joint's own effects, or together with them.
+        instead = plain_link.shares[k] > best_link.shares[k] + own
+        link = plain_link if instead and plain_link.gain > 0 else best_link
+        short = link.effect == "latency_jitter" and link.value < longest_jitter_s
+        if link.gain <= 0 or not (short or np.isinf(longest_jitter_s)):
+            continue
+        fit = finding.best.fit
+        noise = float(np.sqrt(fit.error2[0] / fit.count[0]))
+        remaining = excess(link.unexplained[k], joints[j].traces, batch, noise)
+        remaining = min(remaining, finding.excess)
+        unexplained = remaining > DECISION.structured_excess
+        groups = () if instead else finding.groups
+        group = Group((link.effect,), DECISION.most_certain, 1.0)
+        explained[j] = replace(
+            finding,
+            mismatch=not lacks_rows or unexplained or bool(groups),
+            unexplained=unexplained,
+            excess=remaining,
+            best=finding.tried.plain if instead else finding.best,
+            groups=groups if lacks_rows else (*groups, group),
+            link=None if lacks_rows else link,
+            place=k,
+        )
+    return explained, []
+
+
+def _on_all(
+    plain_link: IrregularTiming, best_link: IrregularTiming, findings: Sequence[Finding]
+) -> bool:
+    """Whether timing is irregular on more than the joints whose own effects could imitate that.
+
+    Or on few of them while the others do not contradict it, as a joint that hardly moves shows
+    neither losses nor delays: rates that are common to all then explain as much as rates of each.
+    """
+    if max(plain_link.gain, best_link.gain) <= 0:
+        return False
+    contradiction = sum(best_link.shares) - best_link.gain
+    if best_link.gain > 0 and contradiction < DECISION.link.max_contradiction:
+        return True
+    showing = [share > 0 for share in best_link.shares]
+    free = [shows for shows, f in zip(showing, findings, strict=True) if not f.mismatch]
+    if free and not any(free):
+        return False
+    return len(showing) < 2 or sum(showing) > 1
+
+
+def _link_data(
+    batch: Batch, joints: Sequence[JointCase], some: Sequence[int], servos: Sequence[Hypothesis]
+) -> LinkData:
+    """Residuals of some joints, for ``link_of``; ``servos`` are those of all joints."""
+    fits = [servos[j].fit for j in some]
+    residuals = residual_angles(batch, joined(fits))
+    left = tuple(
+        tuple(
+            Residual(t, residual[r, : t.t.size], *fit.servos.theta[0, :3].tolist())
+            for r, t in enumerate(joints[j].traces)
+        )
+        for j, fit, residual in zip(some, fits, residuals, strict=True)
+    )
+    return LinkData(left, batch.lags, batch.least_gain, DECISION.decisive_gain)

@@ -1,1 +1,0 @@
-"""Do set-points reach the servos late, irregularly, or not at all?"""

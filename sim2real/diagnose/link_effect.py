@@ -1,0 +1,298 @@
+"""Do set-points arrive at irregular times, or not at all? The more probable of the two effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TypeVar
+
+import numpy as np
+
+from sim2real.arrays import Array
+from sim2real.diagnose.angle_noise import Noise, NoisyJoint, Segment, with_noise
+from sim2real.diagnose.decision import DECISION
+from sim2real.inference.correlated_noise import whitened
+from sim2real.inference.normal import SD_PER_MEDIAN
+from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
+from sim2real.servo.linearised import Residual, servo_modes
+
+T = TypeVar("T")
+
+MOST_LAGS = 6
+"""Largest order of the autoregression of the noise."""
+EFFECTS = ("latency_jitter", "packet_loss")
+HALFWIDTHS_S = np.geomspace(2.5e-4, 0.1, 10)
+"""Halfwidths of the delays from which the search for jitter starts."""
+CORRELATION_STEPS = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
+"""Steps by which the correlation of successive delays is refined."""
+FIRST_LOSS = Arrivals(0.02, 0.1)
+"""Losses from which the search for them starts."""
+_STEP = 0.1
+"""Relative step by which a curvature is measured."""
+
+
+@dataclass(frozen=True)
+class LinkData:
+    """Residuals of one robot's fits: for each joint its recordings, and what the noise may be."""
+
+    joints: tuple[tuple[Residual, ...], ...]
+    lags: int
+    least_gain: float
+    noticed: float = 0.0
+
+
+@dataclass(frozen=True)
+class IrregularTiming:
+    """Irregular timing that explains a part of a robot's residuals."""
+
+    effect: str  # ``latency_jitter`` or ``packet_loss``
+    gain: float = 0.0  # log-likelihood gained over noise alone, in nats
+    value: float = 0.0  # the effect's parameter: halfwidth in s, or probability
+    sd: float = np.inf  # its standard deviation; infinite where nothing is found
+    shares: tuple[float, ...] = ()  # gain at each joint by itself
+    common: bool = False  # whether a set-point is lost for all joints at once
+    burst: float = 1.0  # mean number of set-points that are lost in succession
+    correlation: float = 0.0  # of successive delays
+    # for each joint, by recording, when set-points were lost that it would have shown
+    lost_s: tuple[tuple[Array, ...], ...] = ()
+    # for each joint, by recording, the residual in rad without what the irregular timing is
+    # expected to do, shape (T,)
+    unexplained: tuple[tuple[Array, ...], ...] = ()
+
+
+def link_of(robot: LinkData) -> IrregularTiming:
+    """The better of the two effects on one robot's link; ``gain`` 0 below what is noticed."""
+    joints = [with_noise(x, min(robot.lags, MOST_LAGS), robot.least_gain) for x in robot.joints]
+    samples = sum(joint.counts[0] for joint in joints)
+    negligible = DECISION.link.negligible_gain * samples if robot.noticed else 0.0
+    fits = [fit for effect in EFFECTS for fit in fitted(joints, effect)]
+    best = max(fits, key=lambda fit: fit.gain)
+    if best.gain < max(robot.noticed, negligible):
+        return IrregularTiming(best.effect, shares=tuple(0.0 for _ in joints))
+    return best.result()
+
+
+def fitted(joints: Sequence[NoisyJoint], effect: str) -> list[LinkFit]:
+    """Fits of one effect: each joint with packets of its own and, for losses, with common ones."""
+    fits = [LinkFit(joints, effect, common=False)]
+    times = {tuple(s.residual.size for s in joint.segments) for joint in joints}
+    if effect == "packet_loss" and len(joints) > 1 and len(times) == 1:
+        fits.append(LinkFit(joints, effect, common=True))
+    return fits
+
+
+_Alternation = tuple[EventFilter, Arrivals, list[Filtered]]
+"""A filter, the most probable arrivals, and what the filter finds with them."""
+
+
+class LinkFit:
+    """One effect fitted to the joints of a robot by expectation maximisation.
+
+    The noise of each joint is refitted to what the expected deviations leave: Shumway and Stoffer,
+    Journal of Time Series Analysis 3 (1982) 253-264. It begins from two guesses of the noise,
+    since an autoregression can take any deviation for noise.
+
+    Attributes:
+        gain: Log-likelihood gained over noise alone, in nats; 0 where there is none.
+        arrivals: How set-points arrive.
+        noise_models: Of the residual of each joint.
+    """
+
+    def __init__(self, joints: Sequence[NoisyJoint], effect: str, *, common: bool) -> None:
+        self.joints, self.effect, self.common = joints, effect, common
+        self.gain, self.arrivals = 0.0, FIRST_LOSS if effect == "packet_loss" else Arrivals()
+        self.noise_models = [joint.noise for joint in joints]
+        # The filter's log-likelihood counts the squares, that of the noise alone does not.
+        alone = sum(joint.alone(joint.noise) - 0.5 * joint.counts[0] for joint in joints)
+        starts = [[_typical(joint) for joint in joints], [_white(joint) for joint in joints]]
+        begun = [self._alternated(noise_models, self.arrivals) for noise_models in starts]
+        if max(_total(results) for _, _, results in begun) < alone:
+            return
+        guesses = [
+            self._climb(noise_models, self.arrivals, steps=2, first=first)
+            for noise_models, first in zip(starts, begun, strict=True)
+        ]
+        _, arrivals, noise_models = max(guesses, key=lambda guess: guess[0])
+        total, arrivals, noise_models = self._climb(noise_models, arrivals, steps=6)
+        if total > alone:
+            self.gain, self.arrivals, self.noise_models = total - alone, arrivals, noise_models
+
+    def _climb(
+        self,
+        noise_models: list[Noise],
+        arrivals: Arrivals,
+        steps: int,
+        first: _Alternation | None = None,
+    ) -> tuple[float, Arrivals, list[Noise]]:
+        """The best log-likelihood, arrivals and noise models of a few alternations."""
+        best: tuple[float, Arrivals, list[Noise]] = (-np.inf, arrivals, noise_models)
+        for step in range(steps):
+            known = first if step == 0 else None
+            events, arrivals, results = known or self._alternated(noise_models, arrivals)
+            total = _total(results)
+            gained = total - best[0]
+            if gained > 0:
+                best = (total, arrivals, noise_models)
+            if gained < DECISION.link.min_gain or step == steps - 1:
+                break
+            noise_models = self._renewed(noise_models, events, arrivals, results)
+        return best
+
+    def _alternated(self, noise_models: Sequence[Noise], arrivals: Arrivals) -> _Alternation:
+        """The filter with these noise models, and the most likely arrivals under it."""
+        events = self._filter(noise_models)
+        return events, *(self._losses if arrivals.loss else self._delays)(events, arrivals)
+
+    def _filter(self, noise_models: Sequence[Noise]) -> EventFilter:
+        channels = [
+            [channel_of(segment, noise) for segment in joint.segments]
+            for joint, noise in zip(self.joints, noise_models, strict=True)
+        ]
+        if self.common:
+            return EventFilter(list(zip(*channels, strict=True)))
+        return EventFilter([[channel] for of_joint in channels for channel in of_joint])
+
+    def _losses(
+        self, events: EventFilter, arrivals: Arrivals, iterations: int = 2
+    ) -> tuple[Arrivals, list[Filtered]]:
+        """Probabilities of losses by expectation maximisation."""
+        for _ in range(iterations):
+            before, (results,) = arrivals, events.run([arrivals])
+            chances, lost, after, again = np.sum([x.counts for x in results], axis=0)
+            first = float(np.clip((lost + 0.5) / (chances + 1), 1e-4, 0.5))
+            arrivals = Arrivals(first, float(np.clip((again + 0.5) / (after + 5), 1e-3, 0.9)))
+        return before, results
+
+    def _delays(self, events: EventFilter, arrivals: Arrivals) -> tuple[Arrivals, list[Filtered]]:
+        """The best size and correlation of the delays, of a grid that is finer once known."""
+
+        def best_of(sizes: Array, correlations: Array) -> tuple[Arrivals, list[Filtered]]:
+            options = [
+                Arrivals(delay_sd_s=float(sd), correlation=float(r))
+                for sd in sizes
+                for r in correlations
+            ]
+            pairs = zip(options, events.run(options, width=1), strict=True)
+            return max(pairs, key=lambda pair: _total(pair[1]))
+
+        if arrivals.delay_sd_s:
+            near = np.unique(np.clip(arrivals.correlation + CORRELATION_STEPS, 0.0, 0.95))
+            return best_of(arrivals.delay_sd_s * np.geomspace(0.6, 1.7, 7), near)
+        middle = best_of(HALFWIDTHS_S / np.sqrt(3), np.array([0.5]))
+        others = best_of(np.array([middle[0].delay_sd_s]), np.array([0.0, 0.8]))
+        return max(middle, others, key=lambda pair: _total(pair[1]))
+
+    def _by_joint(self, values: Sequence[T]) -> list[list[T]]:
+        """Values of the filter's channels, by joint and recording."""
+        if self.common:
+            return [list(values[j :: len(self.joints)]) for j in range(len(self.joints))]
+        remaining = iter(values)
+        return [list(islice(remaining, len(joint.segments))) for joint in self.joints]
+
+    def _explained(
+        self, events: EventFilter, arrivals: Arrivals, results: Sequence[Filtered]
+    ) -> list[tuple[NoisyJoint, Array]]:
+        """The joints without the expected deviations, and the covariances of these."""
+        deviations = events.expected([x.active for x in results], arrivals)
+        out = []
+        for joint, some in zip(self.joints, self._by_joint(deviations), strict=True):
+            segments = tuple(
+                replace(s, residual=np.where(s.source.trace.used, s.residual - x.mean, 0.0))
+                for s, x in zip(joint.segments, some, strict=True)
+            )
+            covariance = np.sum([x.covariance for x in some], axis=0)
+            out.append((replace(joint, segments=segments), covariance))
+        return out
+
+    def _renewed(
+        self,
+        noise_models: Sequence[Noise],
+        events: EventFilter,
+        arrivals: Arrivals,
+        results: Sequence[Filtered],
+    ) -> list[Noise]:
+        """The noise of each joint, refitted to what the expected deviations leave."""
+        out = []
+        explained = self._explained(events, arrivals, results)
+        for (joint, covariance), old in zip(explained, noise_models, strict=True):
+            noise, _ = joint.settled(old)
+            noise, _ = joint.settled(joint.remodelled(noise, covariance))
+            taps = np.append(1.0, -noise.model)
+            extra = taps @ (covariance[0] + covariance[1] / noise.ratio**2) @ taps
+            out.append(replace(noise, variance=noise.variance + float(extra) / joint.counts[0]))
+        return out
+
+    def result(self) -> IrregularTiming:
+        """The effect, its standard deviation and gain at each joint, and what it explains."""
+        arrivals, events = self.arrivals, self._filter(self.noise_models)
+        jitter = self.effect == "latency_jitter"
+        name = "delay_sd_s" if jitter else "loss"
+        factors = np.exp(_STEP * np.array([-1.0, 0.0, 1.0]))
+        options = [replace(arrivals, **{name: float(getattr(arrivals, name) * x)}) for x in factors]
+        results = events.run(options)
+        below, here, above = map(_total, results)
+        curvature = (2 * here - below - above) / _STEP**2
+        burst = 1 / (1 - arrivals.repeated_loss)
+        value = float(arrivals.delay_sd_s * np.sqrt(3) if jitter else arrivals.long_run_loss)
+        # What is not known of the length of bursts adds to the standard deviation of a loss.
+        widened = value * np.sqrt(2 - 1 / burst)
+        explained = self._explained(events, arrivals, results[1])
+        of_joints = [results[1]] * len(self.joints) if self.common else self._by_joint(results[1])
+        lost_s = tuple(
+            tuple(
+                segment.source.trace.t[np.setdiff1d(np.arange(x.active.size), x.active)]
+                for segment, x in zip(joint.segments, of_joint, strict=True)
+            )
+            for joint, of_joint in zip(self.joints, of_joints, strict=True)
+        )
+        single = len(self.joints) == 1
+        shares = [self] if single else [fitted([joint], self.effect)[0] for joint in self.joints]
+        return IrregularTiming(
+            self.effect,
+            self.gain,
+            value,
+            float(widened / np.sqrt(curvature)) if curvature > 0 else np.inf,
+            tuple(share.gain for share in shares),
+            self.common,
+            burst,
+            arrivals.correlation,
+            lost_s,
+            tuple(
+                tuple(s.corrected(noise.refit) for s in joint.segments)
+                for (joint, _), noise in zip(explained, self.noise_models, strict=True)
+            ),
+        )
+
+
+def _total(results: Sequence[Filtered]) -> float:
+    return sum(x.loglikelihood for x in results)
+
+
+def _typical(joint: NoisyJoint) -> Noise:
+    """The noise with the variance of most samples, not of those that events disturb."""
+    noise = joint.noise
+    sizes = [
+        np.abs(whitened(s.corrected(noise.refit), noise.model) * s.weight(noise.ratio))[s.counts]
+        for s in joint.segments
+    ]
+    sd = SD_PER_MEDIAN * float(np.median(np.concatenate(sizes)))
+    return replace(noise, variance=joint.variance(joint.counts[0] * sd**2))
+
+
+def _white(joint: NoisyJoint) -> Noise:
+    """White noise of the size of the third differences of the residual."""
+    third = np.concatenate([np.diff(s.residual, 3)[s.counts[3:]] for s in joint.segments])
+    sd = SD_PER_MEDIAN * float(np.median(np.abs(third))) / np.sqrt(20)  # 1 + 9 + 9 + 1
+    variance = joint.variance(joint.counts[0] * sd**2)
+    return Noise(np.zeros_like(joint.noise.model), 1.0, variance, np.zeros(3))
+
+
+def channel_of(segment: Segment, noise: Noise) -> Channel:
+    """A recording of a joint as the filter takes it."""
+    of, residual = segment.source, segment.corrected(noise.refit)
+    scale = np.where(segment.counts, np.where(segment.rests, noise.ratio, 1.0), 0.0)
+    return Channel(
+        of.trace.t, of.trace.command, of.arrival_s, servo_modes(of), residual, scale, segment.rests,
+        noise.model, noise.variance,
+    )  # fmt: skip

@@ -1,1 +1,0 @@
-"""Which physics of the catalogue do recordings show that the fitted servo lacks?"""

@@ -1,0 +1,140 @@
+"""Which sets of effects recordings of a joint leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sim2real.diagnose.case import JointCase
+from sim2real.diagnose.decision import DECISION, LOG_PRIOR
+from sim2real.diagnose.effect_probabilities import trusted_share
+from sim2real.diagnose.investigate import Finding, is_no_finding
+from sim2real.diagnose.joint_result import JointFindings
+from sim2real.diagnose.rival_sets import JointRivals, RivalSet
+from sim2real.identification.servo_problem import Hypothesis
+from sim2real.inference.normal import NINE_IN_TEN
+
+
+def rival_sets(
+    joint: JointCase, finding: Finding, *, most: int = 8, hidden: int = 6, uniform: float = 0.3
+) -> JointRivals:
+    """The sets of effects that may be present in a joint, given its recordings.
+
+    Three kinds of sets: the most probable ones; for every further effect that was considered, the
+    most probable set that has it; and the most probable set together with one more effect of the
+    largest size that the recordings would not have shown. At most ``most`` of the first two kinds
+    and ``hidden`` of the third. The share ``uniform`` of the probability is distributed evenly:
+    laws of effects are approximations, so that no probability of a set is certain.
+    """
+    best, plain = finding.best, finding.tried.plain
+    probable = list(_representatives(joint, finding, most))
+    sets = [_fitted(effects, p, h, plain) for effects, p, h in probable]
+    sets += _hidden(joint, finding, {one.effects for one in sets}, hidden)
+    total = sum(one.probability for one in sets)
+    sets = [
+        replace(one, probability=(1 - uniform) * one.probability / total + uniform / len(sets))
+        for one in sets
+    ]
+    return JointRivals(
+        component=joint.name,
+        load=joint.traces[0].load,
+        period_s=finding.search.batch.period,
+        noise_rad=float(np.sqrt(best.fit.error2[0] / best.fit.count[0])),
+        autoregression=best.fit.autoregression[0],
+        sets=tuple(sorted(sets, key=lambda one: -one.probability)),
+    )
+
+
+def _representatives(
+    joint: JointCase, finding: Finding, most: int, *, behind: float = 15.0
+) -> Iterator[tuple[tuple[str, ...], float, Hypothesis]]:
+    """Names, probability and the best fit of the sets; sets of the same names are one."""
+    tried, weight = finding.tried.tried, dict[tuple[str, ...], float]()
+    trust = trusted_share(finding.best, finding.tried.plain)
+    chosen: dict[tuple[str, ...], Hypothesis] = {}
+    for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
+        names = _stated_effects(joint, finding, tried[members])
+        weight[names] = weight.get(names, 0.0) + float(p)
+        chosen.setdefault(names, tried[members])
+    ranked = sorted(weight, key=lambda names: -weight[names])
+    first = [names for names in ranked if weight[names] > DECISION.report.rival_min_probability]
+    first = first[:most] or ranked[:1]
+    covered = {effect for names in first for effect in names}
+    for hypothesis in sorted(tried.values(), key=lambda h: -h.evidence):
+        names = _stated_effects(joint, finding, hypothesis)
+        if trust * (finding.best.evidence - hypothesis.evidence) > behind:
+            break
+        if len(first) < most and names not in first and not covered.issuperset(names):
+            first.append(names)
+            covered.update(names)
+            chosen.setdefault(names, hypothesis)
+    for names in first:
+        yield names, weight.get(names, 0.0), chosen[names]
+
+
+def _stated_effects(joint: JointCase, finding: Finding, servo: Hypothesis) -> tuple[str, ...]:
+    """Effects of a set that a verdict would state."""
+    added = servo.members - finding.tried.base
+    return tuple(sorted(e for e in added if not is_no_finding(servo, e, joint)))
+
+
+def _fitted(
+    effects: tuple[str, ...], probability: float, hypothesis: Hypothesis, plain: Hypothesis
+) -> RivalSet:
+    fit, servos = hypothesis.fit, hypothesis.fit.servos
+    unit = servos.unit[0]
+    normal = fit.gram[0].sum(axis=0)[1:, 1:] * float(fit.count[0] / fit.error2[0])
+    information = normal + np.eye(unit.size) / DECISION.prior_sd**2
+    return RivalSet(
+        effects=effects,
+        probability=probability,
+        gain=float(fit.loglikelihood[0] - plain.fit.loglikelihood[0]),
+        theta=servos.theta[0],
+        columns=servos.columns[0].astype(np.int32),
+        information=np.asarray(information / np.outer(unit, unit)),
+    )
+
+
+def _hidden(
+    joint: JointCase, finding: Finding, taken: set[tuple[str, ...]], most: int
+) -> list[RivalSet]:
+    """The best set with one more effect, of the largest size that would not have been seen."""
+    best = finding.best
+    posterior = dict(zip(finding.posterior.sets, finding.posterior.probability, strict=True))
+    # The best set is improbable where irregular timing explains what its effects would.
+    share = float(posterior.get(best.members, 0.0))
+    known = _fitted(_stated_effects(joint, finding, best), share, best, finding.tried.plain)
+    seen, options = finding.search.seen(finding.tried, best.members)
+    needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
+    found: list[RivalSet] = []
+    for k, option in enumerate(options):
+        names = tuple(sorted({*known.effects, option.effect.name}))
+        mine = np.flatnonzero((seen.candidate == k) & (seen.visible < needed))
+        if names in taken or option.effect.everywhere or not mine.size:
+            continue
+        start = int(mine[seen.visible[mine].argmax()])
+        theta = known.theta.copy()
+        theta[option.columns] = option.starts[seen.start[start]]
+        spread = np.maximum(np.abs(theta[option.columns]), 1e-3 * option.unit)
+        size, added = known.columns.size, option.columns.size
+        information = np.zeros((size + added, size + added))
+        information[:size, :size] = known.information
+        information[range(size, size + added), range(size, size + added)] = spread**-2.0
+        columns = np.concatenate([known.columns, option.columns]).astype(np.int32)
+        # Evidence of the effect at the size that fits best, as far as these recordings show it.
+        gain = float(seen.gain[seen.candidate == k].max())
+        odds = float(np.exp(min(gain + LOG_PRIOR, 0.0)))
+        found.append(RivalSet(names, share * odds, known.gain, theta, columns, information))
+    return sorted(found, key=lambda one: -one.probability)[:most]
+
+
+def set_probabilities(joint: JointFindings) -> dict[frozenset[str], float]:
+    """Probabilities of the sets of stated effects of a joint; sets of the same names are one."""
+    finding = joint.finding
+    weight: dict[frozenset[str], float] = {}
+    for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
+        names = frozenset(_stated_effects(joint.joint, finding, finding.tried.tried[members]))
+        weight[names] = weight.get(names, 0.0) + float(p)
+    return weight

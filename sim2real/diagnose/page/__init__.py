@@ -1,1 +1,0 @@
-"""What the report shows in addition to the findings."""

@@ -1,0 +1,157 @@
+"""What would each effect explain of what a fit leaves: a linear look at all of them at once."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim2real.arrays import Array, Index, Integers, Mask
+from sim2real.effects import CATALOGUE, named
+from sim2real.effects.effect import SHAPES, SIGNED, STRENGTHS, Effect, scaled
+from sim2real.identification.servo_problem import Fits, variants
+from sim2real.servo.batch import Batch, Problems
+from sim2real.servo.parameters import COLUMNS
+
+FITTED: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and not e.never_named)
+"""Effects whose parameters a fit finds, and that may be named."""
+NUISANCES: tuple[Effect, ...] = tuple(e for e in CATALOGUE if e.fitted and e.everywhere)
+"""What every servo has a little of."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect with K parameters, scaled to a servo."""
+
+    effect: Effect  # the effect
+    columns: Integers  # columns of its parameters, shape (K,)
+    low: Array  # their smallest values, shape (K,)
+    high: Array  # their largest values, shape (K,)
+    unit: Array  # their natural sizes, shape (K,)
+    starts: Array  # values to start from, shape (S, K)
+
+
+def candidate(effect: Effect, kp: float, inertia: float, *, apart: float = 1.5) -> Candidate:
+    """An effect scaled to a servo of ``kp`` N m/rad on ``inertia`` kg m2.
+
+    Two ascending parameters (``Effect.ascending``) start at a ratio of ``apart`` at least.
+    """
+    given = [scaled(p, kp, inertia) for p in effect.parameters]
+    low, high, unit = np.array([(p.low, p.high, p.typical) for p in given]).T
+    choices = []
+    for k, p in enumerate(given):
+        usual = SHAPES if k else SIGNED if p.low < 0 else STRENGTHS
+        choices.append([start * p.typical for start in p.starts or usual])
+    starts = np.array(list(itertools.product(*choices)))
+    names = [p.name for p in given]
+    if effect.ascending:
+        lower, upper = (names.index(name) for name in effect.ascending)
+        starts[:, upper] = np.maximum(starts[:, upper], apart * starts[:, lower])
+    columns = np.array([COLUMNS.index(f"{effect.name}.{name}") for name in names], dtype=np.int32)
+    starts = np.unique(np.clip(starts, low, high), axis=0)
+    return Candidate(effect, columns, low, high, unit, starts)
+
+
+def candidates(effects: Iterable[str], kp: float, inertia: float) -> list[Candidate]:
+    """Every effect that may join these, none that ``excludes`` one of them."""
+    present = [named(name) for name in effects]
+    return [
+        candidate(effect, kp, inertia)
+        for effect in FITTED
+        if not any(effect.excludes(other) for other in present)
+    ]
+
+
+@dataclass(frozen=True)
+class Screen:
+    """Score of every start of every candidate for one fit."""
+
+    candidate: Index  # index of each start's candidate, shape (S,)
+    start: Index  # index of the start within the candidate, shape (S,)
+    # standard score of the effect's response in the innovations, after the free parameters have
+    # taken up what they can, shape (S,)
+    score: Array
+    blocks: Array  # contribution of each block to the score, shape (B, S)
+    visible: Array  # score that an effect of just this strength would have, shape (S,)
+    count: float  # samples that count
+
+    def of(self, wanted: Mask) -> Screen:
+        """The starts of some candidates; ``wanted`` has one entry a candidate."""
+        some = wanted[self.candidate]
+        names = ("candidate", "start", "score", "blocks", "visible")
+        return replace(self, **{name: getattr(self, name)[..., some] for name in names})
+
+    @property
+    def gain(self) -> Array:
+        """Gain in log-likelihood by each start, its strength free but not its sign, shape (S,)."""
+        share = np.minimum(np.maximum(self.score, 0) ** 2 / self.count, 1 - 1e-9)
+        return np.asarray(-0.5 * self.count * np.log1p(-share))
+
+    def threshold(self, level: float, rng: np.random.Generator, draws: int = 999) -> float:
+        """Gain that the best start exceeds with probability ``level`` where nothing is missing.
+
+        The innovations of whole blocks change sign at random, which keeps what correlation and
+        change of variance the noise model has missed (the wild bootstrap: Davidson, Flachaire,
+        Journal of Econometrics 146 (2008) 162-169). The tail beyond the draws is Gumbel's.
+        """
+        centred = self.blocks - self.blocks.mean(axis=0)
+        signs = rng.choice([-1.0, 1.0], size=(draws, centred.shape[0]))
+        largest = np.maximum(signs @ centred, 0).max(axis=1) ** 2 / 2
+        scale = float(largest.std() * np.sqrt(6) / np.pi)
+        place = float(largest.mean() - np.euler_gamma * scale)
+        tail = place - scale * float(np.log(-np.log1p(-level)))
+        return max(tail, float(np.quantile(largest, 1 - level)))
+
+
+def screen(
+    batch: Batch, fits: Fits, candidates: list[list[Candidate]], *, blocks: int = 20
+) -> list[Screen]:
+    """Look at the candidates of every fit, with ``blocks`` blocks of each recording."""
+    own = variants(fits.servos)
+    free = own.theta.shape[1]
+    starts = [sum(len(c.starts) for c in some) for some in candidates]
+    N, most = len(candidates), max(starts)
+    theta = np.repeat(own.theta[:, :1], free + most, axis=1)
+    theta[:, :free] = own.theta
+    scale = np.zeros((N, free + most))
+    scale[:, :free] = own.scale
+    for n, some in enumerate(candidates):
+        at = free
+        for c in some:
+            theta[n, at : at + len(c.starts), c.columns] = c.starts.T
+            at += len(c.starts)
+        scale[n, free:at] = 1.0
+    seen = batch.evaluate(
+        Problems(fits.servos.joint, theta, scale),
+        blocks=blocks,
+        deep=free,
+        autoregression=fits.autoregression,
+    )
+    screens = []
+    for n, some in enumerate(candidates):
+        counts = [len(c.starts) for c in some]
+        own_starts = np.concatenate([np.arange(number) for number in counts])
+        labels = np.repeat(np.arange(len(some)), counts), own_starts
+        rows = np.s_[free : free + starts[n]]
+        part = seen.gram[n], seen.square[n, rows], float(seen.count[n])
+        screens.append(Screen(*labels, *_scores(*part, free, rows), part[2]))
+    return screens
+
+
+def _scores(
+    gram: Array, square: Array, count: float, free: int, starts: slice
+) -> tuple[Array, Array, Array]:
+    """Scores of starts, the parts of them by block, and the scores that they would have."""
+    total = gram.sum(axis=0)
+    noise = np.sqrt(total[0, 0] / count)
+    cross = total[1:free, starts]
+    taken = np.linalg.pinv(total[1:free, 1:free], rcond=1e-10, hermitian=True) @ cross
+    norm2 = square - np.einsum("fs,fs->s", cross, taken)
+    # Directions that the free parameters take up whole say nothing.
+    seen = norm2 > 1e-6 * square + 1e-30
+    norm = np.sqrt(np.where(seen, norm2, 1.0))
+    along = gram[:, 0, starts] - gram[:, 0, 1:free] @ taken
+    pieces = np.where(seen, -along / (norm * noise), 0.0)
+    return pieces.sum(axis=0), pieces, np.where(seen, norm / noise, 0.0)

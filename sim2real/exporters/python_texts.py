@@ -1,0 +1,232 @@
+"""Python text that configures actuators in Isaac Lab, mjlab, Newton and Genesis.
+
+Fields and calls: Isaac Lab 2.3 and 3.0 (``isaaclab.actuators``; 3.0 accepts these names), mjlab 1.5
+and 1.6 (``BuiltinPositionActuatorCfg``), Newton 1.8 (``newton.actuators``; its drives and input
+processors for BAM's servos and for backlash are in no release yet), Genesis (``RigidEntity``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from sim2real.exporters.actuator import Actuator
+
+
+def numbers(**values: float | None) -> dict[str, str]:
+    """The numbers that are known, as Python text."""
+    return {name: f"{value:.9g}" for name, value in values.items() if value is not None}
+
+
+def _called(name: str, fields: Mapping[str, str]) -> str:
+    """A call with keyword arguments as an entry of a list, two levels deep."""
+    return (
+        f"{name}(\n"
+        + "".join(f"            {n}={x},\n" for n, x in fields.items())
+        + "        ),\n"
+    )
+
+
+def _steps(servo: Actuator, low: str, high: str) -> dict[str, str]:
+    """Delays in whole physics steps."""
+    return {
+        name: f"round({delay:.9g} / physics_dt)"
+        for name, delay in zip((low, high), servo.delays, strict=True)
+    }
+
+
+DELAYED_MOTOR = '''from isaaclab.actuators import (
+    DCMotor,
+    DCMotorCfg,
+    DelayedPDActuator,
+    DelayedPDActuatorCfg,
+)
+from isaaclab.utils import configclass
+
+
+class DelayedDCMotor(DelayedPDActuator, DCMotor):
+    """A motor on its torque-speed line whose set-points are delayed."""
+
+
+@configclass
+class DelayedDCMotorCfg(DCMotorCfg):
+    """A DCMotorCfg with the delay of a DelayedPDActuatorCfg, in physics steps."""
+
+    class_type: type = DelayedDCMotor
+    min_delay: int = 0
+    max_delay: int = 0
+'''
+
+
+def isaaclab_text(servos: Sequence[Actuator]) -> str:
+    """``actuators(physics_dt)``, a dictionary of configurations.
+
+    A joint whose drive clips before the back-EMF (a torque-speed line) becomes a DC motor with the
+    delay that any other joint has.
+    """
+    entries, lines = "", 0
+    for servo in servos:
+        fields = {"joint_names_expr": repr([re.escape(servo.joint)])}
+        fields |= numbers(stiffness=servo.kp, damping=servo.kd + servo.back_emf)
+        kind, effort = "DelayedPDActuatorCfg", servo.stall_torque
+        if servo.back_emf > 0 and servo.limit:
+            lines, kind, effort = lines + 1, "DelayedDCMotorCfg", servo.largest_torque
+            fields |= numbers(saturation_effort=servo.limit)
+        fields |= numbers(effort_limit=effort, velocity_limit=servo.no_load_speed)
+        fields |= _steps(servo, "min_delay", "max_delay")
+        fields |= numbers(armature=servo.armature or None)
+        sticking = servo.friction + servo.value("stribeck_friction", "breakaway_Nm")
+        sliding = servo.friction + servo.value("stribeck_friction", "torque_Nm")
+        if sticking > 0:
+            fields |= numbers(friction=sticking, dynamic_friction=sliding)
+        entries += f"        {servo.joint!r}: " + _called(kind, fields)
+    text = DELAYED_MOTOR if lines else "from isaaclab.actuators import DelayedPDActuatorCfg\n"
+    text += "\n\ndef actuators(physics_dt):\n"
+    text += '    """For ArticulationCfg.actuators; physics_dt is SimulationCfg.dt, in s."""\n'
+    return f"{text}    return {{\n{entries}    }}\n"
+
+
+MJLAB = '''
+
+def actuators(physics_dt):
+    """For EntityArticulationInfoCfg; physics_dt is the time step of MuJoCo, in s."""
+    return (
+'''
+MJLAB_FRICTION = '''
+
+def set_friction(spec, physics_dt):
+    """Friction that stops the joints as identified; call it in the spec_fn of the EntityCfg."""
+    for name, (time_constant, impedance) in FRICTION.items():
+        joint = spec.joint(name)
+        joint.solref_friction = (max(time_constant, 2 * physics_dt), 1.0)
+        joint.solimp_friction = (impedance, impedance, 0.001, 0.5, 2.0)
+'''
+
+
+def mjlab_text(servos: Sequence[Actuator]) -> str:
+    """``actuators(physics_dt)``, a tuple of configurations, and ``set_friction``.
+
+    The limit of the drive is ``effort_limit``; the back-EMF, which acts beyond it, is
+    ``viscous_damping``.
+    """
+    entries, stops = "", ""
+    for servo in servos:
+        fields = {"target_names_expr": repr((re.escape(servo.joint),))}
+        fields |= numbers(
+            stiffness=servo.kp,
+            damping=servo.kd,
+            viscous_damping=servo.back_emf,
+            armature=servo.armature,
+            frictionloss=servo.friction,
+        )
+        fields |= _steps(servo, "delay_min_lag", "delay_max_lag")
+        fields |= numbers(effort_limit=servo.stall_torque)
+        entries += "        " + _called("BuiltinPositionActuatorCfg", fields)
+        if servo.friction > 0:
+            stops += "    {!r}: ({:.9g}, {:.9g}),\n".format(servo.joint, *servo.stop())
+    text = "from mjlab.actuator import BuiltinPositionActuatorCfg\n"
+    if stops:
+        text += f"\nFRICTION = {{  # time constant in s and impedance of each joint\n{stops}}}\n"
+    return f"{text}{MJLAB}{entries}    )\n" + (MJLAB_FRICTION if stops else "")
+
+
+NEWTON = '''
+
+def add_actuators(builder, physics_dt):
+    """Actuators of a newton.ModelBuilder, to be called before finalize; physics_dt in s.
+
+    With MuJoCo's solver, call SolverMuJoCo.register_custom_attributes(builder) before the robot is
+    added, so that friction stops the joints as identified: it is soft by default.
+    """
+    soft = builder.custom_attributes
+    for number, label in enumerate(builder.joint_label):
+        values = SERVOS.get(label, SERVOS.get(label.rsplit("/")[-1]))
+        if values is None:
+            continue
+        dof = builder.joint_qd_start[number]
+        builder.joint_target_ke[dof] = builder.joint_target_kd[dof] = 0.0
+        builder.joint_armature[dof] = values["armature"]
+        builder.joint_friction[dof] = values["friction"]
+        if "mujoco:solreffriction" in soft:
+            time_constant, impedance = values["stop"]
+            time_constant = max(time_constant, 2 * physics_dt)
+            soft["mujoco:solreffriction"].values[dof] = (time_constant, 1.0)
+            soft["mujoco:solimpfriction"].values[dof] = (impedance, impedance, 0.001, 0.5, 2.0)
+        builder.add_actuator(
+            DrivePD,
+            index=dof,
+            pos_index=builder.joint_q_start[number],
+            delay_steps=round(values["latency_s"] / physics_dt) or None,
+            clamping=values["clamping"],
+            kp=values["kp"],
+            kd=values["kd"],
+        )
+'''
+
+
+def newton_text(servos: Sequence[Actuator]) -> str:
+    """``add_actuators(builder, physics_dt)``.
+
+    A drive that clips before the back-EMF is a PD drive whose torque is within the torque-speed
+    line: both clip ``kp e - kd v`` to ``[-K - b v, K - b v]``.
+    """
+    entries, used = "", {"DrivePD"}
+    for servo in servos:
+        clamp, limits = "ClampingMaxEffort", numbers(max_effort=servo.stall_torque)
+        if servo.limit is not None and servo.back_emf > 0:
+            clamp, limits = (
+                "ClampingDCMotor",
+                numbers(
+                    saturation_effort=servo.limit,
+                    velocity_limit=servo.limit / servo.back_emf,
+                    max_motor_effort=servo.largest_torque,
+                ),
+            )
+        used |= {clamp} if limits else set()
+        shown = ", ".join(f'"{name}": {value}' for name, value in limits.items())
+        fields = numbers(
+            kp=servo.kp,
+            kd=servo.kd + servo.back_emf,
+            latency_s=servo.latency,
+            armature=servo.armature,
+            friction=servo.friction,
+        )
+        body = "".join(f'        "{name}": {value},\n' for name, value in fields.items())
+        body += '        "stop": ({:.9g}, {:.9g}),'.format(*servo.stop())
+        body += "  # time constant in s and impedance\n"
+        body += f'        "clamping": [{f"({clamp}, {{{shown}}})" if limits else ""}],\n'
+        entries += f"    {servo.joint!r}: {{\n{body}    }},\n"
+    text = f"from newton.actuators import {', '.join(sorted(used))}\n\n"
+    return f"{text}SERVOS = {{\n{entries}}}\n{NEWTON}"
+
+
+GENESIS = '''
+JOINTS = [{joints}]
+
+
+def set_actuators(entity):
+    """Gains and losses, for entity.control_dofs_position(angles, dofs)."""
+    dofs = [entity.get_joint(name).dofs_idx_local[0] for name in JOINTS]
+{calls}    return dofs
+'''
+
+
+def genesis_text(servos: Sequence[Actuator]) -> str:
+    """``set_actuators(entity)``, to be called after the scene is built."""
+    values = {
+        "kp": [servo.kp for servo in servos],
+        "kv": [servo.kd for servo in servos],
+        "damping": [servo.back_emf for servo in servos],
+        "armature": [servo.armature for servo in servos],
+        "frictionloss": [servo.friction for servo in servos],
+    }
+    calls = {name: ", ".join(f"{x:.9g}" for x in numbers) for name, numbers in values.items()}
+    limits = [servo.stall_torque for servo in servos]
+    if any(limit is not None for limit in limits):
+        upper = ["float('inf')" if limit is None else f"{limit:.9g}" for limit in limits]
+        lower = ["-float('inf')" if limit is None else f"{-limit:.9g}" for limit in limits]
+        calls["force_range"] = f"{', '.join(lower)}], [{', '.join(upper)}"
+    return GENESIS.format(
+        joints=", ".join(repr(servo.joint) for servo in servos),
+        calls="".join(f"    entity.set_dofs_{n}([{x}], dofs)\n" for n, x in calls.items()),
+    )

@@ -1,0 +1,295 @@
+"""The simulators and formats that actuators are exported to, and what each expresses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+from sim2real.effects import CATALOGUE
+from sim2real.exporters.actuator import (
+    BEYOND_LIMIT,
+    SATURATION,
+    Actuator,
+    Export,
+    LeftOut,
+    actuators,
+    comment,
+    head,
+    left_out,
+    limit_effects,
+    limit_with_back_emf,
+    shared_left_out,
+)
+from sim2real.exporters.mujoco import HAS, expressed, mujoco, xml_text
+from sim2real.exporters.python_texts import (
+    genesis_text,
+    isaaclab_text,
+    mjlab_text,
+    newton_text,
+    numbers,
+)
+from sim2real.model import JointModel, Model
+from sim2real.output import finite_json
+from sim2real.robot import Robot
+from sim2real.servo.parameters import SOFT
+
+FRICTION_AND_ROTOR = ("coulomb_friction", "unmodelled_inertia")
+"""Effects that every target expresses."""
+STEPS = ("fractions of a step of the latency", "a delay is a whole number of physics steps")
+JITTER = "part of latency_jitter"
+ONE_LIMIT = (
+    f"damping beyond {SATURATION} ({{:.6g}} N m s/rad)",
+    "the limit at any speed is that of the whole torque",
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A simulator or format that actuators are exported to.
+
+    Attributes:
+        write: Text of a model's actuators, from the model, the robot or None as source of limits,
+            and parts that were dropped from the model, to be listed.
+        has: Effects of the catalogue that it expresses, and ``motor.NAME`` of the motor.
+        expressed: Those of one joint, with the limit of its drive.
+    """
+
+    write: Callable[..., Export]
+    has: tuple[str, ...]
+    expressed: Callable[[JointModel], Collection[str]]
+
+
+def _always(*has: str) -> Callable[[JointModel], Collection[str]]:
+    return lambda joint: {*has, *limit_effects(joint)}
+
+
+def _python(
+    name: str,
+    text: Callable[[Sequence[Actuator]], str],
+    has: tuple[str, ...],
+    partly: Mapping[str, tuple[str, str]],
+    lacks: Mapping[str, str] | None = None,
+    damping: str = "",
+) -> Target:
+    """A simulator that is configured by Python text.
+
+    Args:
+        name: Its name.
+        text: The text of actuators.
+        has: See `Target`.
+        partly: What it lacks, and why, of effects, the latency and ``BEYOND_LIMIT`` that it
+            expresses in part.
+        lacks: Reasons for effects that it lacks.
+        damping: Its name of the damping of a drive, where the back-EMF is apart from that.
+    """
+
+    def write(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+        servos: list[Actuator] = []
+        lines: list[LeftOut] = []
+        for servo in actuators(model, robot):
+            if damping:
+                servo, moved = limit_with_back_emf(servo, damping)
+                lines += moved
+            servos.append(servo)
+            lines += left_out(servo, name, has, lacks or {})
+            beyond = servo.damping_beyond if servo.current_limit is not None else 0.0
+            values = {"latency": servo.latency, BEYOND_LIMIT: beyond, **servo.effects}
+            for part, (what, why) in partly.items():
+                if values.get(part):
+                    lines.append(LeftOut(servo.joint, what.format(values[part]), why))
+            lines += _of_link(servo)
+        lines += [*dropped, *shared_left_out(model)]
+        return Export(comment(head(lines)) + text(servos), tuple(lines))
+
+    return Target(write, has, _always(*has))
+
+
+def _of_link(servo: Actuator) -> list[LeftOut]:
+    """What belongs to the link of a robot, not to its actuator: the load, negative armature."""
+    lines = [
+        LeftOut(
+            servo.joint,
+            f"inertia of the load ({servo.inertia:.6g} kg m2)",
+            "it belongs to the link",
+        )
+    ]
+    if servo.beyond_load < 0:
+        why = "an armature cannot be negative; subtract it from the link's inertia"
+        lines.insert(0, LeftOut(servo.joint, "unmodelled_inertia", why))
+    return lines
+
+
+def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+    """A URDF (http://wiki.ros.org/urdf/XML) with one link on each joint.
+
+    ``damping`` and ``friction`` of ``<dynamics>`` are positive and oppose the motion. Of the
+    identified damping the joint has that of the motor's back-EMF, at most the whole; the rest is
+    its controller's, whose gains a URDF does not have. Limits of angle, torque and speed, of which
+    a URDF requires all, are the robot's; without it joints are ``continuous``.
+
+    Raises:
+        InputError: See `actuators`.
+    """
+    root = Element("robot", name=robot.name if robot else "sim2real")
+    SubElement(root, "link", name="bench")
+    lines: list[LeftOut] = []
+    for servo in actuators(model, robot):
+        kind = "revolute" if servo.sheet else "continuous"
+        joint = SubElement(root, "joint", name=servo.joint, type=kind)
+        SubElement(joint, "parent", link="bench")
+        SubElement(joint, "child", link=f"{servo.joint}_link")
+        SubElement(joint, "axis", xyz="0 1 0")
+        SubElement(
+            joint, "dynamics", numbers(damping=servo.passive_damping, friction=servo.friction)
+        )
+        if servo.sheet is not None:
+            low, high = servo.sheet.limits_rad
+            effort, velocity = servo.stall_torque, servo.no_load_speed
+            limits = numbers(lower=low, upper=high, effort=effort, velocity=velocity)
+            SubElement(joint, "limit", limits)
+        inertial = SubElement(SubElement(root, "link", name=f"{servo.joint}_link"), "inertial")
+        SubElement(inertial, "mass", value="0.1")
+        moment = servo.inertia + servo.beyond_load
+        terms = numbers(ixx=moment, iyy=moment, izz=moment, ixy=0.0, ixz=0.0, iyz=0.0)
+        SubElement(inertial, "inertia", terms)
+        lines += _not_in_urdf(servo)
+    lines += [*dropped, *shared_left_out(model)]
+    return Export(f'<?xml version="1.0"?>\n{xml_text(root, lines)}', tuple(lines))
+
+
+def _not_in_urdf(servo: Actuator) -> list[LeftOut]:
+    damping, inertia_only = servo.passive_damping, "the link here has inertia only"
+    kd = servo.kd + servo.back_emf - damping
+    there = "a URDF has no controller; set it there"
+    beside = f"{there}, in addition to the damping of {damping:.6g} N m s/rad in the joint"
+    limit = servo.limit if servo.limit is not None and servo.sheet is None else 0.0
+    clipped = damping if servo.back_emf > damping else 0.0
+    rows = (
+        ("kp", servo.kp, "N m/rad", there),
+        ("kd", kd if abs(kd) > 1e-9 * damping else 0.0, "N m s/rad", beside if damping else there),
+        ("latency", servo.latency, "s", there),
+        (
+            "torque limit",
+            limit,
+            "N m",
+            "a URDF has it only with limits of angle and speed, which a robot file contains",
+        ),
+        (
+            "damping",
+            clipped,
+            "N m s/rad",
+            "only below the limit of the drive; at the limit the damping is "
+            f"{servo.back_emf:.6g} N m s/rad",
+        ),
+        ("pendulum", servo.gravity, "N m", inertia_only),
+        (
+            "unmodelled_inertia",
+            servo.beyond_load,
+            "kg m2",
+            "a URDF has no armature: it is added to the inertia of the link here; do so for yours",
+        ),
+    )
+    lines = [
+        LeftOut(servo.joint, f"{name} ({value:.6g} {unit})", why)
+        for name, value, unit, why in rows
+        if value
+    ]
+    weight = f"{inertia_only}; add the weight to your link"
+    return lines + left_out(servo, "URDF", FRICTION_AND_ROTOR, {"gravity_load": weight})
+
+
+LAW = (
+    "torque = clip(kp (command(t - latency) - position) - kd velocity, -limit, limit)"
+    " - back_emf velocity"
+)
+
+
+def actuators_json(
+    model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()
+) -> Export:
+    """JSON with all identified parameters of the joints, and the law as a formula.
+
+    Raises:
+        InputError: See `actuators`.
+    """
+    joints: dict[str, dict[str, Any]] = {}
+    for servo in actuators(model, robot):
+        joints[servo.joint] = {
+            "kp_Nm_per_rad": servo.kp,
+            "kd_Nms_per_rad": servo.kd,
+            "back_emf_Nms_per_rad": servo.back_emf,
+            "limit_Nm": servo.limit,
+            "latency_s": servo.latency,
+            "inertia_kgm2": servo.inertia,
+            "gravity_Nm": servo.gravity,
+            "per_inertia": servo.per_inertia,
+            "motor": servo.motor,
+            "effects": [{"effect": n, "parameters": values} for n, values in servo.effects.items()],
+        }
+        if servo.sheet is not None:
+            sheet = vars(servo.sheet.servo)
+            joints[servo.joint]["limits_rad"] = list(servo.sheet.limits_rad)
+            joints[servo.joint]["data_sheet"] = {n: sheet[n] for n in sheet if n != "where"}
+    lines = (*dropped, *shared_left_out(model))
+    content = {"schema": "sim2real.actuators/1", "law": LAW, "joints": joints}
+    content["not_expressed"] = [str(line) for line in lines]
+    return Export(json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n", lines)
+
+
+TARGETS: Mapping[str, Target] = {
+    "mujoco": Target(mujoco, HAS, expressed),
+    "isaaclab": _python(
+        "Isaac Lab",
+        isaaclab_text,
+        (*FRICTION_AND_ROTOR, "latency_jitter", "stribeck_friction", SATURATION),
+        {
+            "latency": STEPS,
+            "latency_jitter": (JITTER, "the delay is drawn at a reset, not for each set-point"),
+            "stribeck_friction": (
+                "velocity_rad_s of stribeck_friction",
+                "friction drops as soon as the joint moves",
+            ),
+            BEYOND_LIMIT: ONE_LIMIT,
+        },
+    ),
+    "mjlab": _python(
+        "mjlab",
+        mjlab_text,
+        (*FRICTION_AND_ROTOR, "latency_jitter", *SOFT),
+        {
+            "latency": STEPS,
+            "latency_jitter": (
+                JITTER,
+                "the delay is drawn at each physics step, not for each set-point",
+            ),
+        },
+        damping="damping",
+    ),
+    "newton": _python(
+        "Newton",
+        newton_text,
+        (*FRICTION_AND_ROTOR, *SOFT, SATURATION),
+        {BEYOND_LIMIT: ONE_LIMIT, "latency": STEPS},
+        {
+            "backlash": "its processor for backlash is in no release yet",
+            "latency_jitter": "a delay is constant",
+        },
+    ),
+    "genesis": _python(
+        "Genesis",
+        genesis_text,
+        FRICTION_AND_ROTOR,
+        {
+            "latency": (
+                "latency ({:.6g} s)",
+                "position control has no delay; delay the set-points by this time",
+            )
+        },
+    ),
+    "urdf": Target(urdf, FRICTION_AND_ROTOR, _always(*FRICTION_AND_ROTOR)),
+    "json": Target(actuators_json, (), _always(*(effect.name for effect in CATALOGUE))),
+}
+"""By the name that ``export-servo --to`` takes."""

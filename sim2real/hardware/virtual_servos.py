@@ -1,0 +1,301 @@
+"""Virtual servos: LX, and those that are controlled by registers, Dynamixel and Feetech."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+from sim2real.hardware.frames import BROADCAST, Instruction, Packet
+from sim2real.hardware.lx import SCALE, LxCommand, expects_reply
+from sim2real.hardware.register_bus import ALERT
+from sim2real.hardware.registers import TORQUE
+from sim2real.hardware.servo_models import ServoModel
+from sim2real.hardware.virtual_bus import Law, VirtualServo
+
+Refusal = Literal["instruction", "range", "length", "access"]
+WATCHDOG_UNIT_S = 0.02
+DELAY_UNIT_S = 2e-6
+_STALL_A = 1.0
+"""Current at the stall torque."""
+
+
+_FIXED = {
+    LxCommand.VIN_LIMIT_READ: bytes((0x94, 0x11, 0xE0, 0x2E)),  # 4500 to 12000 mV
+    LxCommand.TEMP_MAX_LIMIT_READ: bytes((85,)),
+}
+
+
+class VirtualLx(VirtualServo):
+    """One LX servo, with the commands of ``LxCommand``."""
+
+    def ticks(self, now: float) -> int:
+        """Reported position in ticks of 0.24 degrees."""
+        return SCALE.centre_ticks + round(self._shaft.angle(now) / SCALE.tick_rad)
+
+    def handle(self, packet: Packet, now: float) -> Packet | None:
+        """Process a packet; the reply, if it is a request to this servo."""
+        everyone = packet.servo_id == BROADCAST
+        if not self.connected or not (everyone or packet.servo_id == self.servo_id):
+            return None
+        if not expects_reply(packet):
+            self._obey(packet.code, packet.parameters, now)
+        elif not everyone or packet.code == LxCommand.ID_READ:
+            return Packet(self.servo_id, packet.code, self._answer(packet.code, now))
+        return None
+
+    def _answer(self, command: int, now: float) -> bytes:
+        if command == LxCommand.POS_READ:
+            return max(min(self.ticks(now), 32767), -32768).to_bytes(2, "little", signed=True)
+        if command == LxCommand.VIN_READ:
+            return round(1000 * self._supply_V).to_bytes(2, "little")
+        if command == LxCommand.TEMP_READ:
+            return bytes((self._degrees(now),))
+        if command == LxCommand.LOAD_READ:
+            return bytes((self.powered,))
+        if command == LxCommand.ID_READ:
+            return bytes((self.servo_id,))
+        return _FIXED[LxCommand(command)]
+
+    def _obey(self, command: int, parameters: bytes, now: float) -> None:
+        if command == LxCommand.MOVE_TIME_WRITE and len(parameters) == 4:
+            ticks, milliseconds = (int.from_bytes(parameters[k : k + 2], "little") for k in (0, 2))
+            self._shaft.angle(now)
+            angle = SCALE.angle(min(ticks, SCALE.largest_ticks))
+            self._shaft.command(now, angle, milliseconds / 1000)
+        elif command == LxCommand.MOVE_STOP:
+            self._shaft.hold(now)
+        elif command == LxCommand.LOAD_WRITE and len(parameters) == 1:
+            self._power(parameters[0] != 0, now)
+
+
+class RegisterServo(VirtualServo):
+    """One servo as it leaves the factory, except for its identity, and a rate of 1 Mbaud.
+
+    A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
+    is stored only. The current or load is the torque as a share of the stall torque.
+
+    Attributes:
+        word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
+        answers_writes: Value of the register ``status_level`` with which writes are answered.
+        factory: Values of registers.
+    """
+
+    word_bytes: ClassVar[int]
+    answers_writes: ClassVar[int]
+    factory: ClassVar[Mapping[str, int]]
+
+    def __init__(
+        self, model: ServoModel, servo_id: int, law: Law, now: float, **more: float
+    ) -> None:
+        super().__init__(servo_id, law, now, **more)
+        self.model, self.memory = model, bytearray(256)
+        self._layout, self._scale = model.layout, model.scale(0, 0)
+        self._heard = now
+        rating = model.rating(self._supply_V)
+        self._stall_Nm = law.kp_Nm_per_rad if rating is None else rating.stall_torque_Nm
+        start = {
+            "max_position": 2 * model.centre_ticks - 1,
+            "model": model.number or model.main_version or 0,
+            "goal_position": model.centre_ticks,
+            "servo_id": servo_id,
+        }
+        for name, value in {**self.factory, **start}.items():
+            self.put(name, value)
+        self._refresh(now)
+
+    @abstractmethod
+    def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
+        """The answer, with the reason if it is a refusal."""
+
+    def _refusal(self, reason: Refusal) -> Packet | None:
+        """The answer to what cannot be read or is no instruction, if there is one."""
+        return None
+
+    @property
+    def delay_s(self) -> float:
+        """Time between the end of a request and the reply."""
+        return self.get("return_delay") * DELAY_UNIT_S
+
+    def get(self, name: str) -> int:
+        """Value of a register."""
+        register = self._layout[name]
+        data = bytes(self.memory[register.address : register.end])
+        return register.decode(data, self._layout.order)
+
+    def put(self, name: str, value: int) -> None:
+        """Set a register without any effect, for example when the servo is made."""
+        register = self._layout[name]
+        self.memory[register.address : register.end] = register.encode(value, self._layout.order)
+
+    def advance(self, now: float) -> None:
+        """Advance the simulation to ``now``; an expired watchdog stops the shaft."""
+        super().advance(now)
+        limit = self._watchdog() * WATCHDOG_UNIT_S if self.powered else 0
+        if limit > 0 and now - self._heard > limit:
+            self._shaft.hold(now)
+            self.put("bus_watchdog", -1)
+
+    def handle(self, packet: Packet, now: float) -> Packet | None:
+        """Process a packet; the status packet, if there is one."""
+        if not self.connected or packet.code == Instruction.STATUS:
+            return None
+        self.advance(now)
+        self._heard = now
+        everyone = packet.servo_id == BROADCAST
+        if not everyone and packet.servo_id != self.servo_id:
+            return None
+        code, size = packet.code, self.word_bytes
+        address, count = (
+            int.from_bytes(packet.parameters[k : k + size], "little") for k in (0, size)
+        )
+        rest = packet.parameters[2 * size :]
+        if code == Instruction.PING:
+            return self._status(None, self._identification())
+        if code == Instruction.SYNC_READ and everyone:
+            asked = self._layout.sync_read and self.servo_id in rest
+            return self._read(address, count, now) if asked else None
+        if code == Instruction.SYNC_WRITE and everyone:
+            for start in range(0, len(rest) - count, count + 1):  # an identity and its bytes
+                if rest[start] == self.servo_id:
+                    self.write(address, rest[start + 1 : start + 1 + count], now)
+        elif code == Instruction.READ and not everyone:
+            complete = len(packet.parameters) == 2 * size
+            return self._read(address, count, now) if complete else self._refusal("length")
+        elif code == Instruction.WRITE:
+            refused = self.write(address, packet.parameters[size:], now)
+            if not everyone and self.get("status_level") == self.answers_writes:
+                return self._status(refused)
+        elif not everyone:
+            return self._refusal("instruction")
+        return None
+
+    def write(self, address: int, data: bytes, now: float) -> Refusal | None:
+        """Write to the memory, with all effects; the reason if it is refused."""
+        end = address + len(data)
+        if not data or end > len(self.memory):
+            return "length"
+        registers = self._layout.registers.items()
+        names = [name for name, r in registers if address <= r.address and r.end <= end]
+        if any(name.startswith("present") or name in ("model", "firmware") for name in names):
+            return "access"
+        if address < self._layout.volatile_from and self.powered:
+            return "access"
+        before = bytes(self.memory)
+        self.memory[address:end] = data
+        if not all(self._allowed(name) for name in names):
+            self.memory[:] = before
+            return "range"
+        for name in names:
+            self._act(name, now)
+        return None
+
+    def _identification(self) -> bytes:
+        """Data of the answer to a ping."""
+        return b""
+
+    def _read(self, address: int, count: int, now: float) -> Packet | None:
+        if not 0 < count <= len(self.memory) - address:
+            return self._refusal("range")
+        self._refresh(now)
+        return self._status(None, bytes(self.memory[address : address + count]))
+
+    def _watchdog(self) -> int:
+        return self.get("bus_watchdog") if "bus_watchdog" in self._layout.registers else 0
+
+    def _allowed(self, name: str) -> bool:
+        value = self.get(name)
+        if name == TORQUE:
+            return value in (0, 1)
+        if name == "bus_watchdog":
+            return value >= 0
+        if name == "goal_position":
+            low, high = self.get("min_position"), self.get("max_position")
+            return self._watchdog() >= 0 and (low <= value <= high or low == high)
+        return True
+
+    def _act(self, name: str, now: float) -> None:
+        if name == TORQUE:
+            self._power(self.get(TORQUE) == 1, now)
+        elif name == "goal_position" and self.powered:
+            goal = self._scale.angle(self.get("goal_position"))
+            way = abs(goal - self._shaft.angle(now))
+            speed = self.get("profile_velocity") * self.model.velocity_unit_rad_s
+            self._shaft.command(now, goal, way / speed if speed else 0.0)
+        elif name == "servo_id":
+            self.servo_id = self.get("servo_id")
+
+    def _refresh(self, now: float) -> None:
+        """Write the present values into the memory."""
+        angle = self._shaft.angle(now)
+        share = max(min(self._shaft.drive_Nm / self._stall_Nm, 1.0), -1.0)
+        present = {
+            "present_position": self._scale.centre_ticks + round(angle / self._scale.tick_rad),
+            "present_velocity": round(self._shaft.speed / self.model.velocity_unit_rad_s),
+            "present_load": round(1000 * share),
+            "present_voltage": round(10 * self._supply_V),
+            "present_temperature": self._degrees(now),
+        }
+        if self.model.current_unit_A is not None:
+            apart = "present_current" in self._layout.registers
+            name = "present_current" if apart else "present_load"
+            present[name] = round(share * _STALL_A / self.model.current_unit_A)
+        bits = {what: bit for bit, what in self._layout.errors.items()}
+        hot = present["present_temperature"] > self.get("max_temperature")
+        low, high = self.get("min_voltage"), self.get("max_voltage")
+        voltage = not low <= present["present_voltage"] <= high
+        present["errors"] = hot << bits["temperature"] | voltage << bits["voltage"]
+        for name, value in present.items():
+            self.put(name, value)
+
+
+class VirtualDynamixel(RegisterServo):
+    """One Dynamixel servo."""
+
+    word_bytes = 2
+    answers_writes = 2
+    factory: ClassVar[Mapping[str, int]] = {
+        "firmware": 46,
+        "baud": 3,
+        "return_delay": 250,
+        "operating_mode": 3,
+        "max_temperature": 70,
+        "max_voltage": 140,
+        "min_voltage": 35,
+        "status_level": 2,
+        "position_p": 400,
+    }
+
+    def _identification(self) -> bytes:
+        return bytes(self.memory[0:2] + self.memory[6:7])  # model and firmware
+
+    def _read(self, address: int, count: int, now: float) -> Packet | None:
+        silent = self.get("status_level") == 0
+        return None if silent else super()._read(address, count, now)
+
+    def _refusal(self, reason: Refusal) -> Packet:
+        return self._status(reason)
+
+    def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
+        errors = {None: 0, "instruction": 2, "range": 4, "length": 5, "access": 7}
+        error = errors[refused] | (ALERT if self.get("errors") else 0)
+        return Packet(self.servo_id, Instruction.STATUS, bytes((error,)) + data)
+
+
+class VirtualFeetech(RegisterServo):
+    """One Feetech servo (STS, SMS or SCS)."""
+
+    word_bytes = 1
+    answers_writes = 1
+    factory: ClassVar[Mapping[str, int]] = {
+        "status_level": 1,
+        "max_temperature": 70,
+        "max_voltage": 140,
+        "min_voltage": 40,
+        "max_torque": 1000,
+        "position_p": 32,
+        "position_d": 32,
+    }
+
+    def _status(self, refused: Refusal | None, data: bytes = b"") -> Packet:
+        return Packet(self.servo_id, self.get("errors"), data)

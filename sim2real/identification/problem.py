@@ -1,0 +1,345 @@
+"""The least-squares problem of a servo: residuals, their derivatives, prior, and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sim2real.arrays import Array, Mask
+from sim2real.identification.priors import Ties, scale_inertia
+from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.inference.least_squares import OUTLIER_SD, Expansion, robust_loss
+from sim2real.inference.parameters import Parameter, column
+from sim2real.model import FittedEffect, Law
+from sim2real.servo.motor import MOTOR_BIT
+from sim2real.servo.parameters import BASE, COLUMNS, CURRENT_LIMIT, LINE, LOOP
+from sim2real.servo.rollout import Simulator, active_effects, coarse_substep
+from sim2real.servo.trace import Trace
+
+_LATENCY, _PERIOD, _PHASE = (COLUMNS.index(name) for name in (BASE[2], *LOOP))
+_DIFFERENCE = 1e-3
+"""Step of the forward differences, in units."""
+
+
+def plain_row(kp: float, kd: float, latency: float) -> Array:
+    """The parameters of a servo without effects, shape (P,)."""
+    row = np.zeros(len(COLUMNS))
+    row[: len(BASE)] = kp, kd, latency, 1.0, 0.0
+    return row
+
+
+@dataclass(frozen=True)
+class ServoProblem:
+    """Recordings of a servo, and which of its parameters are fitted.
+
+    Points ``x`` (B, F) are the free parameters, or their logarithms (``Parameter.log``), in units.
+
+    Attributes:
+        traces: The recordings of one joint.
+        row: Values of the other parameters, shape (P,); loads are the recordings'.
+        parameters: The F free parameters, with the names of their columns.
+        ties: Relations between gains and torque limit in the prior, for a motor.
+    """
+
+    traces: Sequence[Trace]
+    row: Array
+    parameters: tuple[Parameter, ...]
+    ties: Ties | None = None
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """Simulator of these traces."""
+        return Simulator(self.traces)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def columns(self) -> list[int]:
+        """Columns of the free parameters."""
+        return [COLUMNS.index(name) for name in self.names]
+
+    @cached_property
+    def log(self) -> Mask:
+        """Which of the free parameters are searched as logarithms, shape (F,)."""
+        return np.array([p.log for p in self.parameters])
+
+    @cached_property
+    def unit(self) -> Array:
+        """Natural units as searched, shape (F,)."""
+        return column(self.parameters, "typical")
+
+    @cached_property
+    def natural(self) -> Array:
+        """Changes of ``x`` that matter: a factor of e of logarithms, else a unit, shape (F,)."""
+        return np.where(self.log, 1 / self.unit, 1.0)
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Smallest and largest ``x``, shape (F,) each."""
+        ends = [
+            (np.log(p.low), np.log(p.high)) if p.log else (p.low, p.high) for p in self.parameters
+        ]
+        low, high = np.array(ends).T / self.unit
+        return low, high
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether all servos have a solution in closed form."""
+        free = np.ones((1, self.row.size)) * self.row
+        free[0, self.columns] = 1.0
+        return self.simulator.is_linear(free)
+
+    @cached_property
+    def smooth(self) -> bool:
+        """Whether longer sub-steps are stable: damping by an effect may not be with them."""
+        free = self.row.copy()[None]
+        free[0, self.columns] = 1.0
+        return not np.any(active_effects(free) & ~MOTOR_BIT)
+
+    def values(self, x: Array) -> Array:
+        """Free parameters in SI units, shape (..., F)."""
+        scaled = x * self.unit
+        return np.where(self.log, np.exp(np.where(self.log, scaled, 0.0)), scaled)
+
+    def rows(self, x: Array) -> Array:
+        """Parameters of servos, (B, F) to (B, P).
+
+        The phase of a sampled loop shifts with the latency, so that a change of latency does not
+        move a set-point to another sample.
+        """
+        rows = np.tile(self.row, (len(x), 1))
+        rows[:, self.columns] = self.values(x)
+        if self.row[_PERIOD] > 0:
+            shift = rows[:, _LATENCY] - self.row[_LATENCY]
+            rows[:, _PHASE] = (self.row[_PHASE] + shift) % rows[:, _PERIOD]
+        return rows
+
+    def searched(self, rows: Array) -> Array:
+        """Points of servos (B, P), kept within the bounds; absent logarithmic ones are nominal."""
+        values = rows[:, self.columns]
+        logs = np.where(values > 0, np.log(np.maximum(values, 1e-300)), self._nominal)
+        return np.clip(np.where(self.log, logs, values) / self.unit, *self.box)
+
+    @cached_property
+    def _nominal(self) -> Array:
+        return column(self.parameters, "nominal")
+
+    def residuals(self, x: Array, *, rough: bool = False) -> Array:
+        """Simulated minus measured angles at the used samples of all traces, (B, F) to (B, n)."""
+        return self.row_residuals(self.rows(x), rough=rough)
+
+    def row_residuals(self, rows: Array, *, rough: bool = False) -> Array:
+        """The same of servos with any parameters (B, P)."""
+        return self._errors(rows, self.substeps(rows, rough=rough))
+
+    def substeps(self, rows: Array, *, rough: bool = False) -> Array:
+        """Longest sub-step in s of each of the servos (B, P), (B,); infinite for exact solutions.
+
+        Args:
+            rows: The servos.
+            rough: Whether for derivatives, or far from a minimum (``rollout.coarse_substep``).
+        """
+        fine = self.simulator.substeps(rows, exact=self.exact)
+        return coarse_substep(fine) if rough and self.smooth and not self.exact else fine
+
+    def _errors(self, rows: Array, substeps: Array) -> Array:
+        angles = self.simulator.angles(rows, substeps)
+        errors = [(a - t.position)[:, t.used] for a, t in zip(angles, self.traces, strict=True)]
+        return np.concatenate(errors, axis=1)
+
+    def slopes(
+        self, x: Array, error: Array | None = None, *, rough: bool = True
+    ) -> tuple[Array, Array]:
+        """Residuals (B, n) and their derivatives (B, n, F) by ``x`` (B, F).
+
+        ``error`` is the residuals with the same sub-steps, where they are known.
+        """
+        substeps = self.substeps(self.rows(x), rough=rough)
+
+        def simulate(points: Array) -> Array:
+            each = len(points) // len(x)
+            return self._errors(self.rows(points), np.repeat(substeps, each))
+
+        return _differences(simulate, x, self._steps(x, _DIFFERENCE), error)
+
+    def terms(self, x: Array) -> Array:
+        """The prior's residuals, (B, F) to (B, m); half their sum of squares is minus its log."""
+        searched, sd = x * self.unit, column(self.parameters, "prior_sd")
+        parts = (searched - self._nominal) / sd
+        if self.ties is None or not set(LINE) <= set(self.names):
+            return parts
+        return np.hstack([parts, self.ties.terms(self.rows(x))])
+
+    def prior_slopes(self, x: Array) -> tuple[Array, Array]:
+        """The prior's residuals (B, m) and their derivatives (B, m, F) by ``x`` (B, F)."""
+        return _differences(self.terms, x, self._steps(x, 1e-5))
+
+    def loss(self, x: Array, error: Array, scale: float, inflation: float) -> Array:
+        """Twice the negative log-posterior of ``x`` (B, F) with residuals (B, n), shape (B,).
+
+        The soft L1 loss of residuals in units of their ``scale`` in rad, of which ``inflation``
+        correlated ones count as one.
+        """
+        data = robust_loss(error / scale, OUTLIER_SD) / inflation
+        return np.asarray(data + (self.terms(x) ** 2).sum(axis=1))
+
+    def inflation(self, error: Array) -> float:
+        """Number of samples of a residual (n,) per independent sample."""
+        parts = self.by_trace(error)
+        times = [correlation_samples(part) for part in parts]
+        return float(np.average(times, weights=[max(part.size, 1e-9) for part in parts]))
+
+    def expansion(
+        self, x: Array, error: Array, scale: float, inflation: float, *, rough: bool
+    ) -> Expansion:
+        """Half the loss and its derivatives about ``x`` (B, F) with residuals (B, n)."""
+        same = rough or self.exact or not self.smooth
+        _, slopes = self.slopes(x, error if same else None)
+        prior, prior_slopes = self.prior_slopes(x)
+        weight = 1 / np.sqrt(1 + (error / (OUTLIER_SD * scale)) ** 2) / scale**2 / inflation
+        weighted = slopes * weight[:, :, None]
+        slope = _products(weighted, error[:, :, None]) + _products(prior_slopes, prior[:, :, None])
+        curvature = _products(slopes, weighted) + _products(prior_slopes, prior_slopes)
+        loss = 0.5 * self.loss(x, error, scale, inflation)
+        return Expansion(loss, slope[:, :, 0], curvature, {})
+
+    def by_trace(self, values: Array) -> tuple[Array, ...]:
+        """Values at the used samples of all traces (n, ...), one array per trace."""
+        ends = np.cumsum([np.count_nonzero(t.used) for t in self.traces])
+        return tuple(np.split(values, ends[:-1]))
+
+    def _steps(self, x: Array, size: float) -> Array:
+        return np.where(x + size > self.box[1], -size, size)
+
+
+def _differences(
+    evaluate: Callable[[Array], Array], x: Array, step: Array, base: Array | None = None
+) -> tuple[Array, Array]:
+    """Values at ``x`` (B, F) and their derivatives by steps (B, F) of each parameter.
+
+    All points are evaluated in one call, except ``x`` where its values ``base`` are known.
+    """
+    F = x.shape[1]
+    points = np.repeat(x[:, None], 1 + F, axis=1)
+    points[:, np.arange(1, 1 + F), np.arange(F)] += step
+    points = points if base is None else points[:, 1:]
+    values = evaluate(points.reshape(-1, F)).reshape(*points.shape[:2], -1)
+    if base is None:
+        base, values = values[:, 0], values[:, 1:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        slopes = (values - base[:, None]) / step[:, :, None]
+    return base, np.where(np.isfinite(slopes), slopes, 0.0).swapaxes(1, 2)
+
+
+def _products(first: Array, second: Array) -> Array:
+    """Inner products of columns, (M, n, F) and (M, n, G) to (M, F, G)."""
+    return np.asarray(first.swapaxes(1, 2) @ second)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted servo.
+
+    Attributes:
+        problem: The problem.
+        x: The optimum, shape (F,).
+        error: Simulated minus measured angles at the used samples in rad, shape (n,).
+        slopes: Their derivatives by ``x``, shape (n, F).
+        scale_rad: Robust standard deviation of the residual.
+        inflation: Number of its samples per independent sample.
+        converged: Whether the search ended at a minimum.
+        others: Other minima, best first, shape (M, F).
+        behind: Their losses less that of the optimum, shape (M,).
+    """
+
+    problem: ServoProblem
+    x: Array
+    error: Array
+    slopes: Array
+    scale_rad: float
+    inflation: float
+    converged: bool
+    others: Array
+    behind: Array
+
+    @cached_property
+    def row(self) -> Array:
+        """All parameters of the servo, shape (P,)."""
+        row: Array = self.problem.rows(self.x[None])[0]
+        return row
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The F fitted parameters."""
+        return self.problem.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return self.problem.names
+
+    @property
+    def values(self) -> Array:
+        """Their values in SI units, shape (F,)."""
+        return self.problem.values(self.x)
+
+    @property
+    def residuals(self) -> tuple[Array, ...]:
+        """The residual of each trace."""
+        return self.problem.by_trace(self.error)
+
+    @property
+    def inertia(self) -> float:
+        """Inertia that sets the scale of the gains, kg m2."""
+        return scale_inertia(self.problem.traces, self.row)
+
+    @property
+    def prior(self) -> Array:
+        """Precision of the prior by ``x``, shape (F, F)."""
+        slopes = self.problem.prior_slopes(self.x[None])[1][0]
+        return np.asarray(slopes.T @ slopes)
+
+    @property
+    def law(self) -> Law:
+        """Name of its law: that of the limit of its torque."""
+        if self.problem.ties is None:
+            return "pd"
+        return "motor" if self.problem.ties.damping_share is None else "current_limited"
+
+    @property
+    def effects(self) -> tuple[FittedEffect, ...]:
+        """Effects that state a part of a motor's law: a current limit below its line."""
+        limit = float(self.row[COLUMNS.index(CURRENT_LIMIT)])
+        effect, _, parameter = CURRENT_LIMIT.rpartition(".")
+        return (FittedEffect(effect, {parameter: limit}),) if limit and self.law != "pd" else ()
+
+    def loss(self, scale_rad: float, inflation: float = 1.0) -> float:
+        """The loss for residuals of another scale and correlation, to compare fits."""
+        return float(self.problem.loss(self.x[None], self.error[None], scale_rad, inflation)[0])
+
+    def as_good(self, least: float) -> Array:
+        """Other minima with a loss larger by less than ``least``, shape (M, F)."""
+        return self.others[self.behind < least]
+
+    def evidence(self, scale_rad: float, inflation: float) -> float:
+        """Logarithm of the marginal likelihood by Laplace's method, up to a constant.
+
+        MacKay, Information Theory, Inference, and Learning Algorithms (Cambridge, 2003), ch. 27;
+        for residuals of a given scale and correlation, so that fits are comparable.
+        """
+        problem = self.problem
+        curvature = self.slopes.T @ self.slopes / (scale_rad**2 * inflation) + self.prior
+        _, volume = np.linalg.slogdet(curvature / np.outer(problem.unit, problem.unit))
+        sd = column(problem.parameters, "prior_sd")
+        widths = sd[np.isfinite(sd)]
+        if problem.ties is not None and problem.ties.damping_share is not None:
+            widths = np.append(widths, problem.ties.damping_share[1])
+        freedom = 0.5 * self.x.size * np.log(2 * np.pi)
+        occam = freedom - 0.5 * volume - np.sum(np.log(np.sqrt(2 * np.pi) * widths))
+        return float(occam - 0.5 * self.loss(scale_rad, inflation))

@@ -1,0 +1,100 @@
+"""A virtual servo moves as the library's servo law says, and answers what it is asked."""
+
+import numpy as np
+import pytest
+from simulated import row, steps
+from virtual_bench import virtual
+
+from sim2real.hardware.frames import Packet
+from sim2real.hardware.lx import LxCommand, load, move, number
+from sim2real.hardware.virtual_bus import Law, Shaft
+from sim2real.hardware.virtual_servos import VirtualLx
+from sim2real.servo.rollout import rollout
+
+LAW = Law(kp_Nm_per_rad=2.2, kd_Nms_per_rad=0.06, latency_s=0.05, inertia_kgm2=0.002)
+
+
+@pytest.fixture
+def shaft():
+    shaft = Shaft(LAW, 0.0)
+    shaft.powered = True
+    return shaft
+
+
+def test_the_one_law(shaft):
+    rng = np.random.default_rng(5)
+    t = 0.02 * np.arange(400) + rng.normal(0, 5e-4, 400)
+    sent, angle = steps(t, rng), np.empty(t.size)
+    for k in range(t.size):
+        shaft.command(t[k], sent[k])
+        angle[k] = shaft.angle(t[k])
+    expected = rollout(row()[None], t, sent)[0]
+    assert np.ptp(expected) > 0.5
+    assert np.abs(angle - expected).max() < 1e-4
+
+
+def test_a_timed_move_is_even(shaft):
+    shaft.command(0.0, 0.4, 2.0)
+    lag = LAW.latency_s + LAW.kd_Nms_per_rad / LAW.kp_Nm_per_rad  # of a PD servo on a ramp
+    for time in (0.5, 1.0, 1.5):
+        assert shaft.angle(time) == pytest.approx(0.2 * (time - lag), abs=1e-4)
+    assert shaft.angle(4.0) == pytest.approx(0.4, abs=1e-6)
+
+
+def test_without_torque_it_comes_to_rest_and_stays(shaft):
+    shaft.command(0.0, 0.6)
+    moving = shaft.angle(0.1)
+    shaft.hold(0.1)
+    shaft.powered = False
+    rest = shaft.angle(3.0)
+    assert 0.01 < moving < rest < 1.2
+    assert shaft.angle(10.0) == pytest.approx(rest, abs=1e-9)
+
+
+@pytest.fixture
+def servo():
+    return VirtualLx(3, LAW, 0.0, supply_V=7.5, temperature_C=40, heating_C_per_s=2)
+
+
+def read(servo, command, now):
+    return servo.handle(Packet(3, command), now)
+
+
+def test_it_tells_what_it_is_asked(servo):
+    assert number(read(servo, LxCommand.POS_READ, 0.0)) == 500
+    assert number(read(servo, LxCommand.VIN_READ, 0.0)) == 7500
+    assert read(servo, LxCommand.TEMP_READ, 5.0).parameters == b"\x32"
+    assert read(servo, LxCommand.LOAD_READ, 5.0).parameters == b"\x00"
+
+
+def test_it_moves_only_with_its_torque_on(servo):
+    servo.handle(move(3, 600), 0.0)
+    assert servo.ticks(2.0) == 500
+    servo.handle(load(3, True), 2.0)
+    servo.handle(move(3, 600), 2.0)
+    assert servo.ticks(2.04) == 500, "not before its latency"
+    assert servo.ticks(4.0) == 600
+    servo.handle(load(3, False), 4.0)
+    servo.handle(move(3, 500), 4.0)
+    assert servo.ticks(6.0) == 600
+
+
+def test_it_minds_its_own_business(servo):
+    assert servo.handle(Packet(4, LxCommand.POS_READ), 0.0) is None
+    assert servo.handle(Packet(254, LxCommand.POS_READ), 0.0) is None
+    assert servo.handle(Packet(254, LxCommand.ID_READ), 0.0) == Packet(3, 14, b"\x03")
+    assert servo.handle(Packet(3, 13, b"\x09"), 0.0) is None
+    assert servo.servo_id == 3
+    servo.connected = False
+    assert read(servo, LxCommand.POS_READ, 0.0) is None
+
+
+def test_the_profile_of_a_servo_slows_it():
+    servo = virtual("dynamixel", 1, 0.0)
+    servo.write(112, (20).to_bytes(4, "little"), 0.0)  # 4.58 rev/min
+    servo.write(64, b"\x01", 0.0)
+    servo.write(116, (2548).to_bytes(4, "little"), 0.0)
+    takes = 500 / 4096 / (4.58 / 60)
+    for now, ticks, near in ((takes / 2 + 0.06, 2298, 25), (takes + 1.0, 2548, 0)):
+        assert servo.handle(Packet(1, 2, b"\x84\x00\x04\x00"), now).parameters[0] == 0
+        assert servo.get("present_position") == pytest.approx(ticks, abs=near)
