@@ -30,6 +30,7 @@ from tqdm import tqdm
 from benchmarks.harness import command_line
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
+from sim2real.exporters.simulators import TARGETS
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
 from sim2real.servo.prediction import predict
@@ -147,7 +148,6 @@ def mujoco(models: Sequence[Model], times: Array, commands: Array, options: Any)
 def genesis(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Array:  # noqa: ANN401
     """Every servo is an entity of one scene."""
     import genesis
-    from sim2real.exporters.genesis import genesis as exported
 
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
     physics = genesis.options.SimOptions(dt=STEP_S, gravity=(0.0, 0.0, 0.0))
@@ -161,7 +161,9 @@ def genesis(models: Sequence[Model], times: Array, commands: Array, _: Any) -> A
             entities.append(scene.add_entity(morph))
         scene.build()
     pairs = zip(models, entities, strict=True)
-    dofs = [made_by(exported(model).text)["set_actuators"](one) for model, one in pairs]
+    dofs = [
+        made_by(TARGETS["genesis"].write(model).text)["set_actuators"](one) for model, one in pairs
+    ]
     grid, _ = held(times, STEP_S)
     latencies = np.array([model.joints["j1"].latency_s for model in models])
     late = np.searchsorted(times, grid[:, None] - STEP_S - latencies, side="right") - 1
@@ -180,7 +182,6 @@ def newton(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Ar
     import newton
     import warp as wp
     from newton.solvers import SolverMuJoCo
-    from sim2real.exporters.newton import newton as exported
 
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     SolverMuJoCo.register_custom_attributes(builder)
@@ -190,7 +191,7 @@ def newton(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Ar
         link = builder.add_link(mass=0.1, inertia=wp.mat33(load, 0, 0, 0, load, 0, 0, 0, load))
         hinge = builder.add_joint_revolute(parent=-1, child=link, axis=newton.Axis.Y, label=name)
         builder.add_articulation([hinge])
-    made_by(exported(Model(joints)).text)["add_actuators"](builder, STEP_S)
+    made_by(TARGETS["newton"].write(Model(joints)).text)["add_actuators"](builder, STEP_S)
     model = builder.finalize(device="cpu")
     physics = {"use_mujoco_cpu": True, "integrator": "implicitfast", "disable_contacts": True}
     solver = SolverMuJoCo(model, **physics)
@@ -217,10 +218,9 @@ def mjlab(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Arr
     from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
     from mjlab.scene import Scene, SceneCfg
     from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
-    from sim2real.exporters.mjlab import mjlab as exported
 
     def entity(model: Model) -> Any:  # noqa: ANN401
-        made, inertia = made_by(exported(model).text), model.joints["j1"].inertia_kgm2
+        made, inertia = made_by(TARGETS["mjlab"].write(model).text), model.joints["j1"].inertia_kgm2
 
         def spec() -> Any:  # noqa: ANN401
             link = mujoco.MjSpec.from_string(MJCF.format(inertia=inertia))
@@ -256,7 +256,6 @@ def mjlab(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Arr
 def isaaclab(models: Sequence[Model], times: Array, commands: Array, options: Any) -> Array:  # noqa: ANN401
     """Each servo is a shaft that Isaac Lab's actuator turns; only Omniverse is stood in for."""
     import torch
-    from sim2real.exporters.isaaclab import isaaclab as exported
 
     sys.modules |= {name: MagicMock() for name in OMNIVERSE}
     sys.path.insert(0, str(options.isaaclab))
@@ -266,7 +265,7 @@ def isaaclab(models: Sequence[Model], times: Array, commands: Array, options: An
     grid, rows = held(times, step_s)
     angles = []
     for model, command in zip(models, commands.T, strict=True):
-        given = made_by(exported(model).text)["actuators"](step_s)["j1"]
+        given = made_by(TARGETS["isaaclab"].write(model).text)["actuators"](step_s)["j1"]
         more = {"stiffness": given.stiffness, "damping": given.damping, "device": "cpu"}
         actuator = given.class_type(given, joint_names=["j1"], joint_ids=[0], num_envs=1, **more)
         actuator.reset([0])

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.clock import Timing, timing
-from sim2real.display import NotebookDisplay, from_report
+from sim2real.display import NotebookDisplay
 from sim2real.finding import RecordingFinding
 from sim2real.findings import joint_findings, merged, moves, recording_findings
 from sim2real.identification.expected_precision import expected_precision
@@ -63,10 +63,6 @@ class Check(NotebookDisplay):
         """All findings; one that several joints share is listed once."""
         rows = ((row.joint, finding) for row in self.joints for finding in row.findings)
         return [*self.findings, *merged(rows)]
-
-    def __str__(self) -> str:
-        """The check as the command line prints it."""
-        return str(from_report("table.check_report")(self))
 
 
 def check(

@@ -39,24 +39,9 @@ class Density(NotebookDisplay):
         """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
 
-    def __str__(self) -> str:
-        """Mass, length and normalised density of each link."""
-        width = max(len("link"), *(len(name) for name in self.links))
-        lines = [f"{'link':<{width}}  mass, kg  length, m  density   90 % interval"]
-        for k, name in enumerate(self.links):
-            line = f"{name:<{width}}  {self.mass_kg[k]:8.3f}  {self.length_m[k]:9.3f}"
-            line += f"  {self.value[k]:7.3f}"
-            if self.interval is not None:
-                low, high = self.interval[:, k]
-                line += f"   {low:.3f} to {high:.3f}"
-            lines.append(line)
-        if self.interval is None:
-            lines.append("  ! mass_sd_kg and length_sd_m of the links would give intervals")
-        return "\n".join(lines)
-
     def plot(self) -> Figure:
         """Bar chart of the normalised density of each link."""
-        figure: Figure = from_report("range_plots.density_figure")(self)
+        figure: Figure = from_report("ranges.density_figure")(self)
         return figure
 
 

@@ -102,13 +102,9 @@ class Model(NotebookDisplay):
     firmware_p_gain: float | None = None
     interval_level: float = LEVEL
 
-    def __str__(self) -> str:
-        """Table of the fitted parameters of every joint, with intervals and errors."""
-        return str(from_report("table.fit_report")(self))
-
     def plot(self) -> Figure:
         """Gains and latency of every joint, with intervals."""
-        figure: Figure = from_report("parameter_plot.parameter_figure")(self)
+        figure: Figure = from_report("identification.parameter_figure")(self)
         return figure
 
 

@@ -21,7 +21,7 @@ from sim2real.clock import (
     missing_samples,
     timing,
 )
-from sim2real.display import NotebookDisplay, from_report
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.output import beside, write_json, write_whole
 from sim2real.structured import Fields, check_label, read_json
@@ -160,10 +160,6 @@ class Recording(NotebookDisplay):
     def __repr__(self) -> str:
         """One line without the arrays."""
         return f"<Recording {self.name}: {self.summary}; joints {', '.join(self.joints)}>"
-
-    def __str__(self) -> str:
-        """The summary, and the ranges of command and position of each joint."""
-        return str(from_report("table.recording_report")(self))
 
     @property
     def commands(self) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from simulated import INERTIA, KD, KP, LATENCY, recording, robot
 
 import sim2real as s2r
-from sim2real.commands.as_json import plain
+from sim2real.commands.streams import plain
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model, read_model, write_model

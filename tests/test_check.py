@@ -210,7 +210,7 @@ def test_text_is_narrow_and_complete() -> None:
     marks = [line for line in lines if line.startswith("! ")]
     assert len(marks) == len(checked.findings) + len(row.findings) >= 3
     assert "kp to 2 %" in text
-    assert "clock: 50 Hz" in lines[1]
+    assert "clock: 50 Hz" in text
 
 
 @pytest.mark.usefixtures("without_fits")

@@ -70,7 +70,7 @@ def test_a_folder_does_not_hide_the_verb_of_its_name() -> None:
 def test_identify_and_predict(steps, model) -> None:
     prints_and_draws(model, "kp", "latency", "held out")
     found = s2r.predict(steps, BENCH / "robot.toml", model)
-    prints_and_draws(found, "steps, j1", "mrad")
+    prints_and_draws(found, "steps", "j1", "mrad")
     assert found.angles[0].shape == steps.position.shape
     assert max(found.rmse.values()) < 0.005
     blind = s2r.predict(
@@ -91,7 +91,7 @@ def test_density() -> None:
 def test_posterior_and_ranges(steps, model) -> None:
     chain = {"steps": 200, "walkers": 8, "seed": 3}
     found = s2r.posterior(steps, BENCH / "robot.toml", model, **chain)
-    prints_and_draws(found, "j1.kp_Nm_per_rad", "N m/rad", "90 %")
+    prints_and_draws(found, "kp", "N m/rad", "90 %")
     low, high = found.joints["j1"].quantiles(0.001, 0.999)[:, 0]
     assert low < model.joints["j1"].kp_Nm_per_rad < high
     assert found.sample().names[0] == "j1.kp_Nm_per_rad"

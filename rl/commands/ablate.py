@@ -25,7 +25,7 @@ from rl.sac import plan as plans
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan
 from rl.sac.train import train
 from rl.world import Draws
-from sim2real.commands.placement import where_jobs_run
+from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError, check_whole
 from sim2real.executor import map_jobs
 from sim2real.model import Model, read_model

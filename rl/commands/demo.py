@@ -26,11 +26,10 @@ from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.commands.diagnose import write_all
 from sim.inference.swims import by_followed_twin, by_twin
-from sim.view.calibration_page import calibration_section
-from sim.view.diagnosis_page import swims_section
+from sim.view.swim_page import calibration_section, swims_section
 from sim.view.video import Video
 from sim2real.check import check
-from sim2real.commands.identify import most_held_out
+from sim2real.commands.recordings import most_held_out
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.diagnose.result import Diagnosis, percent, write_diagnosis
 from sim2real.errors import InputError
@@ -46,11 +45,9 @@ from sim2real.report.page import Note, Section, Table, Text, write_page
 from sim2real.report.quantity import milliradians, quantities
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
-from sim2real.report.table import fit_report
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import replay
 
-STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate", "swim")
 LONGEST = 500
 """Longest film in control periods: ten seconds."""
 _DIAGNOSED = ("chirp", "steps")
@@ -89,9 +86,8 @@ def run(options: argparse.Namespace) -> int:
             f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
             [_summary(model, servos, body, ablation.lead, film), *bench, *swam, ablation],
             model.provenance,
-            stages=[(name, True) for name in STAGES],
         )
-    print("\n" + fit_report(model))
+    print(f"\n{model}")
     print(f"\nreport: {page}")
     return 0
 

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rl import verbs
-from sim2real.commands.command import Command, add_file, add_flag
-from sim2real.commands.placement import add_executor
-from sim2real.commands.verb import add_verb
+from sim2real.commands.command import Command, add_executor, add_file, add_flag, add_verb
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
 _ARMS = (

@@ -16,7 +16,7 @@ from rl.experiments.testbeds import SimulationSettings
 from rl.sac import train as sac
 from rl.sac.curve import draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
-from sim2real.commands.placement import where_jobs_run
+from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
 from sim2real.executor import map_jobs
 from sim2real.model import read_model

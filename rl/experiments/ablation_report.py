@@ -18,7 +18,7 @@ from sim2real.output import write_json, write_whole
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, NARROW, house_style, new_figure
+from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -167,8 +167,8 @@ def sections(results: Results, plan: Plan) -> list[Section]:
 
 
 def picture(figure: Figure) -> Picture:
-    """A figure for a page, with a narrow version for small screens."""
-    return Picture(svg(figure), narrow=svg(figure, width=NARROW))
+    """A figure for a page."""
+    return Picture(svg(figure))
 
 
 def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:

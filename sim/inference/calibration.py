@@ -50,8 +50,8 @@ from sim2real.inference.correlated_noise import correlation_samples, long_run
 from sim2real.inference.parameters import Parameter, column
 from sim2real.model import Model
 from sim2real.report.notebook import result_section
-from sim2real.report.page import Section, Table
-from sim2real.report.quantity import change_text
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import Quantity, change_text, quantity_table
 from sim2real.robot import Robot
 
 if TYPE_CHECKING:
@@ -272,27 +272,17 @@ class Calibration(NotebookDisplay):
         """The fit in the fluid if there was one, else that in the twin."""
         return self.in_fluid or self.twin
 
-    def __str__(self) -> str:
-        """Parameters with 90 % intervals, and held-out errors, of each fit."""
-        lines = ["in the twin:", *_lines(self.twin, self.robot)]
-        if self.in_fluid is not None:
-            lines.append(f"in the fluid, cells of {self.fluid.cell_m:g} m:")
-            lines += _lines(self.in_fluid, self.robot)
-            if self.in_fluid.grid is None:
-                lines.append(
-                    "  the intervals do not include the discretisation error: cells of twice the "
-                    "size stop the robot"
-                )
-        return "\n".join(lines)
-
     def plot(self, swim: int = 0) -> Figure:
         """One swim: measured, and simulated before and after the calibration."""
-        from sim.view.calibration_plot import comparison
+        from sim.view.swim_page import swim_panels
+        from sim2real.report.series import series_figure
 
         simulator = by_twin(self.robot)
         if self.in_fluid is not None:
             simulator = self.fluid.simulator(self.robot)
-        return comparison(self.swims[swim], self.before, self.fitted.model, simulator, self.robot)
+        shown, models = self.swims[swim], (self.before, self.fitted.model)
+        panels = swim_panels(shown, models, simulator, self.robot)
+        return series_figure(panels, f"{shown.name}: measured and simulated")
 
 
 def calibrate_body(
@@ -336,46 +326,42 @@ def calibrate_body(
     return replace(result, model=calibrated, in_fluid=in_fluid, fluid=fluid)
 
 
-def _signals(robot: Robot) -> list[tuple[str, str]]:
-    """Names and units of the signals."""
-    return [*zip(SIGNALS, UNITS, strict=True), *((joint.name, "rad") for joint in robot.joints)]
-
-
-def _values(fit: Calibrated) -> list[tuple[str, str, str]]:
-    """Parameters with their values and 90 % intervals."""
-    parts = zip(fit.free, fit.best, fit.interval(), strict=True)
-    return [(p.name, f"{x:.4g}", f"{low:.4g} to {high:.4g}") for p, x, (low, high) in parts]
-
-
-def _errors_of(fit: Calibrated, robot: Robot) -> list[tuple[str, str, str, str]]:
-    """Signals with their held-out errors before and after, and units."""
-    parts = zip(_signals(robot), fit.rmse.T, strict=True)
-    return [(name, f"{a:.4f}", f"{b:.4f}", unit) for (name, unit), (a, b) in parts]
-
-
-def _lines(fit: Calibrated, robot: Robot) -> list[str]:
-    """Parameters and held-out errors; where the noise is known, the change beyond it as well."""
-    lines = [f"  {name:34s} {x:>10s}   90 % {interval}" for name, x, interval in _values(fit)]
-    lines.append("  held-out error            before     after")
-    beyond = np.sqrt(np.maximum(fit.rmse**2 - fit.noise**2, 0.0))
-    for k, (name, before, after, unit) in enumerate(_errors_of(fit, robot)):
-        change = change_text(*fit.rmse[:, k])
-        line = f"    {name:18s} {before:>10s} {after:>10s} {unit:6s} {change}"
-        if fit.noise[k] > 0:
-            noise = f"beyond the noise of {fit.noise[k]:.4f}"
-            line += f"; {noise} {change_text(*beyond[:, k])}"
-        lines.append(line)
-    return lines
-
-
 @result_section.register
 def _calibration(calibration: Calibration) -> Section:
-    fit, robot = calibration.fitted, calibration.robot
-    blocks = (
-        Table(("parameter", "value", "90 % interval"), _values(fit)),
-        Table(("signal", "held-out RMSE before", "after", "unit"), _errors_of(fit, robot)),
-    )
+    blocks = _tables(calibration.twin, "the twin", calibration.robot)
+    if calibration.in_fluid is not None:
+        where = f"the fluid, cells of {calibration.fluid.cell_m:g} m"
+        blocks += _tables(calibration.in_fluid, where, calibration.robot)
+        if calibration.in_fluid.grid is None:
+            text = "the intervals do not include the discretisation error: cells of twice the size"
+            blocks.append(Note("warn", f"{text} stop the robot"))
     return Section("Calibration", "", blocks)
+
+
+def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
+    """Parameters with intervals, and held-out errors before and after.
+
+    Where the noise of the recordings is known, the change of the error beyond it is shown as well.
+    """
+    values = [
+        (p.name, Quantity("value", "", float(best), (float(low), float(high))))
+        for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
+    ]
+    named = [*zip(SIGNALS, UNITS, strict=True), *((joint.name, "rad") for joint in robot.joints)]
+    beyond = np.sqrt(np.maximum(fit.rmse**2 - fit.noise**2, 0.0))
+    errors = [
+        (
+            name,
+            *(f"{x:.4f}" for x in fit.rmse[:, k]),
+            unit,
+            change_text(*fit.rmse[:, k]),
+            f"{change_text(*beyond[:, k])} beyond {noise:.4f}" if noise > 0 else "",
+        )
+        for k, ((name, unit), noise) in enumerate(zip(named, fit.noise, strict=True))
+    ]
+    header = ("held-out error", "before", "after", "unit", "change", "of it beyond the noise")
+    heading = Text("", heading=f"In {where}")
+    return [heading, quantity_table(values, "parameter"), Table(header, errors)]
 
 
 def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> Model:

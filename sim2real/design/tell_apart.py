@@ -138,7 +138,7 @@ class RivalDesign(NotebookDisplay):
         """Commands of one joint, and over time the differences of what its rival sets predict."""
         by_name = {one.rivals.component: one for one in self.joints}
         chosen = self.joints[0] if joint is None else by_name[joint]
-        figure: Figure = from_report("rival_plots.rivals_figure")(chosen)
+        figure: Figure = from_report("design_plot.rivals_figure")(chosen)
         return figure
 
     @property

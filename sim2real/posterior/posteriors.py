@@ -87,18 +87,6 @@ class Posteriors(NotebookDisplay):
             data.posterior[name].attrs["units"] = unit
         return data
 
-    def __str__(self) -> str:
-        """Median and 90 % interval of each parameter."""
-        lines = []
-        for joint, sampled in self.joints.items():
-            rows = zip(sampled.parameters, sampled.quantiles(0.05, 0.5, 0.95).T, strict=True)
-            lines += [
-                f"{joint}.{prior.name:30s} {median:10.4g} {prior.unit:12s} "
-                f"90 % {low:.4g} to {high:.4g}"
-                for prior, (low, median, high) in rows
-            ]
-        return "\n".join(lines) or "no joint moved on the bench"
-
     def plot(self, joint: str | None = None) -> Figure:
         """Marginals of one joint (the first by default), and of every pair of parameters.
 
@@ -108,7 +96,7 @@ class Posteriors(NotebookDisplay):
         name = next(iter(self.joints), "") if joint is None else joint
         if name not in self.joints:
             raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
-        figure: Figure = from_report("corner_plot.corner_figure")(self.joints[name], name)
+        figure: Figure = from_report("ranges.corner_figure")(self.joints[name], name)
         return figure
 
 

@@ -64,10 +64,6 @@ class Gathered(NotebookDisplay):
     spread: Spread | None
     density: Density | None
 
-    def __str__(self) -> str:
-        """One line per range, and notes."""
-        return str(self.ranges)
-
     def plot(self) -> Figure:
         """Latencies and their range, or else the normalised densities.
 
@@ -75,7 +71,7 @@ class Gathered(NotebookDisplay):
             InputError: If there is neither.
         """
         if self.latencies is not None and self.spread is not None:
-            figure: Figure = from_report("range_plots.latency_figure")(self.latencies, self.spread)
+            figure: Figure = from_report("ranges.latency_figure")(self.latencies, self.spread)
             return figure
         if self.density is None:
             raise InputError("ranges", "plot", "no latencies and no masses", "one of them")

@@ -24,7 +24,7 @@ VARIABLES = {
     ACCENT: "accent",
     PAPER: "paper",
 }
-WIDE, NARROW = 720, 340
+WIDE = 720
 POINTS_PER_INCH = 72
 
 STYLE: dict[Any, Any] = {

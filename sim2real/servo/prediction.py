@@ -108,18 +108,12 @@ class Prediction(NotebookDisplay):
             path=None,
         )
 
-    def __str__(self) -> str:
-        """The error of each joint in each recording."""
-        return "\n".join(
-            f"{name}, {joint}: {1e3 * error:.2f} mrad" for (name, joint), error in self.rmse.items()
-        )
-
     def plot(self, recording: int = 0, joint: str | None = None) -> Figure:
         """Measured and predicted angles of one joint of one recording."""
         shown = self.recordings[recording]
         name = shown.joints[0] if joint is None else joint
         angles = self.angles[recording][:, shown.joints.index(name)]
-        figure: Figure = from_report("fit_plot.fit_figure")(shown, name, angles)
+        figure: Figure = from_report("series.fit_figure")(shown, name, angles)
         return figure
 
 

@@ -49,6 +49,8 @@ def written(command, tmp_path_factory):
 
 def test_files(written):
     ranges = read_ranges(written / "ranges.json")
+    content = json.loads((written / "ranges.json").read_text())
+    assert {entry["period"] for entry in content["ranges"]} == {"episode", "step"}
     assert ranges.posterior == "posterior.npz"
     assert len(ranges.provenance["inputs"]) == 3
     sample = read_sample(written / ranges.posterior)
@@ -187,16 +189,3 @@ def test_a_chain_of_something_else_is_refused(command, written, tmp_path, capsys
 def test_numbers_that_mean_nothing(command, tmp_path, capsys, option):
     assert main(command(tmp_path / "ranges.json", option, "0")) == 2
     assert option.strip("-") in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["ranges", "density"])
-def test_help_has_an_example(name, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main([name, "--help"])
-    assert stop.value.code == 0
-    assert f"sim2real {name} " in capsys.readouterr().out.split("example:")[1]
-
-
-def test_content_is_plain_json(written):
-    content = json.loads((written / "ranges.json").read_text())
-    assert {e["period"] for e in content["ranges"]} == {"episode", "step"}

@@ -524,7 +524,7 @@ import numpy as np
 from sim2real.diagnose.diagnose import diagnose
 from sim2real.model import FittedEffect, JointModel
 from sim2real.recording import Load, Recording
-from sim2real.report.diagnosis_words import plain
+from sim2real.report.diagnosis_plots import plain
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import rollout
@@ -570,7 +570,7 @@ import numpy as np
 from sim.inference.swim_parameters import candidates
 from sim.twin.twin import Twin
 from sim2real.body import listed
-from sim2real.report.diagnosis_words import plain
+from sim2real.report.diagnosis_plots import plain
 from swimming_robots import FISH, servos
 weeds = replace(servos(), body={{"effects": listed({{"weed.coefficient": 1.0}})}})
 twin = Twin(FISH, [servos(), weeds], n_envs=2)

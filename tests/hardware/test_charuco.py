@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim2real.cli import main
-from sim2real.commands.calibrate_camera import board_of
+from sim2real.commands.camera import board_of
 from sim2real.hardware.camera import read_camera
 
 cv2 = pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
