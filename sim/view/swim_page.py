@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.inference.calibration import Calibrated
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import (
     HELD_OUT_SHARE,
@@ -28,6 +28,9 @@ from sim2real.report.series import Panel, series_block
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 from sim2real.viewers.scenes import MEASURED, POSE, Scene, SignalGroup, recorded
+
+if TYPE_CHECKING:
+    from sim.inference.calibration import Calibrated
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
 _SENTENCES = {

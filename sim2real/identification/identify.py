@@ -121,7 +121,7 @@ def identify(
         notes = []
         if law is None and not extra and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        fitter = _Joint(servos[joint], extra, effort, seed + moving.index(joint))
+        fitter = _JointSettings(servos[joint], extra, effort, seed + moving.index(joint))
         return _identify_joint(data, held_out, fitter, notes, options)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
@@ -151,7 +151,7 @@ def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> Joint
         seed: Seed of the search.
     """
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    found = _Joint(sheet, [], 1.0, seed).fit(data)
+    found = _JointSettings(sheet, [], 1.0, seed).fit(data)
     return _joint_model(found.best, {}, None, data[0].load, (), found.motor)
 
 
@@ -193,7 +193,7 @@ class _Options:
 
 
 @dataclass(frozen=True)
-class _Joint:
+class _JointSettings:
     """What is fitted to one joint."""
 
     servo: Servo | None
@@ -201,7 +201,7 @@ class _Joint:
     effort: float
     seed: int
 
-    def fit(self, fitted: list[Trace]) -> _Fits:
+    def fit(self, fitted: list[Trace]) -> _JointFits:
         """The fits to some recordings."""
         rng, noise = np.random.default_rng(self.seed), sensor_noise(fitted)
         plain, without_influence = fit_plain(fitted, noise, rng, self.servo, self.effort)
@@ -211,11 +211,11 @@ class _Joint:
             motor = choose_motor(fitted, plain, self.servo, noise, rng, losses=losses)
         base = motor if motor is not None and BASE[0] in motor.names else plain
         best = fit_effects(fitted, base, self.effects, rng) if self.effects else base
-        return _Fits(plain, motor, base, best, without_influence)
+        return _JointFits(plain, motor, base, best, without_influence)
 
 
 @dataclass(frozen=True)
-class _Fits:
+class _JointFits:
     """Fits of one joint: the linear servo, a motor, without effects (one of the two) and with."""
 
     plain: Fit
@@ -229,7 +229,7 @@ class _Fits:
         """Root mean square errors in rad, without effects and with."""
         return rms([self.base.error]), rms([self.best.error])
 
-    def again(self, traces: list[Trace], rng: np.random.Generator) -> _Fits:
+    def again(self, traces: list[Trace], rng: np.random.Generator) -> _JointFits:
         """The same fits to more recordings."""
         if self.motor is not None and self.best is self.motor:
             best = fitted_again(self.motor, traces, self.plain, rng)
@@ -241,7 +241,11 @@ class _Fits:
 
 
 def _identify_joint(
-    data: list[Trace], held_out: str | None, joint: _Joint, notes: list[str], options: _Options
+    data: list[Trace],
+    held_out: str | None,
+    joint: _JointSettings,
+    notes: list[str],
+    options: _Options,
 ) -> JointFit:
     fitted, scored, held_out_name = split(data, held_out)
     load, servo = data[0].load, joint.servo
