@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,6 @@ from sim2real.report.series import Panel, series_block
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 from sim2real.viewers.scenes import MEASURED, POSE, Scene, SignalGroup, recorded
-
-if TYPE_CHECKING:
-    from sim.inference.calibration import Calibrated
 
 _LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
 _SENTENCES = {
@@ -88,18 +84,22 @@ def swim_panels(
 
 
 def calibration_section(
-    swim: Swim, before: Model, calibrated: Calibrated, simulator: Simulator, robot: Robot
+    swim: Swim,
+    models: tuple[Model, Model],
+    errors: tuple[Array, Array],
+    simulator: Simulator,
+    robot: Robot,
 ) -> Section:
     """The measured swim, its simulations before and after, and the errors.
 
     Args:
         swim: The fitted swim, whose end was held out.
-        before: The model before the calibration.
-        calibrated: The calibration, of this swim alone.
+        models: The models before and after a calibration with this swim alone.
+        errors: Errors before and after of each signal on held-out and on fitted samples, (2, S).
         simulator: Simulator of the calibration.
         robot: The robot.
     """
-    panels = swim_panels(swim, (before, calibrated.model), simulator, robot)
+    panels = swim_panels(swim, models, simulator, robot)
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
     first = round(swim.t.size * (1 - HELD_OUT_SHARE))
     sizes = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
@@ -107,7 +107,7 @@ def calibration_section(
     units = [*UNITS, *("rad" for _ in robot.joints)]
     rows = []
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-        held_out, fitted = calibrated.rmse[:, k].tolist(), calibrated.train[:, k].tolist()
+        held_out, fitted = (of_part[:, k].tolist() for of_part in errors)
         numbers = [f"{x:.3f}" for x in (sizes[k], *held_out)]
         rows.append((f"{name}\n{unit}", *numbers, change_text(*held_out), change_text(*fitted)))
     header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
