@@ -148,7 +148,9 @@ def _pool(
     servos = read_model(folder / "model.json")
     made = [
         replace(swims, title="Diagnosis of the swim"),
-        calibration_section(swim, servos, fitted, by_twin(robot), robot),
+        calibration_section(
+            swim, (servos, fitted.model), fitted.rmse, fitted.train, by_twin(robot), robot
+        ),
         ranges_section(gathered),
     ]
     return made, results, replace(missing, model=fitted.model)

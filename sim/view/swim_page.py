@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.inference.calibration import Calibrated
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import (
     HELD_OUT_SHARE,
@@ -85,18 +84,25 @@ def swim_panels(
 
 
 def calibration_section(
-    swim: Swim, before: Model, calibrated: Calibrated, simulator: Simulator, robot: Robot
+    swim: Swim,
+    models: tuple[Model, Model],
+    held_out: Array,
+    fitted: Array,
+    simulator: Simulator,
+    robot: Robot,
 ) -> Section:
     """The measured swim, its simulations before and after, and the errors.
 
     Args:
         swim: The fitted swim, whose end was held out.
-        before: The model before the calibration.
-        calibrated: The calibration, of this swim alone.
+        models: The models before and after the calibration, of this swim alone.
+        held_out: Root mean square error of each signal on the held-out part, before and after,
+            shape (2, 3 + J).
+        fitted: Likewise on the fitted part.
         simulator: Simulator of the calibration.
         robot: The robot.
     """
-    panels = swim_panels(swim, (before, calibrated.model), simulator, robot)
+    panels = swim_panels(swim, models, simulator, robot)
     caption = f"{swim.name}: measured (simulated with other physics), before and after."
     first = round(swim.t.size * (1 - HELD_OUT_SHARE))
     sizes = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
@@ -104,9 +110,9 @@ def calibration_section(
     units = [*UNITS, *("rad" for _ in robot.joints)]
     rows = []
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-        held_out, fitted = calibrated.rmse[:, k].tolist(), calibrated.train[:, k].tolist()
-        numbers = [f"{x:.3f}" for x in (sizes[k], *held_out)]
-        rows.append((f"{name}\n{unit}", *numbers, change_text(*held_out), change_text(*fitted)))
+        numbers = [f"{x:.3f}" for x in (sizes[k], *held_out[:, k])]
+        changes = change_text(*held_out[:, k]), change_text(*fitted[:, k])
+        rows.append((f"{name}\n{unit}", *numbers, *changes))
     header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
     plot = series_block(panels, swim.name, caption)
     return Section("Calibration", _CALIBRATION, (plot, Table(header, rows, _TABLE)))
