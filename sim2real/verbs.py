@@ -40,6 +40,7 @@ def identify(
     effects: Sequence[str] | str = (),
     law: Literal["pd", "motor"] | None = None,
     effort: float = 1.0,
+    interval: float = 0.9,
     seed: int = 0,
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
@@ -60,10 +61,11 @@ def identify(
             and pd where effects are given or the data sheet states neither torque nor speed.
         effort: Multiple of the largest number of evaluations of a search; a note states which fits
             have spent theirs.
+        interval: Probability of the intervals of the parameters.
         seed: Seed of the search for a starting point.
 
     Returns:
-        The fitted model, with 90 % intervals and held-out errors.
+        The fitted model, with intervals and held-out errors.
 
     Raises:
         InputError: If no joint moves, a recording and the robot do not agree, or the catalogue has
@@ -81,6 +83,7 @@ def identify(
         "effects": (effects,) if isinstance(effects, str) else effects,
         "law": law,
         "effort": effort,
+        "interval": interval,
         "seed": seed,
         "progress": lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     }

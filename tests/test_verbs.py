@@ -89,7 +89,7 @@ def test_density() -> None:
 
 
 def test_posterior_and_ranges(steps, model) -> None:
-    chain = {"steps": 200, "walkers": 8, "seed": 3}
+    chain = {"steps": 200, "walkers": 12, "seed": 3}
     found = s2r.posterior(steps, BENCH / "robot.toml", model, **chain)
     prints_and_draws(found, "kp", "N m/rad", "90 %")
     low, high = found.joints["j1"].quantiles(0.001, 0.999)[:, 0]

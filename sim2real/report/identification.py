@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.arrays import Array, Mask
+from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -74,7 +75,8 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
 def model_blocks(model: Model) -> list[Block]:
     """Parameters, errors, correlations and effects of a model, and its notes."""
     rows = [(name, q) for name, joint in model.joints.items() for q in quantities(joint)]
-    blocks: list[Block] = [quantity_table(rows)] if rows else []
+    level = getattr(model, "interval_level", LEVEL)
+    blocks: list[Block] = [quantity_table(rows, level=level)] if rows else []
     errors = [
         (
             printable(signal.removesuffix(".position_rad")),
@@ -135,7 +137,7 @@ def _remarks(joint: JointModel) -> list[str]:
 
 
 def parameter_figure(model: Model) -> Drawing:
-    """Plot kp, kd and latency: one panel each, one row per joint, with 90 % intervals."""
+    """Plot kp, kd and latency: one panel each, one row per joint, with intervals."""
     rows = [quantities(joint)[:3] for joint in model.joints.values()]
     with house_style():
         figure = new_figure(62 + 34 * max(1, len(rows)), "kp, kd and latency of each joint")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from sim2real.inference.normal import LEVEL
 from sim2real.model import FittedEffect, JointModel
 from sim2real.report.page import Table
 from sim2real.units import readable_name, unit_of
@@ -19,7 +20,7 @@ class Quantity:
         name: Its name, such as ``"kp"``.
         unit: Unit, such as ``"N m/rad"``.
         value: The estimate.
-        interval: 90 % interval, with an infinite end where the data do not constrain the value;
+        interval: Interval, with an infinite end where the data do not constrain the value;
             None if it was not estimated.
         origin: Origin of a value without an interval.
     """
@@ -74,7 +75,11 @@ class Quantity:
 
 
 def quantity_table(
-    rows: Iterable[tuple[str, Quantity]], place: str = "joint", caption: str = ""
+    rows: Iterable[tuple[str, Quantity]],
+    place: str = "joint",
+    caption: str = "",
+    *,
+    level: float = LEVEL,
 ) -> Table:
     """A table of quantities, each with the name of the joint or the effect that it belongs to.
 
@@ -82,12 +87,14 @@ def quantity_table(
         rows: Name and quantity.
         place: Title of the column of names.
         caption: Caption of the table.
+        level: Probability of the intervals.
     """
     cells = [
         (printable(where), printable(q.name), q.texts[0], q.unit, q.between, q.remark)
         for where, q in rows
     ]
-    return Table((place, "parameter", "value", "unit", "90 % interval", ""), cells, caption)
+    header = (place, "parameter", "value", "unit", f"{100 * level:g} % interval", "")
+    return Table(header, cells, caption)
 
 
 def quantities(joint: JointModel) -> tuple[Quantity, ...]:

@@ -66,7 +66,7 @@ def posterior_of(name):
     """A posterior with two parameters, whose quantiles are known."""
     each = [SimpleNamespace(name=n, unit=unit) for n, unit in ((name, "s"), ("kp", "N m/rad"))]
     servo = SimpleNamespace(
-        priors=SimpleNamespace(each=each),
+        parameters=each,
         quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]]),
     )
     return Posteriors({"j1": servo}, {})
@@ -78,6 +78,7 @@ def calibration_of(robot):
         best=np.array([1.25]),
         interval=lambda: np.array([[1.0, 1.5]]),
         rmse=np.array([[0.5, 0.5, 0.5, 0.5], [0.25, 0.25, 0.25, 0.125]]),
+        noise=np.array([0.0, 0.0, 0.0, 0.1]),
     )
     return Calibration(Model({}), Model({}), robot, (), found)
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.report.quantity import Quantity, quantity_table
 from sim2real.report.text import WIDTH
 
 
@@ -100,3 +101,9 @@ def test_no_line_is_wider_than_a_terminal_and_none_ends_in_space(bench):
 def test_control_characters_do_not_reach_the_terminal():
     text = str(Model({"j\x1b[31m\n1": JointModel(1, 1, 0.1, 1, notes=("a\x07b",))}))
     assert "\x1b" not in text and "\x07" not in text
+
+
+def test_a_table_says_the_probability_of_its_intervals():
+    rows = [("j1", Quantity("kp", "N m/rad", 1.25, (1.0, 1.5)))]
+    assert quantity_table(rows).header[4] == "90 % interval"
+    assert quantity_table(rows, level=0.68).header[4] == "68 % interval"
