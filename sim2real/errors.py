@@ -1,12 +1,14 @@
-"""The exception for invalid input, and checks of arguments that raise it."""
+"""The exception for invalid input, checks of arguments that raise it, findings about recordings."""
 
 from __future__ import annotations
 
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from numbers import Integral
 from os import PathLike
+from typing import Literal
 
 _LONGEST_SHOWN = 80  # characters of a value in a message
 
@@ -33,14 +35,28 @@ class InputError(Exception):
         return type(self), (self.file, self.where, self.found, self.expected)
 
 
-def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
-    """Check that ``value`` is one of ``choices``.
+@dataclass(frozen=True)
+class RecordingFinding:
+    """A finding about a recording.
 
-    Args:
-        call: The function that was called, for the message.
-        argument: The argument's name.
-        value: Its value.
-        choices: Valid values.
+    Attributes:
+        text: The finding, one sentence.
+        severity: ``"note"`` if it is merely unusual; ``"warning"`` if numbers that are fitted to
+            the recording may be wrong, and are shown with it; ``"error"`` if they would be wrong,
+            and nothing is fitted.
+        where, found, expected: Of an error, the column, what is found there and what is expected,
+            for the exception.
+    """
+
+    text: str
+    severity: Literal["note", "warning", "error"] = "note"
+    where: str = ""
+    found: str = ""
+    expected: str = ""
+
+
+def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
+    """Check that ``value``, an argument of the function ``call``, is one of ``choices``.
 
     Raises:
         InputError: If it is none of them; the message names the most similar choice.
@@ -93,12 +109,9 @@ def one_of(name: object, known: Sequence[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
-    """The known name that is most similar to ``name``, ignoring case; None if none is similar.
+    """The known name most similar to ``name``, ignoring case; None if none is.
 
-    Args:
-        name: The name that was found.
-        known: The valid names.
-        similarity: Smallest similarity, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
+    ``similarity``: the smallest one, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
     """
     by_lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)

@@ -17,7 +17,8 @@ from sim2real.errors import InputError
 from sim2real.exporters.simulators import actuators_json
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.output import write_json
-from sim2real.plausible import lead_s, validate_recording
+from sim2real.plausible import validate_recording
+from sim2real.readings import lead_s
 from sim2real.recording import Load, Recording, read_commands, read_recording
 from sim2real.robot import Robot, Servo, read_robot
 from sim2real.servo.rollout import rollout
