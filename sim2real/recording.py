@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from dataclasses import fields as dataclass_fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,6 @@ from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.output import beside, write_json, write_whole
 from sim2real.structured import Fields, check_label, read_json
-from sim2real.varying_load import VaryingLoad
 
 SCHEMA = "sim2real.recording/1"
 GRAVITY_M_S2 = 9.80665
@@ -55,6 +55,28 @@ class Load:
 
 PER_INERTIA = Load(inertia_kgm2=1.0)
 """Placeholder for an unknown load: gains are then per unit of inertia."""
+
+
+@dataclass(frozen=True)
+class VaryingLoad:
+    """A load that the other joints of an arm cause, at evenly spaced times, linear between them.
+
+    Attributes:
+        start_s: Time of the first value, on the clock of the recording.
+        step_s: Time between values.
+        inertia_kgm2: Inertia about the shaft, shape (K,), K at least 2.
+        torque_Nm: Torque on the shaft, gravity included, shape (K,).
+    """
+
+    start_s: float
+    step_s: float
+    inertia_kgm2: Array
+    torque_Nm: Array
+
+    @cached_property
+    def mean_inertia_kgm2(self) -> float:
+        """Mean inertia, which stands for the load where a single number is needed."""
+        return float(np.mean(self.inertia_kgm2))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.recording import Recording
-from sim2real.structured import Fields, finite_number, read_toml
+from sim2real.structured import Fields, read_toml
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
@@ -34,10 +34,7 @@ T = TypeVar("T")
 class Stated(Generic[T]):
     """A value of a dataclass that may be missing; using a missing value raises an InputError.
 
-    The dataclass has a field ``where``: the file and the table in which the value is expected.
-
-    Args:
-        expected: Description of a valid value, for the message.
+    The dataclass has a field ``where``: the file and the table in which the value is ``expected``.
     """
 
     def __init__(self, expected: str = "a number above 0") -> None:
@@ -225,21 +222,17 @@ def _servo(name: str, fields: Fields) -> Servo:
         known.append("type")
         warnings.warn(f"{fields.file}: {fields.path('type')} is ignored", stacklevel=2)
     fields.refuse_unknown(known)
-    return Servo(
-        name,
-        max_torque_Nm=fields.optional_number("max_torque_Nm", above=0),
-        no_load_speed_rad_s=fields.optional_number("no_load_speed_rad_s", above=0),
-        position_step_rad=fields.optional_number("position_step_rad", low=0),
-        where=(str(fields.file), fields.where),
-    )
+    number, where = fields.optional_number, (str(fields.file), fields.where)
+    torque, speed = (number(key, above=0) for key in ("max_torque_Nm", "no_load_speed_rad_s"))
+    return Servo(name, torque, speed, number("position_step_rad", low=0), where)
 
 
 def _link(fields: Fields) -> Link:
     fields.refuse_unknown(_keys(Link))
     tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
-    length = number("length_m", above=0)
-    com, ends = fields.optional_number("com_m", low=0), [length or math.inf]
+    length, com = number("length_m", above=0), number("com_m", low=0)
+    ends = [length or math.inf]
     appendages = tuple(read_appendage(table, length) for table in tables)
     ends += [one.at_m[0] + one.size_m[0] / 2 for one in appendages]
     if com is not None and com > max(ends):
@@ -264,11 +257,10 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
     place = (str(fields.file), fields.where)
     if "limits_rad" not in fields:
         return Joint(fields.label("name"), servos[servo], where=place)
-    limits = fields.content["limits_rad"]
-    ends = [finite_number(end) for end in limits] if isinstance(limits, list) else []
-    if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
+    low, high = fields.numbers("limits_rad", LIMITS, 2)
+    if low >= high:
         raise fields.error("limits_rad", LIMITS)
-    if max(abs(ends[0]), abs(ends[1])) > LARGEST_ANGLE_RAD:
+    if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
         expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
         raise fields.error("limits_rad", expected)
-    return Joint(fields.label("name"), servos[servo], (ends[0], ends[1]), place)
+    return Joint(fields.label("name"), servos[servo], (low, high), place)

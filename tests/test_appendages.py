@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from good_input import ROBOT, message
 
-from sim2real.appendages import Appendage, area_error
-from sim2real.bluff_bodies import Sides
+from sim2real.appendages import Appendage, Sides, area_error
 from sim2real.robot import read_robot
 
 BOX = """[[links.appendages]]

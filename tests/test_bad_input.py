@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
 
-from sim2real.archives import read_arrays
 from sim2real.design.contexts import read_contexts
 from sim2real.hardware.tracker import open_video, read_picture
 from sim2real.model import read_model
@@ -23,6 +22,7 @@ from sim2real.posterior.chain import read_chain
 from sim2real.posterior.posteriors import read_sample
 from sim2real.recording import Recording, read_commands, read_recording, write_recording
 from sim2real.robot import read_robot
+from sim2real.structured import read_arrays
 
 
 def with_row(number: int, row: str) -> tuple[str, ...]:

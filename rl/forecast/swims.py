@@ -23,12 +23,12 @@ from rl.metrics import path_length
 from rl.task import Task
 from rl.world import Draws, World
 from sim.view.video import Video
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from sim2real.arm.multibody import Multibody
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
 from sim2real.errors import InputError
+from sim2real.recording import VaryingLoad
 from sim2real.servo.parameters import BASE, FIRST_COLUMN, INERTIA_LEFT_OUT, ROTOR_INERTIA
 from sim2real.servo.rollout import rollout
-from sim2real.varying_load import VaryingLoad
 
 _LOAD = slice(BASE.index("inertia_kgm2"), BASE.index("gravity_Nm") + 1)
 _GAP = FIRST_COLUMN["backlash"]

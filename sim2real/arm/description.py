@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from sim2real.errors import InputError, one_of
 from sim2real.output import protect
-from sim2real.structured import Fields, finite_number, read_text
+from sim2real.structured import Fields, read_text
 
 _PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit")}
 """Elements of a URDF that determine its dynamics."""
@@ -122,12 +122,8 @@ def _joints(fields: Fields, names: Sequence[str]) -> tuple[ArmJoint, ...]:
 def _gravity(fields: Fields) -> tuple[float, float, float]:
     if "gravity_m_s2" not in fields:
         return Arm.gravity_m_s2
-    value = fields.content["gravity_m_s2"]
-    parts = [finite_number(part) for part in value] if isinstance(value, list) else []
-    numbers = [part for part in parts if part is not None]
-    if len(parts) != 3 or len(numbers) != 3:
-        raise fields.error("gravity_m_s2", "three numbers in m/s2")
-    return numbers[0], numbers[1], numbers[2]
+    x, y, z = fields.numbers("gravity_m_s2", "three numbers in m/s2", 3)
+    return x, y, z
 
 
 def _dynamics_only(text: str) -> str:

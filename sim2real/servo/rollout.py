@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim2real.arrays import Array, Index, Integers
 from sim2real.effects import CATALOGUE
+from sim2real.recording import VaryingLoad
 from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
@@ -24,7 +25,6 @@ from sim2real.servo.parameters import (
     context_factors,
 )
 from sim2real.servo.trace import Trace
-from sim2real.varying_load import VaryingLoad
 
 STEPS_PER_RADIAN = 32.0
 """Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""

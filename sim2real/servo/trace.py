@@ -11,10 +11,9 @@ from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor, quantization_step
-from sim2real.recording import PER_INERTIA, Load, Recording
+from sim2real.recording import PER_INERTIA, Load, Recording, VaryingLoad
 from sim2real.servo.reported_drive import ReportedDrive, reported_drive
 from sim2real.structured import Fields
-from sim2real.varying_load import VaryingLoad
 
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""

@@ -27,10 +27,9 @@ from sim2real.arm.joint_motion import measured_motion
 from sim2real.arm.multibody import Multibody
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model, read_model, write_model
-from sim2real.recording import Load, write_recording
+from sim2real.recording import Load, VaryingLoad, write_recording
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import rollout
-from sim2real.varying_load import VaryingLoad
 
 
 @pytest.fixture(scope="module")
