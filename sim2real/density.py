@@ -73,15 +73,12 @@ def normalised_density(robot: Robot) -> Density:
     stated = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
     sd = None
     if stated:
-        mass_sd, length_sd = (
-            np.array([getattr(x, n) or 0.0 for x in robot.links])
-            for n in ("mass_sd_kg", "length_sd_m")
-        )
+        mass_sd = np.array([x.mass_sd_kg or 0.0 for x in robot.links])
+        length_sd = np.array([x.length_sd_m or 0.0 for x in robot.links])
         by_mass = np.diag(1 / mass) - 1 / mass.sum()
         by_length = 1 / length.sum() - np.diag(1 / length)
-        sd = value * np.sqrt(
-            (by_mass * mass_sd) ** 2 @ np.ones(mass.size)
-            + (by_length * length_sd) ** 2 @ np.ones(mass.size)
+        sd = value * np.hypot(
+            np.linalg.norm(by_mass * mass_sd, axis=1), np.linalg.norm(by_length * length_sd, axis=1)
         )
     return Density(tuple(x.name for x in robot.links), value, sd, mass, length)
 

@@ -39,12 +39,7 @@ _LIBRARIES = {
 
 
 class MissingLibrary(InputError, ModuleNotFoundError):
-    """An optional library is not installed; the message has the command that installs it.
-
-    Args:
-        place: Option, command or file that needs it.
-        module: Its module, as ``"matplotlib"``.
-    """
+    """An optional library is not installed; the message has the command that installs it."""
 
     def __init__(self, place: str, module: str) -> None:
         title, extra = _LIBRARIES[module]
@@ -71,10 +66,7 @@ def missing_library(error: ModuleNotFoundError, place: str = "") -> MissingLibra
 
 @contextmanager
 def optional(place: str) -> Iterator[None]:
-    """Context of imports of optional libraries.
-
-    Args:
-        place: Option, command or file that needs them, for the message.
+    """Context of imports of optional libraries, which the option, command or file ``place`` needs.
 
     Raises:
         MissingLibrary: If one is not installed.
@@ -90,11 +82,7 @@ def optional(place: str) -> Iterator[None]:
 
 @contextmanager
 def if_installed(what: str) -> Iterator[None]:
-    """Context that makes ``what``, or prints in one line which optional library it needs.
-
-    Args:
-        what: What is made besides the result of a command, as ``"plots"``.
-    """
+    """Context that makes ``what``, as ``"plots"``, or prints which optional library it needs."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -229,15 +229,12 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
     joints = _joint_names(top)
-    t = csv_columns.column(csv, table, "t_s")
-    csv_columns.check_times(csv, t)
+    t = csv_columns.times(csv, table)
     check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
     none = np.full((t.size, len(joints)), np.nan)
-    command = csv_columns.angles(csv, table, joints, "command_rad") if recorded else none
+    command = csv_columns.commands(csv, table, joints) if recorded else none
     position = csv_columns.angles(csv, table, joints, "position_rad")
-    if recorded:
-        csv_columns.check_commands(csv, joints, command)
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
     return Recording(
         name=csv.stem,
@@ -275,15 +272,13 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
     """
     csv = Path(path)
     table = csv_columns.read_table(csv)
-    t = csv_columns.column(csv, table, "t_s")
-    csv_columns.check_times(csv, t)
+    t = csv_columns.times(csv, table)
     check_sampling(csv, t, LONGEST_COMMAND_PERIOD_S)
     names = [str(column) for column in table.columns]
     joints = tuple(n.removesuffix(".command_rad") for n in names if n.endswith(".command_rad"))
     if not joints:
         raise InputError(csv, "header", "no J.command_rad column", "one for each joint")
-    command = csv_columns.angles(csv, table, joints, "command_rad")
-    csv_columns.check_commands(csv, joints, command)
+    command = csv_columns.commands(csv, table, joints)
     sidecar = csv.with_suffix(".json")
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA) if sidecar.exists() else {})
     return Recording(
@@ -304,10 +299,7 @@ def write_recording(
 ) -> None:
     """Write ``NAME.csv`` and ``NAME.json``, from which ``read_recording`` restores the recording.
 
-    Args:
-        recording: The recording.
-        path: The CSV file.
-        measured: Whether to write the measured angles; without them ``read_commands`` reads it.
+    If not ``measured``, measured angles are left out, and ``read_commands`` reads it.
 
     Raises:
         InputError: If the folder cannot be written, or the name of a joint has control characters.

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _scene(file: Path, prediction: Prediction) -> Scene:
     """The commands and the prediction, and what was measured if the file is a recording."""
-    (shown,) = verbs.recordings_or_commands(file)
+    (shown,) = verbs.recordings_of(file, or_commands=True)
     columns = enumerate(prediction.recordings[0].joints)
     scenes = [with_prediction(shown, joint, prediction.angles[0][:, j]) for j, joint in columns]
     return sum(scenes, start=Scene())

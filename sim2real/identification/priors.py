@@ -26,8 +26,7 @@ from sim2real.servo.parameters import (
     ROTOR_INERTIA,
     beyond_load,
 )
-from sim2real.servo.reported_drive import ReportedDrive
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import ReportedDrive, Trace
 
 MOTOR_TIME_S = 0.03
 """Time constant of small geared motors: rotor inertia times no-load speed over stall torque."""

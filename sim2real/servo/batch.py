@@ -60,9 +60,8 @@ class Normal:
     """Whitened normal equations.
 
     Attributes:
-        gram: Inner products of the residual (index 0) and the differences of the first variants
-            with the differences of all, per block of the recordings, shape (N, blocks, deep, V), in
-            rad2.
+        gram: Inner products of the residual (index 0) and the differences of the variants, per
+            block of the recordings, shape (N, blocks, V, V), in rad2; 0 for absent variants.
         square: Inner product of each with itself, over all blocks, shape (N, V).
         count: Number of samples whose innovations count, shape (N,).
         autoregression: Coefficients of the noise model, shape (N, lags).
@@ -138,7 +137,6 @@ class Batch:
         problems: Problems,
         *,
         blocks: int = 1,
-        deep: int | None = None,
         autoregression: Array | None = None,
         keep: bool = False,
         rough: bool = False,
@@ -148,8 +146,6 @@ class Batch:
         Args:
             problems: What to simulate.
             blocks: Number of blocks into which each recording is divided.
-            deep: Compute inner products with the first ``deep`` variants only (and of each variant
-                with itself); by default with all of them.
             autoregression: Noise model of each problem, shape (N, lags); by default fitted by least
                 squares to the residual of each problem.
             keep: Whether to return residuals and innovations as well.
@@ -163,26 +159,25 @@ class Batch:
         capacity = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
         size = max(1, int(capacity / per_problem))
-        parts = [slice(k, min(k + size, N)) for k in range(0, N, size)]
-
-        def evaluate_part(part: slice) -> tuple[Array, ...]:
+        results = []
+        for part in (slice(k, min(k + size, N)) for k in range(0, N, size)):
             coefficients = None if autoregression is None else autoregression[part]
             piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
-            return self._evaluate(piece, (blocks, deep or V), coefficients, keep=keep, rough=rough)
-
-        results = [evaluate_part(part) for part in parts]
-        gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
+            results.append(self._evaluate(piece, blocks, coefficients, keep=keep, rough=rough))
+        gram, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
+        square = np.diagonal(gram, axis1=2, axis2=3).sum(axis=1)
         return Normal(gram, square, self.count(problems.joint), model, *extras)
 
     def _evaluate(
         self,
         problems: Problems,
-        size: tuple[int, int],
+        blocks: int,
         coefficients: Array | None,
         *,
         keep: bool,
         rough: bool,
     ) -> tuple[Array, ...]:
+        """Gram matrices, noise models and, with ``keep``, residuals and innovations."""
         N, V, _ = problems.theta.shape
         recordings = self.recordings[problems.joint]
         R = int(self.recordings.max())
@@ -227,7 +222,7 @@ class Batch:
         long_steps = V > 1 and dev == "cpu"
         run(fine, rows[servos] if long_steps else None)
         if long_steps:
-            angles = _values(angle)  # the same memory
+            angles = angle.numpy()  # the same memory
             exact = angles[servos]
             run(coarse)
             repeated = np.isin(base, base[_unstable(angles, servos, exact)])
@@ -244,18 +239,19 @@ class Batch:
             products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
             inputs = [*layout, self._counts, angle]
             launch(whitening.lag_products, products.shape[:2], inputs, [products])
-            noise_model = autoregression(_values(products), self.least_gain)
+            noise_model = autoregression(products.numpy(), self.least_gain)
         noise = [put(problem.astype(np.int32)), signals, self._length, self._counts]
         launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
         if keep:
             extras.append(self._fetch(angle, first, count, recordings))
-        packed = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
-        launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
-        return (*_unpacked(_values(packed), size[1], count, order), noise_model, *extras)
+        packed = wp.zeros((N, R * blocks, V * V), dtype=wp.float64, device=dev)
+        launch(whitening.gram, packed.shape, [*layout, blocks, V, angle], [packed])
+        gram = _unpacked(packed.numpy().reshape(N, -1, V, V), count, order)
+        return gram, noise_model, *extras
 
     def _fetch(self, angle: Any, first: Integers, count: Integers, recordings: Integers) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""
-        angles = _values(angle)
+        angles = angle.numpy()
         out = np.zeros((first.size, int(self.recordings.max()), angles.shape[1]))
         for r in range(int(recordings.max())):
             has = recordings > r
@@ -296,35 +292,18 @@ def _unstable(angles: Array, servos: Mask, exact: Array) -> Mask:
     return unstable
 
 
-def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs
-    """A Warp array as a NumPy array."""
-    array: Array = values.numpy()
-    return array
-
-
-def _unpacked(
-    packed: Array, deep: int, count: Integers, order: NDArray[np.int64]
-) -> tuple[Array, Array]:
-    """Inner products in the order of the variants, 0 for absent ones."""
-    N, B, _ = packed.shape
-    V = order.shape[1]
-    table = packed.reshape(N, B, deep + 1, V)
-    gram, square = table[:, :, :deep], table[:, :, deep].sum(axis=1)
-    upper = np.triu(np.ones((deep, deep), dtype=bool), 1)
-    low, high = np.nonzero(upper)
+def _unpacked(gram: Array, count: Integers, order: NDArray[np.int64]) -> Array:
+    """Inner products (N, blocks, V, V) in the order of the variants, 0 for absent ones."""
+    low, high = np.triu_indices(gram.shape[2], 1)
     gram[:, :, high, low] = gram[:, :, low, high]
-    if (count == V).all():
-        return gram, square
-    full_gram, full_square = np.zeros_like(gram), np.zeros_like(square)
+    if (count == gram.shape[2]).all():
+        return gram
+    out = np.zeros_like(gram)
     for size in np.unique(count):
         rows = np.flatnonzero(count == size)
-        place = order[rows, :size]
-        deep_size = np.minimum(size, deep)
-        full_gram[
-            rows[:, None, None, None],
-            np.arange(B)[None, :, None, None],
-            place[:, None, :deep_size, None],
-            place[:, None, None, :],
-        ] = gram[rows, :, :deep_size, :size]
-        full_square[rows[:, None], place] = square[rows, :size]
-    return full_gram, full_square
+        place = order[rows, None, :size]
+        block = np.arange(gram.shape[1])[:, None, None]
+        out[rows[:, None, None, None], block, place[..., None], place[:, :, None]] = gram[
+            rows, :, :size, :size
+        ]
+    return out

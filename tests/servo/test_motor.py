@@ -24,9 +24,8 @@ from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import BASE, LOSSES, joint_row
 from sim2real.servo.parameters import LINE as LIMIT
-from sim2real.servo.reported_drive import reported_drive
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
-from sim2real.servo.trace import traces
+from sim2real.servo.trace import reported_drive, traces
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")

@@ -14,7 +14,7 @@ from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.link.angle_noise import Noise, NoisyJoint, Segment, with_noise
 from sim2real.inference.correlated_noise import whitened
 from sim2real.inference.normal import SD_PER_MEDIAN
-from sim2real.processes import shared
+from sim2real.progress import shared
 from sim2real.servo.event_filter import Arrivals, Channel, EventFilter, Filtered
 from sim2real.servo.linearised import Residual, servo_modes
 

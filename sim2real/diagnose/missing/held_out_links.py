@@ -12,7 +12,7 @@ from sim2real.diagnose.link.link_score import ScoreJob, link_score
 from sim2real.diagnose.missing.investigate import Finding, link_data
 from sim2real.identification.held_out import Unseen
 from sim2real.identification.servo_problem import Set
-from sim2real.processes import shared
+from sim2real.progress import shared
 from sim2real.servo.batch import Batch
 
 Errors = Sequence[Mapping[Set, Unseen]]
