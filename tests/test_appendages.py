@@ -52,6 +52,7 @@ def test_boxes_and_cylinders_belong_to_the_link_above(tmp_path: Path) -> None:
         ("size_m", 'axis = "up"\nsize_m', (".axis", "'up'", "no axis of a box")),
         ("size_m", "in_hull = 1\nsize_m", (".in_hull", "1", "true or false")),
         ('name = "box"\n', "", (".name", "nothing", "text")),
+        ("size_m", "size_mm", (".size_mm", "mean size_m?")),
     ],
 )
 def test_a_bad_field_is_one_line(

@@ -37,11 +37,6 @@ def test_formula(robot):
     assert found.sd is None and found.interval is None
 
 
-def test_lengths_weigh_it_to_one(robot):
-    found = normalised_density(robot)
-    assert np.average(found.value, weights=found.length_m) == pytest.approx(1.0)
-
-
 def test_units_do_not_matter(robot):
     scaled = replace(
         robot,

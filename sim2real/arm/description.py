@@ -59,9 +59,7 @@ class Arm:
 def read_arm(fields: Fields, names: Sequence[str]) -> Arm:
     """The arm of the table ``[arm]`` of a robot file.
 
-    Args:
-        fields: The table: ``urdf`` is a file relative to the folder of the robot file.
-        names: Joints of the robot.
+    ``urdf`` is a file relative to the folder of the robot file; ``names`` are the robot's joints.
 
     Raises:
         InputError: If the URDF cannot be read, or a joint is not one of its hinges.

@@ -22,10 +22,7 @@ Members = frozenset[Any]
 class Hypothesis(Generic[Fit]):
     """One set of candidates, fitted to one case.
 
-    Attributes:
-        members: The candidates.
-        fit: Their best fit.
-        evidence: Logarithm of the marginal likelihood and prior, up to a constant of the case.
+    ``evidence``: logarithm of the marginal likelihood and prior, up to a constant of the case.
     """
 
     members: Members
@@ -35,13 +32,7 @@ class Hypothesis(Generic[Fit]):
 
 @dataclass
 class Ledger(Generic[Fit]):
-    """All sets that were tried in one case.
-
-    Attributes:
-        case: Index of the case.
-        base: Members that all sets have.
-        tried: The best hypothesis of each set.
-    """
+    """The best hypothesis of each set that was tried in one case; all have the ``base``."""
 
     case: int
     base: Members = frozenset()
@@ -129,12 +120,8 @@ def select(
 ) -> None:
     """Try sets of candidates in every case until none is better, and record them in the ledgers.
 
-    Args:
-        problem: The problem.
-        ledgers: One per case, with the fit of its base.
-        breadth: Breadth of the search.
-        progress: Called with the completed share.
-        exhausted: Whether a case has spent its budget and is not searched for larger sets.
+    Each ledger has the fit of its base. ``exhausted``: whether a case has spent its budget and is
+    not searched for larger sets.
     """
     problem.look([(ledger, ledger.base) for ledger in ledgers])
     _refit(problem, [job for x in ledgers for job in _enlarged(problem, x, x.base, None)])
@@ -155,19 +142,14 @@ def widen(
 ) -> None:
     """Try every candidate with the best set of each case, until none makes a better one.
 
-    Args:
-        problem: The problem.
-        ledgers: One per case.
-        most: Largest number of candidates in a set, without the base.
+    Sets have at most ``most`` candidates, without the base.
     """
     active = list(ledgers)
     while active:
         before = {ledger.case: ledger.best.members for ledger in active}
         problem.look([(ledger, ledger.best.members) for ledger in active])
-        _refit(
-            problem,
-            [job for x in active for job in _enlarged(problem, x, x.best.members, None)],
-        )
+        jobs = [job for x in active for job in _enlarged(problem, x, x.best.members, None)]
+        _refit(problem, jobs)
         active = [
             ledger
             for ledger in active
@@ -198,11 +180,7 @@ def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadt
         if len(members - ledger.base) < breadth.most and problem.remains(ledger, members)
         for job in _enlarged(problem, ledger, members, breadth.added)
     ]
-    jobs += [
-        job
-        for ledger, members in smaller
-        for job in _enlarged(problem, ledger, members, breadth.added)
-    ]
+    jobs += [job for x, s in smaller for job in _enlarged(problem, x, s, breadth.added)]
     _refit(problem, [job for job in jobs if job[1] not in job[0].tried])
 
 

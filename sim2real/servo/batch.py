@@ -60,8 +60,9 @@ class Normal:
     """Whitened normal equations.
 
     Attributes:
-        gram: Inner products of the residual (index 0) and the differences of the variants, per
-            block of the recordings, shape (N, blocks, V, V), in rad2; 0 for absent variants.
+        gram: Inner products of the residual (index 0) and the differences of the first variants
+            with the differences of all, per block of the recordings, shape (N, blocks, deep, V), in
+            rad2.
         square: Inner product of each with itself, over all blocks, shape (N, V).
         count: Number of samples whose innovations count, shape (N,).
         autoregression: Coefficients of the noise model, shape (N, lags).
@@ -137,6 +138,7 @@ class Batch:
         problems: Problems,
         *,
         blocks: int = 1,
+        deep: int | None = None,
         autoregression: Array | None = None,
         keep: bool = False,
         rough: bool = False,
@@ -146,6 +148,8 @@ class Batch:
         Args:
             problems: What to simulate.
             blocks: Number of blocks into which each recording is divided.
+            deep: Compute inner products with the first ``deep`` variants only (and of each variant
+                with itself); by default with all of them.
             autoregression: Noise model of each problem, shape (N, lags); by default fitted by least
                 squares to the residual of each problem.
             keep: Whether to return residuals and innovations as well.
@@ -159,25 +163,23 @@ class Batch:
         capacity = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
         size = max(1, int(capacity / per_problem))
-        results = []
+        shape, results = (blocks, deep or V), []
         for part in (slice(k, min(k + size, N)) for k in range(0, N, size)):
             coefficients = None if autoregression is None else autoregression[part]
             piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
-            results.append(self._evaluate(piece, blocks, coefficients, keep=keep, rough=rough))
-        gram, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
-        square = np.diagonal(gram, axis1=2, axis2=3).sum(axis=1)
+            results.append(self._evaluate(piece, shape, coefficients, keep=keep, rough=rough))
+        gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
         return Normal(gram, square, self.count(problems.joint), model, *extras)
 
     def _evaluate(
         self,
         problems: Problems,
-        blocks: int,
+        size: tuple[int, int],
         coefficients: Array | None,
         *,
         keep: bool,
         rough: bool,
     ) -> tuple[Array, ...]:
-        """Gram matrices, noise models and, with ``keep``, residuals and innovations."""
         N, V, _ = problems.theta.shape
         recordings = self.recordings[problems.joint]
         R = int(self.recordings.max())
@@ -244,10 +246,9 @@ class Batch:
         launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
         if keep:
             extras.append(self._fetch(angle, first, count, recordings))
-        packed = wp.zeros((N, R * blocks, V * V), dtype=wp.float64, device=dev)
-        launch(whitening.gram, packed.shape, [*layout, blocks, V, angle], [packed])
-        gram = _unpacked(packed.numpy().reshape(N, -1, V, V), count, order)
-        return gram, noise_model, *extras
+        packed = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
+        launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
+        return (*_unpacked(packed.numpy(), size[1], count, order), noise_model, *extras)
 
     def _fetch(self, angle: Any, first: Integers, count: Integers, recordings: Integers) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""
@@ -292,18 +293,28 @@ def _unstable(angles: Array, servos: Mask, exact: Array) -> Mask:
     return unstable
 
 
-def _unpacked(gram: Array, count: Integers, order: NDArray[np.int64]) -> Array:
-    """Inner products (N, blocks, V, V) in the order of the variants, 0 for absent ones."""
-    low, high = np.triu_indices(gram.shape[2], 1)
+def _unpacked(
+    packed: Array, deep: int, count: Integers, order: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Inner products in the order of the variants, 0 for absent ones."""
+    N, B, _ = packed.shape
+    V = order.shape[1]
+    table = packed.reshape(N, B, deep + 1, V)
+    gram, square = table[:, :, :deep], table[:, :, deep].sum(axis=1)
+    low, high = np.triu_indices(deep, 1)
     gram[:, :, high, low] = gram[:, :, low, high]
-    if (count == gram.shape[2]).all():
-        return gram
-    out = np.zeros_like(gram)
+    if (count == V).all():
+        return gram, square
+    full_gram, full_square = np.zeros_like(gram), np.zeros_like(square)
     for size in np.unique(count):
         rows = np.flatnonzero(count == size)
-        place = order[rows, None, :size]
-        block = np.arange(gram.shape[1])[:, None, None]
-        out[rows[:, None, None, None], block, place[..., None], place[:, :, None]] = gram[
-            rows, :, :size, :size
-        ]
-    return out
+        place = order[rows, :size]
+        deep_size = np.minimum(size, deep)
+        full_gram[
+            rows[:, None, None, None],
+            np.arange(B)[None, :, None, None],
+            place[:, None, :deep_size, None],
+            place[:, None, None, :],
+        ] = gram[rows, :, :deep_size, :size]
+        full_square[rows[:, None], place] = square[rows, :size]
+    return full_gram, full_square

@@ -56,8 +56,9 @@ def predict(
             raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
     if model.arm is not None:
         from sim2real.arm.arm_loads import predicted_arm
+        from sim2real.arm.multibody import Multibody
 
-        return predicted_arm(model.arm, model.joints, t, command)[1]
+        return predicted_arm(Multibody(model.arm), model.joints, t, command)[1]
     angles = {}
     for joint, sent in command.items():
         origin = f"model, {joint}"

@@ -136,19 +136,22 @@ def gram(
     signal: Rows,
     length: Rows,
     blocks: int,
-    widest: int,
+    deep: int,
     angle: Table,
     out: wp.array3d(dtype=wp.float64),
 ) -> None:
     """Inner products of each problem's whitened rows, for each block of its recordings.
 
-    ``out[problem, recording * blocks + block]`` holds the product of rows j <= i at
-    ``j * widest + i``.
+    ``out[problem, recording * blocks + block]`` holds the products of row j < deep with row i at
+    ``j * V + i``, and those of each row i with itself at ``deep * V + i``.
     """
     problem, block, pair = wp.tid()
     variant_count = variants[problem]
+    widest = out.shape[2] / (deep + 1)
     j = pair / widest
     i = pair - j * widest
+    if j == deep:
+        j = i
     r = block / blocks
     if i >= variant_count or j > i or r >= recordings[problem]:
         return
