@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from sim2real.arrays import Picture
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 
 _WHERE = "render_mode 'human'"
 

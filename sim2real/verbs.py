@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from sim2real.errors import InputError, check_effort, check_whole, shown
 
 if TYPE_CHECKING:
-    from sim2real.density import Density
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
     from sim2real.recording import Recording
-    from sim2real.robot import Robot
+    from sim2real.robot import Density, Robot
     from sim2real.servo.prediction import Prediction
     from sim2real.servo_library.catalogue import ServoLibrary
 
@@ -93,7 +92,7 @@ def density(robot: Robot | File) -> Density:
     Args:
         robot: The robot, with masses and lengths of its links (robot.toml).
     """
-    from sim2real.density import normalised_density
+    from sim2real.robot import normalised_density
 
     return normalised_density(robot_of(robot))
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from sim2real.cli import main
-from sim2real.density import normalised_density, with_density
 from sim2real.model import JointModel, Model, read_model, write_model
-from sim2real.robot import read_robot
+from sim2real.robot import normalised_density, read_robot, with_density
 
 ROBOT = Path(__file__).parents[1] / "datasets" / "servo_steps" / "robot.toml"
 

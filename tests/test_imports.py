@@ -29,7 +29,7 @@ LIGHT = (
 )
 HEAVY = {"torch", "warp", "cv2", "serial", "matplotlib", "scipy", "pandas", "numpy"}
 ONLY_IN = {
-    "warp": ("sim2real/servo/", "sim2real/effects/", "sim2real/warp_start.py", "sim/"),
+    "warp": ("sim2real/servo/", "sim2real/effects/", "sim/"),
     "emcee": ("sim2real/",),
     "serial": ("sim2real/hardware/",),
     "cv2": ("sim2real/hardware/",),

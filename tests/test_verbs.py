@@ -59,7 +59,7 @@ def test_the_names_are_there_and_light() -> None:
 def test_a_folder_does_not_hide_the_verb_of_its_name() -> None:
     program = (
         "import sim2real.ranges.entry, sim2real.posterior.posteriors, sim2real.diagnose.result\n"
-        "import sim2real.density, sim2real.check, sim2real as s\n"
+        "import sim2real.robot, sim2real.check, sim2real as s\n"
         "print(*[type(getattr(s, n)).__name__ for n in "
         "('ranges', 'posterior', 'diagnose', 'density', 'check')])"
     )

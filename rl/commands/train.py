@@ -17,9 +17,8 @@ from rl.sac import jobs as sac
 from rl.sac.curve import draw_curves, read_progress
 from rl.sac.recipes import RECIPES
 from sim2real.commands.placement import where_jobs_run
-from sim2real.errors import InputError
+from sim2real.errors import InputError, library
 from sim2real.executor import map_jobs
-from sim2real.extras import library
 from sim2real.model import read_model
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges

@@ -8,7 +8,7 @@ import numpy as np
 
 from rl import observer
 from rl.deploy.forward import Policy
-from sim2real.extras import library
+from sim2real.errors import library
 
 _DOC = """One decision. observation (N, O): {columns}. begin (N, 1): 1 where a swim starts, else 0.
 memory (N, M): result of the last call; arbitrary where a swim starts. set_points (N, {period}, J):

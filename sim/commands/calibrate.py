@@ -8,7 +8,7 @@ from pathlib import Path
 from sim import verbs
 from sim.calibration.calibration import Calibration
 from sim2real.commands.verb import arguments_of
-from sim2real.extras import if_installed
+from sim2real.errors import if_installed
 from sim2real.model import write_model
 from sim2real.output import beside, check_writable
 from sim2real.report.drawing import save_png

@@ -8,8 +8,7 @@ from sim import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
-from sim2real.errors import InputError
-from sim2real.extras import if_installed
+from sim2real.errors import InputError, if_installed
 from sim2real.output import beside, check_writable
 from sim2real.recording import write_recording
 from sim2real.verbs import robot_of

@@ -13,8 +13,7 @@ import sim.cases
 from sim.cases.case import Case, Figure
 from sim.fluid.fluid import find_device
 from sim.view.report import cases_section
-from sim2real.errors import InputError
-from sim2real.extras import if_installed
+from sim2real.errors import InputError, if_installed
 from sim2real.output import beside, check_writable, provenance, write_json
 from sim2real.report.page import write_page
 

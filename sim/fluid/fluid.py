@@ -16,8 +16,8 @@ from sim.lattice.populations import allocate, is_wide, most_cells
 from sim.lattice.velocities import Lattice
 from sim.lattice.walls import let_out, wall_kernels
 from sim2real.arrays import Array32, Integers
+from sim2real.effects import start_warp
 from sim2real.errors import InputError
-from sim2real.warp_start import start_warp
 
 CS2 = 1 / 3
 """Square of the lattice's speed of sound."""

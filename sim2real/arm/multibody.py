@@ -12,8 +12,7 @@ import numpy as np
 
 from sim2real.arm.description import Arm
 from sim2real.arrays import Array
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 
 
 class Multibody:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim2real.cli import parser
-from sim2real.extras import library
+from sim2real.errors import library
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 
 from sim2real import verbs
-from sim2real.density import with_density
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
+from sim2real.robot import with_density
 
 
 def run(options: argparse.Namespace) -> int:

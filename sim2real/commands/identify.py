@@ -10,7 +10,7 @@ from pathlib import Path
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
 from sim2real.commands.views import check_views, write_views
-from sim2real.extras import if_installed
+from sim2real.errors import if_installed
 from sim2real.model import Model, write_model
 from sim2real.output import beside, check_writable
 from sim2real.robot import read_robot

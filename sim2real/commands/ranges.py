@@ -10,7 +10,7 @@ import numpy as np
 
 from sim2real import verbs
 from sim2real.commands.verb import arguments_of
-from sim2real.extras import if_installed
+from sim2real.errors import if_installed
 from sim2real.output import beside, check_writable, is_stream
 from sim2real.posterior.posteriors import joint_sample, write_sample
 from sim2real.ranges.entry import write_ranges

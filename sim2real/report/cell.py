@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sim2real.extras import optional
+from sim2real.errors import optional
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from functools import singledispatch
 
 from sim2real.check import Check
-from sim2real.density import Density
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
 from sim2real.diagnose.result import Diagnosis, percent
@@ -25,7 +24,7 @@ from sim2real.report.quantity import effect_text, milliradians, printable, quant
 from sim2real.report.rival_plots import rivals_section
 from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.report.table import span
-from sim2real.robot import Robot
+from sim2real.robot import Density, Robot
 from sim2real.servo.prediction import Prediction
 from sim2real.servo_library.catalogue import ServoLibrary
 from sim2real.servo_library.entry import ServoEntry

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.extras import optional
+from sim2real.errors import optional
 from sim2real.output import write_whole
 from sim2real.report.cell import breakable, is_number, letters, prose
 from sim2real.report.live_plot import Live, live_script, live_style, script_hash

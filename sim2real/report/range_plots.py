@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.density import Density
 from sim2real.inference.normal import Z90
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.ranges.latency import Latencies, Spread
 from sim2real.report.quantity import printable
 from sim2real.report.series import drawable
 from sim2real.report.style import ACCENT, FAINT, INK, PAPER, RULE, house_style, new_figure
+from sim2real.robot import Density
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -205,7 +205,7 @@ class Batch:
         signals = put(signal)
         table_row = put((problem * V + variant).astype(np.int32))
         launch(whitening.expand, rows.size, [table, table_row, signals, *self._contexts], [theta])
-        angle = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
+        angle: Any = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
 
@@ -238,7 +238,9 @@ class Batch:
         layout = [put(first), put(recordings.astype(np.int32)), put(count), signals, self._length]
         noise_model = coefficients
         if noise_model is None:
-            products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
+            products: Any = wp.zeros(
+                (N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev
+            )
             inputs = [*layout, self._counts, angle]
             launch(whitening.lag_products, products.shape[:2], inputs, [products])
             noise_model = autoregression(products.numpy(), self.least_gain)
@@ -246,7 +248,7 @@ class Batch:
         launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
         if keep:
             extras.append(self._fetch(angle, first, count, recordings))
-        packed = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
+        packed: Any = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
         launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
         return (*_unpacked(packed.numpy(), size[1], count, order), noise_model, *extras)
 

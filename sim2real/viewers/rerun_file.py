@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sim2real.extras import library
+from sim2real.errors import library
 from sim2real.output import write_whole
 from sim2real.viewers.signal_group import (
     COMMAND,
