@@ -141,8 +141,8 @@ class Wetted:
     Attributes:
         place_m: Of the centre: behind the link's front and to the left of its axis.
         length_m: Extent along and across the link.
-        area_m2: Drag area (coefficient times area) for motion along and across the link.
-        area_sd_m2: Their standard deviations.
+        area_m2, area_sd_m2: Drag area (coefficient times area) for motion along and across the
+            link, and its standard deviation.
         added_mass_m3: Added mass over the density of water, along and across.
         volume_m3: Water that it displaces.
     """
@@ -196,9 +196,8 @@ class Appendage:
 
     def displaced_m3(self, surface_m: float) -> float:
         """Volume of water that it displaces in addition to the hull."""
-        if self.in_hull:
-            return 0.0
-        return self.wet_share(surface_m) * Sides(self.size_m, self._round).volume_m3
+        whole = 0.0 if self.in_hull else Sides(self.size_m, self._round).volume_m3
+        return self.wet_share(surface_m) * whole
 
     def wetted(self, surface_m: float) -> Wetted:
         """Its drag, added mass and water with the surface at this height above the middle."""
@@ -207,21 +206,18 @@ class Appendage:
         along, across, up = self.size_m
         sides = Sides((along, across, max(share, 1e-9) * mirrored * up), self._round)
         counted = (share > 0) / mirrored
-        areas, sds, masses = [], [], []
-        for direction, given in ((0, self.drag), (1, self.lateral_drag)):
+
+        def towards(direction: int, given: Coefficient | None) -> tuple[float, float, float]:
             here = counted * (direction == 0 or not self.in_hull)
             value, sd = given or sides.drag_coefficient(direction)
-            areas.append(here * value * sides.face_m2(direction))
-            sds.append(here * sd * sides.face_m2(direction))
-            masses.append(0.0 if self.in_hull else here * sides.added_mass_m3(direction))
-        return Wetted(
-            place_m=self.at_m[:2],
-            length_m=(along, across),
-            area_m2=(areas[0], areas[1]),
-            area_sd_m2=(sds[0], sds[1]),
-            added_mass_m3=(masses[0], masses[1]),
-            volume_m3=self.displaced_m3(surface_m),
-        )
+            face = here * sides.face_m2(direction)
+            return value * face, sd * face, here * sides.added_mass_m3(direction)
+
+        ahead, sideways = towards(0, self.drag), towards(1, self.lateral_drag)
+        areas, sds, masses = zip(ahead, sideways, strict=True)
+        masses = (0.0, 0.0) if self.in_hull else masses
+        displaced = self.displaced_m3(surface_m)
+        return Wetted(self.at_m[:2], (along, across), areas, sds, masses, displaced)
 
 
 def area_error(wetted: Sequence[Wetted]) -> float:

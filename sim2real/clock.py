@@ -102,14 +102,8 @@ def check_sampling(
     """Check that the intervals of the times ``t`` (T,) in s are plausible for samples of a servo.
 
     The upper quartile of the steps is checked: rows may come in pairs, such as a set-point and an
-    angle a few microseconds later.
-
-    Args:
-        file: The recording or log, for the message.
-        t: Times in s, shape (T,).
-        longest_s: Longest plausible step.
-        where: What states the times, for the message.
-        unit_s: The unit from which the times were converted, in s.
+    angle a few microseconds later. ``where`` is what states the times, and ``unit_s`` the unit from
+    which they were converted.
 
     Raises:
         InputError: If that step is below 20 us or above ``longest_s``; the message names the

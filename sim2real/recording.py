@@ -236,19 +236,18 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     command = csv_columns.commands(csv, table, joints) if recorded else none
     position = csv_columns.angles(csv, table, joints, "position_rad")
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
+    others = [str(name) for name in table.columns if name not in used]
     return Recording(
-        name=csv.stem,
-        kind=kind,
-        joints=joints,
-        t=t,
-        command=command,
-        position=position,
+        csv.stem,
+        kind,
+        joints,
+        t,
+        command,
+        position,
         loads=_loads(top, joints),
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
-        columns={
-            str(c): csv_columns.column(csv, table, str(c)) for c in table.columns if c not in used
-        },
+        columns={name: csv_columns.column(csv, table, name) for name in others},
         metadata=_metadata(top),
         path=csv,
     )
@@ -282,12 +281,12 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
     sidecar = csv.with_suffix(".json")
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA) if sidecar.exists() else {})
     return Recording(
-        name=csv.stem,
-        kind="servo",
-        joints=joints,
-        t=t,
-        command=command,
-        position=np.full_like(command, np.nan),
+        csv.stem,
+        "servo",
+        joints,
+        t,
+        command,
+        np.full_like(command, np.nan),
         loads=_loads(top, joints),
         metadata=_metadata(top),
         path=csv,

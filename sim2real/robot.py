@@ -300,13 +300,11 @@ class Density(NotebookDisplay):
         """Mass, length and normalised density of each link."""
         width = max(len("link"), *(len(name) for name in self.links))
         lines = [f"{'link':<{width}}  mass, kg  length, m  density   90 % interval"]
-        for k, name in enumerate(self.links):
-            line = f"{name:<{width}}  {self.mass_kg[k]:8.3f}  {self.length_m[k]:9.3f}"
-            line += f"  {self.value[k]:7.3f}"
+        rows = zip(self.links, self.mass_kg, self.length_m, self.value, strict=True)
+        for k, (name, mass, length, value) in enumerate(rows):
+            lines.append(f"{name:<{width}}  {mass:8.3f}  {length:9.3f}  {value:7.3f}")
             if self.interval is not None:
-                low, high = self.interval[:, k]
-                line += f"   {low:.3f} to {high:.3f}"
-            lines.append(line)
+                lines[-1] += "   {:.3f} to {:.3f}".format(*self.interval[:, k])
         if self.interval is None:
             lines.append("  ! mass_sd_kg and length_sd_m of the links would give intervals")
         return "\n".join(lines)

@@ -214,13 +214,7 @@ class Simulator:
         ]
 
     def run(self, theta: Array, substep_s: float | Array) -> Any:  # noqa: ANN401 - Warp has no stubs
-        """Angles of servos (B, P) as a Warp array, one row per servo and recording, (B * S, T).
-
-        ``substep_s`` is that of ``angles``.
-
-        Raises:
-            ValueError: If the sub-step is infinite and a servo is not linear.
-        """
+        """Angles as a Warp array (B * S, T), one row per servo and recording, see ``angles``."""
         exact = bool(np.isinf(substep_s).all())
         if exact and not self.is_linear(theta):
             raise ValueError("no exact solution with effects, a pendulum or a varying load")
@@ -271,8 +265,8 @@ def simulate(
         active: Effects of each, see ``active_effects``, shape (N,).
         latency: Latency of each in s, shape (N,).
         theta: Their parameters, a Warp array (N, P).
-        signal: Index of the signal of each, shape (N,).
-        signals: The signals of ``padded``, Warp arrays.
+        signal: Index in ``signals``, the Warp arrays of ``padded``, of each, shape (N,).
+        signals: See ``signal``.
         longest: Longest sub-step of each in s, shape (N,).
         out: Output, the angles in rad, a Warp array (N, T).
         rows: Indices of the rollouts to simulate, shape (M,); all by default.

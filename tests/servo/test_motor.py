@@ -269,9 +269,8 @@ def test_soft_friction_is_that_of_mujoco():
     assert np.sqrt(np.mean((soft - angle) ** 2)) < 3e-4
 
 
-def stepped(seed, t, simulated):
+def stepped(rng, t, simulated):
     """A recording of random steps at times ``t``, simulated from set-points, and noise."""
-    rng = np.random.default_rng(seed)
     levels = rng.uniform(-0.6, 0.6, 80)
     command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
     angle = simulated(command) + rng.normal(0.0, 5e-4, t.size)
@@ -281,7 +280,11 @@ def stepped(seed, t, simulated):
 
 def test_gains_of_a_mujoco_joint_come_back():
     t = np.arange(0.0, 20.0, 0.01)
-    made = stepped(3, t, lambda sent: mujoco_joint(t, sent, KP, KD, LATENCY, INERTIA, 0.03))
+    made = stepped(
+        np.random.default_rng(3),
+        t,
+        lambda sent: mujoco_joint(t, sent, KP, KD, LATENCY, INERTIA, 0.03),
+    )
     model = identify([made], bench(Servo("small", 5.0, 5.0 / KD, 0.0)))
     joint, figures = model.joints["j1"], model.fit["j1.position_rad"]
     assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
@@ -292,10 +295,10 @@ def test_gains_of_a_mujoco_joint_come_back():
 
 def test_a_loop_whose_looks_set_points_wait_for_is_found():
     motor = FAST | {"loop_period_s": 0.005, "loop_phase_s": 0.0012}
-    t = np.arange(2500) / 97.0  # the loop keeps other time
-    t += np.random.default_rng(5).normal(0.0, 3e-4, 2500)
+    rng = np.random.default_rng(5)
+    t = np.arange(2500) / 97.0 + rng.normal(0.0, 3e-4, 2500)  # the loop keeps other time
     t -= t[0]
-    made = stepped(5, t, lambda sent: rollout(row(**motor)[None], t, sent)[0])
+    made = stepped(rng, t, lambda sent: rollout(row(**motor)[None], t, sent)[0])
     model = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0)))
     joint = model.joints["j1"]
     assert joint.motor["loop_period_s"] == pytest.approx(0.005, rel=1e-3)
@@ -308,10 +311,10 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
 
 @pytest.mark.parametrize("odd", [False, True])
 def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
-    t = np.arange(1500) / 50.0
+    rng, t = np.random.default_rng(6), np.arange(1500) / 50.0
     if odd:
-        t[1:] += np.random.default_rng(6).uniform(-0.004, 0.004, t.size - 1)
-    made = stepped(6, t, lambda sent: rollout(row(**FAST)[None], t, sent)[0])
+        t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
+    made = stepped(rng, t, lambda sent: rollout(row(**FAST)[None], t, sent)[0])
     (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
     assert "loop_period_s" not in joint.motor
     said = [note for note in joint.notes if "synchronous with their samples" in note]
