@@ -101,14 +101,12 @@ class Breadth:
         added: Number of additions tried for each set after the first round; None for all.
         rivals: Number of sets of the best size that are extended.
         within: Largest difference of their evidence to the best one.
-        swaps: Whether members are also replaced by other candidates.
     """
 
     most: int = 4
     added: int | None = 6
     rivals: int = 3
     within: float = 12.0
-    swaps: bool = True
 
 
 def select(
@@ -168,7 +166,7 @@ def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadt
     smaller = [
         (ledger, ledger.best.members - set(out))
         for ledger in ledgers
-        for count in ((1, 2) if breadth.swaps else ())
+        for count in (1, 2)
         for out in combinations(sorted(ledger.best.members - ledger.base, key=str), count)
     ]
     missing = [(x, s, problem.start(x, s)) for x, s in smaller if s not in x.tried]
