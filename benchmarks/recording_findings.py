@@ -3,9 +3,9 @@
     python -m benchmarks.recording_findings RECORDING.csv...
 
 Every joint that moves is judged as recorded and with a fault that is put into it: command and
-position swapped (``plausible.lead_s``), and the faults of ``sim2real.readings``. Prints for each
+position swapped (``readings.lead_s``), and the faults of ``sim2real.readings``. Prints for each
 finding how many joints raise it, which sets the limits of ``sim2real.readings`` and
-``plausible.UNEXPLAINED_RATIO``. The shipped recordings, those of ``shared/realdata`` and
+``readings.UNEXPLAINED_RATIO``. The shipped recordings, those of ``shared/realdata`` and
 development seeds of ``datasets/concealed`` and ``datasets/foreign``, with their nuisances, are the
 recordings to judge.
 """
@@ -24,7 +24,7 @@ from sim2real import readings
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.noise import noise_floor, quantization_step
-from sim2real.plausible import lead_s
+from sim2real.readings import lead_s
 from sim2real.recording import read_recording
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.errors import InputError, check_choice, check_effort, check_whole
-from sim2real.verbs import model_of, recordings_or_commands, recordings_to_fit, robot_of
+from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
     from sim.inference.calibration import Calibration
@@ -208,7 +208,11 @@ def simulate(
         check_video(video)
     if fidelity == "twin" and (plot is not None or video is not None):
         raise InputError("simulate", "fidelity", "'twin'", "'fluid', for a picture of the flow")
-    read, machine, fitted = recordings_or_commands(recordings), robot_of(robot), model_of(model)
+    read, machine, fitted = (
+        recordings_of(recordings, or_commands=True),
+        robot_of(robot),
+        model_of(model),
+    )
     if len(read) > 1 and (plot is not None or video is not None):
         raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
     check_joints(fitted, machine)

@@ -18,8 +18,7 @@ from functools import partial
 from sim2real.commands.command import Command
 from sim2real.commands.files import check_files
 from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
-from sim2real.errors import InputError
-from sim2real.extras import missing_library
+from sim2real.errors import InputError, missing_library
 from sim2real.output import Results, is_standard_output, results
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"

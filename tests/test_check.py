@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sim2real.check import Check, check
-from sim2real.errors import InputError
-from sim2real.finding import RecordingFinding
+from sim2real.errors import InputError, RecordingFinding
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, match_joints, read_robot
 

@@ -6,7 +6,7 @@ import argparse
 
 from rl import verbs
 from sim2real.commands.command import arguments_of
-from sim2real.extras import if_installed
+from sim2real.errors import if_installed
 from sim2real.output import beside, check_writable, is_stream, write_json
 
 

@@ -32,13 +32,13 @@ from sim.robot.effects import Outside
 from sim.robot.live import Live, Simulator
 from sim.view.plane import front_ends
 from sim.view.video import Video
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
 
 Makers = Mapping[str, Callable[[int], Controller]]
 """By name, a function of the number of robots to their controller."""

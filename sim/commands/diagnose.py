@@ -13,7 +13,7 @@ from sim import verbs
 from sim2real.commands.command import arguments_of
 from sim2real.commands.files import check_views, write_views
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
-from sim2real.extras import if_installed
+from sim2real.errors import if_installed
 from sim2real.model import read_model, write_model
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, write_recording

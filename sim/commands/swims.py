@@ -11,8 +11,7 @@ from sim.simulation import SupersonicFlow
 from sim2real.commands.command import arguments_of
 from sim2real.commands.files import check_views, write_views
 from sim2real.design.tell_apart import RivalDesign
-from sim2real.errors import InputError
-from sim2real.extras import if_installed
+from sim2real.errors import InputError, if_installed
 from sim2real.model import write_model
 from sim2real.output import beside, check_writable, write_json
 from sim2real.recording import write_recording

@@ -17,8 +17,8 @@ from sim.lattice.populations import MOST_CELLS, allocate, is_wide
 from sim.lattice.velocities import Lattice
 from sim.lattice.walls import wall_kernels
 from sim2real.arrays import Array32, Integers, Picture
+from sim2real.effects import start_warp
 from sim2real.errors import InputError
-from sim2real.warp_start import start_warp
 
 WINDOW_M = (1.5, 1.0, 0.4)
 POOL_M = (3.6, 3.6, 0.4)

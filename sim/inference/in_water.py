@@ -33,13 +33,13 @@ from sim.inference.swims import (
 )
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim.twin.law import Coefficients
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.output import check_writable, write_whole
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
 from sim2real.velocity import body_velocity
 
 CELL_M = 0.012

@@ -23,10 +23,10 @@ from sim2real.servo.motor import (
     Push,
     gear_friction,
     motor_push,
+    pd_torque,
     read_motor,
     resistance,
 )
-from sim2real.servo.torques import pd_torque
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
 """Largest number of sweeps, and the change of a joint's rate in rad/s below which they end."""

@@ -13,8 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from sim2real.arrays import Picture
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 from sim2real.output import check_writable, is_stream, write_whole
 
 FRAMES_PER_S = 25

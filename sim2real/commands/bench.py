@@ -12,8 +12,7 @@ from sim2real import verbs
 from sim2real.check import check
 from sim2real.commands.command import numbers
 from sim2real.commands.record import check_temperature, sidecar
-from sim2real.errors import InputError
-from sim2real.extras import if_installed
+from sim2real.errors import InputError, if_installed
 from sim2real.hardware.bench import Weight, loads, robot_text, scan, table
 from sim2real.hardware.buses import Connection, bus_class, connection
 from sim2real.hardware.mounting import Wiring, check_ids

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 from sim2real.output import Results, check_not_read, check_writable, is_stream
 
 if TYPE_CHECKING:

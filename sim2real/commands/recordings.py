@@ -17,13 +17,11 @@ from tqdm import tqdm
 from sim2real import verbs
 from sim2real.commands.command import arguments_of
 from sim2real.commands.files import check_views, write_views
-from sim2real.density import with_density
-from sim2real.errors import InputError
-from sim2real.extras import if_installed, library
+from sim2real.errors import InputError, if_installed, library
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import beside, check_writable, is_stream
 from sim2real.recording import read_commands, read_recording, write_recording
-from sim2real.robot import read_robot
+from sim2real.robot import read_robot, with_density
 from sim2real.servo.prediction import Prediction, Replay, replay
 from sim2real.viewers.scenes import Scene, with_prediction
 
@@ -115,7 +113,7 @@ def predict(options: argparse.Namespace) -> int:
 
 def _predicted(file: Path, prediction: Prediction) -> Scene:
     """The commands and the prediction, and what was measured if the file is a recording."""
-    (shown,) = verbs.recordings_or_commands(file)
+    (shown,) = verbs.recordings_of(file, or_commands=True)
     columns = enumerate(prediction.recordings[0].joints)
     scenes = [with_prediction(shown, joint, prediction.angles[0][:, j]) for j, joint in columns]
     return sum(scenes, start=Scene())

@@ -9,7 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from sim2real.effects import Effect, named
+from sim2real.effects import named
+from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_level, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.motor_choice import choose_motor, fitted_again

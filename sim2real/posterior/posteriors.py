@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 from sim2real.output import write_whole
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
+from sim2real.structured import read_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

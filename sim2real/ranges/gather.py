@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.density import Density, normalised_density
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -34,7 +33,7 @@ from sim2real.ranges.sources import (
     shared_ranges,
 )
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_recordings
+from sim2real.robot import Density, Robot, match_recordings, normalised_density
 from sim2real.servo.trace import at_one_gain, check_samples, split, traces
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import singledispatch
 
 from sim2real.check import Check
-from sim2real.density import Density
 from sim2real.design.plan import Design
 from sim2real.design.tell_apart import RivalDesign
 from sim2real.diagnose.result import Diagnosis
@@ -26,7 +25,7 @@ from sim2real.report.ranges import density_section, posterior_table, range_block
 from sim2real.report.recordings import check_section, recording_section
 from sim2real.report.servo_table import servos_section
 from sim2real.report.text import section_text
-from sim2real.robot import Robot
+from sim2real.robot import Density, Robot
 from sim2real.servo.prediction import Prediction
 from sim2real.servo_library.catalogue import ServoLibrary
 from sim2real.servo_library.entry import ServoEntry

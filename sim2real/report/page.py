@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.extras import optional
+from sim2real.errors import optional
 from sim2real.output import write_whole
 
 if TYPE_CHECKING:

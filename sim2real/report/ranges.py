@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.density import Density
 from sim2real.posterior.chain import LEAST_TIMES
 from sim2real.posterior.predictive_check import LEVELS, PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
@@ -19,6 +18,7 @@ from sim2real.report.page import Block, Figure, Note, Section, Table, Text
 from sim2real.report.quantity import Quantity, milliradians, printable, quantity_table
 from sim2real.report.series import Panel, in_mrad, series_block
 from sim2real.report.style import ACCENT, FAINT, INK, PAPER, RULE, house_style, new_figure
+from sim2real.robot import Density
 from sim2real.units import readable_name
 from sim2real.viewers.scenes import MEASURED, SignalGroup
 

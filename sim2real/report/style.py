@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from sim2real.extras import optional
+from sim2real.errors import optional
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.extras import library
+from sim2real.errors import library
 from sim2real.output import write_whole
 from sim2real.version import __version__
 from sim2real.viewers.scenes import COMMAND, MovingLine, Scene, SignalGroup

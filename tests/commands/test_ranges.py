@@ -16,7 +16,7 @@ import pytest
 from sim2real.cli import main
 from sim2real.posterior.chain import chain_file, read_chain, write_chain
 from sim2real.posterior.posteriors import read_sample
-from sim2real.processes import MANY, shared
+from sim2real.progress import MANY, shared
 from sim2real.ranges.entry import read_ranges
 from sim2real.recording import read_recording, write_recording
 

@@ -11,15 +11,15 @@ import pytest
 
 from sim.inference.calibration import Calibration
 from sim.simulation import Simulated
-from sim2real import Model, Recording, read_robot
 from sim2real.check import check
-from sim2real.density import Density
 from sim2real.diagnose.result import Diagnosis, Mismatch
-from sim2real.model import JointModel
+from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.ranges.gather import Gathered
+from sim2real.recording import Recording
 from sim2real.report.notebook import result_html
+from sim2real.robot import Density, read_robot
 from sim2real.servo.prediction import Prediction
 
 EVIL = "<script>alert('&')</script>"

@@ -24,9 +24,9 @@ from rl.forecast.swims import Forecaster
 from rl.sac.plan import Settings
 from rl.sac.train import Plan, train
 from rl.task import TASKS, shortened
-from sim2real.density import normalised_density
 from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Ranges, normal, uniform
+from sim2real.robot import normalised_density
 
 RANGES = Ranges(
     (
