@@ -42,27 +42,23 @@ class Script:
 
 
 @pytest.mark.parametrize(
-    "pieces",
+    ("pieces", "found"),
     [
-        [LX.encode(REPLY)],
-        [LX.encode(move(1, 3)) + LX.encode(ASK), LX.encode(REPLY)],  # its own echo first
-        [b"\x55\x07\x55", LX.encode(REPLY)[:3], LX.encode(REPLY)[3:] + b"\x55"],
-        [LX.encode(Packet(2, LxCommand.POS_READ, b"\x09\x09")), LX.encode(REPLY)],
+        ([LX.encode(REPLY)], REPLY),
+        ([LX.encode(move(1, 3)) + LX.encode(ASK), LX.encode(REPLY)], REPLY),  # its own echo first
+        ([b"\x55\x07\x55", LX.encode(REPLY)[:3], LX.encode(REPLY)[3:] + b"\x55"], REPLY),
+        ([LX.encode(Packet(2, LxCommand.POS_READ, b"\x09\x09")), LX.encode(REPLY)], REPLY),
+        ([LX.encode(Packet(1, LxCommand.VIN_READ, b"\x09\x09")), LX.encode(REPLY)], REPLY),
+        ([], None),
+        ([LX.encode(ASK)], None),
+        ([LX.encode(REPLY)[:-1]], None),
+        ([LX.encode(REPLY)[:-1] + b"\x00"], None),
     ],
 )
-def test_the_reply_is_found(pieces):
+def test_the_reply_is_found(pieces, found):
     script = Script(*pieces)
-    bus = LxBus(script)
-    assert bus.exchange([move(1, 3), ASK], math.inf) == [None, REPLY]
+    assert LxBus(script).exchange([move(1, 3), ASK], math.inf) == [None, found]
     assert script.written == LX.encode(move(1, 3)) + LX.encode(ASK)
-
-
-@pytest.mark.parametrize(
-    "pieces", [[], [LX.encode(ASK)], [LX.encode(REPLY)[:-1]], [LX.encode(REPLY)[:-1] + b"\x00"]]
-)
-def test_no_reply_is_none(pieces):
-    bus = LxBus(Script(*pieces))
-    assert bus.exchange([ASK], math.inf) == [None]
 
 
 def test_replies_come_in_any_order():
@@ -142,16 +138,21 @@ def test_ticks_and_angles(fish):
             assert abs(inside - min(max(angle, -0.8), 0.8)) <= 0.0042
 
 
-def test_servos_that_do_not_fit_the_robot(fish):
-    for given in (
-        {"count": 2},
-        {"trim_ticks": [1, 2]},
-        {"reverse": ["j9"]},
-        {"trim_ticks": [400]},
-    ):
-        ids = range(given.pop("count", 1))
-        with pytest.raises(InputError):
-            mount(fish(), [lx_servo(k) for k in ids], Wiring(ids, **given))
+@pytest.mark.parametrize(
+    ("ids", "wiring"),
+    [
+        ([0, 1], {}),
+        ([0], {"trim_ticks": [1, 2]}),
+        ([0], {"reverse": ["j9"]}),
+        ([0], {"trim_ticks": [400]}),
+    ],
+)
+def test_servos_that_do_not_fit_the_robot(fish, ids, wiring):
+    with pytest.raises(InputError):
+        mount(fish(), [lx_servo(k) for k in ids], Wiring(ids, **wiring))
+
+
+def test_numbers_and_limits_that_no_servo_has(fish):
     for ids in ([], [254], [1, 1]):
         with pytest.raises(InputError, match="--ids"):
             check_ids(ids, 253)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim2real.hardware.frames import DYNAMIXEL, FEETECH, LX, FrameDecoder, Packet
-from sim2real.hardware.lx import LxCommand, expects_reply, is_reply, load, move, number
+from sim2real.hardware.lx import LxCommand, load, move, number
 from sim2real.hardware.registers import LAYOUTS, Register
 
 PROTOCOLS = {"lx": LX, "feetech": FEETECH, "dynamixel": DYNAMIXEL}
@@ -142,15 +142,6 @@ def test_lx_requests_and_numbers_of_replies():
     assert number(Packet(1, LxCommand.VIN_READ, b"\xe8\x1c")) == 7400
     assert number(Packet(1, LxCommand.VIN_LIMIT_READ, b"\x00\x00\xe8\x03"), 2) == 1000
     assert 13 not in list(LxCommand), "no servo ever gets a new identity"
-
-
-def test_a_reply_is_told_from_an_echo():
-    request = Packet(1, LxCommand.POS_READ)
-    assert expects_reply(request) and not expects_reply(move(1, 500))
-    assert not is_reply(request, request)
-    assert is_reply(request, Packet(1, LxCommand.POS_READ, b"\x00\x02"))
-    assert not is_reply(request, Packet(2, LxCommand.POS_READ, b"\x00\x02"))
-    assert not is_reply(request, Packet(1, LxCommand.VIN_READ, b"\x00\x02"))
 
 
 def test_numbers_of_registers():

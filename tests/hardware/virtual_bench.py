@@ -15,6 +15,7 @@ from sim2real.hardware.virtual_link import serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
+LIMITS = {"profile_velocity": 44, "profile_acceleration": 7}
 HEAD = """
 name = "bench"
 [servos.lx824]
@@ -54,6 +55,16 @@ def virtual(bus, servo_id, now, model=None, **servo):
     return VirtualFeetech(model_named(bus, model or "STS3215"), servo_id, LAW, now, **servo)
 
 
+def limit(servo, values=LIMITS):
+    """Write a servo's registers, as its user did before."""
+    for name, value in values.items():
+        servo.put(name, value)
+
+
+def limits(servo):
+    return {name: servo.get(name) for name in LIMITS}
+
+
 class Served:
     """Virtual servos 1 to ``count`` behind a port, until it is pulled."""
 
@@ -66,10 +77,8 @@ class Served:
             self.port = port
             announced.set()
 
-        kind, line = (
-            BUSES[bus],
-            {"echo": echo, "noise": noise, "loss": 0.0 if udp else loss, "fast": True},
-        )
+        kind = BUSES[bus]
+        line = {"echo": echo, "noise": noise, "loss": 0.0 if udp else loss, "fast": True}
         rng, baud = np.random.default_rng(0), kind.baud_rates[0]
         bus = VirtualBus(self.servos, kind.protocol, rng, baud=baud, **line)
         stop = self._pulled.is_set
