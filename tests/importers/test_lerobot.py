@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from good_input import message
+from simulated import steps
 
 from sim2real.cli import main
 from sim2real.importers.lerobot import read_lerobot
 from sim2real.importers.options import conversion
+from sim2real.model import JointModel, Model, read_model
 from sim2real.recording import read_recording
 from sim2real.servo.prediction import predict
 
@@ -37,17 +39,14 @@ def test_an_episode_in_degrees(tmp_path: Path, version: str) -> None:
         assert recording.metadata["robot_type"] == "so101_follower"
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_normalised_units_by_the_calibration_file(tmp_path: Path, version: str) -> None:
+def test_normalised_units_by_the_calibration_file(tmp_path: Path) -> None:
     state = np.array([[-100, 0, 0], [100, 50, 100.0], [0, 0, 50]])
-    root = dataset(tmp_path / "arm", version, [(state, state)])
+    root = dataset(tmp_path / "arm", "v3.0", [(state, state)])
     file = calibration(tmp_path / "follower_arm.json")
     units = conversion(["range_m100_100", "gripper=range_0_100"], 4096, None, file)
-    seen = read_lerobot(root, units).position
-    turn = 2 * math.pi / 4096
-    assert seen[:, 0] == pytest.approx([-1238 * turn, 1238 * turn, 0], abs=1e-6)
-    assert seen[:, 1] == pytest.approx([0, 548 * turn, 0], abs=1e-6)
-    assert seen[:, 2] == pytest.approx([-616 * turn, 616 * turn, 0], abs=1e-6)
+    counts = np.array([[-1238, 0, -616], [1238, 548, 616], [0, 0, 0]])
+    expected = pytest.approx(counts * 2 * math.pi / 4096, abs=1e-6)
+    assert read_lerobot(root, units).position == expected
 
 
 def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
@@ -61,22 +60,16 @@ def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
     message(lambda: read_lerobot(bare, DEGREES, episode=0), "--joints", "3 names")
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_from_dataset_to_gains(tmp_path: Path, version: str) -> None:
-    """Two servos at 30 Hz, in degrees and float32, are identified through the command line."""
-    from simulated import steps
-
-    from sim2real.model import JointModel, Model, read_model
-
+def test_from_dataset_to_gains(tmp_path: Path) -> None:
+    """Servos at 30 Hz, in degrees and float32, are identified through the command line."""
     truth = Model({name: JointModel(900.0, 28.0, 0.06, 1.0) for name in MOTORS})
     rng = np.random.default_rng(1)
     t = np.arange(30 * FPS) / FPS
     sent = {name: steps(t, rng) for name in MOTORS}
     seen = predict(truth, t, sent)
-    state = np.degrees(np.stack([seen[name] for name in MOTORS], axis=1))
+    state, action = (np.degrees(np.stack([of[x] for x in MOTORS], axis=1)) for of in (seen, sent))
     state += rng.normal(0, 0.05, state.shape)
-    action = np.degrees(np.stack([sent[name] for name in MOTORS], axis=1))
-    root = dataset(tmp_path / "arm", version, [(state, action)])
+    root = dataset(tmp_path / "arm", "v3.0", [(state, action)])
     out, model = tmp_path / "arm.csv", tmp_path / "model.json"
     assert main(["import", str(root), "--units", "deg", "--out", str(out)]) == 0
     assert read_recording(out).joints == tuple(MOTORS)

@@ -46,20 +46,22 @@ def written(folder: Path, name: str, text: str) -> Path:
     return file
 
 
-def made(folder: Path, action: str, file: Path, *more: str) -> Robot:
+def made(folder: Path, file: Path, *more: str) -> Robot:
     out = folder / "robot.toml"
-    assert main(["robot", action, str(file), "--out", str(out), *more]) == 0
+    assert main(["robot", "from-urdf", str(file), "--out", str(out), *more]) == 0
     return read_robot(out)
 
 
-def check_arm(robot: Robot) -> None:
+def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = made(tmp_path, written(tmp_path, "arm.urdf", URDF))
     assert robot.name == "arm"
     assert [link.name for link in robot.links] == ["base", "upper", "fore"]
     assert [joint.name for joint in robot.joints] == ["shoulder", "elbow"]
-    assert robot.joints[0].limits_rad == (-1, 1.5)
-    message(lambda: robot.joints[1].limits_rad, "robot.toml", "joints[1].limits_rad")
-    assert robot.joints[0].servo.max_torque_Nm == 3
-    upper, fore = robot.links[1:]
+    (shoulder, elbow), (_, upper, fore) = robot.joints, robot.links
+    assert shoulder.limits_rad == (-1, 1.5)
+    message(lambda: elbow.limits_rad, "robot.toml", "joints[1].limits_rad")
+    assert (shoulder.servo.max_torque_Nm, shoulder.servo.no_load_speed_rad_s) == (3, 6)
+    assert shoulder.servo is elbow.servo
     assert (upper.mass_kg, fore.mass_kg) == pytest.approx((2, 0.5))
     assert upper.length_m == pytest.approx(0.3)  # across the axis: the 0.05 along it do not count
     assert upper.com_m == pytest.approx(0.2)
@@ -68,14 +70,7 @@ def check_arm(robot: Robot) -> None:
     assert fore.inertia_kgm2 == pytest.approx(0.002)
     message(lambda: fore.length_m, "links[2].length_m", "nothing", "above 0")
     message(lambda: upper.width_m, "links[1].width_m")
-    message(lambda: robot.joints[0].servo.position_step_rad, "servo1.position_step_rad")
-
-
-def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    robot = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", URDF))
-    check_arm(robot)
-    assert robot.joints[0].servo.no_load_speed_rad_s == 6
-    assert robot.joints[0].servo is robot.joints[1].servo
+    message(lambda: shoulder.servo.position_step_rad, "servo1.position_step_rad")
     printed = capsys.readouterr().out
     for line in ("elbow: limits_rad: not stated", "servo1: position_step_rad", "fore: length_m"):
         assert line in printed
@@ -101,29 +96,25 @@ def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("effort", "velocity", "kept"),
+    ("values", "kept"),
     [
-        ("1000", "6", (False, True)),
-        ("3", "1e6", (True, False)),
-        ("10", "10", (False, False)),
-        ("100", "100", (False, False)),
-        ("8.5", "8.5", (True, True)),  # alike, but no round number
+        ((1000, 6), (False, True)),
+        ((3, 1e6), (True, False)),
+        ((10, 10), (False, False)),
+        ((100, 100), (False, False)),
+        ((8.5, 8.5), (True, True)),  # alike, but no round number
     ],
 )
 def test_placeholders_are_no_data_sheet(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    effort: str,
-    velocity: str,
-    kept: tuple[bool, bool],
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], values: tuple[float, float], kept: tuple
 ) -> None:
-    text = URDF.replace('effort="3" velocity="6"', f'effort="{effort}" velocity="{velocity}"')
-    servo = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", text)).joints[0].servo
+    text = URDF.replace('effort="3" velocity="6"', 'effort="{}" velocity="{}"'.format(*values))
+    servo = made(tmp_path, written(tmp_path, "arm.urdf", text)).joints[0].servo
     printed = capsys.readouterr().out
     fields = ("max_torque_Nm", "no_load_speed_rad_s")
-    for field, value, stated in zip(fields, (effort, velocity), kept, strict=True):
+    for field, value, stated in zip(fields, values, kept, strict=True):
         assert servo.states(field) == stated
-        said = f"servo1: {field}: {float(value):g}, a placeholder"
+        said = f"servo1: {field}: {value:g}, a placeholder"
         assert printed.count(said) == (0 if stated else 1)
 
 
@@ -148,7 +139,7 @@ def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
     assert any("the joints branch" in note for note in notes)
     assert "slide: a prismatic joint: taken for stiff" in notes
     assert "[[links]]" not in text
-    chosen = made(tmp_path, "from-urdf", file, "--joints", "shoulder", "finger")
+    chosen = made(tmp_path, file, "--joints", "shoulder", "finger")
     assert [joint.name for joint in chosen.joints] == ["shoulder", "finger"]
     assert chosen.links[1].mass_kg == pytest.approx(2.5)  # the forearm is stiff
 
