@@ -22,10 +22,6 @@ def test_an_optimum_outside_the_interval_is_named_with_what_differs():
     (note,) = advice.on_optima(NAMES, values, half_width, [np.array([2.05, 0.003])])
     assert "rotor inertia 0.003 instead of 0.002" in note
     assert "kp" not in note
-
-
-def test_an_optimum_inside_the_interval_is_not_named():
-    values, half_width = np.array([2.0, 0.002]), np.array([0.1, 0.0001])
     assert advice.on_optima(NAMES, values, half_width, [values + 0.9 * half_width]) == []
     assert advice.on_optima(NAMES, values, half_width, []) == []
 

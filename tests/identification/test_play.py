@@ -1,6 +1,7 @@
 """Play of a joint that two servos pull by elastic bands."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,13 +40,8 @@ def test_play_is_where_the_shaft_rests_after_and_during_pulls():
 def test_a_recording_without_pullers_has_no_play_between_pulls():
     made = pulled(0.01, 0.004)
     assert play_between_pulls(made, "j2") is None
-    assert (
-        play_between_pulls(
-            Recording("a", "servo", ("j1",), made.t, made.command[:, :1], made.position[:, :1]),
-            "j1",
-        )
-        is None
-    )
+    one = replace(made, joints=("j1",), command=made.command[:, :1], position=made.position[:, :1])
+    assert play_between_pulls(replace(one, metadata={}), "j1") is None
 
 
 @pytest.mark.skipif(not STS3215.is_dir(), reason=f"no real recordings in {STS3215}")
