@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sim2real.errors import InputError
-from sim2real.posterior.chain import new_chain, read_chain, run_chain, write_chain
+from sim2real.posterior.chain import new_chain, read_chain, run_chain
 
 WALKERS, FREE = 12, 2
 ORIGIN = {"centre": np.array([0.1, 0.2])}
@@ -28,6 +28,10 @@ def begun(seed=1):
     return new_chain(WALKERS, FREE, seed, ORIGIN, "mark")
 
 
+def sampled(steps, seed=1):
+    return run_chain(begun(seed), skewed, steps)
+
+
 def same(a, b):
     assert np.array_equal(a.coordinates, b.coordinates)
     assert np.array_equal(a.log_density, b.log_density)
@@ -37,37 +41,28 @@ def same(a, b):
 
 
 def test_it_samples_the_density():
-    chain = run_chain(begun(), skewed, 3000)
-    kept = chain.coordinates[200:].reshape(-1, FREE)
+    kept = sampled(3000).coordinates[200:].reshape(-1, FREE)
     grid = np.stack(np.meshgrid(np.linspace(-8, 4, 400), np.linspace(-9, 6, 400)), axis=-1)
-    weight = np.exp(skewed(grid.reshape(-1, 2)))
-    mean = np.average(grid.reshape(-1, 2), axis=0, weights=weight)
-    covariance = np.cov(grid.reshape(-1, 2).T, aweights=weight)
+    grid = grid.reshape(-1, 2)
+    weight = np.exp(skewed(grid))
+    mean = np.average(grid, axis=0, weights=weight)
     np.testing.assert_allclose(kept.mean(axis=0), mean, atol=0.06)
-    np.testing.assert_allclose(np.cov(kept.T), covariance, atol=0.12)
+    np.testing.assert_allclose(np.cov(kept.T), np.cov(grid.T, aweights=weight), atol=0.12)
 
 
-def test_blocks_do_not_show(tmp_path):
-    whole = run_chain(begun(), skewed, 730)
+def test_blocks_do_not_show_and_the_file_gives_everything_back(tmp_path):
     file = tmp_path / "chain.npz"
     for steps in (1, 130, 131, 402, 730):
         found = read_chain(file) if file.exists() else begun()
         run_chain(found, skewed, steps, file)
-    same(read_chain(file), whole)
+    found = read_chain(file)
+    same(found, sampled(730))
+    assert found.fingerprint == "mark"
+    assert np.array_equal(found.origin["centre"], ORIGIN["centre"])
 
 
 def test_another_seed_is_another_chain():
-    a, b = (run_chain(begun(seed), skewed, 20) for seed in (1, 2))
-    assert not np.array_equal(a.coordinates, b.coordinates)
-
-
-def test_the_file_gives_everything_back(tmp_path):
-    chain = run_chain(begun(), skewed, 30)
-    write_chain(chain, tmp_path / "chain.npz")
-    found = read_chain(tmp_path / "chain.npz")
-    same(found, chain)
-    assert found.fingerprint == "mark"
-    assert np.array_equal(found.origin["centre"], ORIGIN["centre"])
+    assert not np.array_equal(sampled(20).coordinates, sampled(20, seed=2).coordinates)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no chain"])
@@ -94,18 +89,15 @@ def test_killed_at_random_it_ends_as_if_it_had_not_been(tmp_path):
     steps, file = 4000, tmp_path / "chain.npz"
     rng = np.random.default_rng(os.getpid())  # other moments in every run
     path = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
-    arguments = [sys.executable, "-c", SCRIPT, str(file), str(steps)]
-    killed = 0
-    for attempt in range(6):
-        process = subprocess.Popen(
-            arguments, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path}
-        )
-        with process:
+    call = [sys.executable, "-c", SCRIPT, str(file), str(steps)]
+    environment, killed = {**os.environ, "PYTHONPATH": path}, 0
+    for attempt in range(4):
+        with subprocess.Popen(call, stdout=subprocess.PIPE, env=environment) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == b"ready\n"
-            if attempt < 5:
+            if attempt < 3:
                 time.sleep(float(rng.uniform(0.0, 0.35)))
                 process.send_signal(signal.SIGKILL)
         killed += process.returncode == -signal.SIGKILL
     assert killed >= 1 and process.returncode == 0
-    same(read_chain(file), run_chain(begun(), skewed, steps))
+    same(read_chain(file), sampled(steps))

@@ -4,7 +4,7 @@ import pytest
 from sim2real.ranges.latency import spread
 
 
-@pytest.mark.parametrize("error", [1e-4, 2e-3, 5e-3])
+@pytest.mark.parametrize("error", [1e-4, 5e-3])
 def test_errors_are_not_counted_as_spread(error):
     """Over many sets, neither the half-width nor the centre is off on average."""
     half, centre = [], []
