@@ -114,10 +114,7 @@ def test_every_parameter_of_a_motor_has_a_range_or_a_line(bench):
     joint = replace(JOINT, law="motor", motor=motor, interval=interval)
     swum = [replace(r, kind="pool", loads={}) for r in bench]
     ranges = gather(swum, ROBOT, Model({"j1": joint})).ranges
-    of = {name: ranges.named(f"j1.motor.{name}") for name in motor}
-    stall, coulomb, speed = (
-        of[x] for x in ("stall_torque_Nm", "coulomb_Nm", "no_load_speed_rad_s")
-    )
+    stall, speed, coulomb, load, rotor = (ranges.named(f"j1.motor.{name}") for name in motor)
     assert (stall.first, stall.second, stall.unit) == (1.3, 1.7, "N m")
     assert (coulomb.first, coulomb.second) == (0.01, 0.03) and "90 % interval" in coulomb.source
     assert (speed.first, speed.second) == (7.0, 8.0) and "open end" in speed.source
