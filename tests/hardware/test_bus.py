@@ -61,14 +61,11 @@ def test_the_reply_is_found(pieces, found):
     assert script.written == LX.encode(move(1, 3)) + LX.encode(ASK)
 
 
-def test_replies_come_in_any_order():
+def test_replies_come_in_any_order_and_what_came_too_late_is_thrown_away():
     other = Packet(2, LxCommand.POS_READ, b"\x01\x00")
     bus = LxBus(Script(LX.encode(other) + LX.encode(REPLY)))
     asked = [ASK, Packet(2, LxCommand.POS_READ), Packet(3, LxCommand.POS_READ)]
     assert bus.exchange(asked, math.inf) == [REPLY, other, None]
-
-
-def test_what_came_too_late_is_thrown_away():
     bus = LxBus(Script(LX.encode(REPLY), LX.encode(REPLY)[:4]))
     bus.drain()
     assert bus.exchange([ASK], math.inf) == [None]
@@ -116,9 +113,9 @@ def test_a_serial_port_over_the_network():
 
 @pytest.fixture
 def fish(tmp_path):
-    def robot(text=ROBOT):
+    def robot(limits="[-0.8, 0.8]"):
         path = tmp_path / "robot.toml"
-        path.write_text(text)
+        path.write_text(ROBOT.replace("[-0.8, 0.8]", limits))
         return read_robot(path)
 
     return robot
@@ -139,23 +136,21 @@ def test_ticks_and_angles(fish):
 
 
 @pytest.mark.parametrize(
-    ("ids", "wiring"),
+    ("ids", "wiring", "limits", "message"),
     [
-        ([0, 1], {}),
-        ([0], {"trim_ticks": [1, 2]}),
-        ([0], {"reverse": ["j9"]}),
-        ([0], {"trim_ticks": [400]}),
+        ([0, 1], {}, "[-0.8, 0.8]", "found 2"),
+        ([0], {"trim_ticks": [1, 2]}, "[-0.8, 0.8]", "trim"),
+        ([0], {"reverse": ["j9"]}, "[-0.8, 0.8]", "j9"),
+        ([0], {"trim_ticks": [400]}, "[-0.8, 0.8]", "limits_rad"),
+        ([1], {}, "[-2.5, 2.5]", r"limits_rad.*-2\.5"),
     ],
 )
-def test_servos_that_do_not_fit_the_robot(fish, ids, wiring):
-    with pytest.raises(InputError):
-        mount(fish(), [lx_servo(k) for k in ids], Wiring(ids, **wiring))
+def test_servos_that_do_not_fit_the_robot(fish, ids, wiring, limits, message):
+    with pytest.raises(InputError, match=message):
+        mount(fish(limits), [lx_servo(k) for k in ids], Wiring(ids, **wiring))
 
 
-def test_numbers_and_limits_that_no_servo_has(fish):
-    for ids in ([], [254], [1, 1]):
-        with pytest.raises(InputError, match="--ids"):
-            check_ids(ids, 253)
-    wide = ROBOT.replace("[-0.8, 0.8]", "[-2.5, 2.5]")
-    with pytest.raises(InputError, match=r"limits_rad.*-2\.5"):
-        mount(fish(wide), [lx_servo(1)], Wiring([1]))
+@pytest.mark.parametrize("ids", [[], [254], [1, 1]])
+def test_numbers_that_no_servo_has(ids):
+    with pytest.raises(InputError, match="--ids"):
+        check_ids(ids, 253)

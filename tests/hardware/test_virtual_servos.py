@@ -60,13 +60,6 @@ def read(servo, command, now):
     return servo.handle(Packet(3, command), now)
 
 
-def test_it_tells_what_it_is_asked(servo):
-    assert number(read(servo, LxCommand.POS_READ, 0.0)) == 500
-    assert number(read(servo, LxCommand.VIN_READ, 0.0)) == 7500
-    assert read(servo, LxCommand.TEMP_READ, 5.0).parameters == b"\x32"
-    assert read(servo, LxCommand.LOAD_READ, 5.0).parameters == b"\x00"
-
-
 def test_it_moves_only_with_its_torque_on(servo):
     servo.handle(move(3, 600), 0.0)
     assert servo.ticks(2.0) == 500
@@ -79,11 +72,18 @@ def test_it_moves_only_with_its_torque_on(servo):
     assert servo.ticks(6.0) == 600
 
 
-def test_it_minds_its_own_business(servo):
-    assert servo.handle(Packet(4, LxCommand.POS_READ), 0.0) is None
-    assert servo.handle(Packet(254, LxCommand.POS_READ), 0.0) is None
-    assert servo.handle(Packet(254, LxCommand.ID_READ), 0.0) == Packet(3, 14, b"\x03")
-    assert servo.handle(Packet(3, 13, b"\x09"), 0.0) is None
+def test_it_tells_what_it_is_asked_and_minds_its_own_business(servo):
+    assert number(read(servo, LxCommand.POS_READ, 0.0)) == 500
+    assert number(read(servo, LxCommand.VIN_READ, 0.0)) == 7500
+    assert read(servo, LxCommand.TEMP_READ, 5.0).parameters == b"\x32"
+    assert read(servo, LxCommand.LOAD_READ, 5.0).parameters == b"\x00"
+    for packet, answer in (
+        (Packet(4, LxCommand.POS_READ), None),
+        (Packet(254, LxCommand.POS_READ), None),
+        (Packet(254, LxCommand.ID_READ), Packet(3, 14, b"\x03")),
+        (Packet(3, 13, b"\x09"), None),
+    ):
+        assert servo.handle(packet, 0.0) == answer
     assert servo.servo_id == 3
     servo.connected = False
     assert read(servo, LxCommand.POS_READ, 0.0) is None
