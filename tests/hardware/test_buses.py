@@ -152,14 +152,17 @@ def test_after_a_kill_the_next_command_restores_limits(tmp_path, state, capsys):
              "--out", str(tmp_path / "run.csv")],
             env=os.environ | {"XDG_STATE_HOME": str(state)}, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        deadline = time.monotonic() + 30
-        while not servo.powered and time.monotonic() < deadline:
+        deadline, run = time.monotonic() + 30, tmp_path / "run.csv"
+        while time.monotonic() < deadline and not (
+            run.exists() and run.read_text().count("\n") > 9
+        ):
             time.sleep(0.01)
         assert servo.powered and servo.get("profile_velocity") == 0
         with pytest.raises(InputError, match="in use by another command"):
             Journal(bench.port)
         program.kill()
         program.wait(20)
+        assert read_recording(run).t.size > 5, "a crash loses nothing"
         assert servo.powered
         main(["scan", "--port", bench.port, "--ids", "9"])
         said = capsys.readouterr().err.splitlines()

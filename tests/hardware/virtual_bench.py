@@ -5,6 +5,7 @@ import time
 from contextlib import contextmanager
 
 import numpy as np
+from good_input import ROBOT
 
 from sim2real.cli import main
 from sim2real.hardware.buses import BUSES
@@ -16,33 +17,18 @@ from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, V
 
 LAW = Law()
 LIMITS = {"profile_velocity": 44, "profile_acceleration": 7}
-HEAD = """
-name = "bench"
-[servos.lx824]
-max_torque_Nm = 1.67
-no_load_speed_rad_s = 5.24
-position_step_rad = 0.00419
-"""
-LINK = """
-[[links]]
-name = "link"
-mass_kg = 0.5
-length_m = 0.2
-width_m = 0.1
-height_m = 0.1
-"""
-JOINT = """
-[[joints]]
-name = "j{k}"
-servo = "lx824"
-limits_rad = [-0.8, 0.8]
-"""
+LINK = ROBOT[ROBOT.rindex("[[links]]") : ROBOT.index("[[joints]]")]
+JOINT = ROBOT[ROBOT.index("[[joints]]") : ROBOT.index("[servos")]
 
 
 def robot_file(folder, joints):
+    """The robot of the other tests, with so many joints."""
     path = folder / "robot.toml"
-    turned = "".join(JOINT.format(k=k + 1) for k in range(joints))
-    path.write_text(HEAD + LINK * (joints + 1) + turned)
+    more = (
+        LINK.replace("tail", f"link{k}") + JOINT.replace("j1", f"j{k}")
+        for k in range(2, joints + 1)
+    )
+    path.write_text(ROBOT + "".join(more))
     return path
 
 

@@ -110,14 +110,6 @@ def test_outliers_do_not_move_the_fit(fitted):
         assert getattr(found, name) == pytest.approx(getattr(fitted.joints["j1"], name), rel=0.01)
 
 
-def test_load_not_known_gives_gains_per_inertia():
-    joint = identified(record(SERVO, loads=False))
-    assert joint.per_inertia
-    assert joint.inertia_kgm2 == 1.0
-    assert joint.kp_Nm_per_rad == pytest.approx(2.2 / 0.002, rel=0.02)
-    assert joint.kd_Nms_per_rad == pytest.approx(0.06 / 0.002, rel=0.02)
-
-
 def test_missing_samples_and_a_gap():
     recording = record(SERVO)
     position = recording.position[:, 0].copy()

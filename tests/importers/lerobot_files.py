@@ -16,12 +16,7 @@ from pyarrow import parquet
 
 MOTORS = ["shoulder_pan", "elbow_flex", "gripper"]
 FPS = 30
-INDICES = {
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
+INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 def dataset(
@@ -35,10 +30,10 @@ def dataset(
     if names == "default":
         names = [f"{motor}.pos" for motor in MOTORS] if version == "v3.0" else {"motors": MOTORS}
     vector = {"dtype": "float32", "shape": [length], "names": names}
-    scalar = {"shape": [1], "names": None}
-    features = {"action": vector, "observation.state": vector}
-    features["timestamp"] = {"dtype": "float32", **scalar}
-    features |= {name: {"dtype": dtype, **scalar} for name, dtype in INDICES.items()}
+    scalars = {"timestamp": "float32"} | dict.fromkeys(INDICES, "int64")
+    features = {"action": vector, "observation.state": vector} | {
+        name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()
+    }
     info: dict[str, Any] = {
         "codebase_version": version,
         "robot_type": "so101_follower",
@@ -82,18 +77,14 @@ def _tables(episodes: list[tuple[np.ndarray, np.ndarray]]) -> list[pa.Table]:
     tables, first = [], 0
     for number, (state, action) in enumerate(episodes):
         length, joints = state.shape
-        frames = np.arange(length)
-        vector = pa.list_(pa.float32(), joints)
+        frames, vector = np.arange(length), pa.list_(pa.float32(), joints)
+        indices = (frames, np.full(length, number), first + frames, np.zeros(length, np.int64))
         columns = {
-            "action": pa.array([list(map(float, row)) for row in action], vector),
-            "observation.state": pa.array([list(map(float, row)) for row in state], vector),
+            "action": pa.array(action.tolist(), vector),
+            "observation.state": pa.array(state.tolist(), vector),
             "timestamp": pa.array((frames / FPS).astype(np.float32)),
-            "frame_index": pa.array(frames),
-            "episode_index": pa.array(np.full(length, number)),
-            "index": pa.array(first + frames),
-            "task_index": pa.array(np.zeros(length, dtype=np.int64)),
         }
-        tables.append(pa.table(columns))
+        tables.append(pa.table(columns | dict(zip(INDICES, map(pa.array, indices), strict=True))))
         first += length
     return tables
 

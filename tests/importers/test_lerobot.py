@@ -81,6 +81,7 @@ def test_from_dataset_to_gains(tmp_path: Path) -> None:
     arguments = ["--robot", str(tmp_path / "robot.toml"), "--out", str(model), "--no-plots"]
     assert main(["identify", str(out), *arguments]) == 0
     for joint in read_model(model).joints.values():
+        assert joint.per_inertia and joint.inertia_kgm2 == 1.0
         assert joint.kp_Nm_per_rad == pytest.approx(900, rel=0.03)
         assert joint.kd_Nms_per_rad == pytest.approx(28, rel=0.03)
         assert joint.latency_s == pytest.approx(0.06, abs=0.001)

@@ -85,14 +85,6 @@ def test_noise_that_is_correlated_widens_it(given, found):
     assert wide.values.std(axis=0)[0] > 1.15 * found.values.std(axis=0)[0]
 
 
-def test_it_goes_on_from_its_file(given, found, tmp_path):
-    file = tmp_path / "chain.npz"
-    for steps in (150, 400):
-        again = sample_servo([given], JOINT, steps=steps, file=file)
-    assert np.array_equal(again.chain.coordinates, found.chain.coordinates)
-    assert np.array_equal(again.values, found.values)
-
-
 def test_what_a_kill_left_is_cleared_and_the_chain_of_other_data_is_refused(given, tmp_path):
     file = tmp_path / "chain.npz"
     (tmp_path / ".chain.npz.half").write_bytes(b"half")
@@ -128,12 +120,6 @@ def test_sample_of_all_joints(found, tmp_path):
     within = np.corrcoef(again.values[:, :2].T)[0, 1]
     assert within == pytest.approx(np.corrcoef(found.values[:, :2].T)[0, 1], abs=0.06)
     assert abs(np.corrcoef(again.values[:, [0, 3]].T)[0, 1]) < 0.08
-
-
-def test_a_file_that_is_no_sample(tmp_path):
-    (tmp_path / "posterior.npz").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="found no sample"):
-        read_sample(tmp_path / "posterior.npz")
 
 
 def test_for_arviz(found):

@@ -150,7 +150,6 @@ def test_missing_physics_is_said():
 @pytest.mark.parametrize(
     ("chosen", "joint", "sampling", "message"),
     [
-        ([0, 1, 2], "j1", Sampling(steps=20), "run again with --steps"),
         ([0, 0], "j1", SAMPLING, "each recording once"),
         ([0, 1, 2], "j9", SAMPLING, "a joint not of the robot"),
         ([0, 1, 2], "j1", Sampling(held_out="x"), "--held-out: found 'x'"),
