@@ -1,9 +1,6 @@
 """Models to export, and how they are exported by the command line."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,25 +9,25 @@ import simulated
 from sim2real.cli import main
 from sim2real.effects import CATALOGUE
 from sim2real.model import FittedEffect, JointModel, Model, write_model
-from sim2real.recording import Load, Recording, write_recording
+from sim2real.recording import Load, write_recording
 
 Effects = dict[str, float]
 TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
 needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="MuJoCo runs exported models")
 
 
-def typical(*names: str) -> dict[str, Effects]:
+def typical(*names):
     """Effects with typical parameters, as ``servo`` takes them."""
     return {name: TYPICAL[name] for name in names}
 
 
 def joint(
-    load: Load | None = None,
-    motor: dict[str, float] | None = None,
-    latency_s: float = simulated.LATENCY,
-    kd: float = simulated.KD,
-    **effects: Effects,
-) -> JointModel:
+    load=None,
+    motor=None,
+    latency_s=simulated.LATENCY,
+    kd=simulated.KD,
+    **effects,
+):
     load = load or Load(simulated.INERTIA)
     fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
     return JointModel(
@@ -39,16 +36,16 @@ def joint(
     )  # fmt: skip
 
 
-def servo(*given: object, **more: object) -> Model:
+def servo(*given, **more):
     """A model of one joint; the arguments are those of ``joint``."""
-    return Model({"j1": joint(*given, **more)})  # type: ignore[arg-type]
+    return Model({"j1": joint(*given, **more)})
 
 
-def rms(difference: np.ndarray) -> float:
+def rms(difference):
     return float(np.sqrt(np.mean(difference**2)))
 
 
-def export(folder: Path, model: Model, recordings: list[Recording], target: str, *more: str) -> int:
+def export(folder, model, recordings, target, *more):
     """The status of ``export-servo`` into ``folder/servo.txt``, refitted to recordings."""
     paths = [folder / f"{recording.name}.csv" for recording in recordings]
     for path, recording in zip(paths, recordings, strict=True):

@@ -1,11 +1,8 @@
 """Exported ranges compile, and draw what the ranges say."""
 
-from __future__ import annotations
-
 import ast
 import re
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +39,7 @@ LACKED = {
 
 
 @each_target
-def test_what_a_target_lacks_is_listed_there_and_values_are_kept(target: str) -> None:
+def test_what_a_target_lacks_is_listed_there_and_values_are_kept(target):
     made = TARGETS[target].write(RANGES)
     of_mjlab = {"shape of kp_Nm_per_rad", "kp_Nm_per_rad"} if target == "mjlab" else set()
     assert {line.what.partition(" (")[0] for line in made.left_out} == LACKED | of_mjlab
@@ -61,7 +58,7 @@ def test_what_a_target_lacks_is_listed_there_and_values_are_kept(target: str) ->
         assert {low, high} <= numbers
 
 
-def test_isaaclab_terms(modules: Any) -> None:
+def test_isaaclab_terms(modules):
     mdp = {"randomize_actuator_gains": "gains", "randomize_joint_parameters": "joint"}
     managers = {
         "EventTermCfg": lambda **fields: SimpleNamespace(**fields),
@@ -92,7 +89,7 @@ def test_isaaclab_terms(modules: Any) -> None:
     assert space["JOINT_POS_NOISE_SD"] == {"j1": 0.002}
 
 
-def test_mjlab_terms(modules: Any) -> None:
+def test_mjlab_terms(modules):
     """Terms as `mjlab.envs.mdp.dr` (1.6) takes them: gains together, back-EMF apart."""
     dr = SimpleNamespace(pd_gains="gains", joint_friction="friction", joint_armature="armature")
     space = modules(
@@ -121,22 +118,22 @@ def test_mjlab_terms(modules: Any) -> None:
 class WarpArray:
     """A Warp array on the CPU: a copy by ``numpy``, written by ``assign``."""
 
-    def __init__(self, values: Any) -> None:
+    def __init__(self, values):
         self.values = np.array(values)
 
-    def numpy(self) -> np.ndarray:
+    def numpy(self):
         return self.values.copy()
 
-    def assign(self, values: np.ndarray) -> None:
+    def assign(self, values):
         self.values = values
 
 
-def test_newton_draws_into_the_right_places(modules: Any) -> None:
+def test_newton_draws_into_the_right_places(modules):
     """Two worlds of two joints, their actuators in two groups, as ``newton.Model`` has them."""
     flags = SimpleNamespace(JOINT_DOF_PROPERTIES=2)
     space = modules(TARGETS["newton"].write(RANGES).text, newton={"ModelFlags": flags})
 
-    def group(*dofs: int) -> SimpleNamespace:
+    def group(*dofs):
         drive = SimpleNamespace(kp=WarpArray([9.0] * len(dofs)), kd=WarpArray([9.0] * len(dofs)))
         return SimpleNamespace(indices=WarpArray(dofs), drive=drive)
 
@@ -168,13 +165,13 @@ def test_newton_draws_into_the_right_places(modules: Any) -> None:
 class At:
     """Sets values of an array as JAX does."""
 
-    def __init__(self, whole: Values, where: Any = None) -> None:
+    def __init__(self, whole, where=None):
         self.whole, self.where = whole, where
 
-    def __getitem__(self, where: Any) -> At:
+    def __getitem__(self, where):
         return At(self.whole, where)
 
-    def set(self, value: float) -> Values:
+    def set(self, value):
         changed = self.whole.copy()
         changed[self.where] = value
         return changed
@@ -187,12 +184,12 @@ class Values(np.ndarray):
 
 
 class Tree(SimpleNamespace):
-    def tree_replace(self, fields: dict[str, Any]) -> Tree:
+    def tree_replace(self, fields):
         return Tree(**(vars(self) | fields))
 
 
 @pytest.mark.parametrize("passive", [0.0, 0.02], ids=["all in the drive", "partly in the joint"])
-def test_playground_draws_into_the_right_places(passive: float, modules: Any) -> None:
+def test_playground_draws_into_the_right_places(passive, modules):
     """With the mean of each distribution in place of a draw; kd is the damping of all parts."""
     jax = {
         "vmap": lambda f: (
@@ -235,7 +232,7 @@ def test_playground_draws_into_the_right_places(passive: float, modules: Any) ->
 
 
 @each_target
-def test_ranges_of_a_motor_are_drawn_or_listed(target: str) -> None:
+def test_ranges_of_a_motor_are_drawn_or_listed(target):
     entries = (
         uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
         uniform("j1.motor.coulomb_Nm", 0.025, 0.035, "N m", "model"),
@@ -256,7 +253,7 @@ def test_ranges_of_a_motor_are_drawn_or_listed(target: str) -> None:
     )
 
 
-def test_latencies_that_are_not_drawn_as_stated_are_listed() -> None:
+def test_latencies_that_are_not_drawn_as_stated_are_listed():
     write = TARGETS["newton"].write
     made = write(Ranges((uniform("command_latency_s", 0.04, 0.08, "s", "windows"),)))
     assert "name no joint" in str([*map(str, made.left_out)])

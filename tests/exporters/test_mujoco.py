@@ -1,7 +1,5 @@
 """The exported MuJoCo model moves as `predict` says, and says what it cannot do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -39,11 +37,11 @@ PENDULUM = Load(0.004, 0.1, 0.1)
 servo = partial(exported.servo, latency_s=0.0507)
 
 
-def typical(*names: str) -> dict[str, dict[str, float]]:
+def typical(*names):
     return {name: TYPICAL[name] for name in names}
 
 
-def commands() -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def commands():
     """Seven seconds at 50 Hz with jitter: random steps, and a sine that quickens to 1.2 Hz."""
     rng = np.random.default_rng(3)
     t = 0.02 * np.arange(350)
@@ -54,11 +52,11 @@ def commands() -> tuple[np.ndarray, dict[str, np.ndarray]]:
 T, SIGNALS = commands()
 
 
-def predicted(model: Model, signal: str) -> np.ndarray:
+def predicted(model, signal):
     return predict(model, T, {"j1": SIGNALS[signal]})["j1"]
 
 
-def apart(model: Model) -> float:
+def apart(model):
     """RMS difference of MuJoCo and `predict` in rad, the larger of two signals."""
     pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     xml, errors = mujoco(model).text, []
@@ -70,21 +68,21 @@ def apart(model: Model) -> float:
     return max(errors)
 
 
-def moved_by(model: Model) -> float:
+def moved_by(model):
     """RMS of what the effects of a model change in rad, the larger of two signals."""
     bare = Model({"j1": replace(model.joints["j1"], effects=())})
     return max(rms(predicted(model, name) - predicted(bare, name)) for name in SIGNALS)
 
 
 @pytest.mark.parametrize("effect", sorted({*HAS, "torque_saturation"} - ROUGH))
-def test_each_effect_that_maps(effect: str) -> None:
+def test_each_effect_that_maps(effect):
     model = servo(**typical(effect))
     assert not mujoco(model).left_out
     assert moved_by(model) > 3 * WITHIN_RAD  # else agreement would show nothing
     assert apart(model) < WITHIN_RAD
 
 
-def test_rough_friction_is_mostly_there_and_said_to_be_rough() -> None:
+def test_rough_friction_is_mostly_there_and_said_to_be_rough():
     model = servo(**typical("stribeck_friction"))
     assert "bristles" in str(*mujoco(model).left_out)
     assert apart(model) < 0.25 * moved_by(model)
@@ -101,7 +99,7 @@ def test_rough_friction_is_mostly_there_and_said_to_be_rough() -> None:
         ("backlash", "torque_saturation", "coulomb_friction", "quadratic_drag"),
     ],
 )
-def test_several_effects_together(effects: tuple[str, ...]) -> None:
+def test_several_effects_together(effects):
     values = typical(*effects)
     if "torque_saturation" in values:
         values["torque_saturation"] = values["torque_saturation"] | {"free_damping": 0.0}
@@ -112,7 +110,7 @@ def test_several_effects_together(effects: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("effect", ["compliance", "backlash"])
 @pytest.mark.parametrize("of_law", [0.0, 0.0003])
-def test_the_rotor_of_a_train_adds_to_the_load(effect: str, of_law: float) -> None:
+def test_the_rotor_of_a_train_adds_to_the_load(effect, of_law):
     rotor, beside = 0.0012, {"inertia_kgm2": -0.0002}
     train = {effect: TYPICAL[effect] | {"rotor_inertia_kgm2": rotor}}
     model = servo(motor={"rotor_inertia_kgm2": of_law}, **train, unmodelled_inertia=beside)
@@ -138,11 +136,11 @@ def test_the_rotor_of_a_train_adds_to_the_load(effect: str, of_law: float) -> No
     ],
     ids=["plain", "pendulum", "sensor of the motor", "of the output", "inertia", "weight"],
 )
-def test_other_values(model: Model) -> None:
+def test_other_values(model):
     assert apart(model) < WITHIN_RAD
 
 
-def test_a_servo_identified_from_recordings_on_the_one_held_out() -> None:
+def test_a_servo_identified_from_recordings_on_the_one_held_out():
     robot = read_robot(SERVO_STEPS / "robot.toml")
     recordings = [read_recording(SERVO_STEPS / f"{x}.csv") for x in ("steps", "sine", "chirp")]
     model = identify(recordings, robot)
@@ -157,7 +155,7 @@ def test_a_servo_identified_from_recordings_on_the_one_held_out() -> None:
         assert error[0] == pytest.approx(error[1], rel=0.05)  # as near to what was measured
 
 
-def test_every_effect_is_expressed_or_listed_with_a_reason() -> None:
+def test_every_effect_is_expressed_or_listed_with_a_reason():
     for effect in CATALOGUE:
         export = mujoco(servo(**typical(effect.name)))
         if effect.name in {*HAS, "torque_saturation"} - ROUGH:
@@ -170,7 +168,7 @@ def test_every_effect_is_expressed_or_listed_with_a_reason() -> None:
     assert {e.name for e in CATALOGUE} == {*HAS, *LACKS, *ACTUATOR_LACKS}
 
 
-def test_what_no_combination_has_is_listed() -> None:
+def test_what_no_combination_has_is_listed():
     sag = FittedEffect("voltage_sag", {"loss_at_full_load": 0.2})
     for model, listed in (
         (servo(**typical("rate_limit", "command_filter")), "command_filter (0.03 s)"),
@@ -181,7 +179,7 @@ def test_what_no_combination_has_is_listed() -> None:
         assert listed in str(*mujoco(model).left_out)
 
 
-def test_the_file_states_limits_integrator_and_time_step() -> None:
+def test_the_file_states_limits_integrator_and_time_step():
     text = mujoco(servo(), read_robot(SERVO_STEPS / "robot.toml")).text
     assert 'range="-0.8 0.8"' in text
     assert '<option timestep="0.00025" integrator="implicitfast"' in text
@@ -197,18 +195,18 @@ def test_the_file_states_limits_integrator_and_time_step() -> None:
         (Model({"j1": replace(exported.joint(), law="magic")}), "'magic'.*pd, motor, current_lim"),
     ],
 )
-def test_bad_models(model: Model, message: str) -> None:
+def test_bad_models(model, message):
     with pytest.raises(InputError, match=message):
         mujoco(model)
 
 
-def test_bench_names_a_joint_that_is_not_there() -> None:
+def test_bench_names_a_joint_that_is_not_there():
     pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     with pytest.raises(InputError, match="j7.*one of j1"):
         simulate(mujoco(servo()).text, np.array([0.0, 1.0]), {"j7": np.zeros(2)})
 
 
-def test_a_drive_that_clips_before_the_back_emf() -> None:
+def test_a_drive_that_clips_before_the_back_emf():
     model = servo(motor=LINE)
     assert not mujoco(model).left_out
     assert apart(model) < WITHIN_RAD
@@ -216,13 +214,13 @@ def test_a_drive_that_clips_before_the_back_emf() -> None:
 
 
 @pytest.mark.parametrize("timestep_s", [0.002, 0.005])
-def test_damping_below_the_lines_is_as_near_with_eulers_method(timestep_s: float) -> None:
+def test_damping_below_the_lines_is_as_near_with_eulers_method(timestep_s):
     pytest.importorskip("mujoco", reason="exported models are run by MuJoCo")
     line = {"stall_torque_Nm": 3.0, "no_load_speed_rad_s": 12.0, "coulomb_Nm": 0.05}
     model = servo(motor=line)
     text, expected = mujoco(model).text, predicted(model, "steps")
 
-    def error(integrator: str) -> float:
+    def error(integrator):
         how = {"integrator": integrator, "timestep_s": timestep_s}
         return rms(simulate(text, T, {"j1": SIGNALS["steps"]}, **how)["j1"] - expected)
 
@@ -230,7 +228,7 @@ def test_damping_below_the_lines_is_as_near_with_eulers_method(timestep_s: float
 
 
 @pytest.mark.parametrize("free_damping", [0.0, 0.3])
-def test_a_current_limit_below_the_torque_speed_line(free_damping: float) -> None:
+def test_a_current_limit_below_the_torque_speed_line(free_damping):
     limit = {"torque_saturation": {"limit_Nm": 0.2, "free_damping": free_damping}}
     model = servo(motor=LINE, **limit)
     assert not mujoco(model).left_out
@@ -243,7 +241,7 @@ def test_a_current_limit_below_the_torque_speed_line(free_damping: float) -> Non
 
 
 @pytest.mark.parametrize("creep_time_s", [0.0, 0.01])
-def test_friction_that_stops_the_shaft_softly(creep_time_s: float) -> None:
+def test_friction_that_stops_the_shaft_softly(creep_time_s):
     soft = servo(motor={"coulomb_Nm": 0.05, "stick_time_s": 0.03, "creep_time_s": creep_time_s})
     assert not mujoco(soft).left_out
     assert apart(soft) < WITHIN_RAD
@@ -251,14 +249,14 @@ def test_friction_that_stops_the_shaft_softly(creep_time_s: float) -> None:
     assert rms(predicted(soft, "steps") - predicted(hard, "steps")) > 3 * WITHIN_RAD
 
 
-def test_a_motor_that_a_pid_must_run_is_listed() -> None:
+def test_a_motor_that_a_pid_must_run_is_listed():
     export = mujoco(servo(motor=LINE, **typical("rate_limit")))
     assert "clips before the back-EMF" in str(*export.left_out)
     assert 'kv="0.06"' in export.text
     assert "damping" not in export.text
 
 
-def test_what_else_the_motor_has_is_expressed_or_listed() -> None:
+def test_what_else_the_motor_has_is_expressed_or_listed():
     terms = {"stall_torque_Nm": 0.6, "rotor_inertia_kgm2": 0.001, "coulomb_Nm": 0.02}
     export = mujoco(servo(motor=terms | {"resistance_rise": 0.3, "load_friction": 0.1}))
     assert 'armature="0.001"' in export.text

@@ -1,7 +1,5 @@
 """The path of docs/how-to/elsewhere.md with logs of a servo that is not the library's own."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

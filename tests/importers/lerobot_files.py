@@ -4,11 +4,7 @@ Folders, columns and types that are read are those of the public documentation
 (huggingface.co/docs/lerobot) and of published datasets' ``meta/info.json``.
 """
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,11 +16,11 @@ INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 def dataset(
-    root: Path,
-    version: str,
-    episodes: list[tuple[np.ndarray, np.ndarray]],
-    names: Any = "default",
-) -> Path:
+    root,
+    version,
+    episodes,
+    names="default",
+):
     """A dataset of episodes, each a state and an action of shape (T, J)."""
     length = episodes[0][0].shape[1]
     if names == "default":
@@ -34,7 +30,7 @@ def dataset(
     features = {"action": vector, "observation.state": vector} | {
         name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()
     }
-    info: dict[str, Any] = {
+    info = {
         "codebase_version": version,
         "robot_type": "so101_follower",
         "total_episodes": len(episodes),
@@ -62,7 +58,7 @@ def dataset(
     return root
 
 
-def calibration(path: Path) -> Path:
+def calibration(path):
     """A calibration file of these motors, as ``lerobot-calibrate`` writes it."""
     ranges = {"shoulder_pan": (754, 3230), "elbow_flex": (862, 3054), "gripper": (1903, 3135)}
     content = {
@@ -73,7 +69,7 @@ def calibration(path: Path) -> Path:
     return path
 
 
-def _tables(episodes: list[tuple[np.ndarray, np.ndarray]]) -> list[pa.Table]:
+def _tables(episodes):
     tables, first = [], 0
     for number, (state, action) in enumerate(episodes):
         length, joints = state.shape
@@ -89,6 +85,6 @@ def _tables(episodes: list[tuple[np.ndarray, np.ndarray]]) -> list[pa.Table]:
     return tables
 
 
-def _write(table: pa.Table, path: Path) -> None:
+def _write(table, path):
     path.parent.mkdir(parents=True, exist_ok=True)
     parquet.write_table(table, path)

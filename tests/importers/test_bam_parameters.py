@@ -1,11 +1,7 @@
 """BAM's parameters as models: the same motion as BAM's equations, one clear line otherwise."""
 
-from __future__ import annotations
-
 import json
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +9,7 @@ from good_input import message
 
 from sim2real.cli import main
 from sim2real.importers.bam_parameters import read_bam_parameters
-from sim2real.model import Model, read_model
+from sim2real.model import read_model
 from sim2real.recording import GRAVITY_M_S2, Load
 from sim2real.servo.prediction import predict
 
@@ -27,7 +23,7 @@ M5 = {
     "load_friction_motor_stribeck": 0.1,
     "load_friction_external_stribeck": 0.15,
 }
-FILES: dict[str, dict[str, Any]] = {
+FILES = {
     "m1": {**MOTOR, "friction_base": 0.5},
     "m4": {**MOTOR, **STRIBECK, **M4, "friction_base": 0.25},
     "m5": {**MOTOR, **STRIBECK, **M5, "friction_base": 0.25},
@@ -35,20 +31,20 @@ FILES: dict[str, dict[str, Any]] = {
 VOLTS, GAIN, SCALE, DUTY = 15.0, 32.0, 0.158, 0.9625  # of BAM's program for the MX series
 
 
-def read(folder: Path, name: str, **changes: Any) -> Model:
+def read(folder, name, **changes):
     path = folder / f"{name}.json"
     content = {**FILES[name], "model": name, "actuator": "mx64"} | changes
     path.write_text(json.dumps({k: x for k, x in content.items() if x is not None}))
     return read_bam_parameters(path, LOAD)
 
 
-def bam(p: dict[str, float], goals: np.ndarray, dt: float) -> np.ndarray:
+def bam(p, goals, dt):
     """BAM's equations for M1, M4 and M5 on a pendulum, by Euler's method."""
     q = dq = 0.0
     inertia = LOAD.inertia_kgm2 + p["armature"]
     angles = []
 
-    def of_load(name: str, kind: str) -> float:
+    def of_load(name, kind):
         return p.get(f"load_friction_{name}{kind}", p.get(f"load_friction{kind or '_base'}", 0.0))
 
     for goal in goals:
@@ -73,7 +69,7 @@ def bam(p: dict[str, float], goals: np.ndarray, dt: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_model_moves_as_bams_equations_do(name: str, tmp_path: Path) -> None:
+def test_a_model_moves_as_bams_equations_do(name, tmp_path):
     dt = 0.0005
     t = dt * np.arange(6000)
     levels = np.array([0.0, 0.6, -0.5, 0.3, -0.8, 0.1])
@@ -86,7 +82,7 @@ def test_a_model_moves_as_bams_equations_do(name: str, tmp_path: Path) -> None:
     assert np.sqrt(np.mean((without - theirs) ** 2)) > 3 * apart  # the friction is seen
 
 
-def test_a_stribeck_curve_of_another_exponent_has_the_same_area(tmp_path: Path) -> None:
+def test_a_stribeck_curve_of_another_exponent_has_the_same_area(tmp_path):
     alpha, speed = 1.3, 1.4
     joint = read(tmp_path, "m5", alpha=alpha).joints["j1"]
     v = np.linspace(0.0, 200.0, 100_001)
@@ -96,7 +92,7 @@ def test_a_stribeck_curve_of_another_exponent_has_the_same_area(tmp_path: Path) 
     assert any("exponent" in note for note in joint.notes)
 
 
-def test_the_current_limit_of_a_firmware_limits_the_motor(tmp_path: Path) -> None:
+def test_the_current_limit_of_a_firmware_limits_the_motor(tmp_path):
     limited = read(tmp_path, "m1", actuator="xl330", kt=0.4, R=2.8)
     effects = {effect.effect: effect.parameters for effect in limited.joints["j1"].effects}
     assert effects["torque_saturation"]["limit_Nm"] == pytest.approx(0.4 * 1.75)
@@ -113,13 +109,11 @@ def test_the_current_limit_of_a_firmware_limits_the_motor(tmp_path: Path) -> Non
         ({"kt": "1.5"}, "kt: found '1.5', expected a number"),
     ],
 )
-def test_bad_fields_are_one_line(changes: dict[str, Any], line: str, tmp_path: Path) -> None:
+def test_bad_fields_are_one_line(changes, line, tmp_path):
     message(lambda: read(tmp_path, "m1", **changes), line)
 
 
-def test_the_command_writes_a_model_and_says_what_is_not_mapped(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_model_and_says_what_is_not_mapped(tmp_path, capsys):
     read(tmp_path, "m1", q_offset=0.03, backdrive=0.5)
     source, out = str(tmp_path / "m1.json"), tmp_path / "model.json"
     assert main(["import", source, "--out", str(out)]) == 2

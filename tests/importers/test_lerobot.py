@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ DEGREES = conversion(["deg"])
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_an_episode_in_degrees(tmp_path: Path, version: str) -> None:
+def test_an_episode_in_degrees(tmp_path, version):
     root = dataset(tmp_path / "arm", version, EPISODES)
     for number, (state, action) in enumerate(EPISODES):
         recording = read_lerobot(root, DEGREES, episode=number)
@@ -39,7 +36,7 @@ def test_an_episode_in_degrees(tmp_path: Path, version: str) -> None:
         assert recording.metadata["robot_type"] == "so101_follower"
 
 
-def test_normalised_units_by_the_calibration_file(tmp_path: Path) -> None:
+def test_normalised_units_by_the_calibration_file(tmp_path):
     state = np.array([[-100, 0, 0], [100, 50, 100.0], [0, 0, 50]])
     root = dataset(tmp_path / "arm", "v3.0", [(state, state)])
     file = calibration(tmp_path / "follower_arm.json")
@@ -49,7 +46,7 @@ def test_normalised_units_by_the_calibration_file(tmp_path: Path) -> None:
     assert read_lerobot(root, units).position == expected
 
 
-def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
+def test_joints_chosen_and_joints_named(tmp_path):
     root = dataset(tmp_path / "arm", "v3.0", EPISODES)
     some = read_lerobot(root, DEGREES, episode=0, joints=["gripper", "shoulder_pan"])
     assert some.joints == ("gripper", "shoulder_pan")
@@ -60,7 +57,7 @@ def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
     message(lambda: read_lerobot(bare, DEGREES, episode=0), "--joints", "3 names")
 
 
-def test_from_dataset_to_gains(tmp_path: Path) -> None:
+def test_from_dataset_to_gains(tmp_path):
     """Servos at 30 Hz, in degrees and float32, are identified through the command line."""
     truth = Model({name: JointModel(900.0, 28.0, 0.06, 1.0) for name in MOTORS})
     rng = np.random.default_rng(1)
@@ -87,7 +84,7 @@ def test_from_dataset_to_gains(tmp_path: Path) -> None:
         assert joint.latency_s == pytest.approx(0.06, abs=0.001)
 
 
-def test_what_is_not_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_read_is_named(tmp_path, capsys):
     root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
     file = root / "meta" / "info.json"
     features = json.loads(file.read_text())["features"]
@@ -107,14 +104,14 @@ def test_what_is_not_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
     message(lambda: read_lerobot(root, units), "elbow_flex, command", "if angles are rad")
 
 
-def spoiled(root: Path, **fields: object) -> Path:
+def spoiled(root, **fields):
     file = root / "meta" / "info.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | fields))
     return root
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_bad_input(tmp_path: Path, version: str) -> None:
+def test_bad_input(tmp_path, version):
     root = dataset(tmp_path / "arm", version, EPISODES)
 
     def read(units=DEGREES, episode=0, joints=None):
@@ -142,7 +139,7 @@ def test_bad_input(tmp_path: Path, version: str) -> None:
     message(read(), "data_path")
 
 
-def test_units_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_units_are_asked_for(tmp_path, capsys):
     root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
     assert main(["import", str(root), "--out", str(tmp_path / "x.csv")]) == 2
     assert "found no --units, expected --units rad|deg" in capsys.readouterr().err

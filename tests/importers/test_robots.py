@@ -1,9 +1,5 @@
 """Robots from URDF."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from good_input import message
@@ -11,7 +7,7 @@ from good_input import message
 from sim2real.cli import main
 from sim2real.importers.robots import robot_toml
 from sim2real.importers.urdf import read_urdf
-from sim2real.robot import Robot, read_robot
+from sim2real.robot import read_robot
 
 # A base, an upper arm of 0.3 m with a plate welded to it, turned by a quarter about x, and a
 # forearm. Their masses, centres and inertias are chosen so that the sums are easy by hand.
@@ -40,19 +36,19 @@ URDF = """<?xml version="1.0"?>
 """
 
 
-def written(folder: Path, name: str, text: str) -> Path:
+def written(folder, name, text):
     file = folder / name
     file.write_text(text)
     return file
 
 
-def made(folder: Path, file: Path, *more: str) -> Robot:
+def made(folder, file, *more):
     out = folder / "robot.toml"
     assert main(["robot", "from-urdf", str(file), "--out", str(out), *more]) == 0
     return read_robot(out)
 
 
-def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_urdf(tmp_path, capsys):
     robot = made(tmp_path, written(tmp_path, "arm.urdf", URDF))
     assert robot.name == "arm"
     assert [link.name for link in robot.links] == ["base", "upper", "fore"]
@@ -77,7 +73,7 @@ def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert f"# not here: {line}" in (tmp_path / "robot.toml").read_text()
 
 
-def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
+def test_mujoco_reads_the_urdf_alike(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     compiler = '<mujoco><compiler fusestatic="false" balanceinertia="true"/></mujoco>'
     text = URDF.replace('ixx="0" iyy="0"', 'ixx="0.0005" iyy="0.0005"')  # of a plate
@@ -105,9 +101,7 @@ def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
         ((8.5, 8.5), (True, True)),  # alike, but no round number
     ],
 )
-def test_placeholders_are_no_data_sheet(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], values: tuple[float, float], kept: tuple
-) -> None:
+def test_placeholders_are_no_data_sheet(tmp_path, capsys, values, kept):
     text = URDF.replace('effort="3" velocity="6"', 'effort="{}" velocity="{}"'.format(*values))
     servo = made(tmp_path, written(tmp_path, "arm.urdf", text)).joints[0].servo
     printed = capsys.readouterr().out
@@ -118,7 +112,7 @@ def test_placeholders_are_no_data_sheet(
         assert printed.count(said) == (0 if stated else 1)
 
 
-def test_what_a_robot_has_no_place_for_is_named(tmp_path: Path) -> None:
+def test_what_a_robot_has_no_place_for_is_named(tmp_path):
     more = '<mimic joint="shoulder"/><dynamics damping="0.1" friction="0.2"/>'
     text = URDF.replace('<axis xyz="0 0 1"/>', f'<axis xyz="0 0 1"/>{more}')
     tree = read_urdf(written(tmp_path, "arm.urdf", text))
@@ -129,7 +123,7 @@ def test_what_a_robot_has_no_place_for_is_named(tmp_path: Path) -> None:
     assert "elbow: damping and friction (identify finds them): not taken" in notes
 
 
-def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
+def test_joints_that_branch_get_no_links(tmp_path):
     finger = '<joint name="finger" type="revolute"><parent link="plate"/><child link="tip"/>'
     finger += '<limit lower="0" upper="1" effort="1" velocity="9"/></joint><link name="tip"/>'
     slide = '<joint name="slide" type="prismatic"><parent link="tip"/><child link="end"/></joint>'
@@ -167,12 +161,12 @@ def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
         (lambda s: s.replace('<link name="base">', "<link>"), ("no name",)),
     ],
 )
-def test_bad_urdf(tmp_path: Path, spoil, parts: tuple[str, ...]) -> None:
+def test_bad_urdf(tmp_path, spoil, parts):
     file = written(tmp_path, "arm.urdf", spoil(URDF))
     message(lambda: robot_toml(read_urdf(file)), "arm.urdf", *parts)
 
 
-def test_nothing_half_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_half_written(tmp_path, capsys):
     file = written(tmp_path, "arm.urdf", URDF[:-9])
     out = tmp_path / "robot.toml"
     assert main(["robot", "from-urdf", str(file), "--out", str(out)]) == 2

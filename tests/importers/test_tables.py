@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +7,7 @@ from good_input import message
 from sim2real.cli import main
 from sim2real.importers.options import conversion
 from sim2real.importers.tables import column_map, read_table
-from sim2real.recording import Recording, read_recording
+from sim2real.recording import read_recording
 
 DYNAMIXEL = """time_ms,Goal Position,Present Position,Present Current,Present Input Voltage
 1000,,2048,0,11.9
@@ -24,19 +21,19 @@ COLUMNS += ["pan.load=Present Current", "supply_V=Present Input Voltage"]
 COUNTS = conversion(["counts"], 4096, 2048)
 
 
-def csv(tmp_path: Path, text: str = DYNAMIXEL) -> Path:
+def csv(tmp_path, text=DYNAMIXEL):
     path = tmp_path / "log.csv"
     path.write_text(text)
     return path
 
 
-def plain(file: Path, unit: str | None = "s", angles: tuple[str, ...] = ("rad",)) -> Recording:
+def plain(file, unit="s", angles=("rad",)):
     """A file whose columns are t, c and p."""
     columns = column_map(["t=t", "j.command=c", "j.position=p"])
     return read_table(file, columns, conversion(angles), time_unit=unit)
 
 
-def test_counts_by_a_column_map(tmp_path: Path) -> None:
+def test_counts_by_a_column_map(tmp_path):
     log = read_table(csv(tmp_path), column_map(COLUMNS), COUNTS, time_unit="ms")
     assert log.joints == ("pan",)
     assert log.t == pytest.approx([0, 0.01, 0.02, 0.03])  # before the first command: nothing
@@ -48,7 +45,7 @@ def test_counts_by_a_column_map(tmp_path: Path) -> None:
     assert log.metadata["rows_before_first_command"] == 1
 
 
-def test_mujoco_arrays_through_the_command_line(tmp_path: Path) -> None:
+def test_mujoco_arrays_through_the_command_line(tmp_path):
     t = 0.002 * np.arange(50)
     qpos, ctrl = np.zeros((50, 9)), np.stack([np.sin(t + 0.1), np.cos(t + 0.1)], axis=1)
     qpos[:, 7], qpos[:, 8] = np.sin(t), np.cos(t)
@@ -77,7 +74,7 @@ def test_mujoco_arrays_through_the_command_line(tmp_path: Path) -> None:
         (["t=a", ".command"], ("'.command'",)),
     ],
 )
-def test_bad_maps(pairs: list[str] | None, parts: tuple[str, ...]) -> None:
+def test_bad_maps(pairs, parts):
     message(lambda: column_map(pairs), *parts)
 
 
@@ -94,12 +91,12 @@ def test_bad_maps(pairs: list[str] | None, parts: tuple[str, ...]) -> None:
         (DYNAMIXEL.replace("2148", "99999"), ("pan", "at most 12.6 rad")),
     ],
 )
-def test_bad_tables(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
+def test_bad_tables(tmp_path, text, parts):
     file = csv(tmp_path, text)
     message(lambda: read_table(file, column_map(COLUMNS), COUNTS, time_unit="ms"), *parts)
 
 
-def ticks(step: float) -> str:
+def ticks(step):
     return "t,c,p\n" + "".join(f"{k * step!r},0.1,0.1\n" for k in range(20))
 
 
@@ -121,7 +118,7 @@ def ticks(step: float) -> str:
         (ticks(1e7), "s", ("--time-unit s", "in nanoseconds?")),
     ],
 )
-def test_bad_forms_and_units(tmp_path: Path, text: str, unit: str, parts: tuple[str, ...]) -> None:
+def test_bad_forms_and_units(tmp_path, text, unit, parts):
     message(lambda: plain(csv(tmp_path, text), unit), *parts)
 
 
@@ -144,9 +141,7 @@ Q = np.zeros((4, 2))
         ("qpos[0]", None, ("no arrays of numbers",)),
     ],
 )
-def test_bad_arrays(
-    tmp_path: Path, position: str, arrays: dict[str, np.ndarray] | None, parts: tuple[str, ...]
-) -> None:
+def test_bad_arrays(tmp_path, position, arrays, parts):
     file = tmp_path / "log.npz"
     if arrays is None:
         file.write_bytes(b"no archive")
@@ -156,9 +151,7 @@ def test_bad_arrays(
     message(lambda: read_table(file, columns, conversion(["rad"]), time_unit="s"), *parts)
 
 
-def variant(
-    separator: str = ",", comma: bool = False, comment: str = "", header: str = "{}"
-) -> str:
+def variant(separator=",", comma=False, comment="", header="{}"):
     """The table with other separators, commas, comments and marks at its header."""
     rows = [line.split(",") for line in DYNAMIXEL.splitlines()]
     lines = [separator.join(cells) for cells in rows]
@@ -187,7 +180,7 @@ def variant(
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
-def test_other_forms_of_a_table(tmp_path: Path, text: str, form: str | None, encoding: str) -> None:
+def test_other_forms_of_a_table(tmp_path, text, form, encoding):
     named = [pair.replace("Goal Position", "Soll [°]") for pair in COLUMNS]
     expected = read_table(csv(tmp_path), column_map(COLUMNS), COUNTS, time_unit="ms")
     file = tmp_path / "log.tsv"
@@ -201,7 +194,7 @@ def test_other_forms_of_a_table(tmp_path: Path, text: str, form: str | None, enc
     assert log.metadata.get("format") == form
 
 
-def test_columns_separated_by_spaces_below_a_comment(tmp_path: Path) -> None:
+def test_columns_separated_by_spaces_below_a_comment(tmp_path):
     t = 0.01 * np.arange(50)
     np.savetxt(tmp_path / "log.csv", np.stack([t, np.sin(t), np.cos(t)], axis=1), header="t c p")
     log = plain(tmp_path / "log.csv")
@@ -209,12 +202,12 @@ def test_columns_separated_by_spaces_below_a_comment(tmp_path: Path) -> None:
     assert log.metadata["format"] == "columns separated by spaces"
 
 
-def test_a_unit_for_each_column(tmp_path: Path) -> None:
+def test_a_unit_for_each_column(tmp_path):
     text = "t,c,p,d,q\n" + "".join(f"{k},{k},{k},{k},0.{k}\n" for k in range(9))
     columns = ["t=t", "a.command=c", "a.position=p", "b.command=d", "b.position=q"]
     file = csv(tmp_path, text)
 
-    def read(*units: str) -> np.ndarray:
+    def read(*units):
         log = read_table(file, column_map(columns), conversion(units), time_unit="ms")
         return np.concatenate([log.command[-1], log.position[-1]])
 

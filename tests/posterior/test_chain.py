@@ -93,7 +93,6 @@ def test_killed_at_random_it_ends_as_if_it_had_not_been(tmp_path):
     environment, killed = {**os.environ, "PYTHONPATH": path}, 0
     for attempt in range(4):
         with subprocess.Popen(call, stdout=subprocess.PIPE, env=environment) as process:
-            assert process.stdout is not None
             assert process.stdout.readline() == b"ready\n"
             if attempt < 3:
                 time.sleep(float(rng.uniform(0.0, 0.35)))
