@@ -1,8 +1,6 @@
 """The fit: known servos come back, what is not known is said, and nothing is scored on itself."""
 
-import importlib.util
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 from simulated import robot
 
+from datasets.servo_steps import make as plant
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
 from sim2real.recording import Load, Recording, read_recording
@@ -20,10 +19,6 @@ from sim2real.servo.prediction import predict, replay
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 NAMES = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
-
-spec = importlib.util.spec_from_file_location("servo_steps_make", DATA / "make.py")
-plant = sys.modules["servo_steps_make"] = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(plant)
 
 
 def record(servo, command=None, *, seed=0, loads=True, name="steps", t=None, noise=0.0015):
