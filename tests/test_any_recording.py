@@ -130,7 +130,7 @@ def diagnosed(recording: Recording, folder: Path, *known: object) -> object:
 
 
 def ranges(bench: Recording, folder: Path) -> object:
-    found = s2r.ranges(bench, BENCH, SERVO, steps=10, walkers=8)
+    found = s2r.ranges(bench, BENCH, SERVO, steps=10, walkers=16)
     write_ranges(found.ranges, folder / "ranges.json")
     return str(found.ranges)
 
@@ -153,7 +153,7 @@ VERBS: dict[str, tuple[int, Callable[[Recording, Path], object]]] = {
     "predict": (40, predict),
     "posterior": (
         20,
-        lambda bench, _: str(s2r.posterior(bench, BENCH, SERVO, steps=10, walkers=8)),
+        lambda bench, _: str(s2r.posterior(bench, BENCH, SERVO, steps=10, walkers=16)),
     ),
     "ranges": (8, ranges),
     "simulate": (

@@ -121,7 +121,7 @@ def test_an_alias_above_half_the_sampling_rate_is_searched_again(monkeypatch):
     seen = rollout(row[None], t, sent)[0] + rng.normal(0, 1e-3, t.size)
     load = {"j1": Load(simulated.INERTIA)}
     recording = Recording("smooth", "servo", ("j1",), t, sent[:, None], seen[:, None], load)
-    module = importlib.import_module("sim2real.identification.identify")
+    module = importlib.import_module("sim2real.identification.plain_fit")
     guess = module.first_guess
 
     def trapped(traces, rng, **options):

@@ -230,12 +230,12 @@ class _JointFits:
         """Root mean square errors in rad, without effects and with."""
         return rms([self.base.error]), rms([self.best.error])
 
-    def again(self, traces: list[Trace], rng: np.random.Generator) -> _JointFits:
+    def again(self, traces: list[Trace], rng: np.random.Generator, effort: float) -> _JointFits:
         """The same fits to more recordings."""
         if self.motor is not None and self.best is self.motor:
             best = fitted_again(self.motor, traces, self.plain, rng)
             return replace(self, motor=best, best=best)
-        best, motor = continued(self.best, traces), self.motor
+        best, motor = continued(self.best, traces, effort=effort), self.motor
         if motor is not None:
             motor = fitted_again(motor, traces, best, rng)
         return replace(self, motor=motor, best=best)
@@ -263,7 +263,7 @@ def _identify_joint(
     if found.best is found.plain and known:
         notes += advice.on_inertia(found.best, with_inertia(found.best), scored, load)
     if scored and options.refit:  # now that it has been scored
-        found = found.again(data, np.random.default_rng(joint.seed))
+        found = found.again(data, np.random.default_rng(joint.seed), joint.effort)
     best, motor = found.best, found.motor
     spread = uncertainty(best, level=options.interval)
     ends = intervals(best, spread)

@@ -118,7 +118,7 @@ class ServoProblem:
         rows[:, self.columns] = self.values(x)
         if self.row[_PERIOD] > 0:
             shift = rows[:, _LATENCY] - self.row[_LATENCY]
-            rows[:, _PHASE] = (self.row[_PHASE] + shift) % rows[:, _PERIOD]
+            rows[:, _PHASE] = (self.row[_PHASE] + shift) % np.maximum(rows[:, _PERIOD], 1e-9)
         return rows
 
     def searched(self, rows: Array) -> Array:

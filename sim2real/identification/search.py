@@ -219,6 +219,7 @@ def continued(
     row: Array | None = None,
     further: Array | None = None,
     rng: np.random.Generator | None = None,
+    effort: float = 1.0,
 ) -> Fit:
     """Fit the same parameters to more recordings of the joint, from all minima of a fit.
 
@@ -228,6 +229,7 @@ def continued(
         row: Values of the parameters that are not fitted, shape (P,); by default as before.
         further: Further servos from which to start, shape (S, P).
         rng: As of ``fit``.
+        effort: Multiple of the largest number of evaluations.
     """
     problem = replace(best.problem, traces=traces)
     rows = best.problem.rows(np.vstack([best.x[None], best.others[:5]]))
@@ -235,7 +237,9 @@ def continued(
         problem = replace(problem, row=row)
     if further is not None:
         rows = np.vstack([rows, further])
-    return fit(problem, rows, rounds=3, first=10 if further is None else 20, rng=rng)
+    sizes = (10 if further is None else 20, 10, 40)
+    first, later, last = (round(effort * size) for size in sizes)
+    return fit(problem, rows, rounds=3, first=first, later=later, last=last, rng=rng)
 
 
 def point_fit(problem: ServoProblem, row: Array) -> Fit:
