@@ -1,14 +1,19 @@
 """One joint whose parameters are known, as recorded: a servo, its noise, its gaps."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
+from sim2real import predict
 from sim2real.model import FittedEffect, JointModel
-from sim2real.recording import Load, Recording
+from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import COLUMNS, joint_row
 from sim2real.servo.rollout import rollout
 from sim2real.servo.trace import trace
 
+BENCH = Path(__file__).parents[1] / "datasets" / "servo_steps"
 KP, KD, LATENCY, INERTIA = 2.2, 0.06, 0.05, 0.002
 PERIOD, NOISE = 0.02, 0.0015
 FRICTION = {"coulomb_friction": {"torque_Nm": 0.05}}
@@ -57,3 +62,16 @@ def robot(*names):
     servo = Servo("lx824", 1.67, 5.24, 0.00419)
     joints = tuple(Joint(name, servo, (-1.0, 1.0)) for name in names)
     return Robot("bench", (Link("link", 0.1, 0.1, 0.1, 0.1),) * (len(names) + 1), joints)
+
+
+def linear_bench(model, noise=2e-3):
+    """Eight seconds of the shipped steps, recorded on linear servos with the gains of a model.
+
+    Returns:
+        The recording, and the model of these servos.
+    """
+    joints = {n: replace(j, law="pd", motor={}, interval={}) for n, j in model.joints.items()}
+    linear = replace(model, joints=joints)
+    shipped = read_recording(BENCH / "steps.csv").between(0, 400)
+    white = np.random.default_rng(0).normal(0.0, noise, shipped.position.shape)
+    return replace(shipped, position=predict(shipped, None, linear).angles[0] + white), linear

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated
 
 import sim2real as s2r
 from sim2real.diagnose.result import Diagnosis, Mismatch
@@ -85,8 +86,9 @@ def test_density() -> None:
     assert np.average(found.value, weights=found.length_m) == pytest.approx(1.0)
 
 
-def test_posterior_and_ranges(steps, model) -> None:
-    chain = {"steps": 200, "walkers": 12, "seed": 3}
+def test_posterior_and_ranges(model) -> None:
+    steps, model = simulated.linear_bench(model)
+    chain = {"steps": 250, "walkers": 16, "seed": 3}
     found = s2r.posterior(steps, BENCH / "robot.toml", model, **chain)
     prints_and_draws(found, "kp", "N m/rad", "90 %")
     low, high = found.joints["j1"].quantiles(0.001, 0.999)[:, 0]

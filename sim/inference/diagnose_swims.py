@@ -180,7 +180,7 @@ def diagnosis_of(
         {n: {"train": a, "heldout": b} for n, (a, b) in zip(names, part, strict=True)}
         for part in parts
     ]
-    shares = 1 - (held[1] / held[0]) ** 2
+    shares = 1 - (held[1] / np.maximum(held[0], 1e-12)) ** 2
     return Diagnosis(
         verdict=decided.verdict,
         mismatch=tuple(

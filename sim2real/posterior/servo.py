@@ -251,8 +251,12 @@ def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Ch
                 raise InputError(file, f"origin.{name}", "nothing", expected)
         return chain
     noise = np.array([best.scale_rad, best.inflation])
-    origin = dict(zip(_ORIGIN, (best.x, *_factors(best), noise), strict=True))
-    return new_chain(walkers, best.x.size, seed, origin, fingerprint)
+    factor, spread = _factors(best)
+    origin = dict(zip(_ORIGIN, (best.x, factor, spread, noise), strict=True))
+    chain = new_chain(walkers, best.x.size, seed, origin, fingerprint)
+    x = _folded(best.problem, best.x + chain.origin["start"] @ factor.T)
+    inside = np.clip(x, *best.problem.box) - best.x
+    return replace(chain, origin={**chain.origin, "start": np.linalg.solve(factor, inside.T).T})
 
 
 def _fingerprint(problem: ServoProblem, seed: int, walkers: int) -> str:

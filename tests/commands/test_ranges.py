@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated
 
 from sim2real.cli import main
 from sim2real.model import read_model, write_model
@@ -19,7 +20,7 @@ from sim2real.posterior.chain import chain_file, read_chain, write_chain
 from sim2real.posterior.posteriors import read_sample
 from sim2real.progress import MANY, shared
 from sim2real.ranges.entry import read_ranges
-from sim2real.recording import read_recording, write_recording
+from sim2real.recording import write_recording
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"
@@ -29,14 +30,12 @@ STEPS = 250
 
 @pytest.fixture(scope="module")
 def command(tmp_path_factory):
-    """The command line for the first eight seconds of a shipped recording."""
+    """The command line for eight seconds of linear servos, like those of the shipped model."""
     file = tmp_path_factory.mktemp("bench") / "steps.csv"
-    write_recording(read_recording(DATA / "steps.csv").between(0, 400), file)
-    fitted, model = read_model(MODEL), file.with_name("model.json")
-    linear = {
-        name: replace(j, law="pd", motor={}, interval={}) for name, j in fitted.joints.items()
-    }
-    write_model(replace(fitted, joints=linear), model)
+    recording, linear = simulated.linear_bench(read_model(MODEL))
+    model = file.with_name("model.json")
+    write_model(linear, model)
+    write_recording(recording, file)
 
     def words(out, *more, steps=STEPS):
         robot = ["--robot", str(DATA / "robot.toml"), "--model", str(model)]
@@ -137,7 +136,7 @@ def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
     """In every name of a file and on every page."""
     monkeypatch.chdir(tmp_path)
     name = "left/<b>pan"
-    steps = read_recording(DATA / "steps.csv").between(0, 400)
+    steps, _ = simulated.linear_bench(read_model(MODEL))
     one = replace(steps, joints=(name,), command=steps.command[:, :1], columns={},
                   position=steps.position[:, :1], loads={name: steps.loads["j1"]})  # fmt: skip
     write_recording(one, tmp_path / "steps.csv")
@@ -167,7 +166,7 @@ def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
         lambda a: a.update(random_keys=a["random_keys"][:5]),
         lambda a: a.update(random_numbers=np.full(3, np.nan)),
         lambda a: a.update({"origin.factor": np.zeros(2)}),
-        lambda a: a.update({"origin.noise_sd": np.zeros(2)}),
+        lambda a: a.update({"origin.noise": np.zeros(3)}),
     ],
 )
 def test_a_damaged_chain_is_one_line(damage, command, written, tmp_path, capsys):
