@@ -7,7 +7,6 @@ it is mostly seen at rest (``rest``), or the servo's law with the references' pa
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,9 +28,6 @@ from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 Way = Literal["repeat", "rest", "law"]
-Rest = tuple[float, float]
-"""Set-point in rad, and the side from which the servo came, 0 if unknown."""
-
 GAINS = BASE[:3]
 
 
@@ -183,13 +179,10 @@ def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
         difference, shape (P,), and the gain in log-likelihood with the references' load; None where
         the loads do not differ.
     """
-    known, stated = of.traces[0].load, of.traces[of.references].load
-    case = of.traces[of.references :]
-    if any(t.load != known for t in of.traces[: of.references]) or any(
-        t.load != stated for t in case
-    ):
+    loads, row, effects = [trace.load for trace in of.traces], of.row.copy(), []
+    known, stated, case = loads[0], loads[-1], of.traces[of.references :]
+    if len({*loads[: of.references]}) > 1 or len({*loads[of.references :]}) > 1:
         return None
-    row, effects = of.row.copy(), []
     for effect in CATALOGUE:
         if effect.load and (more := getattr(known, effect.load) - getattr(stated, effect.load)):
             row[COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")] += more
@@ -248,15 +241,13 @@ def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[floa
 
     largest = DECISION.change.same_command_lag_s
     lags = np.linspace(-largest, largest, lags_tried)
-    coarse = [difference(float(lag)) for lag in lags]
-    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
-    if not np.isfinite(coarse[k]):
+    coarse, lag = min((difference(float(lag)), float(lag)) for lag in lags)
+    if not np.isfinite(coarse):
         return 0.0, np.inf
-    ends = (float(lags[k]) - step, float(lags[k]) + step)
+    step = float(lags[1] - lags[0])
+    ends = (lag - step, lag + step)
     fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
-    if fine.fun < coarse[k]:
-        return float(fine.x), float(fine.fun)
-    return float(lags[k]), coarse[k]
+    return (float(fine.x), float(fine.fun)) if fine.fun < coarse else (lag, coarse)
 
 
 def beside_rest(
@@ -270,31 +261,25 @@ def beside_rest(
         and the mean square by which angles of one reference differ after one set-point, rad2.
     """
     rests = [_rests(trace, step_rad) for trace in traces]
-    levels = []
-    for trace, keys in zip(traces[:references], rests, strict=False):
-        angles: defaultdict[Rest, list[float]] = defaultdict(list)
-        for k, key in keys.items():
-            angles[key].append(float(trace.position[k]))
-        levels.append({key: np.array(values) for key, values in angles.items()})
-    spread = [values - values.mean() for level in levels for values in level.values()]
-    within = float(np.mean(np.concatenate(spread) ** 2)) if spread else 0.0
-    differences = []
-    for r, (trace, keys) in enumerate(zip(traces, rests, strict=True)):
-        difference = np.full(trace.t.size, np.nan)
-        for k, key in keys.items():
-            same = [
-                np.concatenate(values).mean()
-                for q, level in enumerate(levels)
-                if q != r and (values := [x for at, x in level.items() if _same_rest(at, key)])
-            ]
-            if same:
-                difference[k] = trace.position[k] - np.mean(same)
-        differences.append(difference)
-    return differences, within
+    grid, differences, spread = DECISION.change.same_set_point_rad, [], [np.zeros(0)]
+    for r, (trace, (at, command, side)) in enumerate(zip(traces, rests, strict=True)):
+        levels = [np.full(at.size, np.nan)]
+        for q, (known, there, other_side) in enumerate(rests[:references]):
+            angle, apart = traces[q].position[known], np.abs(command[:, None] - there)
+            if q == r:
+                same = (apart == 0) & (side[:, None] == other_side)
+                spread.append(angle - same @ angle / same.sum(axis=1))
+            else:
+                same = (apart < 2 * grid) & (side[:, None] * other_side >= 0)
+                levels.append(same @ angle / np.where(same.any(axis=1), same.sum(axis=1), np.nan))
+        level = np.ma.masked_invalid(levels).mean(axis=0).filled(np.nan)
+        differences.append(np.full(trace.t.size, np.nan))
+        differences[-1][at] = trace.position[at] - level
+    return differences, _mean_square(np.concatenate(spread))
 
 
-def _rests(trace: Trace, step_rad: float) -> dict[int, Rest]:
-    """The samples of a recording that are at rest."""
+def _rests(trace: Trace, step_rad: float) -> tuple[Index, Array, Array]:
+    """Samples at rest, with their set-points in rad and the sides they came from, 0 if unknown."""
     change = np.diff(trace.command, prepend=trace.command[:1])
     settling = DECISION.change.settling_samples
     recent = np.convolve(change != 0, np.ones(settling + 1))[: change.size] > 0
@@ -303,12 +288,5 @@ def _rests(trace: Trace, step_rad: float) -> dict[int, Rest]:
     still = trace.used & ~recent & np.append(True, quiet) & np.append(quiet, True)
     still[:settling] = False
     last = np.maximum.accumulate(np.where(change != 0, np.arange(change.size), 0))
-    grid = DECISION.change.same_set_point_rad
-    command, side = np.round(trace.command / grid) * grid, np.sign(change[last])
-    return {int(k): (float(command[k]), float(side[k])) for k in np.flatnonzero(still)}
-
-
-def _same_rest(rest: Rest, other: Rest) -> bool:
-    """Whether two rests have one set-point and sides that may be the same."""
-    near = abs(rest[0] - other[0]) < 2 * DECISION.change.same_set_point_rad
-    return near and rest[1] * other[1] >= 0
+    grid, at = DECISION.change.same_set_point_rad, np.flatnonzero(still)
+    return at, np.round(trace.command[at] / grid) * grid, np.sign(change[last[at]])
