@@ -129,7 +129,7 @@ def swevers(robot: Any, rng: np.random.Generator, *, tries: int = 400) -> Array:
     the regressor of a linear servo, (q'', q', q - mean q), with columns scaled to the largest rate
     and acceleration of the series of equal amplitudes.
     """
-    from sim2real.design.limits import limits_of, within
+    from sim2real.design.limits import limits_of
 
     limits = limits_of(robot)
     t = limits.times(SECONDS)
@@ -146,7 +146,7 @@ def swevers(robot: Any, rng: np.random.Generator, *, tries: int = 400) -> Array:
         number = float(np.linalg.cond(regressor))
         if number < least and scale * np.abs(v).max() < limits.rate_rad_s:
             best, least = scale * q, number
-    return within(limits.rest_rad + best[None], limits)[0]
+    return limits.within(limits.rest_rad + best[None])[0]
 
 
 def usual(name: str, robot: Any, rng: np.random.Generator) -> Array:  # noqa: ANN401

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sim.design.swim_commands import SwimLimits, draw, usual, within
+from sim.design.swim_commands import SwimLimits, draw, usual
 from sim.design.swim_objective import SwimObjective
 from sim2real.design.contexts import AS_IT_IS
 from sim2real.design.limits import check_seconds, limits_of
 from sim2real.design.search import best
-from sim2real.design.tell_apart import OPEN, Advance, RivalDesign, forecast
+from sim2real.design.tell_apart import Request, RivalDesign, forecast
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -55,15 +54,11 @@ def design_swim(
     rivals: SwimRivals,
     model: Model,
     robot: Robot,
+    request: Request,
     *,
-    seconds: float = 30.0,
-    again: bool = False,
-    seed: int = 0,
-    file: str | os.PathLike[str] = "diagnosis",
     drawn: int = 96,
     rounds: int = 4,
     threads: int = 2,
-    progress: Advance = lambda share: None,
 ) -> SwimDesign:
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
@@ -74,21 +69,17 @@ def design_swim(
         rivals: The sets that are open.
         model: The model of the diagnosis: servos, and the twin's law and error.
         robot: The robot, for the limits of its commands.
-        seconds: Duration of the swim, s.
-        again: Whether to go on where one set of effects is left.
-        seed: Seed of the search.
-        file: The file that the sets come from, for messages.
+        request: Duration, seed, and which sets count.
         drawn: Number of random swims.
         rounds: Number of batches of 16 variations of the best.
         threads: CPU threads.
-        progress: Called with the share that is done.
 
     Raises:
         InputError: If fewer than two sets are probable, the robot is another one, the duration is
             too short, or no swim that was tried keeps within the limits.
     """
-    least = 0.0 if again else OPEN
-    if sum(one.probability >= least for one in rivals.sets) < 2:
+    seconds, file = request.seconds, request.file
+    if not request.leaves_open(rivals):
         none = "fewer than two probable sets of effects"
         raise InputError(file, "swim_rivals", none, "a diagnosis that leaves some open")
     if rivals.joint_sd_rad.size != len(robot.joints):
@@ -104,8 +95,8 @@ def design_swim(
         check_seconds(seconds, joint)
     objective = SwimObjective(rivals, model, robot, limits, threads=threads, file=file)
     result = best(
-        objective, limits, seconds, rng=np.random.default_rng(seed), draw=draw, within=within,
-        drawn=drawn, rounds=rounds, batch=16, start=usual(limits, seconds), progress=progress,
+        objective, limits, seconds, rng=np.random.default_rng(request.seed), draw=draw, drawn=drawn,
+        rounds=rounds, batch=16, start=usual(limits, seconds), progress=request.progress,
     )  # fmt: skip
     for limit, excess in objective.excesses(result.command[None]).items():
         if excess[0] > 0:
@@ -113,4 +104,4 @@ def design_swim(
             raise InputError(robot.path or robot.name, "limits", found, "a shorter swim")
     names = tuple(joint.joint for joint in limits.joints)
     body = forecast(objective, result.command, achieved=1.0)  # not measured for swims
-    return SwimDesign(AS_IT_IS, (body,), least, moved_joints=names)
+    return SwimDesign(AS_IT_IS, (body,), request.least, moved_joints=names)

@@ -15,7 +15,6 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
-from scipy.fft import idct
 
 from sim.design.swim_commands import SwimLimits
 from sim.fluid.tank import POOL_M
@@ -26,7 +25,7 @@ from sim.inference.law_error import NEVER
 from sim.inference.swims import PoseNoise, Swim
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
-from sim2real.design.rivals import distances, left_by_refits, remaining_entropy
+from sim2real.design.rivals import distances, remaining_entropy
 from sim2real.diagnose.rival_sets import entropy
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.errors import InputError
@@ -121,26 +120,6 @@ class SwimObjective:
         tracks = self._tracks(commands)
         return np.array([self._apart(*pair) for pair in zip(commands, tracks, strict=True)])
 
-    def difference(self, command: Array, i: int, j: int) -> Array:
-        """Difference of two sets' predictions over time that refitted parameters leave, (T,).
-
-        Args:
-            command: Set-points in rad, shape (T, J).
-            i: Index of the first set.
-            j: Index of the second set.
-
-        Returns:
-            The norm over all signals, in standard deviations of a sample's noise.
-        """
-        rows, blocks = self._whitened(command, self._tracks(command[None])[0])
-        vectors, M = rows.T @ self._vectors, self.probability.size
-        of_set = np.split(vectors[:, M:], M, axis=1)
-        left = left_by_refits(vectors[:, i] - vectors[:, j], np.hstack([of_set[i], of_set[j]]))
-        over_time = left.reshape(len(command), -1)
-        for a, b in blocks.edges:
-            over_time[a:b] = idct(over_time[a:b], type=2, norm="ortho", axis=0)
-        return np.asarray(np.linalg.norm(over_time, axis=1))
-
     def _tracks(self, commands: Array) -> Array:
         """Tracks of the likeliest set in the pool, shape (N, T, 3 + J), from standstill."""
         model = self._coordinates.model_at(self._points[0])
@@ -169,14 +148,14 @@ class SwimObjective:
 
     def _apart(self, command: Array, track: Array) -> Array:
         """Distances of all pairs of sets, shape (M, M), for one command (T, J) and its track."""
-        rows, _ = self._whitened(command, track)
+        rows = self._whitened(command, track)
         M = self.probability.size
         if not np.isfinite(rows).all():
             return np.full((M, M), np.nan)
         products = self._vectors.T @ (rows @ rows.T) @ self._vectors
         return np.asarray(distances(products[None], M)[0]) / self.rivals.temperature
 
-    def _whitened(self, command: Array, track: Array) -> tuple[Array, Blocks]:
+    def _whitened(self, command: Array, track: Array) -> Array:
         """Signals of all points less those of the first, transformed and whitened, (R, T K)."""
         period, rivals = self._limits.period_s, self.rivals
         swim = Swim(
@@ -189,7 +168,7 @@ class SwimObjective:
             self._blocks = Blocks.of(swim)
         blocks = replace(self._blocks, power=self._blocks.about(signals[0]))
         changes = spectrum(signals - signals[0], blocks.edges) * blocks.weights(rivals.shares)
-        return changes.reshape(len(signals), -1), blocks
+        return np.asarray(changes.reshape(len(signals), -1))
 
     def _expansion(self, file: str) -> tuple[Array, Array]:
         """Points to simulate, and how predictions and their spreads follow from their signals.

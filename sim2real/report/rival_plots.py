@@ -1,4 +1,4 @@
-"""Section of a page: a designed recording, and how the predictions of rival sets differ on it."""
+"""Section of a page: a designed recording, and which rival sets of effects it tells apart."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.design.tell_apart import ExpectedSeparation, JointForecast, RivalDesign
+from sim2real.design.tell_apart import JointForecast, RivalDesign
 from sim2real.diagnose.rival_sets import task
 from sim2real.report.diagnosis_what import figure
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -22,31 +22,21 @@ _LEAD = (
     "A recording to make next, with the commands that leave the least expected uncertainty over "
     "the sets of effects that the diagnosis left open."
 )
-_CAPTION = (
-    "Above: the set-points of {joint}, of the body those of all joints. Below: what refitted "
-    "parameters leave of the differences of the predictions of pairs of sets, whitened, in "
-    "standard deviations of a sample's noise."
-)
+_CAPTION = "The set-points of {joint}, of the body those of all joints."
 _SHOWN = 10
 
 
 def rivals_figure(joint: JointForecast) -> Figure:
-    """Plot the commands and the differences of the rivals' predictions over time."""
+    """Plot the commands."""
     t = np.asarray(joint.rivals.period_s * np.arange(len(joint.command), dtype=np.float64))
     with house_style():
-        label = printable(f"{joint.rivals.component}: commands, and where rivals differ")
-        figure = new_figure(300, label)
-        above, below = figure.subplots(2, 1, sharex=True)
+        figure = new_figure(200, printable(f"{joint.rivals.component}: commands"))
+        axes = figure.subplots()
         signals = joint.command.reshape(t.size, -1).T
         for signal, colour in zip(signals, cycle((INK, ACCENT, FAINT)), strict=False):
-            above.plot(*drawable(t, signal), color=colour, drawstyle="steps-post")
-        above.set_title("set-point, rad")
-        colours = (ACCENT, INK, FAINT)
-        for pair, difference, colour in zip(joint.pairs, joint.differences, colours, strict=False):
-            below.plot(*drawable(t, difference), color=colour, label=printable(_task(pair)))
-        below.set_title("difference of predictions, standard deviations of the noise")
-        below.set_xlabel("time, s")
-        figure.legend(loc="outside upper left", ncols=1)
+            axes.plot(*drawable(t, signal), color=colour, drawstyle="steps-post")
+        axes.set_title("set-point, rad")
+        axes.set_xlabel("time, s")
     return figure
 
 
@@ -59,7 +49,7 @@ def rivals_section(design: RivalDesign) -> Section:
         blocks.append(Text(_entropy(joint), heading=f"What {name} will tell"))
         blocks.append(figure(drawing, _CAPTION.format(joint=name)))
         rows = [
-            [_task(pair), f"{pair.distance:.2g}", f"{pair.expected:.2f}"]
+            [task(pair.first, pair.second), f"{pair.distance:.2g}", f"{pair.expected:.2f}"]
             for pair in joint.pairs[:_SHOWN]
         ]
         blocks.append(Table(["to", "distance", "expected"], rows))
@@ -72,7 +62,3 @@ def _entropy(joint: JointForecast) -> str:
         f"{len(joint.rivals.sets)} sets of effects are open, as uncertain as {before:.1f} equally "
         f"probable ones. After the recording {after:.1f} are expected to remain."
     )
-
-
-def _task(pair: ExpectedSeparation) -> str:
-    return task(pair.first, pair.second)

@@ -73,7 +73,8 @@ def test_the_trusted_share_follows_from_what_a_refitted_plain_servo_leaves():
         left = effect - slopes @ np.linalg.lstsq(slopes, effect, rcond=None)[0]
         energy = one.gain + 100 * np.log1p(left @ left / 200)
         shares.append(one.probability / (1 + DECISION.law_error**2 * energy))
-    trusted = RivalObjective(quiet).trusted(commands()[:1])[0]
+    one = RivalObjective(quiet)
+    trusted = one.trusted(one.statistics(commands()[:1], 1)[:, 0])[0]
     assert trusted == pytest.approx(sum(shares), rel=0.1)
     assert 0.5 < trusted < 0.9
 
@@ -120,13 +121,3 @@ def test_a_simulation_that_diverges_is_never_chosen(objective):
     scores = objective.scores(sums)
     assert np.isfinite(scores[0])
     assert (scores[1:] == -np.inf).all()
-
-
-def test_the_difference_over_time_makes_up_the_distance(objective):
-    command = commands()[0]
-    left = objective.difference(command, 0, 1)
-    assert left.shape == command.shape
-    # Refitted parameters take up a part of the difference.
-    plain = [predicted(one, command)[0] for one in RIVALS.sets]
-    assert 0 < np.sum(left**2) < np.sum((plain[0] - plain[1]) ** 2)
-    assert np.abs(left[:25]).max() < 1e-6 * np.abs(left).max() + 1e-9, "at rest nothing differs"
