@@ -158,7 +158,6 @@ def diagnosis_of(
                     c.columns[k].name: float(chosen.fit.x[k] - result.plain.fit.x[k])
                     for k in c.base
                 },
-                stability=1.0,
                 statement=f"{title}{where}: {sizes}.{or_else}",
             )
         )  # fmt: skip

@@ -183,7 +183,6 @@ def named(found: Resistance, decisions: Mapping[str, float]) -> NamedEffect:
             "recoverable_removed": None,
         },
         baseline_shift={},
-        stability=1.0,
         statement=(
             f"The robot has a drag area that the robot file leaves out: {mean} (90 %: {low} "
             f"to {high}), about {readable(PLACE, found.place.mean)} behind the front. The estimate "

@@ -71,7 +71,6 @@ def findings(
         unknown={},
         baseline_fit=figures(0),
         enriched_fit=figures(1),
-        ladders={},
         detection_limits=(),
         next_experiment=None,
         gate=(gate,),

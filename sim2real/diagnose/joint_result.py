@@ -74,10 +74,11 @@ class JointFindings:
         return unseen.rmse if unseen else self._train(self.before)
 
     def fit(self, *, enriched: bool) -> dict[str, float | None]:
-        """Errors on fitted and on held-out data, rad."""
+        """Errors on fitted and on held-out data, and the noise, rad."""
         unseen = self.unseen.get(self.offered.members if enriched else self.finding.tried.base)
         train = self._train(self.after if enriched else self.before)
-        return {"train": train, "heldout": None if unseen is None else unseen.rmse}
+        heldout = None if unseen is None else unseen.rmse
+        return {"train": train, "heldout": heldout, "noise": self.joint.noise}
 
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""

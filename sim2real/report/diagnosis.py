@@ -219,14 +219,13 @@ def _sound(diagnosis: Diagnosis) -> list[Block]:
 
 def _error_and_noise(diagnosis: Diagnosis, joint: str) -> str:
     """``"j1 has an error of 1.6 mrad, with 1.5 mrad of noise"``; empty without an error."""
-    signal = f"{joint}.position_rad"
-    ladder, fit = diagnosis.ladders.get(signal), diagnosis.baseline_fit.get(signal, {})
-    if ladder is not None:
-        error, noise = milliradians(ladder.baseline), milliradians(ladder.noise)
-        return f"{joint} has an error of {error}, with {noise} of noise"
-    heldout, train = fit.get("heldout"), fit.get("train")
-    rmse = train if heldout is None else heldout
-    return "" if rmse is None else f"{joint} has an error of {milliradians(rmse)}"
+    fit = diagnosis.baseline_fit.get(f"{joint}.position_rad", {})
+    rmse = fit.get("train") if fit.get("heldout") is None else fit["heldout"]
+    if rmse is None:
+        return ""
+    noise = fit.get("noise")
+    with_noise = "" if noise is None else f", with {milliradians(noise)} of noise"
+    return f"{joint} has an error of {milliradians(rmse)}{with_noise}"
 
 
 def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from sim2real.diagnose.result import Diagnosis, Estimate, Ladder, NamedEffect
+from sim2real.diagnose.result import Diagnosis, Estimate, NamedEffect
 from sim2real.model import JointModel
 from sim2real.report.diagnosis_bars import Bar, bar_figure
 from sim2real.report.diagnosis_words import listed, per_inertia, plain, sure
@@ -141,27 +141,28 @@ def _written(diagnosis: Diagnosis) -> list[str]:
 
 
 def _ladders(diagnosis: Diagnosis) -> list[Block]:
-    differing = {mismatch.signal for mismatch in diagnosis.mismatch}
-    ladders = {name: x for name, x in diagnosis.ladders.items() if name in differing}
-    if not ladders:
-        return []
     panels, anything = {}, False
-    for signal, ladder in ladders.items():
-        joint = signal.rpartition(".")[0]
+    for signal in (mismatch.signal for mismatch in diagnosis.mismatch):
+        plain_fit, enriched = (
+            fit.get(signal, {}) for fit in (diagnosis.baseline_fit, diagnosis.enriched_fit)
+        )
+        joint, noise = signal.rpartition(".")[0], plain_fit.get("noise")
+        if noise is None or plain_fit.get("heldout") is None or enriched.get("heldout") is None:
+            continue
         has_effects = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
         anything |= has_effects
-        panels[joint] = _rungs(ladder, has_effects=has_effects)
+        rungs = [
+            ("plain servo", plain_fit["heldout"], False),
+            ("with the named effects", enriched["heldout"] if has_effects else None, True),
+            ("sensor noise", noise, False),
+        ]
+        panels[joint] = [
+            Bar(label, x, milliradians(x), strong) for label, x, strong in rungs if x is not None
+        ]
+    if not panels:
+        return []
     caption = _LADDER.format(named=_WORTH if anything else "")
     return [figure(bar_figure(panels, "held-out error"), caption)]
-
-
-def _rungs(ladder: Ladder, *, has_effects: bool) -> list[Bar]:
-    rungs: list[tuple[str, float | None, bool]] = [
-        ("plain servo", ladder.baseline, False),
-        ("with the named effects", ladder.enriched if has_effects else None, True),
-        ("sensor noise", ladder.noise, False),
-    ]
-    return [Bar(label, x, milliradians(x), strong) for label, x, strong in rungs if x is not None]
 
 
 def _parameter_rows(diagnosis: Diagnosis, effect: NamedEffect) -> list[tuple[str, str, str]]:

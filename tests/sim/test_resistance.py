@@ -44,7 +44,7 @@ def diagnosis():
     none = {}
     return Diagnosis(
         verdict="unexplained", mismatch=(), effects=(), rivals=(), unknown={}, baseline_fit=none,
-        enriched_fit=none, ladders=none, detection_limits=(), next_experiment=None, gate=(),
+        enriched_fit=none, detection_limits=(), next_experiment=None, gate=(),
         model=servos(), baseline=servos(),
     )  # fmt: skip
 
