@@ -298,7 +298,7 @@ def _varied(joints: Sequence[JointFindings]) -> list[Row]:
         posterior.DECISION = replace(DECISION, **{name: value}) if name else DECISION
         some = posterior.posteriors(tried, np.random.default_rng(0))
         for row, one, probable in zip(found, tried, some, strict=True):
-            groups = [[g.members, g.probability, g.stability] for g in probable.groups(one.base)]
+            groups = [[g.members, g.probability] for g in probable.groups(one.base)]
             row[f"{name}={value:g}" if name else ""] = [sorted(probable.sets[0]), groups]
     posterior.DECISION = DECISION
     return found

@@ -47,10 +47,10 @@ def alike(name: str, found: Row) -> str:
 
 
 def _effects(row: Row, entry: Sequence[Any], weights: Values) -> set[str]:
-    """What would be named, the groups' probabilities and stabilities being these."""
+    """What would be named, the groups' probabilities being these."""
     features = {group["members"][0]: group["features"] for group in row["groups"]}
     said = set()
-    for members, p, _ in entry[1]:
+    for members, p, *_ in entry[1]:
         usual = features.get(members[0])
         if usual is None:
             continue

@@ -63,7 +63,7 @@ class Change:
         order = sorted(effects, key=lambda n: -effects[n])
         sets = (base, *(base | {n} for n in order))
         probability = np.array([1 - sum(effects.values()), *(effects[n] for n in order)])
-        return EffectPosterior(sets, probability, probability)
+        return EffectPosterior(sets, probability)
 
 
 def what_changed(
@@ -80,7 +80,7 @@ def what_changed(
         effects, with_load, gain = load
         sure = min(float(expit(gain)), DECISION.most_certain)
         if sure >= DECISION.named:  # a change seen through a wrong load is none
-            groups = tuple(Group((effect,), sure, sure) for effect in effects)
+            groups = tuple(Group((effect,), sure) for effect in effects)
             return Change(groups, dict.fromkeys(effects, sure), with_load)
     return changed(of, step_rad)
 
@@ -160,7 +160,7 @@ def _single(of: Explained, effects: Contrast) -> Change:
     foreign = foreign or (of.way == "repeat" and _leaves_more(of, effects))
     if of.way == "rest" or foreign or any(n in BASE for n in group.members):
         most = min(group.probability, DECISION.change.most_certain)
-        group = replace(group, probability=most, stability=most)
+        group = replace(group, probability=most)
     row = effects.rows[effects.effects.index(group.members[0])]
     # A change, and no effect, unless it may well be one.
     anew = sum(p for n, p in probability.items() if n in BASE and n not in group.members)
@@ -186,7 +186,7 @@ def _group(probability: Mapping[str, float]) -> Group:
     effects = [n for n in likely if n not in BASE]
     members = (*effects, *(n for n in likely if n in BASE and near))
     sure = min(sum(probability[n] for n in members), DECISION.most_certain)
-    return Group(members, sure, sure)
+    return Group(members, sure)
 
 
 def _leaves_more(of: Explained, effects: Contrast) -> bool:
@@ -309,4 +309,4 @@ def _irregular_timing(of: Explained, *, lags: int = 2, least_gain: float = 1.0) 
     if sure < DECISION.named:
         return None
     effect = links[worst].effect
-    return Change((Group((effect,), sure, sure),), {effect: sure}, of.row, link=links[worst])
+    return Change((Group((effect,), sure),), {effect: sure}, of.row, link=links[worst])
