@@ -20,14 +20,6 @@ def test_probabilities_add_up_to_one(case, request):
     assert (result.probability >= 0).all()
 
 
-def test_the_effect_that_is_there_is_probable(rubbing):
-    result = drawn(rubbing)
-    assert result.inclusion("coulomb_friction") > 0.9
-    (group,) = result.groups(frozenset())
-    assert group.members[0] == "coulomb_friction"
-    assert group.probability > 0.9
-
-
 def test_two_filters_stand_in_one_group(filtered):
     (group,) = drawn(filtered).groups(frozenset())
     assert set(group.members) == {"command_filter", "sensor_filter"}
