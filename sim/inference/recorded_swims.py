@@ -92,7 +92,7 @@ def _compared(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> Diagnosi
     """The diagnosis with what designed recordings were expected to tell, and what they showed."""
     rivals = diagnosis.swim_rivals
     assert rivals is not None
-    found = {frozenset(one.effects): one.probability for one in rivals.sets}
+    found = {one.effects: one.probability for one in rivals.sets}
     stated = design_of(recordings, rivals.component)
     return replace(diagnosis, separations=separations(rivals.component, stated, found))
 

@@ -111,8 +111,10 @@ def _named_effect(results: Mapping[str, JointFindings], entry: Named) -> NamedEf
 
 def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
     """Precision-weighted means of what several joints say."""
+    if len(estimates) < 2:
+        return dict(*estimates)
     combined = {}
-    for name in estimates[0] if estimates else ():
+    for name in estimates[0]:
         means = np.array([entry[name].mean for entry in estimates])
         sds = np.array([entry[name].sd for entry in estimates])
         # An unbounded standard deviation keeps a weight, so that not all weights are 0.
@@ -120,8 +122,7 @@ def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate
         mean = float(np.sum(weight * means) / weight.sum())
         # Never narrower than the joints' own disagreement.
         spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
-        several = len(estimates) > 1
-        sd = float(max(1 / np.sqrt(weight.sum()), spread)) if several else float(sds[0])
+        sd = float(max(1 / np.sqrt(weight.sum()), spread))
         low = min(mean, max(mean - Z90 * sd, min(e[name].q05 for e in estimates)))
         high = max(mean, min(mean + Z90 * sd, max(e[name].q95 for e in estimates)))
         combined[name] = Estimate(mean, sd, low, high)
@@ -234,10 +235,13 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
         separations=tuple(
-            separation
+            pair
             for joint in joints
-            if (stated := design_of(case.recordings, joint.name))
-            for separation in separations(joint.name, stated, set_probabilities(joint))
+            for pair in separations(
+                joint.name,
+                design_of(case.recordings, joint.name),
+                set_probabilities(joint.joint, joint.finding),
+            )
         ),
         rival_sets=tuple(
             rival_sets(joint.joint, joint.finding)
