@@ -1,23 +1,15 @@
 """Commands that tell rival sets of effects apart: the entropy over sets that a recording leaves.
 
-Each set of effects predicts the angles of a recording, with a covariance for what its parameters,
-fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise (Box
-and Hill, Technometrics 9 (1967) 57-71). Two sets are as far apart as the Bhattacharyya distance
+Each set predicts y ~ N(m_i, I + U_i U_i'), whitened by the noise, with what its parameters, fitted
+to the recordings so far, may still be (Box and Hill, Technometrics 9 (1967) 57-71). Two sets are as
+far apart as the Bhattacharyya distance
 
-    d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j,
+    d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j;
 
-in which refitted parameters take up what they can of the difference (Atkinson and Fedorov,
-Biometrika 62 (1975) 57-70). With probabilities p the entropy that remains is at most
-
-    sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
-
-(Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2). A diagnosis
-fits the noise to what a set leaves: the evidence of n samples against the wrong set is at most
-n/2 log(1 + r'r / n) (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991, section 5.8, and
-Jensen's inequality), which stands for r'r / 2 here. The law of an effect is wrong by a share q of
-its own response, so that a diagnosis trusts a share 1 / (1 + q**2 E) of the evidence
-(``effect_probabilities.trusted_share``), with E half the energy that a refitted plain servo leaves
-of a set's effects, summed over all recordings. Distances are multiplied by its mean over sets.
+with probabilities p the entropy that remains is at most sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
+(Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10). As the noise is fitted, the evidence of n
+samples is at most n/2 log(1 + r'r / n) (Brockwell and Davis, Time Series, 1991, section 5.8), and a
+diagnosis trusts a share of it (``effect_probabilities.trusted_share``).
 """
 
 from __future__ import annotations
