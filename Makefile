@@ -24,20 +24,15 @@ docs: .venv/installed   ## the documentation, in build/site; a warning is an err
 	$(BIN)/pip install --quiet --constraint constraints.txt $(PIP_EXTRA) --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for the fluid's resolution too
-	$(BIN)/python benchmarks/recovery.py
-	$(BIN)/python benchmarks/real_servos.py
-	$(BIN)/python benchmarks/real_diagnosis.py
-	if [ $(DEVICE) != cpu ]; then $(BIN)/python benchmarks/resolution.py --device $(DEVICE) --cells 0.02 0.01 0.005; fi
-	if [ $(DEVICE) != cpu ]; then $(BIN)/python benchmarks/wall_cases.py build/wall_cases.json --device $(DEVICE) --only friction carried mass hard momentum; fi
-	$(BIN)/sim2real validate --device $(DEVICE)
+validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for finer cells
+	$(BIN)/python -m benchmarks.coverage
+	$(BIN)/python -m benchmarks.real_servos --seeds 0 1 2 3
+	$(BIN)/python -m benchmarks.validation --device $(DEVICE)
 
 bench: .venv/installed   ## speed and memory, as ratios; first how fast the machine is
-	$(BIN)/python benchmarks/machine.py
-	$(BIN)/python benchmarks/speed.py
-	$(BIN)/python benchmarks/first_hour.py
-	$(BIN)/python benchmarks/fluid_speed.py
-	$(BIN)/python benchmarks/twin_speed.py
+	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.first_hour
+	$(BIN)/python -m benchmarks.fluid_speed
 
 yardstick: .venv/installed   ## what moved in the answers of the verbs since benchmarks/yardstick.json was written
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/yardstick.py

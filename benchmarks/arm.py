@@ -6,31 +6,26 @@ their commands alone. Cases: ``plain`` (motors at their voltage limit), ``worn``
 and play besides). Methods: ``coupled`` (loads from the URDF, coupled prediction) and ``alone``
 (each joint by itself, its load unknown).
 
-    python benchmarks/arm.py --processes 4 --out reports/arm
-
-writes arm.json, arm.md and arm.png.
+    python -m benchmarks.arm [--processes 4] [--seconds 30]
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import command_line, spread
 
+from benchmarks.harness import ROOT, command_line, spread, table
 from sim2real import verbs
 from sim2real.arrays import Array
 from sim2real.model import JointModel, Model
-from sim2real.output import write_json, write_whole
 from sim2real.recording import Recording
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets" / "so101"))
+sys.path.insert(0, str(ROOT / "datasets" / "so101"))
 import arm_plant  # noqa: E402 - made importable above
 
-ROBOT = arm_plant.FOLDER / "robot.toml"
 CASES = {"plain": arm_plant.Physics(), "worn": arm_plant.WORN}
 EFFECTS = {"plain": (), "worn": ("coulomb_friction", "backlash")}
 METHODS = ("coupled", "alone")
@@ -50,10 +45,10 @@ def recordings(case: str, seconds: float) -> tuple[list[Recording], list[Array]]
     return [recording for recording, _ in played], [true for _, true in played]
 
 
-def result(task: tuple[str, str, float]) -> dict[str, Any]:
-    """Errors on the two unseen recordings and the parameters, of every joint."""
+def result(task: tuple[str, str, float]) -> tuple[Array, list[dict[str, float]]]:
+    """Errors on the two unseen recordings over the noise, (joints, 2), and the parameters."""
     case, method, seconds = task
-    robot = verbs.robot_of(ROBOT)
+    robot = verbs.robot_of(arm_plant.FOLDER / "robot.toml")
     recorded, true = recordings(case, seconds)
     model = verbs.identify(
         recorded[:3],  # the last of them is held out
@@ -61,131 +56,64 @@ def result(task: tuple[str, str, float]) -> dict[str, Any]:
         law="motor",
         effects=EFFECTS[case],
     )
-    predicted = verbs.predict(recorded[2:], None, model).angles
-    joints = {}
-    for j, name in enumerate(arm_plant.NAMES):
-        residuals = [
-            a[:, j] - r.position[:, j] for a, r in zip(predicted, recorded[2:], strict=True)
-        ]
-        noise = [r.position[:, j] - x[:, j] for r, x in zip(recorded[2:], true[2:], strict=True)]
-        joints[name] = {
-            "noise_rad": _rms(np.concatenate(noise)),
-            "rmse_steps_rad": _rms(residuals[0]),
-            "rmse_multisines_rad": _rms(residuals[1]),
-            "residual_steps_rad": residuals[0].round(6).tolist(),
-            "estimates": _estimates(model.joints[name], model),
-            "truth": _truth(case, j),
-        }
-    return {"case": case, "method": method, "joints": joints}
+    seen = np.array([one.position for one in recorded[2:]])
+    noise = _rms((seen - np.array(true[2:])).reshape(-1, seen.shape[2]))
+    left = np.array(verbs.predict(recorded[2:], None, model).angles) - seen
+    errors = np.stack([_rms(one) / noise for one in left], axis=1)
+    return errors, [_estimates(model.joints[name], model) for name in arm_plant.NAMES]
 
 
-def _rms(error: Array) -> float:
-    return float(np.sqrt(np.mean(error**2)))
+def _rms(error: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
 def _estimates(joint: JointModel, model: Model) -> dict[str, float]:
-    found = {"latency_s": joint.latency_s}
-    if model.arm is not None:  # gains of the other method are per unit of inertia
-        found |= {"kp_Nm_per_rad": joint.kp_Nm_per_rad, "kd_Nms_per_rad": joint.kd_Nms_per_rad}
-        rotor = joint.motor.get("rotor_inertia_kgm2")
-        found |= {} if rotor is None else {"rotor_inertia_kgm2": rotor}
-    for effect in joint.effects:
-        if effect.effect == "coulomb_friction" and model.arm is not None:
-            found["coulomb_Nm"] = effect.parameters["torque_Nm"]
-        if effect.effect == "backlash":
-            found["gap_rad"] = effect.parameters["gap_rad"]
-    return found
+    if model.arm is None:  # gains are per unit of inertia
+        return {"latency_s": joint.latency_s}
+    names = ("latency_s", "kp_Nm_per_rad", "kd_Nms_per_rad")
+    effects = {name: x for e in joint.effects for name, x in e.parameters.items()}
+    renamed = {"torque_Nm": "coulomb_Nm"}
+    found = {name: float(getattr(joint, name)) for name in names} | dict(joint.motor)
+    return found | {renamed.get(name, name): x for name, x in effects.items()}
 
 
 def _truth(case: str, j: int) -> dict[str, float]:
-    physics = CASES[case]
     names = ("latency_s", "kp_Nm_per_rad", "kd_Nms_per_rad", "rotor_inertia_kgm2")
-    if case == "worn":
-        names += ("coulomb_Nm", "gap_rad")
-    return {name: float(getattr(physics, name)[j]) for name in names}
+    names += ("coulomb_Nm", "gap_rad") if case == "worn" else ()
+    return {name: float(getattr(CASES[case], name)[j]) for name in names}
 
 
-def table(results: list[dict[str, Any]]) -> str:
-    """Markdown: errors in units of the noise, and parameters against the truth."""
-    text = "# Servos of an arm\n\nMade by `benchmarks/arm.py`. Errors on two recordings that no fit"
-    text += " used, relative to the sensor noise\n(encoder noise and quantisation).\n"
-    for case in dict.fromkeys(r["case"] for r in results):
-        found = {r["method"]: r["joints"] for r in results if r["case"] == case}
-        text += f"\n## {case}\n\n| joint | noise (mrad) |"
-        text += "".join(f" {m}: steps | {m}: multisines |" for m in found)
-        text += "\n|---|---|" + "---|---|" * len(found) + "\n"
-        for name in arm_plant.NAMES:
-            noise = next(iter(found.values()))[name]["noise_rad"]
-            text += f"| {name} | {1e3 * noise:.2f} |"
-            for joints in found.values():
-                for kind in ("steps", "multisines"):
-                    text += f" {joints[name][f'rmse_{kind}_rad'] / noise:.2f} |"
-            text += "\n"
-        if "coupled" in found:
-            text += "\n" + _parameters(found["coupled"])
-    return text
-
-
-def _parameters(joints: dict[str, Any]) -> str:
-    names = list(next(iter(joints.values()))["truth"])
-    text = "Coupled: estimate (truth).\n\n| joint |" + "".join(f" {name} |" for name in names)
-    text += "\n|---|" + "---|" * len(names) + "\n"
-    for joint, found in joints.items():
-        text += f"| {joint} |"
-        for name in names:
-            estimate = found["estimates"].get(name)
-            shown = "none" if estimate is None else f"{estimate:.4g}"
-            text += f" {shown} ({found['truth'][name]:.4g}) |"
-        text += "\n"
-    return text
-
-
-def plot(results: list[dict[str, Any]], path: Path) -> None:
-    """Residuals of the unseen steps of each joint, a row for each joint, a column for each case."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    cases = list(dict.fromkeys(r["case"] for r in results))
-    figure, axes = plt.subplots(
-        len(arm_plant.NAMES), len(cases), sharex=True, squeeze=False, figsize=(6 * len(cases), 9)
-    )
-    colours = {"alone": "tab:orange", "coupled": "tab:blue"}
-    for column, case in enumerate(cases):
-        axes[0, column].set_title(case)
-        axes[-1, column].set_xlabel("time (s)")
-        for r in sorted((r for r in results if r["case"] == case), key=lambda r: r["method"]):
-            for axis, name in zip(axes[:, column], arm_plant.NAMES, strict=True):
-                residual = 1e3 * np.array(r["joints"][name]["residual_steps_rad"])
-                t = PERIOD_S * np.arange(residual.size)
-                axis.plot(t, residual, lw=0.7, color=colours[r["method"]], label=r["method"])
-                axis.set_ylabel(f"{name}\n(mrad)", fontsize=8)
-    axes[0, 0].legend(loc="upper right", fontsize=8)
-    figure.suptitle("Predicted minus measured angle on unseen steps")
-    figure.tight_layout()
-    figure.savefig(path, dpi=100)
+def tell(case: str, found: dict[str, tuple[Array, list[dict[str, Any]]]]) -> None:
+    """Print errors in units of the noise, and parameters (truth in brackets)."""
+    heading = [f"{method}: {kind}" for method in found for kind in ("steps", "multisines")]
+    rows = [
+        (name, *(f"{x:.2f}" for errors, _ in found.values() for x in errors[j]))
+        for j, name in enumerate(arm_plant.NAMES)
+    ]
+    print(f"\n{case}: errors on two recordings that no fit used, over the sensor noise\n")
+    print(table(("joint", *heading), rows))
+    if "coupled" not in found:
+        return
+    rows = []
+    for j, name in enumerate(arm_plant.NAMES):
+        cells = []
+        for parameter, true in _truth(case, j).items():
+            estimate = found["coupled"][1][j].get(parameter)
+            cells.append(f"{'none' if estimate is None else f'{estimate:.4g}'} ({true:.4g})")
+        rows.append((name, *cells))
+    print("\ncoupled: estimate (truth)\n\n" + table(("joint", *_truth(case, 0)), rows))
 
 
 def main() -> None:
-    """Run the cases and write the report."""
-    parser = command_line(
-        __doc__, out=Path("reports/arm"), seconds=(30.0, "length of a recording"), processes=2
-    )
+    """Run the cases and print the tables."""
+    parser = command_line(__doc__, seconds=(30.0, "length of a recording"), processes=2)
     parser.add_argument("--cases", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
     tasks = [(c, method, options.seconds) for c in options.cases for method in options.methods]
-    results = list(spread(result, tasks, options.processes))
-    plot(results, options.out / "arm.png")
-    for joints in (found["joints"] for found in results):
-        for found in joints.values():
-            del found["residual_steps_rad"]
-    write_json(options.out / "arm.json", {"seconds": options.seconds, "results": results})
-    text = table(results)
-    write_whole(options.out / "arm.md", text)
-    print(text)
+    results = dict(zip(tasks, spread(result, tasks, options.processes), strict=True))
+    for case in options.cases:
+        tell(case, {method: results[case, method, options.seconds] for method in options.methods})
 
 
 if __name__ == "__main__":

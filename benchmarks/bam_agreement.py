@@ -10,7 +10,6 @@ with a time step of 0.25 ms, so that what is printed is the difference of the mo
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import tempfile
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import command_line
 from sim2real.arrays import Array
 from sim2real.importers.bam_parameters import read_bam_parameters
 from sim2real.model import Model
@@ -51,35 +51,33 @@ def ask(python: str, job: dict[str, Any]) -> dict[str, Any]:
         return answer
 
 
-def imported(parameters: dict[str, Any], load: Load) -> Model:
-    """The model of a parameter file."""
+def imported(parameters: dict[str, Any], length_m: float, mass_kg: float | None = None) -> Model:
+    """The model of a parameter file on a pendulum, of a third of the stall torque where None."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "parameters.json")
         path.write_text(json.dumps(parameters))
-        return read_bam_parameters(path, load)
+        if mass_kg is None:
+            stall = read_bam_parameters(path, Load(1.0)).joints["j1"].motor["stall_torque_Nm"]
+            mass_kg = stall / 3 / (GRAVITY_M_S2 * length_m)
+        return read_bam_parameters(path, Load(mass_kg * length_m**2, mass_kg, length_m))
 
 
 def main() -> None:
     """Print a table of RMS differences in mrad."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("python", help="Python of the environment that has BAM")
-    python = options.parse_args().python
+    parser = command_line(__doc__)
+    parser.add_argument("python", help="Python of the environment that has BAM")
+    python = parser.parse_args().python
     shipped = ask(python, {})
     t, sent = signals()
     models, servos = {}, {}
     for name, parameters in shipped["parameters"].items():
         if "erob" in parameters["actuator"]:
             continue
-        stall = imported(parameters, Load(1.0)).joints["j1"].motor["stall_torque_Nm"]
-        mass = stall / 3 / (GRAVITY_M_S2 * LENGTH_M)
-        models[name] = imported(parameters, Load(mass * LENGTH_M**2, mass, LENGTH_M))
-        servo = models[name].provenance["servo"]
-        servos[name] = servo | {
-            "file": name,
-            "mass_kg": mass,
-            "length_m": LENGTH_M,
-            "without_offset": True,
-        }
+        model = models[name] = imported(parameters, LENGTH_M)
+        load = model.joints["j1"].load
+        assert load is not None
+        bench = {"file": name, "mass_kg": load.pendulum_mass_kg, "length_m": LENGTH_M}
+        servos[name] = model.provenance["servo"] | bench | {"without_offset": True}
     job = {"servos": servos, "dt_s": DT_S, "signals": {k: x.tolist() for k, x in sent.items()}}
     answer = ask(python, job)
     print(f"better-actuator-models {shipped['version']}; mrad RMS, motion itself in brackets")

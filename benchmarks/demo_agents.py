@@ -1,7 +1,7 @@
 """Ship the agents that a ``sim2real demo --train`` has trained with the data.
 
     sim2real demo --train --out build/demo          # some minutes of two cores
-    python benchmarks/demo_agents.py build/demo     # [--out datasets/pool/agents/ablation]
+    python -m benchmarks.demo_agents build/demo     # [--out datasets/pool/agents/ablation]
 
 Keeps the policy of each of the ablation's agents, the calibrated model and the ranges that they
 were trained for, the plan, and the SHA-256 of all these files and of the inputs.
@@ -9,30 +9,26 @@ were trained for, the plan, and the SHA-256 of all these files and of the inputs
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.harness import ROOT, command_line
 from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
-from rl.experiments.arms import PAPER
-from rl.experiments.pretrained import write_pretrained
-from rl.sac.plan import Plan
+from rl.experiments.ablation import PAPER, write_pretrained
+from rl.sac.train import Plan
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import provenance
 from sim2real.ranges.entry import read_ranges
 
-POOL = Path("datasets/pool")
+POOL = ROOT / "datasets" / "pool"
 
 
 def main() -> None:
     """Collect, check, keep."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, help="folder of a 'sim2real demo --train'")
-    parser.add_argument("--out", type=Path, default=POOL / PRETRAINED)
-    options = parser.parse_args()
+    options = command_line(__doc__, "run", out=POOL / PRETRAINED).parse_args()
     plan = replace(QUICK, seeds=tuple(range(SEEDS)))
     agents = trained(options.run / "trained" / "train", plan)
     inputs = [POOL / "robot.toml", POOL / "model.json", POOL / f"{SWIM}.csv"]

@@ -1,6 +1,6 @@
 """How long the first hour's two commands take: identify and diagnose on new benches, in A and s.
 
-python benchmarks/first_hour.py [--benches 50] [--kind single] [--seed S]
+python -m benchmarks.first_hour [--benches 50] [--kind single] [--seed S]
 
 A is the time of ten million additions in a Python loop, taken in the same minute: machines differ,
 and so does what else they are doing. A bench has three servos of ``datasets/foreign`` and two
@@ -10,7 +10,6 @@ nothing fits, and the search goes farthest. Needs ``pip install mujoco numba``.
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import secrets
@@ -25,10 +24,9 @@ from unittest import mock
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-# In place of this folder, whose ``coverage.py`` numba would take for the package of that name.
-sys.path[:1] = [str(ROOT), *(str(ROOT / "datasets" / name) for name in ("foreign", "concealed"))]
-from benchmarks.machine import seconds_per_ten_million_additions  # noqa: E402
+from benchmarks.harness import ROOT, command_line, seconds_per_ten_million_additions
+
+sys.path[:0] = [str(ROOT / "datasets" / name) for name in ("foreign", "concealed")]
 
 RATE_HZ, DURATION_S = 50.0, 30.0
 GIVEN = ("a.csv", "b.csv")
@@ -37,11 +35,11 @@ KINDS = ("single", "double", "outside", "null")
 
 def main() -> None:
     """Draw the benches, run both commands on each, print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--benches", type=int, default=3, metavar="N")
+    parser = command_line(
+        __doc__, benches=3, seed=(int, "of the benches; by default the system draws one"),
+        in_process=(False, "without the process's start"),
+    )  # fmt: skip
     parser.add_argument("--kind", choices=KINDS, default="single", help="what is hidden")
-    parser.add_argument("--seed", type=int, help="of the benches; by default the system draws one")
-    parser.add_argument("--in-process", action="store_true", help="without the process's start")
     options = parser.parse_args()
     seed = secrets.randbits(32) if options.seed is None else options.seed
     print(f"{options.benches} benches ({options.kind}), seed {seed}")

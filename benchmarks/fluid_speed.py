@@ -1,6 +1,6 @@
 """Speed of the fluid and of swimming robots on one device, beside what its memory can do.
 
-    python benchmarks/fluid_speed.py [--device cuda:0] [--wall forcing] [--tiny] [--out FILE.json]
+    python -m benchmarks.fluid_speed [--device cuda:0] [--tiny] [--out FILE.json]
 
 Prints million lattice updates a second (MLUPS), the share of a device-to-device copy's bandwidth,
 control steps a second of batches of swimmers, and memory for each. Writes the same as JSON.
@@ -11,23 +11,21 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
-from harness import command_line
 
+from benchmarks.harness import command_line
 from sim.fluid.fluid import Fluid, find_device
-from sim.fluid.wall import SLIP, Wall
 from sim.lattice.velocities import D2Q9, D3Q19, Lattice
-from sim.robot.swimmer import Swimmer
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.twin import Twin
 from sim2real.model import JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
 
-BYTES = {"float32": 4, "float16": 2}
 SERVO = Servo("lx824", 1.67, 5.24, 0.00419)
 ROBOT = Robot(
     "three-joint fish",
@@ -40,17 +38,14 @@ ROBOT = Robot(
     tuple(Joint(f"j{k}", SERVO, (-0.8, 0.8)) for k in (1, 2, 3)),
 )
 MODEL = Model(joints={joint.name: JointModel(2.2, 0.06, 0.068, 0.002) for joint in ROBOT.joints})
-WALLS = {"ghost": SLIP, "forcing": replace(SLIP, ghosts=False)}
 
 
 def main() -> None:
     """Measure, print, write."""
-    parser = command_line(
+    options = command_line(
         __doc__, device="cpu", threads=2, out=Path, tiny=(False, "seconds only: does it run?")
-    )
-    parser.add_argument("--wall", choices=WALLS, default="ghost", help="of the swimmers")
-    options = parser.parse_args()
-    device, wall = find_device(options.device), WALLS[options.wall]
+    ).parse_args()
+    device = find_device(options.device)
     rows: list[dict[str, Any]] = []
 
     def note(**row: Any) -> None:  # noqa: ANN401 - numbers and names
@@ -65,30 +60,26 @@ def main() -> None:
     copy = copied(device, 2**20 if options.tiny else (2**28 if device.is_cuda else 2**26))
     note(what="copy", GB_s=copy / 1e9)
     for lattice, size in empty_boxes(device.is_cuda, options.tiny):
-        for storage in ("float32", "float16"):
-            for threads in (1,) if device.is_cuda else (1, options.threads):
-                fluid = Fluid(
-                    lattice, size, viscosity=0.01, storage=storage, device=str(device),
-                    threads=threads,
-                )  # fmt: skip
-                rate = fluid.cells * paced(device, partial(graph_steps, fluid), 10)
-                used = rate * traffic(lattice, storage)
-                note(what="empty", lattice=lattice.name, size=size, storage=storage,
-                     threads=threads, MLUPS=rate / 1e6, share_of_copy=used / copy)  # fmt: skip
+        for threads in (1,) if device.is_cuda else (1, options.threads):
+            fluid = Fluid(lattice, size, viscosity=0.01, device=str(device), threads=threads)
+            rate = fluid.cells * paced(device, partial(graph_steps, fluid), 10)
+            used = rate * traffic(lattice)
+            note(what="empty", lattice=lattice.name, size=size, threads=threads,
+                 MLUPS=rate / 1e6, share_of_copy=used / copy)  # fmt: skip
     for cell, boxes in batches(device.is_cuda, options.tiny):
-        for storage in ("float32", "float16") if device.is_cuda else ("float32",):
-            for E in boxes:
-                note(**swimming(cell, E, storage, str(device), options.threads, copy, wall=wall))
+        for E in boxes:
+            note(**swimming(cell, E, str(device), options.threads, copy))
     if not device.is_cuda:
-        flat = swimming(0.02, 1, "float32", "cpu", options.threads, copy, dimensions=2, wall=wall)
+        flat = swimming(0.02, 1, "cpu", options.threads, copy, dimensions=2)
         note(**flat)
+    note(what="twin", robots=256, times_real_time=twin(256, options.device))
     if options.out:
         options.out.write_text(json.dumps({"device": device.name, "rows": rows}, indent=1))
 
 
-def traffic(lattice: Lattice, storage: str) -> int:
+def traffic(lattice: Lattice) -> int:
     """Bytes that one update of one cell reads and writes: its populations and its flag."""
-    return 2 * lattice.Q * BYTES[storage] + 1
+    return 2 * lattice.Q * 4 + 1
 
 
 def empty_boxes(cuda: bool, tiny: bool) -> list[tuple[Lattice, tuple[int, ...]]]:
@@ -126,17 +117,15 @@ def graph_steps(fluid: Fluid) -> None:
 def swimming(
     cell: float,
     E: int,
-    storage: str,
     device: str,
     threads: int,
     copy: float,
     dimensions: int = 3,
-    wall: Wall = SLIP,
 ) -> dict[str, Any]:
     """Control steps a second of E robots that swim, each its own wave."""
     swimmer = Swimmer(
         ROBOT, MODEL, n_envs=E, device=device, cell_m=cell, dimensions=dimensions,
-        storage=storage, threads=threads, wall=wall,
+        threads=threads,
     )  # fmt: skip
     lag, amplitude = 1.2 * np.arange(3), np.array([0.3, 0.45, 0.6])
     phase = np.linspace(0, 2 * np.pi, E, endpoint=False)[:, None]
@@ -157,14 +146,29 @@ def swimming(
     rate = paced(swimmer.fluid.device, step, 1)
     lattice = swimmer.fluid.lattice
     updates = rate * E * swimmer.fluid.cells * swimmer.substeps
-    memory = lattice.Q * BYTES[storage] + 1 + 4
+    memory = 4 * lattice.Q + 1 + 4
     return {
-        "what": "swimming", "lattice": lattice.name, "cell_m": cell, "boxes": E, "storage": storage,
+        "what": "swimming", "lattice": lattice.name, "cell_m": cell, "boxes": E,
         "cells": swimmer.fluid.cells, "substeps": swimmer.substeps, "control_steps_s": E * rate,
-        "MLUPS": updates / 1e6, "share_of_copy": updates * traffic(lattice, storage) / copy,
+        "MLUPS": updates / 1e6, "share_of_copy": updates * traffic(lattice) / copy,
         "MB_per_box": swimmer.fluid.cells * memory / 1e6,
         "stopped": int((swimmer.state().stopped >= 0).sum()), "seconds": 0.02 * state["k"],
     }  # fmt: skip
+
+
+def twin(robots: int, device: str, seconds: float = 12.0) -> float:
+    """How much faster than life the reduced-order twin swims a batch, the best of three times."""
+    times = CONTROL_S * np.arange(round(seconds / CONTROL_S))
+    wave = np.sin(2 * np.pi * times[:, None] - 1.2 * np.arange(3))
+    sent = np.minimum(1.0, times)[:, None] * np.array([0.3, 0.45, 0.6]) * wave
+    batch = Twin(ROBOT, MODEL, n_envs=robots, device=device)
+    batch.swim(sent[:10])  # compiles
+    best = np.inf
+    for _ in range(3):
+        start = time.perf_counter()
+        batch.swim(sent)
+        best = min(best, time.perf_counter() - start)
+    return robots * seconds / best
 
 
 def paced(device: Any, work: Callable[[], None], each: int) -> float:  # noqa: ANN401 - Warp's

@@ -31,16 +31,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from rl.experiments.real_episodes import Starts, run_real_episodes
-from rl.experiments.testbeds import Controllers
+from rl.experiments.episodes import FIGURES, measured, run_episodes
+from rl.experiments.reality import RealWorld, Starts
+from rl.experiments.statistics import expected
+from rl.experiments.testbeds import Controllers, SimulationSettings
 from rl.forecast.diagnosed import read_diagnosed
-from rl.forecast.figures import FIGURES
 from rl.forecast.forecast import Forecast
 from rl.forecast.make import named_controllers
-from rl.forecast.realities import Realities, draw_realities
-from rl.forecast.residuals import residuals_of
-from rl.forecast.statistics import expected
-from rl.forecast.swims import SimulationSettings, measured, swim
+from rl.forecast.realities import Realities, draw_realities, residuals_of
+from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
 from rl.randomize import Noise, with_density
 from rl.sac.plan import RECIPES
@@ -160,7 +159,8 @@ def swim_group(options: argparse.Namespace, g: int) -> None:
     made = [make(int((owner == k).sum())) for k, make in enumerate(controllers.values())]
     steering = Controllers(made, 1)
     steering.owner = owner
-    episodes = run_real_episodes(Pool(world, rng), steering, robot, task, Starts(*parts))
+    seen = RealWorld(Pool(world, rng), robot, task, Starts(*parts))
+    episodes = run_episodes(seen, steering, name="reality")
     figures = {name: x.reshape(R, len(who)) for name, x in measured(episodes, task).items()}
     stopped = world.stopped().reshape(R, len(who))
     answers = options.out / "answers" / f"{g:02d}.json"
@@ -228,21 +228,25 @@ def forecast_one(folder: Path, draws: int, seconds: float) -> str:
     controllers = named_controllers(POLICIES, robot)
     few = dict(list(controllers.items())[:2])
     simulation = SimulationSettings(at_once=draws, threads=1)
-    settings: dict[str, Any] = {"trials": 2, "seed": 1, "settings": simulation}
+
+    def swum(drawn: Realities, policies: Any, residuals: Any = ()) -> dict[str, Array]:  # noqa: ANN401
+        trial = Forecaster(robot, task, drawn, 2, 1, simulation, residuals)
+        found = trial.swim(policies)
+        return {name: found[name] for name in FIGURES}
+
     model = with_density(model, robot)
     diagnosed = read_diagnosed(diagnosis)
     drawn = draw_realities(robot, model, ranges, sample, draws, rng, diagnosed=diagnosed)
     content: dict[str, Any] = {"names": np.array(drawn.names), "parameters": drawn.values}
-    swum = swim(robot, task, drawn, controllers, residuals=residuals, **settings)
-    content |= {f"full.{name}": swum.figures[name] for name in FIGURES}
+    content |= {f"full.{n}": x for n, x in swum(drawn, controllers, residuals).items()}
     one = alone(model, 20, drawn.noise)
-    content |= {f"alone.{n}": x for n, x in swim(robot, task, one, few, **settings).figures.items()}
+    content |= {f"alone.{n}": x for n, x in swum(one, few).items()}
     by_hand = draw_realities(robot, model, hand_set(ranges), sample, draws, rng)
     flat = replace(by_hand, law=np.zeros((draws, 4)), unexplained=np.zeros(6))
     body = {k: x for k, x in model.body.items() if k not in ("posterior", "interval")}
     models = tuple(replace(m, body={**body, "effects": []}) for m in flat.models)
     flat = replace(flat, models=models)
-    content |= {f"hand.{n}": x for n, x in swim(robot, task, flat, few, **settings).figures.items()}
+    content |= {f"hand.{n}": x for n, x in swum(flat, few).items()}
     np.savez_compressed(out.with_suffix(".part.npz"), **content)
     out.with_suffix(".part.npz").rename(out)
     return f"{folder.name}: {model.fit['body.surge']['heldout']:.3f} m/s"

@@ -5,20 +5,20 @@ Lin, Liu, Wang (2024), Table II: command latency 68 +- 20 ms uniform, an episode
 50 Hz of three servos under the paper's 1 Hz sine or 0.5 Hz square of 0.52 rad, while the body
 swims. The servos are integrated here, at a third of a millisecond, with no code of the library.
 
-    python benchmarks/paper_table.py --seeds 10 --out reports/ranges
+    python -m benchmarks.paper_table --seeds 10 [--out reports/ranges/paper_table.json]
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.harness import command_line, table
 from sim2real.arrays import Array
 from sim2real.model import JointModel, Model
-from sim2real.output import write_json, write_whole
+from sim2real.output import write_json
 from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import gather
 from sim2real.recording import Recording
@@ -33,33 +33,6 @@ INERTIA = np.array([0.0022, 0.0018, 0.0015])
 KP, KD = np.array([1.9, 1.7, 1.5]), np.array([0.07, 0.06, 0.05])
 FINE = 60  # steps of integration between samples
 DRAWN = "half-width of the latencies that were drawn"
-
-
-def main() -> None:
-    """Compare the ranges of several sets of recordings with the table that they were made from."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--out", type=Path, default=Path("reports/ranges"))
-    options = parser.parse_args()
-    found = []
-    for seed in tqdm(range(options.seeds), desc="paper table", unit="set", disable=None):
-        swum, latency = episodes(np.random.default_rng(seed), options.episodes)
-        drawn = {DRAWN: 0.5 * float(np.ptp(latency)) / LATENCY_HALF_S}
-        found.append(compared(gather(swum, ROBOT, MODEL).ranges) | drawn)
-    names = list(found[0])
-    table = np.array([[one[name] for name in names] for one in found])
-    write_json(
-        options.out / "paper_table.json",
-        {
-            "seeds": options.seeds,
-            "episodes": options.episodes,
-            "ratio": {name: [float(x) for x in table[:, k]] for k, name in enumerate(names)},
-        },
-    )
-    content = text(names, table, options.episodes)
-    write_whole(options.out / "paper_table.md", content)
-    print(content)
 
 
 def compared(ranges: Ranges) -> dict[str, float]:
@@ -147,50 +120,34 @@ def _swum(t: Array, rng: np.random.Generator) -> dict[str, Array]:
     }
 
 
-def text(names: list[str], table: Array, count: int) -> str:
-    """What was found over what was put in, in words."""
-    counted = [name != DRAWN for name in names]
-    off = 100 * np.abs(table - 1)
-    inside = (off[:, counted] <= 10).all(axis=1)
-    lines = [
-        "# The paper's randomization table, put in and read back",
-        "",
-        f"{table.shape[0]} sets of {count} simulated swims of {SECONDS:.0f} s. In each, latency is "
-        "drawn anew for every swim",
-        "(68 ± 20 ms) and noise for every sample (0.05 m, 3°, 2°). `sim2real ranges` is given the "
-        "recordings and a model",
-        "whose gains are 20 % off and whose latency is 50 ms.",
-        "",
-        "| found / true | mean | least | most | sets within 10 % |",
-        "|---|---|---|---|---|",
-    ]
-    for k, name in enumerate(names):
-        column = table[:, k]
-        within = f"{int(np.sum(off[:, k] <= 10))} of {column.size}"
-        lines.append(
-            f"| {name} | {column.mean():.3f} | {column.min():.3f} | {column.max():.3f} | {within} |"
-        )
-    lines += [
-        "",
-        f"All found numbers within 10 % at once: {int(inside.sum())} of {inside.size} sets.",
-        "",
-        "The half-width of a uniform distribution is known from the range of what was drawn, which "
-        "the last row gives:",
-        f"with {count} swims chance alone moves it by about {100 * np.sqrt(2) / count:.0f} %; "
-        "with fewer, by more.",
-        "",
-        "Made by `python benchmarks/paper_table.py`.",
-        "",
-    ]
-    return "\n".join(lines)
-
-
 _SERVO = Servo("lx824", 1.67, 5.24, 0.0)
 _LINK = Link("link", 0.3, 0.13, 0.1, 0.1)
 ROBOT = Robot("fish", (_LINK,) * 4, tuple(Joint(name, _SERVO, (-0.8, 0.8)) for name in JOINTS))
 MODEL = Model(
     {name: JointModel(1.2 * KP[k], 0.8 * KD[k], 0.05, INERTIA[k]) for k, name in enumerate(JOINTS)}
 )
+
+
+def main() -> None:
+    """Compare the ranges of several sets of recordings with the table that they were made from."""
+    options = command_line(__doc__, seeds=10, episodes=EPISODES, out=Path).parse_args()
+    found = []
+    for seed in tqdm(range(options.seeds), desc="paper table", unit="set", disable=None):
+        swum, latency = episodes(np.random.default_rng(seed), options.episodes)
+        drawn = {DRAWN: 0.5 * float(np.ptp(latency)) / LATENCY_HALF_S}
+        found.append(compared(gather(swum, ROBOT, MODEL).ranges) | drawn)
+    ratios = {name: np.array([one[name] for one in found]) for name in found[0]}
+    rows = []
+    for name, ratio in ratios.items():
+        within = f"{int(np.sum(np.abs(ratio - 1) <= 0.1))} of {ratio.size}"
+        cells = (f"{x:.3f}" for x in (ratio.mean(), ratio.min(), ratio.max()))
+        rows.append((name, *cells, within))
+    print(table(("found / true", "mean", "least", "most", "sets within 10 %"), rows))
+    if options.out:
+        kept = {name: ratio.tolist() for name, ratio in ratios.items()}
+        about = {"seeds": options.seeds, "episodes": options.episodes}
+        write_json(options.out, about | {"ratio": kept})
+
 
 if __name__ == "__main__":
     main()

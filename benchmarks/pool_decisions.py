@@ -5,8 +5,8 @@
 Fits the logistic curves to searches of ``datasets/pool/sealed_solve.py`` and looks for the
 thresholds with the best answers; prints the measures with whole robots left out. The improvement on
 the end of its swim from which a model is offered is fitted to the held-out swims of the cases, if
-RESULTS of ``sealed_grade.py`` exist. ``--go-on``: the present weights are from other cases; the
-curves are fitted to both, and thresholds keep their values. Writes ``decisions`` of
+RESULTS of ``datasets/sealed/grade.py`` exist. ``--go-on``: the present weights are from other
+cases; the curves are fitted to both, and thresholds keep their values. Writes ``decisions`` of
 ``sim/inference/law_error.json``, or of ``law_error_in_water.json``. Thresholds that were chosen
 keep their values and reasons.
 """
@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks.decision_curves import logistic, loss
 from benchmarks.harness import command_line, spread
-from sim.inference.law_error import FILE, IN_WATER, named_decisions
+from sim.inference.law_error import FILE, IN_WATER
 from sim.inference.swim_decision import BANDS, ROWS, Decided, Terms, decide
 from sim2real.output import write_json
 
@@ -185,7 +185,6 @@ def choose(
         relative: The new relative error of estimates, see ``spread_of``; None to keep it.
     """
     content = json.loads(target.read_text())
-    content["decisions"] = named_decisions(content["decisions"])
     robots = sorted({truth["robot"] for truth, _ in cases})
     parts = [[c for c in cases if c[0]["robot"] != out] for out in robots]
     tune = partial(tuned, begun=content["decisions"], go_on=go_on)
@@ -280,7 +279,6 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     those of the first two curves are kept if no case has an effect outside the catalogue.
     """
     weights = partial(_weights, about=about)
-    scale = numbers["evidence_scale"]
     curve_names = ("name: ", "unlisted: ", "anything: ")
     flat = {name: 0.0 for name in numbers if name.startswith(curve_names)}
     out = numbers | flat
@@ -289,9 +287,9 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     if about and not any(outside):
         out |= {k: v for k, v in about.items() if not k.startswith("name: ")}
     else:
-        out |= weights("unlisted", [one.features.terms(scale) for _, one in decisions], outside)
+        out |= weights("unlisted", [one.terms for _, one in decisions], outside)
         clear = [
-            (truth["kind"] != "null", one.features.terms(scale))
+            (truth["kind"] != "null", one.terms)
             for truth, one in decisions
             if truth["kind"] == "null" or truth["oracle"]["llr_total"] >= DETECTABLE
         ]
@@ -299,7 +297,7 @@ def curves(cases: Cases, numbers: Numbers, about: Numbers | None = None) -> Numb
     decisions = [(truth, decide(found, out)) for truth, found in cases]
     names = [(truth, one) for truth, each in decisions for one in each.named]
     right = [matches(one.group, _hidden(truth)) for truth, one in names]
-    return out | weights("name", [one.features.terms() for _, one in names], right)
+    return out | weights("name", [one.terms for _, one in names], right)
 
 
 def _weights(
@@ -324,7 +322,7 @@ def main() -> None:
     target = IN_WATER if options.in_water else FILE
     relative = None
     if not options.go_on:
-        known = named_decisions(json.loads(target.read_text())["decisions"])["relative"]
+        known = json.loads(target.read_text())["decisions"]["relative"]
         relative = spread_of(sets, verdicts, known)
     cases = read_cases(sets, verdicts, graded)
     choose(cases, target, options.processes, go_on=options.go_on, relative=relative)

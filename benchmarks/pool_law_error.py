@@ -1,6 +1,6 @@
 """Estimate the error of the twin from swims of development sets in which nothing is missing.
 
-    python benchmarks/pool_law_error.py SET [SET ...] [--water INPUTS HELD_OUT ...]
+    python -m benchmarks.pool_law_error SET [SET ...] [--water INPUTS HELD_OUT ...]
 
 The residual of a calibrated twin by signal and band, and the effects that it imitates, by
 expectation and maximisation on a normal model (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39
@@ -13,19 +13,17 @@ Writes ``sim/inference/law_error.json``; with ``--water``, two folders of
 
 from __future__ import annotations
 
-import argparse
 import json
-import multiprocessing
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
-from sim.inference.coordinates import ERROR, Coordinates, SwimSimulator
+from benchmarks.harness import command_line, spread
+from sim.inference.coordinates import ERROR, Coordinates
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import (
     BANDS,
@@ -37,9 +35,9 @@ from sim.inference.law_error import (
     LawError,
     read_law_error,
 )
-from sim.inference.linear_fit import together
-from sim.inference.swims import swim_of
-from sim.inference.twin_search import SwimPrior, TwinSwims
+from sim.inference.searched import together
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import SwimSimulator, swim_of
 from sim2real.arrays import Array
 from sim2real.model import Model, read_model
 from sim2real.output import write_json
@@ -80,7 +78,7 @@ class Near:
     point: Array
 
 
-def near(problem: TwinSwims, x: Array) -> dict[str, Array]:
+def near(problem: SwimProblem, x: Array) -> dict[str, Array]:
     """Unweighted residuals and derivatives of a swim at a point (F,)."""
     fit, weight, blocks = problem.at(x), problem.weights[0].ravel(), problem.blocks[0]
     return {
@@ -90,14 +88,15 @@ def near(problem: TwinSwims, x: Array) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> Near:
+def of_robot(job: tuple[Path, Files, list[str]], known: LawError) -> Near:
     """A robot's swims in which nothing is missing, near the fit of its references."""
+    folder, files, nulls = job
     robot, model, simulate = placed(folder, files)
     challenge, c = folder.parents[1], Coordinates.of(robot, model)
-    usual = SwimPrior(*known.prior(c), known.imitation(c), known.shares)
+    usual = known.prior(c)
     paths = sorted(folder.glob("ref_*.csv"))
     references = [swim_of(read_recording(p), robot) for p in paths]
-    x = TwinSwims(c, references, simulate, usual).plain().fit.x
+    x = SwimProblem(c, references, simulate, usual).plain().fit.x
     for case in nulls:
         held = challenge / "heldout" / case / "b.csv"
         paths += [folder / case / "a.csv", *([held] if len(files) != 1 else [])]
@@ -105,7 +104,7 @@ def of_robot(folder: Path, files: Files, nulls: list[str], known: LawError) -> N
     law = np.array([one.kind.startswith("twin.") for one in c.columns])
     zero = np.where(law & (not files), 0.0, c.nominal)
     return Near(
-        [near(TwinSwims(c, [swim], simulate, usual), x) for swim in swims],
+        [near(SwimProblem(c, [swim], simulate, usual), x) for swim in swims],
         [one.kind for one in c.columns], [one.nominal for one in c.columns],
         np.array([one.step for one in c.columns]), x - zero,
     )  # fmt: skip
@@ -115,19 +114,15 @@ def swims_near(
     sets: Sequence[Path], waters: Sequence[Path], processes: int, known: LawError
 ) -> list[Near]:
     """``of_robot`` of every robot of some sets."""
-    spawn = multiprocessing.get_context("spawn")
     jobs = []
-    with ProcessPoolExecutor(processes, mp_context=spawn) as pool:
-        for k, one in enumerate(sets):
-            answers = json.loads((one / "answers.json").read_text())["cases"]
-            for folder in sorted((one / "inputs").glob("robot_*")):
-                own = [w / f"{folder.name}.npz" for w in waters[2 * k : 2 * k + 2]]
-                files = tuple(path for path in own if path.exists())
-                nulls = [
-                    c["case"] for c in answers if c["robot"] == folder.name and c["kind"] == "null"
-                ]
-                jobs.append(pool.submit(of_robot, folder, files, nulls, known))
-        return [job.result() for job in tqdm(jobs, disable=None)]
+    for k, one in enumerate(sets):
+        answers = json.loads((one / "answers.json").read_text())["cases"]
+        for folder in sorted((one / "inputs").glob("robot_*")):
+            own = [w / f"{folder.name}.npz" for w in waters[2 * k : 2 * k + 2]]
+            files = tuple(path for path in own if path.exists())
+            nulls = [c for c in answers if c["robot"] == folder.name and c["kind"] == "null"]
+            jobs.append((folder, files, [c["case"] for c in nulls]))
+    return list(spread(partial(of_robot, known=known), jobs, processes, unit="robot"))
 
 
 Numbers = dict[str, float]
@@ -268,22 +263,17 @@ def learned_from(robots: Sequence[Near], before: LawError, *, in_water: bool) ->
 
 def main() -> None:
     """Estimate and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = command_line(
+        __doc__, processes=2, turns=1, out=(Path, "another file than that which ships")
+    )
     parser.add_argument("sets", type=Path, nargs="+")
     parser.add_argument("--water", type=Path, nargs="*", default=[], help="two folders a set")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--turns", type=int, default=1)
-    parser.add_argument("--without", default="", metavar="K/N", help="leave out every Nth robot")
-    parser.add_argument("--out", type=Path, help="another file than that which ships")
     options = parser.parse_args()
     begun = IN_WATER if options.water else FILE
     target = options.out or begun
     content, known = json.loads(begun.read_text()), read_law_error(begun)
     for _ in range(options.turns):
         robots = swims_near(options.sets, options.water, options.processes, known)
-        if options.without:
-            first, step = (int(x) for x in options.without.split("/"))
-            del robots[first::step]
         found = learned_from(robots, known, in_water=bool(options.water))
         write_json(target, content | found)
         known = read_law_error(target)

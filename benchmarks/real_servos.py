@@ -1,194 +1,204 @@
-"""Fit a plain PD servo to real recordings and say how badly that goes.
+"""How well servos identified from real recordings predict others: prints the tables of the reports.
 
-    python benchmarks/real_servos.py
+    python -m benchmarks.real_servos [--part alone within across emps] [--seeds 0 1 2 3]
+    python -m benchmarks.real_servos --part within across --diagnose     # much longer
 
-Takes the folder of real recordings from SIM2REAL_REALDATA (default ../shared/realdata) and writes
-``reports/real_servos.md``. Every log is identified with no option but its robot file.
+``alone``: each log, its last quarter held out. ``within``: of an XL330 with a pendulum, each
+trajectory of a firmware gain from the other three. ``across``: all of one gain from those of the
+other, kp scaled by the known ratio of the two. ``emps``: a drive whose controller is published, its
+metres read as radians. What is predicted is seen by no fit. ``--diagnose`` adds the model that a
+diagnosis of the fitted recordings returns.
 """
 
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from benchmarks.harness import command_line, real_recordings, spread, table
+from sim2real.arrays import Array
+from sim2real.diagnose.diagnose import Case, diagnose_all
 from sim2real.identification.identify import identify
 from sim2real.model import Law, Model
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import Joint, Link, Robot, Servo, read_robot
+from sim2real.servo.prediction import predict
 
-ROOT = Path(__file__).parents[1]
-REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
-HEADER = (
-    "recording", "joint", "law", "fitted RMSE (mrad)", "held-out RMSE (mrad)", "noise (mrad)",
-    "lag-1 autocorrelation", "kp", "kd", "latency (ms)",
-)  # fmt: skip
-EMPS_HEADER = (
-    "", "kp / mass (1/s2)", "kd / mass (1/s)", "latency (ms)", "friction / mass (N/kg)",
-    "fitted RMSE (um)", "held-out RMSE (um)",
-)  # fmt: skip
+GAINS = (200, 800)
+TRAJECTORIES = ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")
 HAND_PICKED = ("load_friction", "unmodelled_inertia", "torque_saturation")
 LAWS = {"pd": "linear", "motor": "motor", "current_limited": "motor limited in current"}
 ASKED: tuple[Law, ...] = ("pd", "motor")
-TEXT = """# Real servos
-
-## One recording alone
-
-One line for each joint that moves and each law: `sim2real identify RECORDING --robot robot.toml`,
-and the same with `--law pd`. The last quarter of each recording is held out. RMSE is the root mean
-square error; noise is the floor set by the sensor; the lag-1 autocorrelation of the residual is 0
-for white noise. Gains of the XL330 are in N m/rad and N m s/rad, all others per unit of inertia
-(1/s2, 1/s), as no load is known.
-
-**A linear servo does not fit these servos.** Its residual stands above the noise, on the XL330 14
-to 170 times. A motor on the line of its data sheet, whose gears rub, fits the XL330 several times
-better; what that is worth on recordings of other motions is below and in [the diagnosis of a real
-servo](real_diagnosis.md). The STS3215 moves on profiles of its own and is sampled ten times a
-second: there the law changes little, and what is missing is the profile.
-
-{table}
-
-## Each trajectory from the others
-
-All trajectories of one firmware gain fitted together, each held out in turn (torque-on part): as a
-linear servo, with inertia left out by the load, with three effects picked by hand (`--effects`),
-the best of six sets tried on these very logs; and by the motor's law, for which nothing is picked.
-
-{together}
-
-## A drive whose controller is known
-
-EMPS is a linear drive, not a servo in the recording format; here its metres are read as radians.
-Its published controller and inertial parameters give the gains per unit of mass, so this is the one
-real recording where the answer is known.
-
-{emps}
-
-The linear fit bends both gains. With friction it comes out near the published one, held-out error
-falls, and a part of the bend in kp goes; what bends it still is not known.
-
-## What is not here
-
-`fishsim` has no commands: `identify` refuses it in one line. Sources and licences of the recordings
-are in their folder.
-"""
+MASS_KG, VISCOUS, COULOMB_N = 95.109, 203.50, 20.394
+"""Of EMPS, in kg, N s/m and N: Janot, Gautier, Brunot (2019), least squares."""
 
 
-def main() -> None:
-    """Write the report, and print it."""
-    if not REAL.is_dir():
-        raise SystemExit(f"no real recordings in {REAL}; set SIM2REAL_REALDATA")
-    rows = [
-        row
-        for path, robot in logs()
-        for law in ASKED
-        for row in lines(path.stem, fitted([path], robot, law))
+@dataclass(frozen=True)
+class Task:
+    """What to learn from, by firmware gain and trajectories, and what to predict."""
+
+    gain: int
+    known: tuple[str, ...]
+    asked_gain: int
+    asked: tuple[str, ...]
+
+
+WITHIN = [
+    Task(gain, tuple(t for t in TRAJECTORIES if t != one), gain, (one,))
+    for gain in GAINS
+    for one in TRAJECTORIES
+]
+ACROSS = [Task(gain, TRAJECTORIES, other, TRAJECTORIES) for gain, other in (GAINS, GAINS[::-1])]
+
+
+def read(gain: int, trajectories: Sequence[str]) -> list[Recording]:
+    """The XL330's recordings of one firmware gain."""
+    folder = real_recordings() / "bam_xl330"
+    return [read_recording(folder / f"xl330_kp{gain}_{name}.csv") for name in trajectories]
+
+
+def residuals(model: Model, recording: Recording, kp_ratio: float = 1.0) -> Array:
+    """Simulated minus measured angles in rad while the torque is on, at another firmware gain."""
+    (joint,) = recording.joints
+    servo = model.joints[joint]
+    scaled = replace(servo, kp_Nm_per_rad=kp_ratio * servo.kp_Nm_per_rad)
+    sent = {joint: recording.command[:, 0]}
+    angle = predict(replace(model, joints={joint: scaled}), recording.t, sent, recording.loads)[
+        joint
     ]
-    text = TEXT.format(table=table(HEADER, rows), together=together(), emps=emps())
-    (ROOT / "reports" / "real_servos.md").write_text(text)
-    print(text)
+    left: Array = (angle - recording.position[:, 0])[: recording.powered(0)]
+    return left[np.isfinite(left)]
+
+
+def answer(task: Task, seed: int = 0, *, diagnosed: bool = False) -> Array:
+    """Mean absolute and RMS errors in mrad, shape (2, asked, models).
+
+    One recording that is asked for is handed over as the one to hold out, so that all others are
+    fitted.
+    """
+    robot = read_robot(real_recordings() / "bam_xl330" / "robot.toml")
+    known = read(task.gain, task.known)
+    asked = read(task.asked_gain, task.asked)
+    given = [*known, asked[0]]
+    choices: list[tuple[Law, tuple[str, ...]]] = [("pd", ()), ("pd", HAND_PICKED), ("motor", ())]
+    models = [
+        identify(given, robot, held_out=asked[0].name, law=law, effects=effects, seed=seed)
+        for law, effects in choices
+    ]
+    if diagnosed:
+        models += [one.model for one in diagnose_all([Case(known, robot, models[-1])])]
+    ratio = task.asked_gain / task.gain
+    errors = [[residuals(model, one, ratio) for model in models] for one in asked]
+    mae = [[np.mean(np.abs(e)) for e in row] for row in errors]
+    rmse = [[np.sqrt(np.mean(e**2)) for e in row] for row in errors]
+    return 1e3 * np.array([mae, rmse])
+
+
+def predicted(tasks: Sequence[Task], seeds: Sequence[int], *, diagnosed: bool) -> None:
+    """Print the errors by trajectory and model, of the first seed, and how far they are luck."""
+    names = ["linear", "with three effects picked by hand", "motor"]
+    names += ["as diagnosed"] if diagnosed else []
+    rows, luck = [], []
+    for seed in seeds:
+        work = partial(answer, seed=seed, diagnosed=diagnosed)
+        answers = list(spread(work, tasks, 2, unit="fit"))
+        mae, rmse = np.concatenate(answers, axis=1)
+        luck.append((str(seed), f"{mae[:, 2].mean():.1f}", f"{rmse[:, 2].max():.1f}"))
+        if seed == seeds[0]:
+            asked = [f"gain {task.asked_gain}, {name}" for task in tasks for name in task.asked]
+            errors = np.concatenate([mae, rmse], axis=1)
+            errors = np.concatenate([errors, errors.mean(axis=0, keepdims=True)])
+            rows = [
+                (name, *(f"{x:.1f}" for x in row))
+                for name, row in zip([*asked, "**mean**"], errors, strict=True)
+            ]
+    print(table(["predicted (mrad)", *names, *(f"RMSE, {name}" for name in names)], rows))
+    print("\nthe motor's law by the seed of its search\n")
+    print(table(("seed", "mean absolute error (mrad)", "largest RMSE (mrad)"), luck))
 
 
 def logs() -> Iterator[tuple[Path, Path]]:
     """Every log that has commands, with its robot file."""
-    for path in sorted(REAL.glob("*/*.csv")):
+    for path in sorted(real_recordings().glob("*/*.csv")):
         sidecar = json.loads(path.with_suffix(".json").read_text())
         if sidecar.get("kind") == "servo":
             yield path, path.parent / sidecar.get("robot", "robot.toml")
 
 
-def fitted(paths: list[Path], robot: Path, law: Law) -> Model:
-    """Identify, with no option but the law."""
-    return identify([read_recording(path) for path in paths], read_robot(robot), law=law)
-
-
-def lines(name: str, model: Model) -> Iterator[tuple[str, ...]]:
-    """One row of the table for each joint."""
-    for joint, servo in model.joints.items():
-        figures = model.fit[f"{joint}.position_rad"]
-        yield (
-            name,
-            joint,
-            LAWS[servo.law],
-            *(f"{1e3 * (figures[key] or np.nan):.2f}" for key in ("train", "heldout", "noise")),
-            f"{figures['whiteness']:.3f}",
-            f"{servo.kp_Nm_per_rad:.4g}",
-            f"{servo.kd_Nms_per_rad:.4g}",
-            f"{1e3 * servo.latency_s:.1f}",
-        )
-
-
-def together() -> str:
-    """The XL330's trajectories of one gain, each held out in turn, plain and with effects."""
+def alone() -> None:
+    """Print a row for each log, joint and law."""
     rows = []
-    folder = REAL / "bam_xl330"
-    for gain in (200, 800):
-        paths = sorted(folder.glob(f"xl330_kp{gain}_*.csv"))
-        for path in paths:
-            recordings = [read_recording(p) for p in paths]
-            robot = read_robot(folder / "robot.toml")
-            for effects in ((), ("unmodelled_inertia",), HAND_PICKED, None):
-                law: Law = "motor" if effects is None else "pd"
-                chosen = effects or ()
-                model = identify(
-                    recordings, robot, held_out=path.stem, refit=False, effects=chosen, law=law
-                )
-                row = next(iter(lines(path.stem, model)))
-                rows.append((*row[:1], " + ".join(chosen) or LAWS[law], *row[3:]))
-    return table((HEADER[0], "model", *HEADER[3:]), rows)
+    for path, robot in logs():
+        for law in ASKED:
+            model = identify([read_recording(path)], read_robot(robot), law=law)
+            for joint, servo in model.joints.items():
+                fit = model.fit[f"{joint}.position_rad"]
+                errors = (f"{1e3 * (fit[k] or np.nan):.2f}" for k in ("train", "heldout", "noise"))
+                gains = f"{servo.kp_Nm_per_rad:.4g}", f"{servo.kd_Nms_per_rad:.4g}"
+                late = f"{1e3 * servo.latency_s:.1f}"
+                lag = f"{fit['whiteness']:.3f}"
+                rows.append((path.stem, joint, LAWS[servo.law], *errors, lag, *gains, late))
+    header = (
+        "recording", "joint", "law", "fitted RMSE (mrad)", "held-out RMSE (mrad)", "noise (mrad)",
+        "lag-1 autocorrelation", "kp", "kd", "latency (ms)",
+    )  # fmt: skip
+    print(table(header, rows))
 
 
-def emps() -> str:
-    """The EMPS drive, its gains per unit of mass beside the published ones."""
-    data = pd.read_csv(REAL / "emps" / "emps.csv")
-    about = json.loads((REAL / "emps" / "emps.json").read_text())
+def emps() -> None:
+    """Print the gains of the EMPS drive per unit of mass beside the published ones."""
+    folder = real_recordings() / "emps"
+    data, about = pd.read_csv(folder / "emps.csv"), json.loads((folder / "emps.json").read_text())
     control, gain = about["controller"], about["drive_gain_N_per_V"]
-    mass, viscous = 95.109, 203.50  # kg, N s/m: Janot, Gautier, Brunot (2019), least squares
-    kp = gain * control["kp_per_s"] * control["kv_V_s_per_m"] / mass
-    kd = (gain * control["kv_V_s_per_m"] + viscous) / mass
-    recording = Recording(
-        name="emps",
-        kind="servo",
-        joints=("j1",),
-        t=data["t_s"].to_numpy(),
-        command=data[["reference_m"]].to_numpy(),
-        position=data[["position_m"]].to_numpy(),
-    )
-    link = Link("carriage", mass, 1.0, 1.0, 1.0)
+    kp = gain * control["kp_per_s"] * control["kv_V_s_per_m"] / MASS_KG
+    kd = (gain * control["kv_V_s_per_m"] + VISCOUS) / MASS_KG
+    t, sent = data["t_s"].to_numpy(), data[["reference_m"]].to_numpy()
+    recording = Recording("emps", "servo", ("j1",), t, sent, data[["position_m"]].to_numpy())
+    link = Link("carriage", MASS_KG, 1.0, 1.0, 1.0)
     joint = Joint("j1", Servo("drive", 400.0, 10.0, 0.0), (-1.0, 1.0))
     robot = Robot("EMPS", (link, link), (joint,))
-    published = (f"{kp:.4g}", f"{kd:.4g}", "none stated", f"{20.394 / mass:.3f}")
-    rows = [("published", *published, "", "")]
-    for effects in ((), ("coulomb_friction",), None):
-        law: Law = "motor" if effects is None else "pd"
-        model = identify([recording], robot, effects=effects or (), law=law)
-        servo, figures = model.joints["j1"], model.fit["j1.position_rad"]
-        friction = [
-            f"{e.parameters['torque_Nm']:.3f}" for e in servo.effects if "torque_Nm" in e.parameters
-        ]
-        if "coulomb_Nm" in servo.motor:
-            friction = [f"{servo.motor['coulomb_Nm']:.3f}"]
-        rows.append(
-            (
-                " + ".join((LAWS[law], *(effects or ()))),
-                f"{servo.kp_Nm_per_rad:.4g} ({100 * (servo.kp_Nm_per_rad / kp - 1):+.0f} %)",
-                f"{servo.kd_Nms_per_rad:.4g} ({100 * (servo.kd_Nms_per_rad / kd - 1):+.0f} %)",
-                f"{1e3 * servo.latency_s:.2f}",
-                friction[0] if friction else "",
-                *(f"{1e6 * (figures[key] or np.nan):.1f}" for key in ("train", "heldout")),
-            )
-        )
-    return table(EMPS_HEADER, rows)
+    rows = [("published", f"{kp:.4g}", f"{kd:.4g}", "", f"{COULOMB_N / MASS_KG:.3f}", "", "")]
+    for law, effects in (("pd", ()), ("pd", ("coulomb_friction",)), ("motor", ())):
+        model = identify([recording], robot, effects=effects, law=law)
+        servo, fit = model.joints["j1"], model.fit["j1.position_rad"]
+        found = {**servo.motor, **(servo.effects[0].parameters if servo.effects else {})}
+        friction = found.get("torque_Nm", found.get("coulomb_Nm"))
+        off = [servo.kp_Nm_per_rad / kp, servo.kd_Nms_per_rad / kd]
+        gains = f"{servo.kp_Nm_per_rad:.4g}", f"{servo.kd_Nms_per_rad:.4g}"
+        rows.append((
+            " + ".join((LAWS[law], *effects)),
+            *(f"{x} ({100 * (y - 1):+.0f} %)" for x, y in zip(gains, off, strict=True)),
+            f"{1e3 * servo.latency_s:.2f}",
+            "" if friction is None else f"{friction:.3f}",
+            *(f"{1e6 * (fit[key] or np.nan):.1f}" for key in ("train", "heldout")),
+        ))  # fmt: skip
+    header = (
+        "", "kp / mass (1/s2)", "kd / mass (1/s)", "latency (ms)", "friction / mass (N/kg)",
+        "fitted RMSE (um)", "held-out RMSE (um)",
+    )  # fmt: skip
+    print(table(header, rows))
 
 
-def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """A Markdown table."""
-    cells = [header, ("---",) * len(header), *rows]
-    return "\n".join("| " + " | ".join(row) + " |" for row in cells)
+def main() -> None:
+    """Print the tables."""
+    parser = command_line(__doc__, seeds=[0], diagnose=(False, "also the model of a diagnosis"))
+    parts = ("alone", "within", "across", "emps")
+    parser.add_argument("--part", nargs="+", choices=parts, default=parts)
+    options = parser.parse_args()
+    real_recordings()
+    for part in options.part:
+        print(f"\n{part}\n")
+        if part in ("within", "across"):
+            tasks = WITHIN if part == "within" else ACROSS
+            predicted(tasks, options.seeds, diagnosed=options.diagnose)
+        else:
+            (alone if part == "alone" else emps)()
 
 
 if __name__ == "__main__":

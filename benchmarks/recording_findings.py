@@ -1,18 +1,17 @@
 """How often findings about angles are raised without a fault, and found with one.
 
-    python benchmarks/recording_findings.py RECORDING.csv...
+    python -m benchmarks.recording_findings RECORDING.csv...
 
 Every joint that moves is judged as recorded and with a fault that is put into it: command and
-position swapped (``plausible.lead_s``), and the faults of ``sim2real.readings``. Prints for each
+position swapped (``readings.lead_s``), and the faults of ``sim2real.readings``. Prints for each
 finding how many joints raise it, which sets the limits of ``sim2real.readings`` and
-``plausible.UNEXPLAINED_RATIO``. The shipped recordings, those of ``shared/realdata`` and
+``readings.UNEXPLAINED_RATIO``. The shipped recordings, those of ``shared/realdata`` and
 development seeds of ``datasets/concealed`` and ``datasets/foreign``, with their nuisances, are the
 recordings to judge.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +19,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.harness import command_line
 from sim2real import readings
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.noise import noise_floor, quantization_step
-from sim2real.plausible import lead_s
+from sim2real.readings import lead_s
 from sim2real.recording import read_recording
 
 
@@ -108,9 +108,8 @@ FINDINGS: dict[str, tuple[Callable[[Joint, Array], bool], Callable[..., Array]]]
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = command_line(__doc__, seed=0)
     parser.add_argument("recordings", nargs="+", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     raised: dict[str, list[str]] = {name: [] for name in ("precedes its command", *FINDINGS)}

@@ -11,32 +11,26 @@ published parameters are left as they are without ``--bam``.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.bam_agreement import ask, imported
-from benchmarks.harness import command_line, spread
+from benchmarks.harness import ROOT, command_line, real_recordings, spread, table
+from benchmarks.real_servos import GAINS, TRAJECTORIES, read, residuals
 from sim2real.arrays import Array
 from sim2real.identification.identify import identify
 from sim2real.model import Model, write_model
-from sim2real.recording import GRAVITY_M_S2, Load, Recording, read_recording
+from sim2real.recording import Recording, read_recording
 from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.robot import Robot, read_robot
-from sim2real.servo.prediction import predict
 from sim2real.servo_library.catalogue import FOLDER, shipped
 from sim2real.servo_library.entry import ServoEntry, at, prepared
 
-ROOT = Path(__file__).parents[1]
-REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
 PAGE = ROOT / "reports" / "servo_library.md"
-GAINS = (200, 800)
 BENCH_V = 7.4
-TRAJECTORIES = ("lift_and_drop", "sin_sin", "sin_time_square", "up_and_down")
 MODELS = ("m1", "m5")
 BAM = "Rhoban, BAM: Better Actuator Models (github.com/Rhoban/bam)"
 PAPER = "Duclusaud, Passault, Padois, Ly, ICRA 2025"
@@ -72,8 +66,7 @@ def main() -> None:
     """Make the entries, and write the page."""
     bam = (str, "Python of the environment that has BAM")
     chosen = command_line(__doc__, bam=bam, processes=2).parse_args()
-    if not REAL.is_dir():
-        raise SystemExit(f"no real recordings in {REAL}; set SIM2REAL_REALDATA")
+    real_recordings()
     identified = [
         *spread(xl330, GAINS, chosen.processes, unit="gain"),
         *spread(sts3215, ["single"], chosen.processes, unit="stand"),
@@ -95,9 +88,8 @@ def main() -> None:
 
 def bench(gain: int) -> tuple[list[Recording], Robot]:
     """The XL330's recordings at one gain, and its robot."""
-    folder = REAL / "bam_xl330"
-    files = [folder / f"xl330_kp{gain}_{name}.csv" for name in TRAJECTORIES]
-    return [read_recording(file) for file in files], read_robot(folder / "robot.toml")
+    robot = read_robot(real_recordings() / "bam_xl330" / "robot.toml")
+    return read(gain, TRAJECTORIES), robot
 
 
 def xl330(gain: int) -> ServoEntry:
@@ -123,7 +115,7 @@ def xl330(gain: int) -> ServoEntry:
 
 def sts3215(name: str) -> ServoEntry:
     """The tested servo of a backlash stand; the last quarter of its recording is held out."""
-    folder = REAL / "sts3215_backlash"
+    folder = real_recordings() / "sts3215_backlash"
     robot = read_robot(folder / f"robot_{name}.toml")
     whole = read_recording(folder / f"{name}.csv")
     tested = replace(
@@ -163,14 +155,6 @@ def scored(model: Model, error: float) -> Model:
     return replace(model, fit={"j1.position_rad": figures})
 
 
-def residuals(model: Model, recording: Recording) -> Array:
-    """Predicted minus measured angle in rad while the torque is on."""
-    sent = {"j1": recording.command[:, 0]}
-    angle = predict(model, recording.t, sent, recording.loads)["j1"]
-    left: Array = (angle - recording.position[:, 0])[: recording.powered(0)]
-    return left[np.isfinite(left)]
-
-
 def rms(errors: Sequence[Array]) -> float:
     """Root mean square of all residuals."""
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
@@ -191,9 +175,12 @@ def published(python: str) -> list[ServoEntry]:
 def of_bam(servo: str, friction: str, parameters: dict[str, Any], version: str) -> ServoEntry:
     """The entry of one parameter file; the XL330 is scored on its recordings."""
     short, kind, length = PUBLISHED[servo]
-    stall = imported(parameters, Load(1.0)).joints["j1"].motor["stall_torque_Nm"]
-    mass = 0.49 if short == "xl330" else float(f"{stall / 3 / (GRAVITY_M_S2 * length):.2g}")
-    model = imported(parameters, Load(mass * length**2, mass, length))
+    mass = 0.49
+    if short != "xl330":
+        load = imported(parameters, length).joints["j1"].load
+        assert load is not None
+        mass = float(f"{load.pendulum_mass_kg:.2g}")
+    model = imported(parameters, length, mass)
     about = {
         "name": f"{short}_bam_{friction}",
         "type": kind,
@@ -224,12 +211,6 @@ def gain_row(entry: ServoEntry) -> tuple[str, ...]:
         fitted = entry.origin == "identified" and entry.firmware_gain == gain
         cells.append(f"({error}, fitted)" if fitted else error)
     return (entry.name, *cells)
-
-
-def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    """A Markdown table."""
-    lines: list[Sequence[str]] = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 if __name__ == "__main__":

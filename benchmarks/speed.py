@@ -1,6 +1,6 @@
 """Speed and memory, each beside its target or beside what a plain tool needs, in one run.
 
-python benchmarks/speed.py
+python -m benchmarks.speed
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from benchmarks.harness import ROOT, seconds_per_ten_million_additions
 from sim2real.arrays import Array
 
-DATA = Path(__file__).parents[1] / "datasets" / "servo_steps"
+DATA = ROOT / "datasets" / "servo_steps"
 LINE = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
 LOSSES = LINE | {
     "resistance_rise": 1.0,
@@ -34,6 +34,7 @@ FITTED = ("steps", "sine", "square")
 
 def main() -> None:
     """Print the table."""
+    print(f"A = {seconds_per_ten_million_additions():.2f} s: ten million additions in a loop")
     print(f"{'':58}{'measured':>12}{'target':>12}{'ratio':>8}")
     help_s = best_of(3, lambda: run_cli("--help"))
     row("sim2real --help", help_s, 0.5, "s")

@@ -1,34 +1,40 @@
 """Gains for the controllers that a policy is compared with, found where it learns.
 
-    python benchmarks/tune_controllers.py [--refine] [--generations 40] [--only pnl] [--seed 0]
-        [--pace fast] [--out gains.toml]
+    python -m benchmarks.tune_controllers search --out first.toml [--refine] [--only pnl]
+    python -m benchmarks.tune_controllers trials --first first.toml --out rl/controllers/tuned.toml
+    python -m benchmarks.tune_controllers trials --fidelity fluid --device cuda:0 --out gains.toml
 
-That is the twin calibrated to a shipped swim, ``datasets/pool/calibrated.json``.
-
-Differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) over all gains, gait
+``search`` is in the twin calibrated to a shipped swim, ``datasets/pool/calibrated.json``, by
+differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) over all gains, gait
 included. What it lowers is the time of the 180 degree turn and a sixth of the time of the
 pentagram, each with its energy at a price of so many seconds for 1000 rad^2/s^2; three prices give
 a fast, a middle and a frugal set. The turn is varied a little in heading, the water's law by 20 %
 either way, lest gains fit one swim. ``--refine`` looks around the gains that the file has, which
-takes a third of the generations. Scored on starts and waters that the search has not seen, and
-on the tasks as they are. Writes ``rl/controllers/tuned.toml``.
+takes a third of the generations.
+
+``trials`` goes on from there by the cross-entropy method (Rubinstein and Kroese, 2004): each round
+draws gains about the best so far, for two controllers at three prices, all in one batch. A trial is
+the turn and two corners of a pentagram after it, with latencies and noise drawn from the ranges,
+which ``search`` does without: what that finds suffers from them. Rounds have trials of their own.
 """
 
 from __future__ import annotations
 
+import argparse
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from harness import command_line
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
 import sim2real as s2r
+from benchmarks.harness import ROOT, command_line
 from rl.controllers import Controller
 from rl.controllers.classical import (
     PACES,
@@ -38,28 +44,33 @@ from rl.controllers.classical import (
     PNLGains,
     ProportionalNavigation,
 )
-from rl.experiments.evaluate import run_episodes
-from rl.make import make_world
-from rl.metrics import energy
+from rl.experiments.episodes import Episodes, spent
+from rl.experiments.reality import Starts
+from rl.experiments.testbeds import Controllers
+from rl.make import draws_of, make_world
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values
+from sim.simulation import Simulated
 from sim.twin.twin import Coefficients
 from sim2real.arrays import Array
 from sim2real.model import Model
 from sim2real.output import write_whole
+from sim2real.ranges.entry import read_ranges
 
-Starts = tuple[Array, Array, Array]
+Placed = tuple[Array, Array, Array]
+Table = dict[str, float]
 
-ROBOT = s2r.read_robot("datasets/pool/robot.toml")
-MODEL = s2r.read_model("datasets/pool/calibrated.json")
+POOL = ROOT / "datasets" / "pool"
+ROBOT = s2r.read_robot(POOL / "robot.toml")
+MODEL = s2r.read_model(POOL / "calibrated.json")
 LIMITS = np.array([joint.limits_rad for joint in ROBOT.joints])
 WATER = Coefficients.of(MODEL.body)
 
 PRICES = dict(zip(PACES, (0.1, 0.4, 1.6), strict=True))
 """Seconds for 1000 rad^2/s^2."""
 CORNERS = 9
-"""Waypoints of the pentagram in the search: two sides and their corners; all when scored."""
+"""Waypoints of the pentagram in the search: two sides and their corners."""
 SPREAD = 0.2
 NEAR = 0.1
 """Standard deviation of a population about known gains, as a share of their bounds."""
@@ -96,7 +107,7 @@ KINDS: dict[str, tuple[type, Callable[..., Controller]]] = {
 
 @dataclass(frozen=True)
 class Trial:
-    """Starts S of one task, each swum by C controllers side by side.
+    """Placed S of one task, each swum by C controllers side by side.
 
     Attributes:
         world: Of S C robots; all of the first start come first.
@@ -107,18 +118,16 @@ class Trial:
     n_starts: int
 
 
-def trial(name: str, n_starts: int, copies: int, seed: int, *, varied: bool) -> Trial:
-    """A task with fixed starts; ``varied`` in heading and water, or as it is."""
+def trial(name: str, n_starts: int, copies: int, seed: int) -> Trial:
+    """A task with fixed starts, varied in heading and water."""
     rng = np.random.default_rng(seed)
     task = TASKS[name]
     pose, joint, targets = task.place(rng, n_starts, len(LIMITS))
-    models = [MODEL] * n_starts
-    if varied:
-        pose[:, 2] += rng.uniform(-0.3, 0.3, n_starts)
-        models = [_other_water(rng) for _ in range(n_starts)]
-        if task.waypoints > CORNERS:
-            task = replace(task, waypoints=CORNERS, steps=2500)
-            targets = targets[:, :CORNERS]
+    pose[:, 2] += rng.uniform(-0.3, 0.3, n_starts)
+    models = [_other_water(rng) for _ in range(n_starts)]
+    if task.waypoints > CORNERS:
+        task = replace(task, waypoints=CORNERS, steps=2500)
+        targets = targets[:, :CORNERS]
     pose, joint, targets = (np.repeat(x, copies, axis=0) for x in (pose, joint, targets))
     fixed = replace(task, place=_placed(task, (pose, joint, targets)))
     draws = [Draws((model,)) for model in models]
@@ -126,10 +135,10 @@ def trial(name: str, n_starts: int, copies: int, seed: int, *, varied: bool) -> 
     return Trial(world, n_starts)
 
 
-def _placed(task: Task, starts: Starts) -> Callable[[np.random.Generator, int, int], Starts]:
+def _placed(task: Task, starts: Placed) -> Callable[[np.random.Generator, int, int], Placed]:
     """The starts for all at once; anything for robots that begin a second time."""
 
-    def place(rng: np.random.Generator, n: int, J: int) -> Starts:
+    def place(rng: np.random.Generator, n: int, J: int) -> Placed:
         if n == len(starts[0]):
             return starts
         pose, joint, targets = task.place(rng, n, J)
@@ -180,9 +189,9 @@ def search(
     price: float,
     generations: int,
     seed: int,
-    first: dict[str, float] | None,
-    known: dict[str, float] | None,
-) -> tuple[dict[str, float], float]:
+    first: Table | None,
+    known: Table | None,
+) -> tuple[Table, float]:
     """The best gains found, and their cost on the starts of the search.
 
     ``first`` joins in; the population is drawn about ``known``, or anywhere where None.
@@ -215,7 +224,7 @@ def search(
 
 
 def _about(
-    known: dict[str, float],
+    known: Table,
     bounds: dict[str, tuple[float, float]],
     size: int,
     rng: np.random.Generator,
@@ -230,8 +239,8 @@ def _about(
 
 @cache
 def _trials(copies: int, seed: int) -> tuple[Trial, Trial]:
-    turn = trial("turn", 4, copies, seed, varied=True)
-    return turn, trial("pentagram", 2, copies, seed + 1, varied=True)
+    turn = trial("turn", 4, copies, seed)
+    return turn, trial("pentagram", 2, copies, seed + 1)
 
 
 def _total(
@@ -242,47 +251,122 @@ def _total(
     return cost(trial, build(LIMITS, len(every), kind(**columns)), price)
 
 
-def scores(name: str, gains: dict[str, float], seed: int) -> dict[str, float]:
-    """On starts and waters not seen by the search, and on the tasks as they are."""
-    kind, build = KINDS[name]
-    out = {}
-    for task in ("turn", "pentagram"):
-        for label, varied in (("unseen", True), ("plain", False)):
-            one = trial(task, 8 if task == "turn" else 4, 1, seed + 1000, varied=varied)
-            swims = run_episodes(one.world, build(LIMITS, one.n_starts, kind(**gains)))
-            there = swims.success
-            key = f"{task}_{label}"
-            out[f"{key}_arrived"] = float(there.mean())
-            if there.any():
-                out[f"{key}_time_s"] = float(swims.time_s[there].mean())
-                out[f"{key}_energy"] = float(energy(swims.rate)[there].mean())
-    return out
-
-
-def main() -> None:
-    """Search, score, write."""
-    about = (False, "about the gains that there are")
-    parser = command_line(__doc__, refine=about, generations=40, out=TUNED, seed=0)
-    parser.add_argument("--only", choices=[*KINDS], action="append")
-    parser.add_argument("--pace", choices=PACES, action="append")
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    known = tomllib.loads(TUNED.read_text()) if TUNED.exists() else {}
+def searched(options: argparse.Namespace) -> None:
+    """Search in the twin and write."""
+    known: dict[str, Any] = tomllib.loads(TUNED.read_text()) if TUNED.exists() else {}
     for name in options.only or KINDS:
-        gains: dict[str, float] | None = None
+        gains: Table | None = None
         for pace in options.pace or PACES:
             price = PRICES[pace]
             about = known[name][pace] if options.refine else None
-            gains, fun = search(name, price, options.generations, options.seed, gains, about)
-            seen = {"cost": fun, **scores(name, gains, options.seed)}
-            known.setdefault(name, {})[pace] = {**gains, "score": seen}
-            print(name, pace, {k: round(v, 2) for k, v in seen.items()}, flush=True)
+            gains, cost = search(name, price, options.generations, options.seed, gains, about)
+            known.setdefault(name, {})[pace] = {**gains, "score": {"cost": cost}}
+            print(name, pace, f"cost {cost:.2f}", flush=True)
             write_whole(options.out, as_toml(known))
+
+
+SEARCHES = [(kind, pace) for kind in KINDS for pace in PRICES]
+NARROW = 0.06
+"""Standard deviation of the first round's gains, as a share of their bounds."""
+KEEP = 3
+CORNER_RAD, SIDE_M = 0.8 * np.pi, 0.8
+
+
+def turn_and_corners(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
+    """The turn, and two more waypoints each 144 degrees round."""
+    pose, joint, first = TASKS["turn"].place(rng, n, J)
+    pose[:, 2] += rng.uniform(-0.3, 0.3, n)
+    way = first[:, 0] - pose[:, :2]
+    angle = np.arctan2(way[:, 1], way[:, 0])
+    points = [first[:, 0]]
+    for sign in (1, -1):
+        angle = angle + sign * CORNER_RAD
+        points.append(points[-1] + SIDE_M * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return pose, joint, np.stack(points, axis=1)
+
+
+IN_TRIALS = Task("turn and corners", turn_and_corners, waypoints=3, steps=1200)
+
+
+def costs(episodes: Episodes, price: Array) -> Array:
+    """Time and energy at each robot's price, and what it missed, shape (E,)."""
+    time, energy = spent(episodes, IN_TRIALS)
+    return np.asarray(time + price * energy / 1000 + 20 * (IN_TRIALS.waypoints - episodes.reached))
+
+
+def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dict[Any, Array]:
+    """Costs (C, S) of candidates (C, G) of every search on S trials."""
+    C, S = options.candidates, options.trials
+    drawn = draws_of(MODEL, read_ranges(POOL / "ranges.json"), ROBOT, seed=seed, n=S)
+    own = [Draws((model,), drawn.noise) for model in drawn.models]
+    controllers, price = [], []
+    for kind, (form, build) in KINDS.items():
+        rows = np.concatenate([gains[kind, pace] for pace in PRICES])
+        columns = np.repeat(rows, S, axis=0).T
+        named = dict(zip((one.name for one in fields(form)), columns, strict=True))
+        controllers.append(build(LIMITS, columns.shape[1], form(**named)))
+        price.append(np.repeat([*PRICES.values()], C * S))
+    starts = IN_TRIALS.place(np.random.default_rng(seed), S, len(LIMITS))
+    n = len(SEARCHES) * C
+    tiled = Starts(*(np.tile(x, (n, *[1] * (x.ndim - 1))) for x in starts))
+    testbed = Simulated("fluid", own * n, options.fidelity, options.cell_m, {}, options.device)
+    episodes = testbed.swim(
+        Controllers(controllers, n * S // len(controllers)), ROBOT, IN_TRIALS, tiled, seed
+    )
+    table = costs(episodes, np.concatenate(price)).reshape(len(SEARCHES), C, S)
+    return dict(zip(SEARCHES, table, strict=True))
+
+
+def tried(options: argparse.Namespace) -> None:
+    """Look on from known gains in trials, and write."""
+    rng = np.random.default_rng(options.seed)
+    known: dict[str, Any] = tomllib.loads(options.first.read_text())
+    middle, spread, box = {}, {}, {}
+    for kind, pace in SEARCHES:
+        bounds = BOUNDS[KINDS[kind][0]]
+        box[kind, pace] = np.array([*bounds.values()])
+        middle[kind, pace] = np.array([known[kind][pace][name] for name in bounds])
+        spread[kind, pace] = NARROW * np.ptp(box[kind, pace], axis=1)
+    for k in tqdm(range(options.rounds), disable=None):
+        drawn = {}
+        for key, mean in middle.items():
+            off = rng.normal(size=(options.candidates, mean.size)) * spread[key]
+            off[0] = 0.0  # the best so far stays in the race
+            drawn[key] = np.clip(mean + off, *box[key].T)
+        found = swum(drawn, options, options.seed + 50 + k)
+        for key, table in found.items():
+            cost = table.mean(axis=1)
+            best = drawn[key][np.argsort(cost)[:KEEP]]
+            last = k == options.rounds - 1
+            middle[key] = best[0] if last else best.mean(axis=0)
+            spread[key] = 0.5 * spread[key] + 0.5 * best.std(axis=0)
+            kind, pace = key
+            print(k, kind, pace, f"cost {cost[0]:.2f}, best {cost.min():.2f}", flush=True)
+            names = BOUNDS[KINDS[kind][0]]
+            gains = dict(zip(names, map(float, middle[key]), strict=True))
+            known[kind][pace] = {**gains, "score": {"cost": float(cost.min())}}
+        write_whole(options.out, as_toml(known))
+
+
+def main() -> None:
+    """One stage."""
+    parser = command_line(
+        __doc__, refine=(False, "about the gains that there are"), generations=40, seed=0,
+        device="cpu", cell_m=0.02, rounds=8, candidates=12, trials=4, first=TUNED,
+    )  # fmt: skip
+    parser.add_argument("stage", choices=("search", "trials"))
+    parser.add_argument("--only", choices=[*KINDS], action="append")
+    parser.add_argument("--pace", choices=PACES, action="append")
+    parser.add_argument("--fidelity", choices=("twin", "fluid"), default="twin")
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    (searched if options.stage == "search" else tried)(options)
 
 
 def as_toml(tables: dict[str, Any]) -> str:
     """The file of gains."""
-    made = "benchmarks/tune_controllers.py, then tune_in_trials.py; they say what the paces are."
+    made = "benchmarks/tune_controllers.py, which says what the paces are."
     lines = [f"# Written by {made}"]
     for name, paces in tables.items():
         for pace, table in paces.items():

@@ -1,9 +1,9 @@
 """Fit the reduced-order twin's coefficients to the fluid, and say how well it stands in for it.
 
-    python benchmarks/twin_fit.py --fluid [--device cuda:0] [--cell-m 0.01]   # makes fluid.npz
-    python benchmarks/twin_fit.py                                             # fits, reports
+    python -m benchmarks.twin_fit --fluid [--device cuda:0] [--cell-m 0.01]   # makes fluid.npz
+    python -m benchmarks.twin_fit                                             # fits, prints
 
-Swims of ten seconds under different commands (``twin_signals.py``); the fit does not see those held
+Swims of ten seconds under different commands; the fit does not see those held
 out. It is least squares on surge, sway and yaw rate by the library's velocity estimator, and on the
 joints' angles, which show what the water asks of the servos; each in the root mean square of its
 own swim. Writes ``reports/twin/`` and the library's coefficients, ``sim/twin/fitted.json``.
@@ -11,19 +11,17 @@ own swim. Writes ``reports/twin/`` and the library's coefficients, ``sim/twin/fi
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from harness import command_line, spread
 from scipy.optimize import OptimizeResult, least_squares
 from tqdm import tqdm
-from twin_report import report
-from twin_signals import HELD_OUT, SIGNALS, UNSTEADY, set_points
 
 import sim2real as s2r
+from benchmarks.harness import ROOT, command_line, spread, table
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.law import FILE
 from sim.twin.twin import Coefficients, Twin
@@ -32,11 +30,86 @@ from sim2real.model import JointModel, Model
 from sim2real.output import write_json
 from sim2real.velocity import body_velocity
 
-_FILE = s2r.read_robot("datasets/pool/robot.toml")
+_FILE = s2r.read_robot(ROOT / "datasets" / "pool" / "robot.toml")
 ROBOT = replace(_FILE, links=tuple(replace(link, appendages=()) for link in _FILE.links))
 """The hull alone: fluid and twin take the forces on appendages from the same figures."""
 MODEL = Model(joints={j.name: JointModel(2.0, 0.07, 0.066, 0.002) for j in ROBOT.joints})
-OUT = Path("reports/twin")
+OUT = ROOT / "reports" / "twin"
+Signal = Callable[[float], Array]
+
+SECONDS = 10.0
+_SIZE, _LAG = np.array([0.30, 0.45, 0.60]), 1.2 * np.arange(3)
+_MOST = 0.78
+
+
+def wave(hertz: float, scale: float, bias: float = 0.0, lag: float = 1.0) -> Signal:
+    """A travelling wave about a bend."""
+    return lambda t: np.clip(
+        min(1.0, t)
+        * (scale * _SIZE * np.sin(2 * np.pi * hertz * t - lag * _LAG) + bias * np.ones(3)),
+        -_MOST,
+        _MOST,
+    )
+
+
+def sine(hertz: float, size: float) -> Signal:
+    """The same sine in all joints."""
+    return lambda t: np.full(3, size * np.sin(2 * np.pi * hertz * t))
+
+
+def square(hertz: float, size: float) -> Signal:
+    """The same square in all joints, as in the paper."""
+    return lambda t: np.full(3, size * np.sign(np.sin(2 * np.pi * hertz * t)))
+
+
+def rests(moving: Signal, start: float, end: float) -> Signal:
+    """A signal that fades to straight joints between two times, in half a second each way."""
+
+    def fading(t: float) -> Array:
+        out = np.clip((t - start) / 0.5, 0, 1) * np.clip((end - t) / 0.5, 0, 1)
+        return np.asarray((1 - out) * moving(t))
+
+    return fading
+
+
+SIGNALS: dict[str, Signal] = {
+    "wave 1 Hz": wave(1.0, 1.0),
+    "wave 1.5 Hz": wave(1.5, 0.8),
+    "wave 0.75 Hz": wave(0.75, 1.2),
+    "weak wave": wave(1.0, 0.6),
+    "left turn": wave(1.2, 0.7, 0.3),
+    "square 0.5 Hz": square(0.5, 0.52),
+    "long wave": wave(1.2, 0.9, 0.0, 0.5),
+    "right turn": wave(1.5, 0.8, -0.4),
+    "wave 1.75 Hz": wave(1.75, 0.7),
+    "wave 2.25 Hz": wave(2.25, 0.5),
+    "slow wave": wave(0.5, 1.3),
+    "strong wave": wave(1.0, 1.25),
+    "short wave": wave(1.2, 0.9, 0.0, 1.4),
+    "sine 0.8 Hz, all joints": sine(0.8, 0.4),
+    "sine 1.3 Hz, all joints": sine(1.3, 0.45),
+    "tight left turn": wave(1.0, 0.8, 0.4),
+    "slight right turn": wave(1.3, 0.9, -0.15),
+    "wave that rests": rests(wave(1.2, 0.9), 4.0, 7.0),
+    "sine 1 Hz, all joints": sine(1.0, 0.52),
+    "wave 1.25 Hz": wave(1.25, 0.9),
+    "gentle turn": wave(1.0, 1.0, 0.2),
+    "wave 2 Hz": wave(2.0, 0.6),
+    "longer wave 0.9 Hz": wave(0.9, 1.1, 0.0, 0.75),
+    "right turn 1.1 Hz": wave(1.1, 0.9, -0.25),
+}
+HELD_OUT = tuple(SIGNALS)[18:]
+"""Swims that the fit does not see: other waves, turns and sines than those before them."""
+UNSTEADY = ("square 0.5 Hz", "wave that rests")
+"""Swims that are no steady waves; the bar is on the others."""
+
+
+def set_points(names: list[str]) -> Array:
+    """Set-points in rad of the swims that are named, shape (signals, T, 3)."""
+    times = CONTROL_S * np.arange(round(SECONDS / CONTROL_S))
+    return np.array([[SIGNALS[name](t) for t in times] for name in names])
+
+
 NAMES = tuple(field.name for field in fields(Coefficients))
 BOUNDS = {
     "slender": (0.2, 20.0),
@@ -154,27 +227,30 @@ def fit() -> None:
     deviation, condition = uncertainty(best, seen.size)
     swum = swims.by_twin([chosen], np.arange(held.size))[0]
     off = np.sqrt(np.mean((swum - swims.truth) ** 2, axis=1))
-    rows = [
-        {
-            "signal": name,
-            "held_out": bool(held[k]),
-            "steady": name not in UNSTEADY,
-            "error": (off[k] / swims.rms[k]).tolist(),
-            "rms": swims.rms[k].tolist(),
-            "mean_surge": [float(s[k, 250:, 0].mean()) for s in (swum, swims.truth)],
-        }
-        for k, name in enumerate(swims.names)
-    ]
+    error = off / swims.rms
     result = {
         "coefficients": vars(chosen),
         "relative_sd": dict(zip(NAMES, deviation.tolist(), strict=True)),
         "condition": condition,
         "costs": [float(one.cost) for one in found],
         "cell_m": swims.cell_m,
-        "rows": rows,
-    }
-    (OUT / "fit.json").write_text(json.dumps(result, indent=1) + "\n")
-    report(result, swum, swims.truth, OUT)
+        "rows": [
+            {"signal": name, "held_out": bool(held[k]), "steady": name not in UNSTEADY,
+             "error": error[k].tolist(), "rms": swims.rms[k].tolist()}
+            for k, name in enumerate(swims.names)
+        ],
+    }  # fmt: skip
+    write_json(OUT / "fit.json", result)
+    print(table(("coefficient", "fitted", "standard deviation"), [
+        (name, f"{value:.3g}", f"{100 * sd:.0f} %")
+        for (name, value), sd in zip(vars(chosen).items(), deviation, strict=True)
+    ]))  # fmt: skip
+    print(f"condition {condition:.0f}; errors in the root mean square of each swim")
+    rows = [
+        (f"{name} (held out)" if held[k] else name, *(f"{100 * x:.1f} %" for x in error[k, :3]))
+        for k, name in enumerate(swims.names)
+    ]
+    print(table(("swim", "surge", "sway", "yaw rate"), rows))
     print(write_json(FILE, {name: float(f"{v:.4g}") for name, v in vars(chosen).items()}))
 
 

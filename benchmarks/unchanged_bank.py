@@ -11,23 +11,23 @@ repeats are judged by what their references leave.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import ROOT, real_recordings
 from sim2real.diagnose.change import largest_jump
 from sim2real.diagnose.contrast import BANK, directions, first_look, unit
 from sim2real.diagnose.explained import Explained, explained
 from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
+from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Servo
 from sim2real.servo.parameters import joint_row
+from sim2real.servo.trace import Trace
 
-ROOT = Path(__file__).parents[1]
-REAL = Path(os.environ.get("SIM2REAL_REALDATA", ROOT.parent / "shared" / "realdata"))
 SAFETY = 4.0
 """On mean squares: banks are small, and the next servo is another."""
 JUMPS = {"law": 4.0, "rest": 4.0, "repeat": 25.0}
@@ -74,9 +74,8 @@ def bank() -> Iterator[tuple[str, Explained]]:
     sys.path.insert(0, str(ROOT / "datasets" / "concealed"))
     from backgrounds import backgrounds
     from real_files import SERVOS
-    from real_oracle import powered, trace
 
-    groups = backgrounds(REAL)
+    groups = backgrounds(real_recordings())
     for group, cases in (("xl330_200", [3]), ("xl330_800", [3]), ("single", range(4))):
         logs = [powered(log) for log in groups[group]]
         for k in cases:
@@ -92,6 +91,19 @@ def bank() -> Iterator[tuple[str, Explained]]:
                 of = explained(references, case, row, servo)
                 if of.scale2 > 1.01 * servo.position_step_rad**2 / 12:  # else nothing is left
                     yield f"{logs[k].name} {joint}", of
+
+
+def powered(log: Any) -> Any:  # noqa: ANN401 - of a module imported late
+    """A log up to where its torque goes off."""
+    on = np.isfinite(log.command).all(axis=1)
+    return log if on.all() else log.rows(np.arange(int(np.argmin(on))))
+
+
+def trace(log: Any, joint: int) -> Trace:  # noqa: ANN401
+    """A joint of a log, as the library fits it."""
+    load = Load(**log.load) if joint == 0 and log.load else PER_INERTIA
+    part = (log.t, log.command[:, joint], log.position[:, joint])
+    return Trace(log.name, log.name, *part, load, np.isfinite(part[2]))
 
 
 if __name__ == "__main__":

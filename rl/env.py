@@ -18,7 +18,7 @@ from rl.observer import LARGEST, View, observation_bounds
 from rl.task import Task
 from rl.world import Decisions, Step, World
 from sim2real.arrays import Array32
-from sim2real.extras import library
+from sim2real.errors import library
 
 
 def observation_space(world: World, view: View) -> spaces.Box:

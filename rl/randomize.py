@@ -10,13 +10,12 @@ import numpy as np
 from sim.inference.swims import with_values
 from sim2real.arrays import Array
 from sim2real.body import values
-from sim2real.density import normalised_density
 from sim2real.effects import named
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Law, Model
 from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Ranges
-from sim2real.robot import Robot
+from sim2real.robot import Robot, normalised_density
 
 
 @dataclass(frozen=True)

@@ -76,9 +76,9 @@ def forecast(
     check_whole("forecast", "realities", realities, 20)
     check_whole("forecast", "repeats", repeats, 2)
     check_choice("forecast", "fidelity", fidelity, ("twin", "fluid"))
-    from rl.forecast.figures import FIGURES
+    from rl.experiments.episodes import FIGURES
+    from rl.experiments.testbeds import SimulationSettings
     from rl.forecast.make import make_forecast
-    from rl.forecast.swims import SimulationSettings
     from rl.task import TASKS
 
     check_choice("forecast", "task", task, TASKS)

@@ -12,7 +12,8 @@ import numpy as np
 from tqdm import tqdm
 
 from sim.inference.swims import by_twin
-from sim.robot.swimmer import CONTROL_S, State, Swimmer
+from sim.robot.live import State
+from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sim2real.errors import InputError, check_choice, check_effort, check_whole
-from sim2real.verbs import model_of, recordings_or_commands, recordings_to_fit, robot_of
+from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
-    from sim.calibration.calibration import Calibration
+    from sim.inference.calibration import Calibration
     from sim.simulation import Simulated
     from sim2real.design.plan import Design
     from sim2real.design.tell_apart import RivalDesign
@@ -97,7 +97,7 @@ def diagnose(
         raise InputError("diagnose", "diagnosis", "swims in a pool", "recordings of a bench")
     from dataclasses import replace
 
-    from sim.inference.recorded_swims import diagnose_recorded_swims
+    from sim.inference.diagnose_swims import diagnose_recorded_swims
     from sim2real.plausible import admitted
 
     _, warnings = admitted([*swims, *earlier], machine)
@@ -140,7 +140,7 @@ def calibrate(
     """
     from dataclasses import replace
 
-    from sim.calibration.calibration import FluidSettings, calibrate_body
+    from sim.inference.calibration import FluidSettings, calibrate_body
     from sim.inference.swims import swim_of
     from sim2real.output import provenance
     from sim2real.plausible import admitted
@@ -208,7 +208,11 @@ def simulate(
         check_video(video)
     if fidelity == "twin" and (plot is not None or video is not None):
         raise InputError("simulate", "fidelity", "'twin'", "'fluid', for a picture of the flow")
-    read, machine, fitted = recordings_or_commands(recordings), robot_of(robot), model_of(model)
+    read, machine, fitted = (
+        recordings_of(recordings, or_commands=True),
+        robot_of(robot),
+        model_of(model),
+    )
     if len(read) > 1 and (plot is not None or video is not None):
         raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
     check_joints(fitted, machine)
@@ -320,7 +324,7 @@ def _telling_apart(
     request = Request(seconds, again, seed, diagnosis, progress)
     swims = swim_rivals_of_file(diagnosis)
     if swims is not None:
-        from sim.design.design_swim import design_swim
+        from sim.inference.design_swim import design_swim
 
         if contexts is not None:
             found, expected = "--contexts with a diagnosis of swims", "no --contexts"

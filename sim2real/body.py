@@ -19,11 +19,7 @@ from sim2real.model import Model
 
 
 def body_effect(name: str, where: str = "body.effects") -> SwimEffect:
-    """The effect of the body or the camera with this identifier.
-
-    Raises:
-        InputError: If there is none; ``where`` is the place in the message.
-    """
+    """The effect of the body or the camera with this name; InputError if there is none."""
     return find((*BODY, *CAMERA), name, where)
 
 
@@ -73,15 +69,10 @@ def listed(parameters: Mapping[str, float]) -> list[dict[str, Any]]:
 
 
 def observed(t: Array, pose: Array, parameters: Mapping[str, float]) -> Array:
-    """Poses as measured by the camera.
+    """Poses (T, 3) as measured by the camera: x, y in m and heading in rad of the head's centre.
 
-    Args:
-        t: Times in s, shape (T,), increasing and evenly spaced.
-        pose: x, y in m and heading in rad of the head's centre of mass, shape (T, 3).
-        parameters: Parameters of camera effects by ``effect.parameter``; others are ignored.
-
-    Returns:
-        Poses, shape (T, 3).
+    Times are in s, shape (T,), increasing and evenly spaced. Parameters of camera effects are by
+    ``effect.parameter``; others are ignored.
     """
     out = np.array(pose, dtype=np.float64)
     for effect in CAMERA:

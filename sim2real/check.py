@@ -8,8 +8,8 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.clock import Timing, timing
-from sim2real.display import NotebookDisplay, from_report
-from sim2real.finding import RecordingFinding
+from sim2real.display import NotebookDisplay
+from sim2real.errors import RecordingFinding
 from sim2real.findings import joint_findings, merged, moves, recording_findings
 from sim2real.identification.expected_precision import expected_precision
 from sim2real.noise import noise_floor, quantization_step
@@ -64,10 +64,6 @@ class Check(NotebookDisplay):
         rows = ((row.joint, finding) for row in self.joints for finding in row.findings)
         return [*self.findings, *merged(rows)]
 
-    def __str__(self) -> str:
-        """The check as the command line prints it."""
-        return str(from_report("table.check_report")(self))
-
 
 def check(
     recording: Recording, robot: Robot | None = None, *, seed: int = 0, identifiable: bool = True
@@ -87,13 +83,12 @@ def check(
     """
     validate_recording(recording, robot)
     index = range(len(recording.joints))
-    joints = tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in index)
     return Check(
         recording.name,
         recording.kind,
         recording.duration_s,
         timing(recording.t, recording.position),
-        joints,
+        tuple(_check_joint(recording, j, robot, seed if identifiable else None) for j in index),
         tuple(recording_findings(recording)),
     )
 
@@ -103,7 +98,6 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     powered = recording.powered(j)
     command = recording.command[:powered, j]
     step = quantization_step(position)
-    load = recording.loads.get(name)
     noise = noise_floor(recording.t, recording.command[:, j], position)
     sheet = robot.joint(name) if robot else None
     findings = tuple(joint_findings(recording, j, noise, step, sheet))
@@ -113,6 +107,7 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
         identifiable = ("what can be identified is not stated while the warnings hold",)
         if all(finding.severity == "note" for finding in findings):
             identifiable = expected_precision(recording, name, seed=seed)
+    load = recording.loads.get(name)
     return JointCheck(
         joint=name,
         range_rad=_range(position),

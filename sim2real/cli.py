@@ -17,13 +17,11 @@ from functools import partial
 
 from sim2real.commands.command import Command
 from sim2real.commands.files import check_files
-from sim2real.commands.streams import Lenient, occupy_standard_descriptors
-from sim2real.errors import InputError
-from sim2real.extras import missing_library
+from sim2real.commands.streams import Lenient, occupy_standard_descriptors, run_as_json
+from sim2real.errors import InputError, missing_library
 from sim2real.output import Results, is_standard_output, results
 
 _SERVOS, _HARDWARE = "sim2real.commands.options", "sim2real.commands.hardware_options"
-_EXCHANGE = "sim2real.commands.exchange"
 _WATER, _LEARNING = "sim.commands.options", "rl.commands.options"
 
 COMMANDS = {
@@ -37,7 +35,6 @@ COMMANDS = {
     "calibrate": (_WATER, "fit body and fluid parameters to recorded swims"),
     "ranges": (_SERVOS, "derive randomization ranges from recordings and sample the posterior"),
     "simulate": (_WATER, "simulate a swim in the lattice-Boltzmann fluid"),
-    "validate": (_WATER, "compare the fluid with published cases"),
     "train": (
         _LEARNING,
         "train policies with soft actor-critic in the fluid or its reduced-order twin",
@@ -48,11 +45,11 @@ COMMANDS = {
     "export": (_LEARNING, "write a trained policy for NumPy, a microcontroller or ONNX"),
     "swim": (_LEARNING, "drive the robot, or a virtual one, to a target with a policy"),
     "import": (_SERVOS, "convert logs of other projects to recordings"),
-    "robot": (_EXCHANGE, "write a robot.toml from a URDF or MJCF, and list missing fields"),
-    "export-servo": (_EXCHANGE, "export identified actuators to another simulator"),
-    "export-ranges": (_EXCHANGE, "export randomization ranges to another simulator"),
+    "robot": (_SERVOS, "write a robot.toml from a URDF, and list missing fields"),
+    "export-servo": (_SERVOS, "export identified actuators to another simulator"),
+    "export-ranges": (_SERVOS, "export randomization ranges to another simulator"),
     "bench": (_HARDWARE, "scan, record and identify servos on a bench, and write a page"),
-    "servos": (_EXCHANGE, "list identified servos, write the model of one, or prepare a new entry"),
+    "servos": (_SERVOS, "list identified servos, write the model of one, or prepare a new entry"),
     "record": (_HARDWARE, "play a signal on servos and record their positions"),
     "scan": (_HARDWARE, "list the servos on a bus with position, voltage, temperature and errors"),
     "virtual-servo": (_HARDWARE, "simulate servos on a bus, without hardware"),
@@ -134,11 +131,8 @@ def _run(options: argparse.Namespace) -> int:
     """Run the command of these options, with results that replace none of its inputs."""
     if options.command in _SMALL_MATRICES:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
-    run = importlib.import_module(options.module).run
-    if options.json:
-        from sim2real.commands.as_json import run_as_json
-
-        run = run_as_json(run)
+    module, _, function = options.module.partition(":")
+    run = getattr(importlib.import_module(module), function or "run")
     with warnings.catch_warnings(), results() as files, contextlib.ExitStack() as stack:
         warnings.showwarning = partial(_show_warning, options.command)
         check_files(options, files)
@@ -146,7 +140,7 @@ def _run(options: argparse.Namespace) -> int:
         if is_standard_output(getattr(options, "out", None)):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
-            status: int = run(options)
+            status: int = run_as_json(run, options) if options.json else run(options)
         finally:
             for sentence in files.kept:
                 print(f"sim2real {options.command}: {sentence}", file=sys.stderr)

@@ -9,11 +9,9 @@ from os import PathLike
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.errors import InputError
-from sim2real.finding import RecordingFinding
+from sim2real.errors import InputError, RecordingFinding
 
 GAP = 2.5  # median steps
-SLOWEST_RATE_HZ = 20.0
 SHORTEST_PERIOD_S = 20e-6
 """50 kHz: current loops of motor drives are not faster; servo buses run at a tenth of it."""
 LONGEST_PERIOD_S = 0.5
@@ -45,17 +43,12 @@ class Timing:
 
 
 def timing(t: Array, position: Array) -> Timing:
-    """Measure the sampling rate, jitter and gaps of the measurements of a recording.
+    """Sampling rate, jitter and gaps of angles (T, J), NaN where missing, at times ``t`` (T,) in s.
 
     Only rows with a measured position count: on a merged time axis the others are the times of
     set-points. Of several joints the one that is measured least often is described.
-
-    Args:
-        t: Times in s, shape (T,).
-        position: Measured angles, NaN where missing, shape (T, J).
     """
-    joints = position.T
-    measured = [_times(t, angle) for angle in joints]
+    measured = [_times(t, angle) for angle in position.T]
     slowest = max(measured, key=lambda times: float(np.median(np.diff(times))))
     steps = np.diff(slowest)
     usual = float(np.median(steps))
@@ -65,19 +58,15 @@ def timing(t: Array, position: Array) -> Timing:
         rate_hz=1 / usual,
         jitter_s=float((steps - (several - 1) * usual)[~long].std()),
         gaps=tuple((float(slowest[k]), float(steps[k])) for k in np.flatnonzero(long)),
-        missing_cells=sum(missing_samples(t, angle) for angle in joints),
+        missing_cells=sum(missing_samples(t, angle) for angle in position.T),
     )
 
 
 def missing_samples(t: Array, angle: Array) -> int:
-    """Number of missing measurements of one joint among the rows of a recording.
+    """Number of missing measurements of one joint, whose angles (T,) are NaN where missing.
 
     A row without a position lacks one only where a measurement was due. Rows between two
     measurements one usual step apart are those of set-points, on a merged time axis.
-
-    Args:
-        t: Times in s, shape (T,).
-        angle: Its measured angles, NaN where missing, shape (T,).
     """
     rows = np.flatnonzero(np.isfinite(angle))
     if rows.size < 2:
@@ -113,14 +102,8 @@ def check_sampling(
     """Check that the intervals of the times ``t`` (T,) in s are plausible for samples of a servo.
 
     The upper quartile of the steps is checked: rows may come in pairs, such as a set-point and an
-    angle a few microseconds later.
-
-    Args:
-        file: The recording or log, for the message.
-        t: Times in s, shape (T,).
-        longest_s: Longest plausible step.
-        where: What states the times, for the message.
-        unit_s: The unit from which the times were converted, in s.
+    angle a few microseconds later. ``where`` is what states the times, and ``unit_s`` the unit from
+    which they were converted.
 
     Raises:
         InputError: If that step is below 20 us or above ``longest_s``; the message names the
@@ -129,48 +112,36 @@ def check_sampling(
     """
     if t.size < 2:
         raise InputError(file, where, f"{t.size} sample", "at least two")
-    usual = float(np.quantile(np.diff(t), 0.75))
-    if SHORTEST_PERIOD_S <= usual <= longest_s:
-        _check_pauses(file, t, usual, LONGEST_PAUSES_S * longest_s / LONGEST_PERIOD_S, where)
-        return
-    stated = usual / unit_s
-    plausible = (unit for unit, size in UNITS if 1e-4 <= stated * size <= LONGEST_PERIOD_S)
-    unit = next(plausible, None) or ("minutes or hours" if usual < SHORTEST_PERIOD_S else None)
-    hint = f" (are the times in {unit}?)" if unit else ""
-    limits = f"between {1e6 * SHORTEST_PERIOD_S:g} us and {longest_s:g} s"
-    expected = f"{limits}, with {where} in s{hint}" if where == "t_s" else f"{limits}{hint}"
-    raise InputError(file, where, f"samples {usual:.4g} s apart", expected)
-
-
-def _check_pauses(
-    file: str | PathLike[str], t: Array, usual_s: float, longest_s: float, where: str
-) -> None:
     steps = np.diff(t)
-    paused = float(steps[steps > GAP * usual_s].sum())
-    if paused > max(longest_s, t.size * usual_s):
+    usual = float(np.quantile(steps, 0.75))
+    if not SHORTEST_PERIOD_S <= usual <= longest_s:
+        stated = usual / unit_s
+        plausible = (unit for unit, size in UNITS if 1e-4 <= stated * size <= LONGEST_PERIOD_S)
+        unit = next(plausible, None) or ("minutes or hours" if usual < SHORTEST_PERIOD_S else None)
+        hint = f" (are the times in {unit}?)" if unit else ""
+        limits = f"between {1e6 * SHORTEST_PERIOD_S:g} us and {longest_s:g} s"
+        expected = f"{limits}, with {where} in s{hint}" if where == "t_s" else f"{limits}{hint}"
+        raise InputError(file, where, f"samples {usual:.4g} s apart", expected)
+    paused = float(steps[steps > GAP * usual].sum())
+    longest_pauses_s = LONGEST_PAUSES_S * longest_s / LONGEST_PERIOD_S
+    if paused > max(longest_pauses_s, t.size * usual):
         row = int(np.argmax(steps))
         found = f"{paused:.4g} s without samples, of which {steps[row]:.4g} s after {t[row]:.4g} s"
-        expected = f"at most {longest_s:g} s (was the clock set? cut the recording there)"
+        expected = f"at most {longest_pauses_s:g} s (was the clock set? cut the recording there)"
         raise InputError(file, where, found, expected)
 
 
 def recording_clock_findings(
     joints: Sequence[str], t: Array, position: Array
 ) -> list[RecordingFinding]:
-    """Findings about the times at which the joints of a recording were measured.
+    """Findings about the times ``t`` (T,) at which joints were measured, at angles (T, J) or NaN.
 
-    Rows that are missing one at a time are a warning: commands between them are not known.
-
-    Args:
-        joints: Names of the J joints; a sentence that does not concern all of them names its own.
-        t: Times in s, shape (T,).
-        position: Measured angles, NaN where missing, shape (T, J).
+    Rows that are missing one at a time are a warning: commands between them are not known. A
+    sentence that does not concern all joints names its own.
     """
     concerned: dict[RecordingFinding, list[str]] = {}
     for joint, angle in zip(joints, position.T, strict=True):
-        times = _times(t, angle)
-        clock = timing(times, np.zeros((times.size, 1)))
-        found = [RecordingFinding(sentence) for sentence in clock_findings(times, clock)]
+        found = [RecordingFinding(sentence) for sentence in clock_findings(_times(t, angle))]
         found += [RecordingFinding(sentence, "warning") for sentence in dropped_rows(t, angle)]
         for finding in found:
             concerned.setdefault(finding, []).append(joint)
@@ -187,11 +158,8 @@ def dropped_rows(
 ) -> Iterator[str]:
     """A finding about rows that are missing one at a time, where no other row is in their place.
 
-    Args:
-        t: Times in s, shape (T,).
-        angle: Measured angles of a joint, NaN where missing, shape (T,).
-        least_share: Smallest share of the steps that are twice as long.
-        even: Largest jitter, in steps, with which a step is known to be twice as long.
+    More than ``least_share`` of the steps between measured angles (T,) are twice as long as usual,
+    which is known where the jitter is below ``even`` steps.
     """
     rows = np.flatnonzero(np.isfinite(angle))
     if rows.size < 3:
@@ -209,8 +177,9 @@ def dropped_rows(
         )
 
 
-def clock_findings(t: Array, clock: Timing) -> Iterator[str]:
-    """Findings about times of measurements ``t`` (T,), whose statistics are ``clock``."""
+def clock_findings(t: Array, *, slowest_hz: float = 20.0) -> Iterator[str]:
+    """Findings about times of measurements (T,), one sentence each."""
+    clock = timing(t, np.zeros((t.size, 1)))
     steps, usual = np.diff(t), 1 / clock.rate_hz
     doubled, short = int(np.sum(steps < 0.01 * usual)), int(np.sum(steps < 0.2 * usual))
     if doubled:
@@ -228,7 +197,7 @@ def clock_findings(t: Array, clock: Timing) -> Iterator[str]:
     elif clock.jitter_s > 0.2 * usual:
         varies = 100 * clock.jitter_s / usual
         yield f"The sampling rate is far from constant: steps vary by {varies:.0f} %."
-    if clock.rate_hz < SLOWEST_RATE_HZ:
+    if clock.rate_hz < slowest_hz:
         yield (
             f"At {clock.rate_hz:.3g} Hz a servo's latency and damping (tens of milliseconds) "
             "are hardly identifiable."

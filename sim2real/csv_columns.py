@@ -16,8 +16,6 @@ from sim2real.units import plausible
 
 LARGEST_FILE_BYTES = 256 * 2**20
 LARGEST_ANGLE_RAD = 4 * np.pi
-_MOST_NAMED = 8
-"""Largest number of columns that a message lists."""
 
 
 def read_table(csv: Path) -> pd.DataFrame:
@@ -97,9 +95,9 @@ def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
     return values
 
 
-def _listed(columns: list[str]) -> str:
+def _listed(columns: list[str], most: int = 8) -> str:
     """The first columns of a header, shortened for a message."""
-    named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:_MOST_NAMED]]
+    named = [column if len(column) <= 40 else f"{column[:39]}…" for column in columns[:most]]
     omitted = len(columns) - len(named)
     return ", ".join(named) + (f" and {omitted} more" if omitted else "")
 
@@ -128,12 +126,13 @@ def angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: st
     return angles
 
 
-def check_times(csv: Path, t: Array) -> None:
-    """Check that times (T,) are present and increase.
+def times(csv: Path, table: pd.DataFrame) -> Array:
+    """The column ``t_s``, shape (T,), T at least 2.
 
     Raises:
-        InputError: If they do not.
+        InputError: If a time is missing or does not increase.
     """
+    t = column(csv, table, "t_s")
     if t.size < 2:
         raise InputError(csv, "", f"{t.size} row", "at least two rows")
     missing = np.flatnonzero(np.isnan(t))
@@ -144,19 +143,21 @@ def check_times(csv: Path, t: Array) -> None:
         row = int(back[0]) + 1
         found = f"{t[row]:g} after {t[row - 1]:g}"
         raise InputError(csv, cell(csv, row, "t_s"), found, "times that increase")
+    return t
 
 
-def check_commands(csv: Path, joints: tuple[str, ...], command: Array) -> None:
-    """Check that set-points (T, J) are missing only at the end of a joint's column.
+def commands(csv: Path, table: pd.DataFrame, joints: tuple[str, ...]) -> Array:
+    """Set-points of all joints in rad, shape (T, J), missing only at the end of a joint's column.
 
     Raises:
-        InputError: If one is missing before the last one.
+        InputError: If one is missing before the last one, or too large to be in rad.
     """
-    for j, joint in enumerate(joints):
-        present = np.isfinite(command[:, j])
+    command = angles(csv, table, joints, "command_rad")
+    for joint, present in zip(joints, np.isfinite(command).T, strict=True):
         last = int(np.flatnonzero(present)[-1]) if present.any() else 0
         hole = np.flatnonzero(~present[: last + 1])
         if hole.size:
             place = cell(csv, int(hole[0]), f"{joint}.command_rad")
             expected = "a set-point in rad (empty only at the end, where the torque is off)"
             raise InputError(csv, place, "an empty cell", expected)
+    return command

@@ -21,7 +21,11 @@ def from_report(name: str) -> Callable[..., Any]:
 
 
 class NotebookDisplay:
-    """Base of results that Jupyter shows as tables, by ``report.notebook``."""
+    """Base of results that are shown as tables, in Jupyter and as text, by ``report.notebook``."""
+
+    def __str__(self) -> str:
+        """The tables and the notes."""
+        return str(from_report("notebook.result_text")(self))
 
     def _repr_html_(self) -> str | None:
         """HTML for IPython, or None (it then shows the text) where Jinja is not installed."""

@@ -1,14 +1,44 @@
-"""The exception for invalid input, and checks of arguments that raise it."""
+"""Exceptions for invalid input and missing libraries, checks that raise them, and findings."""
 
 from __future__ import annotations
 
 import difflib
+import importlib
 import math
-from collections.abc import Iterable, Sequence
-from numbers import Integral
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from numbers import Integral, Real
 from os import PathLike
+from typing import Any, Literal
 
 _LONGEST_SHOWN = 80  # characters of a value in a message
+_LIBRARIES = {
+    "matplotlib": ("Matplotlib", "report"),
+    "jinja2": ("Jinja", "report"),
+    "markupsafe": ("Jinja", "report"),
+    "rosbags": ("rosbags", "ros"),
+    "PIL": ("Pillow", "sim"),
+    "av": ("PyAV", "sim"),
+    "torch": ("PyTorch", "rl"),
+    "stable_baselines3": ("Stable-Baselines3", "rl"),
+    "gymnasium": ("Gymnasium", "rl"),
+    "moviepy": ("MoviePy", "render"),
+    "pygame": ("pygame", "render"),
+    "serial": ("pyserial", "hardware"),
+    "cv2": ("OpenCV", "hardware"),
+    "arviz": ("ArviZ", "arviz"),
+    "shtab": ("shtab", "completion"),
+    "onnx": ("package onnx", "onnx"),
+    "mujoco": ("MuJoCo", "mujoco"),
+    "pyarrow": ("pyarrow", "lerobot"),
+    "pinocchio": ("Pinocchio", "arm"),
+    "rerun": ("rerun-sdk", "view"),
+    "mcap": ("mcap", "view"),
+    "ray": ("Ray", "cluster"),
+}
+"""Name and extra of each optional library, by module."""
 
 
 class InputError(Exception):
@@ -33,14 +63,28 @@ class InputError(Exception):
         return type(self), (self.file, self.where, self.found, self.expected)
 
 
-def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
-    """Check that ``value`` is one of ``choices``.
+@dataclass(frozen=True)
+class RecordingFinding:
+    """A finding about a recording.
 
-    Args:
-        call: The function that was called, for the message.
-        argument: The argument's name.
-        value: Its value.
-        choices: Valid values.
+    Attributes:
+        text: The finding, one sentence.
+        severity: ``"note"`` if it is merely unusual; ``"warning"`` if numbers that are fitted to
+            the recording may be wrong, and are shown with it; ``"error"`` if they would be wrong,
+            and nothing is fitted.
+        where, found, expected: Of an error, the column, what is found there and what is expected,
+            for the exception.
+    """
+
+    text: str
+    severity: Literal["note", "warning", "error"] = "note"
+    where: str = ""
+    found: str = ""
+    expected: str = ""
+
+
+def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
+    """Check that ``value``, an argument of the function ``call``, is one of ``choices``.
 
     Raises:
         InputError: If it is none of them; the message names the most similar choice.
@@ -60,6 +104,16 @@ def check_whole(call: str, argument: str, value: object, least: int = 0) -> None
     whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
     if not whole:
         raise InputError(call, argument, shown(value), f"a whole number of at least {least}")
+
+
+def check_level(call: str, value: object) -> None:
+    """Check that the probability of intervals is a number between 0 and 1.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if not isinstance(value, Real) or isinstance(value, bool) or not 0 < float(value) < 1:
+        raise InputError(call, "interval", shown(value), "a number between 0 and 1")
 
 
 def check_effort(call: str, value: object) -> None:
@@ -93,12 +147,9 @@ def one_of(name: object, known: Sequence[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
-    """The known name that is most similar to ``name``, ignoring case; None if none is similar.
+    """The known name most similar to ``name``, ignoring case; None if none is.
 
-    Args:
-        name: The name that was found.
-        known: The valid names.
-        similarity: Smallest similarity, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
+    ``similarity``: the smallest one, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
     """
     by_lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)
@@ -112,3 +163,68 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):  # an integer of thousands of digits, or too deep nesting
         return f"a huge {type(value).__name__}"
     return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"
+
+
+class MissingLibrary(InputError, ModuleNotFoundError):
+    """An optional library is not installed; the message has the command that installs it."""
+
+    def __init__(self, place: str, module: str) -> None:
+        title, extra = _LIBRARIES[module]
+        super().__init__(place, "", f"no {title}", f"it installed: {install_command(extra)}")
+        self.name = module
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments."""
+        return type(self), (self.file, self.name)
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra of this package: its wheel's, and that of a clone."""
+    return f"pip install 'sim2real[{extra}]' (in a clone: pip install -e '.[{extra}]')"
+
+
+def missing_library(error: ModuleNotFoundError, place: str = "") -> MissingLibrary | None:
+    """The failed import of an optional library as an error of one line; None for other imports."""
+    if isinstance(error, MissingLibrary):
+        return error
+    module = (error.name or "").partition(".")[0]
+    return MissingLibrary(place or module, module) if module in _LIBRARIES else None
+
+
+@contextmanager
+def optional(place: str) -> Iterator[None]:
+    """Context of imports of optional libraries, which the option, command or file ``place`` needs.
+
+    Raises:
+        MissingLibrary: If one is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_library(error, place)
+        if missing is None:
+            raise
+        raise missing from None
+
+
+@contextmanager
+def if_installed(what: str) -> Iterator[None]:
+    """Context that makes ``what``, as ``"plots"``, or prints which optional library it needs."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_library(error)
+        if missing is None:
+            raise
+        title, extra = _LIBRARIES[str(missing.name)]
+        print(f"no {what}: {title} is not installed; {install_command(extra)}", file=sys.stderr)
+
+
+def library(module: str, place: str) -> Any:  # noqa: ANN401 - a module
+    """Import an optional library.
+
+    Raises:
+        MissingLibrary: If it is not installed.
+    """
+    with optional(place):
+        return importlib.import_module(module)

@@ -9,22 +9,13 @@ import numpy as np
 
 from sim2real.arrays import Array, Mask
 from sim2real.clock import missing_samples, recording_clock_findings
-from sim2real.finding import RecordingFinding
+from sim2real.errors import RecordingFinding
 from sim2real.noise import noise_floor, quantization_step
-from sim2real.readings import (
-    departure,
-    interleaved_constant,
-    stale_share,
-    wraps,
-    wrong_readings,
-)
+from sim2real.readings import departure, interleaved_constant, stale_share, wraps, wrong_readings
 from sim2real.recording import Recording
 from sim2real.robot import Joint, Robot
 
-SLOWEST_EXCITATION_HZ = 0.2
-FEWEST_MOVES = 4
 LONGEST_LATENCY_S = 0.15
-STUCK_S = 0.5
 _LARGEST_DEPARTURE = 1 / 3
 """Share of a recording away from its command above which nothing is fitted: drives and sensors that
 fail for a time were away for at most 0.23 (``benchmarks/recording_findings.py``)."""
@@ -40,6 +31,19 @@ class _PoweredJoint:
     position: Array
     noise_rad: float
     step_rad: float
+
+    def finding(self, text: str) -> RecordingFinding:
+        """A note about the joint; ``text`` continues its name."""
+        return RecordingFinding(self.joint + text)
+
+    def warning(self, text: str) -> RecordingFinding:
+        """A warning about the joint; ``text`` continues its name."""
+        return RecordingFinding(self.joint + text, "warning")
+
+    def error(self, does: str, why: str, expected: str) -> RecordingFinding:
+        """An angle of the joint that does what it should not; sentence: what it does, and why."""
+        where, found = f"{self.joint}.position_rad", f"an angle that {does}"
+        return RecordingFinding(f"{self.joint} {does}{why}", "error", where, found, expected)
 
 
 def moves(t: Array, command: Array) -> int:
@@ -69,9 +73,7 @@ def recording_findings(recording: Recording) -> list[RecordingFinding]:
 def all_findings(recording: Recording, robot: Robot | None = None) -> list[RecordingFinding]:
     """All findings about a recording; one that several joints share is listed once.
 
-    Args:
-        recording: The recording.
-        robot: The robot that was recorded, with its limits and data sheets.
+    With the robot that was recorded, also those about its limits and data sheets.
     """
     return [*recording_findings(recording), *merged(joint_rows(recording, robot))]
 
@@ -89,11 +91,7 @@ def joint_rows(
 
 
 def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFinding]:
-    """Findings of joints, of which one that several joints share is listed once.
-
-    Args:
-        rows: The name of each joint, and a finding about it.
-    """
+    """Findings, each with its joint, of which one that several joints share is listed once."""
     joints: dict[str, list[str]] = {}
     findings: dict[str, RecordingFinding] = {}
     for joint, finding in rows:
@@ -111,14 +109,10 @@ def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFindin
 def joint_findings(
     recording: Recording, j: int, noise_rad: float, step_rad: float, sheet: Joint | None
 ) -> Iterator[RecordingFinding]:
-    """Findings about one joint, including what its load does not allow to identify.
+    """Findings about joint number ``j``, including what its load does not allow to identify.
 
-    Args:
-        recording: The recording.
-        j: Number of the joint in it.
-        noise_rad: Standard deviation of the measurement noise.
-        step_rad: Quantization step; 0 if there is none.
-        sheet: The joint in the robot's description.
+    ``noise_rad`` is the standard deviation of its noise, ``step_rad`` its quantization step, 0 if
+    there is none.
     """
     powered = recording.powered(j)
     if powered < 2:
@@ -127,46 +121,38 @@ def joint_findings(
     position = recording.position[:powered, j]
     data = _PoweredJoint(recording.joints[j], t, command, position, noise_rad, step_rad)
     load = recording.loads.get(data.joint)
-    finite = np.isfinite(data.position)
+    finite = np.isfinite(position)
     if not finite.any():
-        yield RecordingFinding(f"{data.joint} has no measured positions.")
+        yield data.finding(" has no measured positions.")
         return
-    lost = missing_samples(data.t, data.position)
+    lost = missing_samples(t, position)
     missing = lost / (lost + int(finite.sum()))
     if missing > 0.01:
-        yield RecordingFinding(f"{data.joint} lacks {100 * missing:.2g} % of its positions.")
+        yield data.finding(f" lacks {100 * missing:.2g} % of its positions.")
     readings = list(_readings(data))
     yield from readings
     if any(finding.severity == "error" for finding in readings):
         return  # nothing else is known of its motion
-    span, least = float(np.ptp(data.command)), max(2 * data.step_rad, 9 * data.noise_rad)
-    if span <= max(2 * data.step_rad, 1e-4):
-        yield RecordingFinding(
-            f"{data.joint} is never commanded to move: nothing can be fitted to it."
-        )
-    elif float(np.ptp(data.position[finite])) <= min(least, 0.5 * span):
-        yield RecordingFinding(
-            f"{data.joint} does not move, although its command spans {span:.3g} rad.", "warning"
-        )
+    span, least = float(np.ptp(command)), max(2 * step_rad, 9 * noise_rad)
+    if span <= max(2 * step_rad, 1e-4):
+        yield data.finding(" is never commanded to move: nothing can be fitted to it.")
+    elif float(np.ptp(position[finite])) <= min(least, 0.5 * span):
+        yield data.warning(f" does not move, although its command spans {span:.3g} rad.")
     elif recording.kind == "servo":
         yield from _motion(data, finite, gravity=load is None or load.gravity_Nm > 0)
     yield from _start(data, finite)
-    yield from (RecordingFinding(text) for text in _excitation(data))
+    yield from _excitation(data)
     if sheet is not None:
         yield from _data_sheet(data, sheet)
     if powered < recording.t.size:
-        yield RecordingFinding(
-            f"{data.joint}'s torque is off from {recording.t[powered]:.4g} s on."
-        )
+        yield data.finding(f"'s torque is off from {recording.t[powered]:.4g} s on.")
     if recording.kind != "servo":
         return
     if load is None:
-        yield RecordingFinding(
-            f"{data.joint} has no stated load: its gains are identified per unit of inertia."
-        )
+        yield data.finding(" has no stated load: its gains are identified per unit of inertia.")
     elif not load.gravity_Nm:
-        yield RecordingFinding(
-            f"{data.joint}'s load has no pendulum: only kp/inertia and kd/inertia are "
+        yield data.finding(
+            "'s load has no pendulum: only kp/inertia and kd/inertia are "
             "identifiable, so the stated inertia cannot be checked."
         )
 
@@ -177,26 +163,20 @@ def _readings(data: _PoweredJoint) -> Iterator[RecordingFinding]:
     if after.size:
         size, turn = float(np.median(np.abs(jumps))), 2 * np.pi
         whole = " (one turn)" if abs(size - turn) < 0.1 * turn else ""
-        jumping = f"jumps by {size:.3g} rad{whole} between two samples, {_times(after.size)}"
-        first = f"first at {data.t[after[0]]:.4g} s"
-        yield RecordingFinding(
-            f"{data.joint} {jumping}, {first}: its angle wraps around and must be unwrapped.",
-            "error",
-            f"{data.joint}.position_rad",
-            f"an angle that {jumping}, {first}",
+        yield data.error(
+            f"jumps by {size:.3g} rad{whole} between two samples, {_times(after.size)}, "
+            f"first at {data.t[after[0]]:.4g} s",
+            ": its angle wraps around and must be unwrapped.",
             "one without jumps (does it wrap around? numpy.unwrap continues it)",
         )
         return
     constant = interleaved_constant(data.position)
     if constant is not None:
-        value, count = constant
         measured = int(np.isfinite(data.position).sum())
-        mixed = f"reads exactly {value:.4g} rad between other angles, {_times(count)}"
-        yield RecordingFinding(
-            f"{data.joint} {mixed} in {measured} samples: another source writes into the column.",
-            "error",
-            f"{data.joint}.position_rad",
-            f"an angle that {mixed} in {measured} samples",
+        yield data.error(
+            f"reads exactly {constant[0]:.4g} rad between other angles, {_times(constant[1])} in "
+            f"{measured} samples",
+            ": another source writes into the column.",
             "one series of angles (does another source write into the column?)",
         )
         return
@@ -205,17 +185,16 @@ def _readings(data: _PoweredJoint) -> Iterator[RecordingFinding]:
     if wrong.size:
         seconds = ", ".join(f"{data.t[k]:.4g}" for k in wrong[:3])
         more = ", ..." if wrong.size > 3 else ""
-        yield RecordingFinding(
-            f"{data.joint} has {_counted(wrong.size, 'reading')} far from those before and after "
-            f"(at {seconds}{more} s): wrong readings of the sensor or the bus.",
-            "warning",
+        count = "one reading" if wrong.size == 1 else f"{wrong.size} readings"
+        yield data.warning(
+            f" has {count} far from those before and after (at {seconds}{more} s): wrong readings "
+            "of the sensor or the bus."
         )
     stale = stale_share(data.position, data.step_rad, data.noise_rad)
     if stale:
-        yield RecordingFinding(
-            f"{data.joint} has stale readings: {100 * stale:.0f} % of the samples in "
-            "which it turns steadily repeat the previous one. They look like missing physics.",
-            "warning",
+        yield data.warning(
+            f" has stale readings: {100 * stale:.0f} % of the samples in "
+            "which it turns steadily repeat the previous one. They look like missing physics."
         )
 
 
@@ -223,39 +202,37 @@ def _times(count: int) -> str:
     return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
-def _counted(count: int, noun: str) -> str:
-    return f"one {noun}" if count == 1 else f"{count} {noun}s"
-
-
 def _motion(
-    data: _PoweredJoint, finite: Mask, *, gravity: bool, longest_delay_s: float = 1.0
+    data: _PoweredJoint,
+    finite: Mask,
+    *,
+    gravity: bool,
+    longest_delay_s: float = 1.0,
+    stuck_s: float = 0.5,
 ) -> Iterator[RecordingFinding]:
     t, command, position = data.t[finite], data.command[finite], data.position[finite]
     match = _correlations(t, command, position, LONGEST_LATENCY_S)
     if match.size and match.max() < 0 and match.min() < -0.5:
-        against = f"moves against its command (correlation {match.min():.2f})"
         # Half a period of a periodic command looks like a reversed sign.
         late = _correlations(t, command, position, longest_delay_s).max() > -0.8 * match.min()
-        yield RecordingFinding(
-            f"{data.joint} {against}: the sign of one of them is reversed"
+        against = data.error(
+            f"moves against its command (correlation {match.min():.2f})",
+            ": the sign of one of them is reversed"
             + (f", or its latency exceeds {LONGEST_LATENCY_S:g} s." if late else "."),
-            "warning" if late else "error",
-            f"{data.joint}.position_rad",
-            f"an angle that {against}",
             "one with the sign of its command (is one of them reversed?)",
         )
+        yield replace(against, severity="warning") if late else against
         return
     edges = np.flatnonzero(np.r_[True, np.diff(position) != 0, True])
     for a, b in zip(edges[:-1], edges[1:] - 1, strict=True):
         # Commands at the end of the interval have not taken effect yet.
         due = command[a : b + 1][t[a : b + 1] < t[b] - 2 * LONGEST_LATENCY_S]
         moved = float(np.ptp(due)) if due.size else 0.0
-        if t[b] - t[a] > STUCK_S and moved > max(0.1, 10 * data.step_rad):
-            yield RecordingFinding(
-                f"{data.joint} reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
+        if t[b] - t[a] > stuck_s and moved > max(0.1, 10 * data.step_rad):
+            yield data.warning(
+                f" reads exactly {position[a]:.4g} rad from {t[a]:.4g} to {t[b]:.4g} s "
                 f"while its command moves by {moved:.2g} rad: friction, gears or sensor may be "
-                "stuck.",
-                "warning",
+                "stuck."
             )
             return
     apart = departure(data.t, data.command, data.position, gravity)
@@ -263,18 +240,15 @@ def _motion(
         first, last = apart.windows_s[0]
         total = sum(end - start for start, end in apart.windows_s)
         where = "" if apart.held_rad is None else f", and stays near {apart.held_rad:.3g} rad"
-        away = (
-            f"for {total:.3g} s in all, first from {first:.4g} to {last:.4g} s, it is up to "
-            f"{apart.largest_rad:.2g} rad away{where}"
-        )
         why = "stopped or pulled, its torque may be off, or commands may be increments"
-        yield RecordingFinding(
-            f"{data.joint} does not follow its command: {away}. It may be {why}.",
-            "error" if total > _LARGEST_DEPARTURE * np.ptp(data.t) else "warning",
-            f"{data.joint}.position_rad",
-            f"an angle that does not follow its command: {away}",
+        away = data.error(
+            f"does not follow its command: for {total:.3g} s in all, first from {first:.4g} to "
+            f"{last:.4g} s, it is up to {apart.largest_rad:.2g} rad away{where}",
+            f". It may be {why}.",
             f"one that does (it may be {why})",
         )
+        short = total <= _LARGEST_DEPARTURE * np.ptp(data.t)
+        yield replace(away, severity="warning") if short else away
 
 
 def _correlations(t: Array, command: Array, position: Array, longest_s: float) -> Array:
@@ -298,82 +272,74 @@ def _start(data: _PoweredJoint, finite: Mask) -> Iterator[RecordingFinding]:
         return
     offset = float(np.median(data.position[early] - data.command[0]))
     if float(np.ptp(data.position[early])) > max(5 * data.step_rad, 9 * data.noise_rad, 0.01):
-        yield RecordingFinding(
-            f"{data.joint} is moving at the start of the recording: it should be at rest.",
-            "warning",
-        )
+        yield data.warning(" is moving at the start of the recording: it should be at rest.")
     elif abs(offset) > 0.1:
-        yield RecordingFinding(
-            f"{data.joint} starts {abs(offset):.2g} rad away from its first command.", "warning"
-        )
+        yield data.warning(f" starts {abs(offset):.2g} rad away from its first command.")
     elif abs(offset) > max(3 * data.step_rad, 4 * data.noise_rad, 0.005):
         side = "above" if offset > 0 else "below"
-        yield RecordingFinding(
-            f"{data.joint} starts at rest {abs(offset):.2g} rad {side} its command: there may "
+        yield data.finding(
+            f" starts at rest {abs(offset):.2g} rad {side} its command: there may "
             "be an offset, a load or a dead band."
         )
 
 
-def _excitation(data: _PoweredJoint) -> Iterator[str]:
+def _excitation(
+    data: _PoweredJoint, *, fewest_moves: int = 4, slowest_hz: float = 0.2
+) -> Iterator[RecordingFinding]:
     count = moves(data.t, data.command)
     if not count:
         return
-    if count < FEWEST_MOVES:
+    if count < fewest_moves:
         times = ("once", "twice", "three times")[count - 1]
-        yield (
-            f"{data.joint} is commanded to move only {times}: too little to hold out for "
-            "validation."
+        yield data.finding(
+            f" is commanded to move only {times}: too little to hold out for validation."
         )
     step = np.diff(data.t)
     spread = float(np.average((data.command[1:] - data.command.mean()) ** 2, weights=step))
     speed = float(np.average((np.diff(data.command) / step) ** 2, weights=step))
     frequency = float(np.sqrt(speed / spread)) / (2 * np.pi)  # exact for a sine
-    if frequency < SLOWEST_EXCITATION_HZ:
-        yield (
-            f"{data.joint} is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
+    if frequency < slowest_hz:
+        yield data.finding(
+            f" is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
             "inertia are hardly identifiable."
         )
 
 
-def _data_sheet(data: _PoweredJoint, sheet: Joint) -> Iterator[RecordingFinding]:
+def _data_sheet(
+    data: _PoweredJoint, sheet: Joint, *, beyond_rad: float = 0.1
+) -> Iterator[RecordingFinding]:
     if sheet.states("limits_rad"):
-        yield from _limits(data, *sheet.limits_rad)
+        low, high = sheet.limits_rad
+        extremes = (float(data.command.min()), float(data.command.max()))
+        if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
+            beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
+            yield data.finding(
+                f" is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
+                f"{high:.3g} rad."
+            )
+        angle = np.where(wrong_readings(data.position), np.nan, data.position)
+        excess = np.maximum(low - angle, angle - high)
+        reached = np.maximum(low - data.command, data.command - high) > beyond_rad
+        if (excess > beyond_rad).any() and not reached.any():
+            row = int(np.nanargmax(excess))
+            yield data.warning(
+                f" reads {angle[row]:.3g} rad at {data.t[row]:.4g} s, outside its limits of "
+                f"{low:.3g} to {high:.3g} rad, {_times(int((excess > beyond_rad).sum()))}."
+            )
     changed = np.flatnonzero(np.diff(data.command)) + 1
     slope = np.abs(np.diff(data.command[changed]) / np.diff(data.t[changed]))
     # Two slopes in a row: one alone may be a step, which no servo follows.
     fastest = float(np.minimum(slope[1:], slope[:-1]).max()) if slope.size > 1 else 0.0
     servo = sheet.servo
     if servo.states("no_load_speed_rad_s") and fastest > servo.no_load_speed_rad_s:
-        yield RecordingFinding(
-            f"{data.joint} is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
+        yield data.finding(
+            f" is commanded at up to {fastest:.3g} rad/s, above its servo's no-load "
             f"speed of {servo.no_load_speed_rad_s:.3g} rad/s: the response will be limited by it."
         )
     stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
     counts = data.step_rad / stated if stated > 0 else 0.0
     if counts and abs(counts - round(counts)) > 0.05:
-        yield RecordingFinding(
-            f"{data.joint} is measured in steps of {data.step_rad:.3g} rad, but the data sheet "
+        yield data.finding(
+            f" is measured in steps of {data.step_rad:.3g} rad, but the data sheet "
             f"states {stated:.3g} rad."
-        )
-
-
-def _limits(
-    data: _PoweredJoint, low: float, high: float, *, beyond_rad: float = 0.1
-) -> Iterator[RecordingFinding]:
-    extremes = (float(data.command.min()), float(data.command.max()))
-    if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
-        beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
-        yield RecordingFinding(
-            f"{data.joint} is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
-            f"{high:.3g} rad."
-        )
-    angle = np.where(wrong_readings(data.position), np.nan, data.position)
-    outside = np.maximum(low - angle, angle - high) > beyond_rad
-    reached = np.maximum(low - data.command, data.command - high) > beyond_rad
-    if outside.any() and not reached.any():
-        row = int(np.nanargmax(np.maximum(low - angle, angle - high)))
-        yield RecordingFinding(
-            f"{data.joint} reads {angle[row]:.3g} rad at {data.t[row]:.4g} s, outside its limits "
-            f"of {low:.3g} to {high:.3g} rad, {_times(int(outside.sum()))}.",
-            "warning",
         )

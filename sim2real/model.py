@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from sim2real.arm.description import Arm, arm_content, arm_from
 from sim2real.clock import SHORTEST_PERIOD_S
 from sim2real.display import NotebookDisplay, from_report
+from sim2real.inference.normal import LEVEL
 from sim2real.output import write_json
 from sim2real.recording import Load, read_load
-from sim2real.structured import Fields, finite_number, number_or_infinity, read_json
+from sim2real.structured import Fields, number_or_infinity, read_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,7 +54,8 @@ class JointModel:
         inertia_kgm2: Moment of inertia of the load, without the rotor; 1 if ``per_inertia``.
         per_inertia: Whether gains are per unit of inertia, because the load is not known.
         load: The load stated by the recordings, if any.
-        interval: 90 % interval by parameter; an end is infinite where the data do not constrain it.
+        interval: Interval by parameter, of ``Model.interval_level``; an end is infinite where the
+            data do not constrain it.
         correlation: Correlation of the estimates by pair, ``"a, b"``.
         effects: Effects in addition to the law.
         notes: Remarks on these values, one sentence each.
@@ -87,6 +89,7 @@ class Model(NotebookDisplay):
         provenance: Command line, versions, seed and SHA-256 of the inputs.
         arm: The rigid bodies that load the servos of an arm.
         firmware_p_gain: Gain of the firmware to which kp belongs; None where it is not known.
+        interval_level: Probability of the intervals.
     """
 
     joints: Mapping[str, JointModel]
@@ -97,14 +100,11 @@ class Model(NotebookDisplay):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     arm: Arm | None = None
     firmware_p_gain: float | None = None
-
-    def __str__(self) -> str:
-        """Table of the fitted parameters of every joint, with intervals and errors."""
-        return str(from_report("table.fit_report")(self))
+    interval_level: float = LEVEL
 
     def plot(self) -> Figure:
-        """Gains and latency of every joint, with 90 % intervals."""
-        figure: Figure = from_report("parameter_plot.parameter_figure")(self)
+        """Gains and latency of every joint, with intervals."""
+        figure: Figure = from_report("identification.parameter_figure")(self)
         return figure
 
 
@@ -150,6 +150,9 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")
     servos = {name: _read_joint(joints.table(name)) for name in joints.labels()}
+    level = top.number("interval_level", LEVEL, above=0)
+    if level >= 1:
+        raise top.error("interval_level", "a number between 0 and 1")
     if top.content.get(_ROTOR_IN_LOAD, True):
         servos = {name: _with_added_rotor(joint) for name, joint in servos.items()}
     return Model(
@@ -160,19 +163,16 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
         arm=arm_from(top.table("arm")) if "arm" in top else None,
-        firmware_p_gain=top.number("firmware_p_gain", above=0)
-        if "firmware_p_gain" in top
-        else None,
+        firmware_p_gain=top.optional_number("firmware_p_gain", above=0),
+        interval_level=level,
     )
 
 
 def _joint_content(joint: JointModel) -> dict[str, Any]:
-    content = dict(vars(joint))
+    content = {**vars(joint), "load": joint.load and vars(joint.load)}
     for name in ("per_inertia", "motor", "load"):
         if not content[name]:
             del content[name]
-    if joint.load is not None:
-        content["load"] = vars(joint.load)
     content["interval"] = {
         name: [end if math.isfinite(end) else None for end in ends]
         for name, ends in joint.interval.items()
@@ -182,12 +182,7 @@ def _joint_content(joint: JointModel) -> dict[str, Any]:
 
 
 def _read_joint(fields: Fields) -> JointModel:
-    per_inertia = fields.content.get("per_inertia", False)
-    if not isinstance(per_inertia, bool):
-        raise fields.error("per_inertia", "true or false")
-    law: Any = fields.text("law", LAWS[0])
-    if law not in LAWS:
-        raise fields.error("law", f"one of {', '.join(LAWS)}")
+    law: Any = fields.choice("law", LAWS, LAWS[0])
     motor = fields.table("motor")
     if law == LAWS[0] and motor.content:
         raise fields.error("motor", "no such table where the law is pd")
@@ -199,7 +194,7 @@ def _read_joint(fields: Fields) -> JointModel:
         kd_Nms_per_rad=fields.number("kd_Nms_per_rad", low=0),
         latency_s=fields.number("latency_s", low=0),
         inertia_kgm2=fields.number("inertia_kgm2", above=0),
-        per_inertia=per_inertia,
+        per_inertia=fields.flag("per_inertia"),
         law=law,
         motor={name: motor.number(name, low=0) for name in motor.content},
         load=read_load(fields.table("load")) if "load" in fields else None,
@@ -226,9 +221,9 @@ def _read_body(fields: Fields) -> Mapping[str, Any]:
         for name in table.content:
             table.number(name)
     for name in ("normalised_density", "normalised_density_sd"):
-        low = 0.0 if name.endswith("_sd") else math.ulp(0.0)
-        if name in fields and not _numbers(fields.content[name], low):
-            raise fields.error(name, "a list of numbers, one for each link")
+        if name in fields:
+            low = 0.0 if name.endswith("_sd") else math.ulp(0.0)
+            fields.numbers(name, "a list of numbers, one for each link", low=low)
     interval = fields.table("interval")
     for name in interval.content:
         _read_interval(interval, name)
@@ -238,21 +233,16 @@ def _read_body(fields: Fields) -> Mapping[str, Any]:
         names = posterior.content.get("names")
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise posterior.error("names", "a list of names")
-        if not _numbers(posterior.content.get("mean"), size=len(names)):
-            raise posterior.error("mean", f"{len(names)} numbers")
-        rows = posterior.content.get("covariance")
-        square = isinstance(rows, list) and len(rows) == len(names)
-        if not square or not all(_numbers(row, size=len(names)) for row in rows or ()):
-            raise posterior.error("covariance", f"{len(names)} rows of {len(names)} numbers")
+        size, rows = len(names), posterior.content.get("covariance")
+        posterior.numbers("mean", f"{size} numbers", size)
+        expected = f"{size} rows of {size} numbers"
+        if not isinstance(rows, list) or len(rows) != size:
+            raise posterior.error("covariance", expected)
+        for row in rows:
+            Fields(fields.file, posterior.where, {"covariance": row}).numbers(
+                "covariance", expected, size
+            )
     return fields.content
-
-
-def _numbers(value: object, low: float = -math.inf, size: int | None = None) -> bool:
-    """Whether ``value`` is a list of finite numbers of at least ``low``, of that size."""
-    numbers = [finite_number(x) for x in value] if isinstance(value, list) else [None]
-    if None in numbers or size not in (None, len(numbers)):
-        return False
-    return all(x is not None and x >= low for x in numbers)
 
 
 def _read_interval(fields: Fields, name: str) -> tuple[float, float]:

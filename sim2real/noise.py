@@ -22,17 +22,13 @@ _STILL_RAD = 1e-4  # largest change of a constant command
 
 
 def quantization_step(position: Array) -> float:
-    """Step of the grid on which all positions lie.
+    """Step in rad of the grid on which all positions lie; 0.0 if none between 5e-6 and 0.05 rad.
 
     The step is the greatest common divisor of the gaps between the visited levels, up to the
     rounding of the file. It is accepted if the gaps would not fit such a grid by chance, or if
     most levels are visited repeatedly, which does not happen for a continuous signal.
 
-    Args:
-        position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-
-    Returns:
-        The step in rad; 0.0 if there is none between 5e-6 and 0.05 rad.
+    ``position``: measured angles in rad, shape (T,); NaN where a sample is missing.
     """
     levels, visits = np.unique(np.round(position[np.isfinite(position)], 9), return_counts=True)
     distinct = np.diff(levels) > 1e-7  # one level may differ in its last binary digits
@@ -114,12 +110,7 @@ def difference_noise(t: Array, position: Array) -> float:
     Titterington, Biometrika 77, 1990, pp. 521-528). Motion can only increase the estimate, so the
     smallest one of orders 2 to 5 is used, each from the fifth of blocks of 20 with least variance.
 
-    Args:
-        t: Times in s, shape (T,), increasing.
-        position: Measured angles in rad, shape (T,), none missing.
-
-    Returns:
-        The standard deviation in rad; 0.0 for fewer than 6 samples.
+    Times in s and angles in rad, none missing, are of shape (T,). 0.0 for fewer than 6 samples.
     """
     if t.size < 6:
         return 0.0
@@ -162,10 +153,7 @@ def _quiet_blocks(t: Array, command: Array, position: Array, step: float) -> tup
 
 
 def _quietest(variance: Array, freedom: float) -> float:
-    """Variance of blocks (N,) of noise, some of them with motion, from the lowest fifth.
-
-    ``freedom``: degrees of freedom of the variance of a block, assumed to be chi-square.
-    """
+    """Variance of blocks (N,) of noise, some with motion, from the lowest fifth: chi-square."""
     if variance.size < 5:
         return float(variance.min())
     return float(np.quantile(variance, 0.2)) * freedom / float(chdtri(freedom, 0.8))
@@ -181,10 +169,7 @@ def _still_edges(command: Array) -> list[int]:
 
 
 def _noise_before_rounding(blocks: Array) -> float:
-    """Maximum-likelihood standard deviation of Gaussian noise before rounding, in steps.
-
-    Each of ``blocks`` (N, BLOCK) is at rest at an unknown angle between two levels.
-    """
+    """Maximum-likelihood noise before rounding, in steps, of blocks (N, BLOCK) at unknown rest."""
     sd = np.geomspace(0.03, 1, 36)[:, None, None]
     angle = np.arange(-0.5, 0.5, 0.05)[:, None]
     likelihood = np.zeros(sd.size)

@@ -24,7 +24,6 @@ from typing import Any
 
 from sim2real.errors import InputError
 
-_LIBRARIES = ("numpy", "scipy", "warp-lang")
 _DESCRIPTOR = re.compile(r"(?:/proc/(\d+)|/dev)/fd/(\d+)")
 """What ``/dev/stdout`` and ``/dev/fd/N`` stand for: process and number of an open file."""
 _MOST_PRINTED_BYTES = 2**20
@@ -55,14 +54,6 @@ class Results:
             found = os.stat(path)
             if stat.S_ISREG(found.st_mode):
                 self.inputs.setdefault((found.st_dev, found.st_ino), str(path))
-
-    def input_at(self, place: Path) -> str | None:
-        """The input that is this file, by whatever name or link."""
-        try:
-            found = place.stat()
-        except OSError:
-            return None
-        return self.inputs.get((found.st_dev, found.st_ino))
 
     def keep(self, target: Path, data: bytes, reason: str) -> None:
         """Keep a result in the temporary folder or, if that is full, print it."""
@@ -126,18 +117,17 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def check_not_read(place: Path, target: Path | None = None) -> None:
-    """Check that ``place`` is no input of this call of the command line.
-
-    Args:
-        place: The file.
-        target: Its name in the message.
+    """Check that ``place`` is no input of this call of the command line, by any name or link.
 
     Raises:
-        InputError: If it is one.
+        InputError: If it is one; its name in the message is ``target``.
     """
-    read = None if _results is None else _results.input_at(place)
-    if read is not None:
-        raise InputError(target or place, "", f"{read}, which the command reads", "another file")
+    with contextlib.suppress(OSError):
+        found = place.stat()
+        read = None if _results is None else _results.inputs.get((found.st_dev, found.st_ino))
+        if read is not None:
+            expected = "another file"
+            raise InputError(target or place, "", f"{read}, which the command reads", expected)
 
 
 def is_standard_output(path: str | os.PathLike[str] | None) -> bool:
@@ -313,10 +303,10 @@ def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
 def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
     """Provenance of a result: command line, versions, seed and SHA-256 of every input file.
 
-    Args:
-        inputs: Files, or objects read from files (with a ``path``); others are ignored.
-        seed: The seed, if anything was random.
+    Inputs are files, or objects read from files (with a ``path``); others are ignored.
     """
+    from importlib.metadata import PackageNotFoundError, version
+
     from sim2real.version import __version__
 
     files = (
@@ -324,28 +314,23 @@ def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
         for source in inputs
     )
     versions = {"python": platform.python_version(), "sim2real": __version__}
-    versions |= {name: _version(name) for name in _LIBRARIES}
+    for name in ("numpy", "scipy", "warp-lang"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
     return {
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "seed": seed,
         "versions": versions,
-        "inputs": {str(file): _sha256(Path(file)) for file in files if file is not None},
+        "inputs": {str(file): sha256_of(file) for file in files if file is not None},
     }
 
 
-def _version(name: str) -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-def _sha256(path: Path) -> str:
+def sha256_of(path: str | os.PathLike[str]) -> str:
     """The digest; a file that is gone by the end of a computation doesn't cost the result."""
     try:
-        with path.open("rb") as stream:
+        with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         return f"not readable ({error.strerror})"

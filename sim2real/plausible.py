@@ -1,4 +1,4 @@
-"""Validation of recordings against mistakes of units and columns.
+"""What of recordings may be fitted: mistakes of units and columns are rejected.
 
 Recordings that are rejected here can only be mistakes; what is merely unusual is a finding of
 ``check``.
@@ -7,16 +7,14 @@ Recordings that are rejected here can only be mistakes; what is merely unusual i
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
-from sim2real.errors import InputError
-from sim2real.finding import RecordingFinding
+from sim2real.errors import InputError, RecordingFinding
 from sim2real.findings import joint_rows, merged, recording_findings
-from sim2real.readings import wrong_readings
+from sim2real.readings import lead_s, wrong_readings
 from sim2real.recording import PER_INERTIA, Recording
 from sim2real.robot import Joint, Robot, match_joints
 
@@ -24,10 +22,6 @@ _QUANTILE = 0.99
 """Quantile of speed and acceleration that is compared, to exclude outliers and end stops."""
 _FEWEST_SAMPLES = 20
 """With fewer samples speed and torque are not checked."""
-UNEXPLAINED_RATIO = 3.0
-"""Smallest ratio of the variance unexplained by the best later shift to that by the best earlier
-one. It is at most 2.0 for the joints of shipped, real and generated recordings, and above 3 for
-99 % of them with command and position swapped (``benchmarks/recording_findings.py``)."""
 
 
 def admitted(
@@ -37,10 +31,7 @@ def admitted(
 
     Joints with errors are left out of a recording on a bench where others remain that move. All
     that is fitted to the recordings shows the warnings: models, diagnoses, calibrations, ranges.
-
-    Args:
-        recordings: The recordings.
-        robot: The robot that was recorded; without it units of angles and loads are not checked.
+    Without the robot units of angles and loads are not checked.
 
     Returns:
         The recordings, and the warnings, one sentence each.
@@ -73,10 +64,6 @@ def admitted(
 def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
     """Reject a recording whose times, commands or measured angles can only be a mistake.
 
-    Args:
-        recording: The recording.
-        robot: The robot that was recorded; without it units of angles and loads are not checked.
-
     Raises:
         InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, a
             column is both command and position, a joint moves before its command, or angles, speeds
@@ -99,11 +86,8 @@ def validate_commands(
 ) -> None:
     """Reject times and commands that can only be a mistake; measured angles are not checked.
 
-    Args:
-        recording: The recording.
-        robot: The robot that was recorded; without it only the times are checked.
-        range_ratio: Largest distance of a command from the middle of the joint's range, in half
-            ranges: degrees read as radians are 57 times too large.
+    A command is at most ``range_ratio`` half ranges from the middle of the joint's range: degrees
+    read as radians are 57 times too large.
 
     Raises:
         InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, or a
@@ -157,83 +141,6 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
 
 
-def lead_s(
-    t: Array, command: Array, position: Array, *, most: float = 0.5, least: float = 0.01
-) -> float | None:
-    """Time in s by which the position leads its command; None unless it clearly does.
-
-    Arrays are as for ``matches``. A servo is causal: no delay, filter or friction makes a position
-    match its command best at an earlier time. The best earlier shift leaves at most a share
-    ``most`` of the variance unexplained, the best later one more than ``least``.
-    """
-    best = matches(t, command, position)
-    if best is None:
-        return None
-    lead, lag = best
-    significant = lag.unexplained > max(UNEXPLAINED_RATIO * lead.unexplained, least)
-    return -lead.shift_s if significant and lead.unexplained < most else None
-
-
-class Match(NamedTuple):
-    """How well a shifted position matches the command.
-
-    Attributes:
-        shift_s: Delay of the position, negative if it leads.
-        unexplained: One minus the squared correlation of command and shifted position.
-    """
-
-    shift_s: float
-    unexplained: float
-
-
-def matches(
-    t: Array,
-    command: Array,
-    position: Array,
-    *,
-    longest_lead_s: float = 0.5,
-    longest_lag_s: float = 1.0,
-    finest_shift_s: float = 0.01,
-    fewest: int = 50,
-    most: int = 4000,
-) -> tuple[Match, Match] | None:
-    """The best match of a position that leads its command, and of one that follows it.
-
-    Args:
-        t: Times in s, shape (T,), increasing.
-        command: Set-points in rad, shape (T,), all finite.
-        position: Measured angles in rad, shape (T,), NaN where a sample is missing.
-        longest_lead_s: Largest lead, s.
-        longest_lag_s: Largest lag, s: longer, so that a periodic response, for which lead and lag
-            are not distinguishable, counts as a lag.
-        finest_shift_s: Smallest step of the shifts, s.
-        fewest: Smallest number of samples.
-        most: Largest number of samples that are compared.
-
-    Returns:
-        None if the recording is too short for shifts, or the command or the position is constant.
-    """
-    measured = np.isfinite(position)
-    inside = np.flatnonzero((t >= t[0] + longest_lead_s) & (t <= t[-1] - longest_lag_s))
-    inside = inside[:: -(-inside.size // most) or 1]
-    if min(inside.size, measured.sum()) < fewest:
-        return None
-    step = max(finest_shift_s, float(np.median(np.diff(t))))
-    shifts = step * np.arange(-int(longest_lead_s / step), int(longest_lag_s / step) + 1)
-    shifted = np.interp(t[inside] + shifts[:, None], t[measured], position[measured])
-    shifted -= shifted.mean(axis=1, keepdims=True)
-    sent = command[inside] - command[inside].mean()
-    size = np.sqrt(np.sum(shifted**2, axis=1) * np.sum(sent**2))
-    if not size.all() or (shifts < 0).sum() == 0:
-        return None
-    correlation = np.maximum(shifted @ sent / size, 0.0)
-    unexplained = 1 - np.minimum(correlation, 1.0) ** 2
-    leads = shifts < -0.5 * step
-    best = (int(np.argmin(np.where(side, unexplained, np.inf))) for side in (leads, ~leads))
-    lead, lag = (Match(float(shifts[k]), float(unexplained[k])) for k in best)
-    return lead, lag
-
-
 def _check_speed(
     file: str, joint: Joint, t: Array, angle: Array, *, window_s: float = 0.1, ratio: float = 4.0
 ) -> None:
@@ -244,7 +151,7 @@ def _check_speed(
     """
     if not joint.servo.states("no_load_speed_rad_s"):
         return
-    window = _window(t, window_s)
+    window = max(window_s, 2 * float(np.median(np.diff(t))))
     early = t <= t[-1] - window
     change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     if change.size < _FEWEST_SAMPLES:
@@ -277,7 +184,7 @@ def _check_torque(
     load = recording.loads.get(joint.name, PER_INERTIA)
     if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
         return
-    window = _window(t, window_s)
+    window = max(window_s, 2 * float(np.median(np.diff(t))))
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
     if middle.size < _FEWEST_SAMPLES:
         return
@@ -293,8 +200,3 @@ def _check_torque(
             f"an inertia that a servo of max_torque_Nm = {stated:g} can move so (g cm2 instead of "
             "kg m2, perhaps?)",
         )
-
-
-def _window(t: Array, length_s: float) -> float:
-    """A window of ``length_s``, or of two samples where they are further apart."""
-    return max(length_s, 2 * float(np.median(np.diff(t))))

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from dataclasses import fields as dataclass_fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,10 @@ from sim2real.clock import (
     missing_samples,
     timing,
 )
-from sim2real.display import NotebookDisplay, from_report
+from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.output import beside, write_json, write_whole
 from sim2real.structured import Fields, check_label, read_json
-from sim2real.varying_load import VaryingLoad
 
 SCHEMA = "sim2real.recording/1"
 GRAVITY_M_S2 = 9.80665
@@ -55,6 +55,28 @@ class Load:
 
 PER_INERTIA = Load(inertia_kgm2=1.0)
 """Placeholder for an unknown load: gains are then per unit of inertia."""
+
+
+@dataclass(frozen=True)
+class VaryingLoad:
+    """A load that the other joints of an arm cause, at evenly spaced times, linear between them.
+
+    Attributes:
+        start_s: Time of the first value, on the clock of the recording.
+        step_s: Time between values.
+        inertia_kgm2: Inertia about the shaft, shape (K,), K at least 2.
+        torque_Nm: Torque on the shaft, gravity included, shape (K,).
+    """
+
+    start_s: float
+    step_s: float
+    inertia_kgm2: Array
+    torque_Nm: Array
+
+    @cached_property
+    def mean_inertia_kgm2(self) -> float:
+        """Mean inertia, which stands for the load where a single number is needed."""
+        return float(np.mean(self.inertia_kgm2))
 
 
 @dataclass(frozen=True)
@@ -161,10 +183,6 @@ class Recording(NotebookDisplay):
         """One line without the arrays."""
         return f"<Recording {self.name}: {self.summary}; joints {', '.join(self.joints)}>"
 
-    def __str__(self) -> str:
-        """The summary, and the ranges of command and position of each joint."""
-        return str(from_report("table.recording_report")(self))
-
     @property
     def commands(self) -> dict[str, Array]:
         """Set-points in rad by joint, each of shape (T,)."""
@@ -207,29 +225,25 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
     joints = _joint_names(top)
-    t = csv_columns.column(csv, table, "t_s")
-    csv_columns.check_times(csv, t)
+    t = csv_columns.times(csv, table)
     check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
     none = np.full((t.size, len(joints)), np.nan)
-    command = csv_columns.angles(csv, table, joints, "command_rad") if recorded else none
+    command = csv_columns.commands(csv, table, joints) if recorded else none
     position = csv_columns.angles(csv, table, joints, "position_rad")
-    if recorded:
-        csv_columns.check_commands(csv, joints, command)
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
+    others = [str(name) for name in table.columns if name not in used]
     return Recording(
-        name=csv.stem,
-        kind=kind,
-        joints=joints,
-        t=t,
-        command=command,
-        position=position,
+        csv.stem,
+        kind,
+        joints,
+        t,
+        command,
+        position,
         loads=_loads(top, joints),
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
-        columns={
-            str(c): csv_columns.column(csv, table, str(c)) for c in table.columns if c not in used
-        },
+        columns={name: csv_columns.column(csv, table, name) for name in others},
         metadata=_metadata(top),
         path=csv,
     )
@@ -253,24 +267,22 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
     """
     csv = Path(path)
     table = csv_columns.read_table(csv)
-    t = csv_columns.column(csv, table, "t_s")
-    csv_columns.check_times(csv, t)
+    t = csv_columns.times(csv, table)
     check_sampling(csv, t, LONGEST_COMMAND_PERIOD_S)
     names = [str(column) for column in table.columns]
     joints = tuple(n.removesuffix(".command_rad") for n in names if n.endswith(".command_rad"))
     if not joints:
         raise InputError(csv, "header", "no J.command_rad column", "one for each joint")
-    command = csv_columns.angles(csv, table, joints, "command_rad")
-    csv_columns.check_commands(csv, joints, command)
+    command = csv_columns.commands(csv, table, joints)
     sidecar = csv.with_suffix(".json")
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA) if sidecar.exists() else {})
     return Recording(
-        name=csv.stem,
-        kind="servo",
-        joints=joints,
-        t=t,
-        command=command,
-        position=np.full_like(command, np.nan),
+        csv.stem,
+        "servo",
+        joints,
+        t,
+        command,
+        np.full_like(command, np.nan),
         loads=_loads(top, joints),
         metadata=_metadata(top),
         path=csv,
@@ -282,10 +294,7 @@ def write_recording(
 ) -> None:
     """Write ``NAME.csv`` and ``NAME.json``, from which ``read_recording`` restores the recording.
 
-    Args:
-        recording: The recording.
-        path: The CSV file.
-        measured: Whether to write the measured angles; without them ``read_commands`` reads it.
+    If not ``measured``, measured angles are left out, and ``read_commands`` reads it.
 
     Raises:
         InputError: If the folder cannot be written, or the name of a joint has control characters.

@@ -1,4 +1,4 @@
-"""The description of a robot: links, joints and the data sheets of its servos.
+"""The description of a robot: links and their density, joints, data sheets of its servos.
 
 A file needs only the values that are used: a missing value is an error where it is used.
 """
@@ -9,18 +9,26 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
+
+import numpy as np
 
 from sim2real.appendages import Appendage, read_appendage
 from sim2real.arm.description import Arm, read_arm
+from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
-from sim2real.display import NotebookDisplay
+from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
+from sim2real.inference.normal import Z90
+from sim2real.model import Model
 from sim2real.recording import Recording
-from sim2real.structured import Fields, finite_number, read_toml
+from sim2real.structured import Fields, read_toml
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Place = tuple[str, str]
 """A file and a table in it, for messages."""
@@ -34,10 +42,7 @@ T = TypeVar("T")
 class Stated(Generic[T]):
     """A value of a dataclass that may be missing; using a missing value raises an InputError.
 
-    The dataclass has a field ``where``: the file and the table in which the value is expected.
-
-    Args:
-        expected: Description of a valid value, for the message.
+    The dataclass has a field ``where``: the file and the table in which the value is ``expected``.
     """
 
     def __init__(self, expected: str = "a number above 0") -> None:
@@ -225,21 +230,17 @@ def _servo(name: str, fields: Fields) -> Servo:
         known.append("type")
         warnings.warn(f"{fields.file}: {fields.path('type')} is ignored", stacklevel=2)
     fields.refuse_unknown(known)
-    return Servo(
-        name,
-        max_torque_Nm=fields.optional_number("max_torque_Nm", above=0),
-        no_load_speed_rad_s=fields.optional_number("no_load_speed_rad_s", above=0),
-        position_step_rad=fields.optional_number("position_step_rad", low=0),
-        where=(str(fields.file), fields.where),
-    )
+    number, where = fields.optional_number, (str(fields.file), fields.where)
+    torque, speed = (number(key, above=0) for key in ("max_torque_Nm", "no_load_speed_rad_s"))
+    return Servo(name, torque, speed, number("position_step_rad", low=0), where)
 
 
 def _link(fields: Fields) -> Link:
     fields.refuse_unknown(_keys(Link))
     tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
-    length = number("length_m", above=0)
-    com, ends = fields.optional_number("com_m", low=0), [length or math.inf]
+    length, com = number("length_m", above=0), number("com_m", low=0)
+    ends = [length or math.inf]
     appendages = tuple(read_appendage(table, length) for table in tables)
     ends += [one.at_m[0] + one.size_m[0] / 2 for one in appendages]
     if com is not None and com > max(ends):
@@ -264,11 +265,83 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
     place = (str(fields.file), fields.where)
     if "limits_rad" not in fields:
         return Joint(fields.label("name"), servos[servo], where=place)
-    limits = fields.content["limits_rad"]
-    ends = [finite_number(end) for end in limits] if isinstance(limits, list) else []
-    if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
+    low, high = fields.numbers("limits_rad", LIMITS, 2)
+    if low >= high:
         raise fields.error("limits_rad", LIMITS)
-    if max(abs(ends[0]), abs(ends[1])) > LARGEST_ANGLE_RAD:
+    if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
         expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
         raise fields.error("limits_rad", expected)
-    return Joint(fields.label("name"), servos[servo], (ends[0], ends[1]), place)
+    return Joint(fields.label("name"), servos[servo], (low, high), place)
+
+
+@dataclass(frozen=True)
+class Density(NotebookDisplay):
+    """Normalised density of L links, 1 where mass per length equals that of the robot.
+
+    Attributes:
+        links: Names of the links.
+        value: Normalised densities, shape (L,).
+        sd: Their standard deviations, shape (L,); None if no link states one.
+        mass_kg, length_m: Measured masses and lengths, shape (L,).
+    """
+
+    links: tuple[str, ...]
+    value: Array
+    sd: Array | None
+    mass_kg: Array
+    length_m: Array
+
+    @property
+    def interval(self) -> Array | None:
+        """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
+        return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
+
+    def __str__(self) -> str:
+        """Mass, length and normalised density of each link."""
+        width = max(len("link"), *(len(name) for name in self.links))
+        lines = [f"{'link':<{width}}  mass, kg  length, m  density   90 % interval"]
+        rows = zip(self.links, self.mass_kg, self.length_m, self.value, strict=True)
+        for k, (name, mass, length, value) in enumerate(rows):
+            lines.append(f"{name:<{width}}  {mass:8.3f}  {length:9.3f}  {value:7.3f}")
+            if self.interval is not None:
+                lines[-1] += "   {:.3f} to {:.3f}".format(*self.interval[:, k])
+        if self.interval is None:
+            lines.append("  ! mass_sd_kg and length_sd_m of the links would give intervals")
+        return "\n".join(lines)
+
+    def plot(self) -> Figure:
+        """Bar chart of the normalised density of each link."""
+        figure: Figure = from_report("ranges.density_figure")(self)
+        return figure
+
+
+def normalised_density(robot: Robot) -> Density:
+    """Mass per length of each link over that of the robot: rho_i = (m_i / l_i) sum(l) / sum(m).
+
+    Source: Lin, Liu, Wang (2024), Sec. III-B.1. Errors of masses and lengths are assumed to be
+    independent and small, and are propagated linearly through the logarithm:
+
+        d log rho_i = dm_i / m_i - dl_i / l_i + sum(dl) / sum(l) - sum(dm) / sum(m).
+    """
+    mass, length = (np.array([getattr(x, n) for x in robot.links]) for n in ("mass_kg", "length_m"))
+    value = mass / length * length.sum() / mass.sum()
+    stated = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
+    sd = None
+    if stated:
+        mass_sd = np.array([x.mass_sd_kg or 0.0 for x in robot.links])
+        length_sd = np.array([x.length_sd_m or 0.0 for x in robot.links])
+        by_mass = np.diag(1 / mass) - 1 / mass.sum()
+        by_length = 1 / length.sum() - np.diag(1 / length)
+        sd = value * np.hypot(
+            np.linalg.norm(by_mass * mass_sd, axis=1), np.linalg.norm(by_length * length_sd, axis=1)
+        )
+    return Density(tuple(x.name for x in robot.links), value, sd, mass, length)
+
+
+def with_density(model: Model, density: Density) -> Model:
+    """Model with ``body.normalised_density``, and ``normalised_density_sd`` if known."""
+    body = dict(model.body) | {"normalised_density": [float(x) for x in density.value]}
+    body.pop("normalised_density_sd", None)
+    if density.sd is not None:
+        body["normalised_density_sd"] = [float(x) for x in density.sd]
+    return replace(model, body=body)

@@ -22,12 +22,7 @@ DEFAULT_REACH = 0.75  # amplitude as a share of half the joint's range
 
 @dataclass(frozen=True)
 class Shape:
-    """Frequencies of the unit signals.
-
-    Attributes:
-        frequency_hz: Of ``sine`` and ``square``.
-        band_hz: Lowest and highest frequency of ``chirp`` and ``multisine``.
-    """
+    """Frequency of ``sine`` and ``square``, lowest and highest of ``chirp`` and ``multisine``."""
 
     frequency_hz: float = 1.0
     band_hz: tuple[float, float] = (0.1, 2.0)
@@ -64,22 +59,6 @@ def steps(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
     return np.asarray(levels[np.searchsorted(changes - changes[0], t, side="right")])
 
 
-def sine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """A sine starting at 0."""
-    return np.asarray(np.sin(2 * np.pi * shape.frequency_hz * t))
-
-
-def square(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """A square wave."""
-    return np.asarray(waves.square(2 * np.pi * shape.frequency_hz * t))
-
-
-def chirp(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """A sine starting at 0 whose frequency rises linearly through the band."""
-    low, high = shape.band_hz
-    return np.asarray(waves.chirp(t, low, float(t[-1]), high, phi=-90))
-
-
 def multisine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
     """Sines of equal amplitude on a grid of frequencies in the band, with low crest factor.
 
@@ -97,12 +76,14 @@ def multisine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
 
 UNIT: Mapping[str, Callable[[Array, Shape, np.random.Generator], Array]] = {
     "steps": steps,
-    "sine": sine,
-    "square": square,
-    "chirp": chirp,
+    "sine": lambda t, shape, _: np.sin(2 * np.pi * shape.frequency_hz * t),
+    "square": lambda t, shape, _: np.asarray(waves.square(2 * np.pi * shape.frequency_hz * t)),
+    "chirp": lambda t, shape, _: np.asarray(
+        waves.chirp(t, shape.band_hz[0], float(t[-1]), shape.band_hz[1], phi=-90)
+    ),
     "multisine": multisine,
 }
-"""Signals between -1 and 1 at the times ``t`` (T,), by name."""
+"""Signals between -1 and 1 at the times ``t`` (T,), by name; a chirp rises through the band."""
 
 SMOOTH = ("sine", "chirp", "multisine")
 """Signals whose amplitude is reduced if they are too fast; the others are rate-limited."""

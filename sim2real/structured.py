@@ -1,6 +1,7 @@
-"""Read JSON and TOML files and their fields, with error messages of one line.
+"""Read JSON and TOML files and their fields, and archives of arrays; errors have one line.
 
-Only regular files are read: a pipe or a device may have no end.
+Only regular files are read: a pipe or a device may have no end. Archives are read within a stated
+size and without pickled objects.
 """
 
 from __future__ import annotations
@@ -11,16 +12,22 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterable, Mapping
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim2real.errors import InputError, nearest, one_of, shown
 from sim2real.units import plausible
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 LARGEST_FILE_BYTES = 16 * 2**20
 LARGEST_STREAM_BYTES = 2**40
 """Largest video or bag, which is not read as a whole."""
+_LARGEST_ARCHIVE_BYTES = 2**30
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16,}"""
 )
@@ -85,7 +92,7 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
         place = f"line {error.lineno}, column {error.colno}"
         raise InputError(path, place, f"no JSON ({error.msg})", "JSON") from None
     except (ValueError, RecursionError) as error:  # too many digits, or too deep nesting
-        raise InputError(path, "", f"no JSON ({_reason(error)})", "JSON") from None
+        raise InputError(path, "", f"no JSON ({reason(error)})", "JSON") from None
     if not isinstance(content, dict):
         raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
     if schema is not None and content.get("schema") != schema:
@@ -107,8 +114,8 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        reason, _, place = _reason(error).partition(" (at ")
-        raise InputError(path, place.rstrip(")"), f"no TOML ({reason})", "TOML") from None
+        why, _, place = reason(error).partition(" (at ")
+        raise InputError(path, place.rstrip(")"), f"no TOML ({why})", "TOML") from None
 
 
 def check_label(file: str | os.PathLike[str], where: str, label: str) -> str:
@@ -123,8 +130,74 @@ def check_label(file: str | os.PathLike[str], where: str, label: str) -> str:
     return label
 
 
-def _reason(error: ValueError | RecursionError) -> str:
-    return "nested too deeply" if isinstance(error, RecursionError) else str(error)
+def reason(error: Exception) -> str:
+    """First line of an error's message, or its type if it has none."""
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    return str(error).strip().partition("\n")[0] or type(error).__name__
+
+
+def read_members(
+    path: str | os.PathLike[str], expected: str, *, what: str, largest: int = _LARGEST_ARCHIVE_BYTES
+) -> Iterator[tuple[str, bytes]]:
+    """Names and contents of the members of a zip archive, one after the other.
+
+    Args:
+        path: The archive.
+        expected: What it should be, for errors.
+        what: What it then does not contain, for errors.
+        largest: Largest number of bytes of all members together, checked before any is unpacked.
+
+    Raises:
+        InputError: If it is no regular file, no archive, damaged or too large, or if two members
+            have the same name.
+    """
+    file = Path(path)
+    if file.is_dir() or not file.exists():
+        raise InputError(file, "", "no file", expected)
+    check_size(file, _LARGEST_ARCHIVE_BYTES)
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = archive.infolist()
+            size = sum(entry.file_size for entry in entries)
+            if size > largest:
+                most = f"at most {largest / 2**20:.0f} MiB"
+                raise InputError(file, "", f"{size / 2**20:.0f} MiB when unpacked", most)
+            if len({entry.filename for entry in entries}) < len(entries):
+                raise InputError(file, "", "two members of one name", expected)
+            for entry in entries:
+                with archive.open(entry) as stream:
+                    # a limit, as the size stated in an archive may be wrong
+                    yield entry.filename, stream.read(entry.file_size)
+    except InputError:
+        raise
+    except Exception as error:  # damaged archives raise exceptions of many kinds
+        raise InputError(file, "", f"no {what} ({reason(error)})", expected) from None
+
+
+def read_arrays(
+    path: str | os.PathLike[str],
+    expected: str,
+    *,
+    what: str = "arrays",
+    largest: int = _LARGEST_ARCHIVE_BYTES,
+) -> dict[str, NDArray[Any]]:
+    """The arrays of an ``.npz`` file by name: real numbers, truth values or text.
+
+    Arguments and errors are those of ``read_members``; a member that is no such array is an error.
+    """
+    import numpy as np
+
+    arrays = {}
+    for name, content in read_members(path, expected, what=what, largest=largest):
+        try:
+            array = np.lib.format.read_array(BytesIO(content), allow_pickle=False)
+            if array.dtype.kind not in "biufU":
+                raise ValueError(f"an array of {array.dtype}")
+        except Exception as error:  # as above
+            raise InputError(path, name, f"no {what} ({reason(error)})", expected) from None
+        arrays[name.removesuffix(".npy")] = array
+    return arrays
 
 
 def finite_number(value: object) -> float | None:
@@ -148,12 +221,7 @@ def number_or_infinity(value: object) -> float | None:
 class Fields:
     """The fields of one table of a structured file, read by name and type.
 
-    Errors name the file and the field.
-
-    Args:
-        file: The file, for messages.
-        where: The table inside it, for messages; empty at the top level.
-        content: The table.
+    Errors name the ``file`` and the field, in the table ``where``, which is empty at the top level.
     """
 
     def __init__(self, file: str | os.PathLike[str], where: str, content: object) -> None:
@@ -234,6 +302,32 @@ class Fields:
     ) -> float | None:
         """Read a finite number, ``>= low`` and ``> above``; None if it is absent."""
         return self.number(name, low=low, above=above) if name in self.content else None
+
+    def numbers(
+        self, name: str, expected: str, size: int | None = None, *, low: float = -math.inf
+    ) -> list[float]:
+        """Read a list of finite numbers, ``>= low``; ``expected`` describes it in the error."""
+        value = self.content.get(name)
+        found = [finite_number(entry) for entry in value] if isinstance(value, list) else []
+        numbers = [number for number in found if number is not None and number >= low]
+        whole = isinstance(value, list) and len(numbers) == len(value)
+        if not whole or size not in (None, len(numbers)):
+            raise self.error(name, expected)
+        return numbers
+
+    def flag(self, name: str) -> bool:
+        """Read true or false; false if it is absent."""
+        value = self.content.get(name, False)
+        if not isinstance(value, bool):
+            raise self.error(name, "true or false")
+        return value
+
+    def choice(self, name: str, known: Sequence[str], default: str | None = None) -> str:
+        """Read one of the ``known`` texts; ``default`` if it is absent."""
+        value = self.text(name, default)
+        if value not in known:
+            raise self.error(name, f"one of {', '.join(known)}")
+        return value
 
     def text(self, name: str, default: str | None = None) -> str:
         """Read a string; ``default`` if it is absent."""

@@ -69,9 +69,6 @@ def plausible(name: str) -> tuple[float, float, str]:
 
     Robots from a gram to a thousand tonnes are meant: what lies outside is a mistake, and would
     overflow or vanish in a simulation. Pure numbers have no limits.
-
-    Args:
-        name: The value's name, which ends with its unit.
     """
     for ending, smallest, largest in _PLAUSIBLE:
         if name.endswith(ending):
@@ -80,24 +77,13 @@ def plausible(name: str) -> tuple[float, float, str]:
 
 
 def unit_of(name: str, *, per_inertia: bool = False) -> str:
-    """SI unit of a parameter; empty for a pure number.
-
-    Args:
-        name: The parameter's name.
-        per_inertia: Whether torques are per unit of inertia.
-    """
+    """SI unit of a parameter, or of a torque per unit of inertia; empty for a pure number."""
     unit = _unit(name)[1]
     return _PER_INERTIA.get(unit, unit) if per_inertia else unit
 
 
 def readable(name: str, value: float, *, per_inertia: bool = False) -> str:
-    """A parameter's value with a unit for sentences: ``"1.7°"``, ``"30 ms"``, ``"12 %"``.
-
-    Args:
-        name: The parameter's name.
-        value: Its value, SI.
-        per_inertia: Whether torques are per unit of inertia.
-    """
+    """A parameter's SI value with a unit for sentences: ``"1.7°"``, ``"30 ms"``, ``"12 %"``."""
     _, _, unit, size = _unit(name)
     if unit == " N m" and abs(value) < _SMALL_NM:
         unit, size = " mN m", 1e3

@@ -7,11 +7,11 @@ from scipy.signal import savgol_filter
 
 from sim2real.arrays import Array
 
-_WINDOW_S = 0.22
-"""Length of the moving window: 11 samples at 50 Hz."""
+NEWEST = 5
+"""Samples in the newest velocity: 0.08 s at 50 Hz, a delay of 0.04 s."""
 
 
-def body_velocity(t: Array, pose: Array) -> Array:
+def body_velocity(t: Array, pose: Array, *, window_s: float = 0.22) -> Array:
     """Surge, sway and yaw rate from poses in the world frame.
 
     The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964)
@@ -20,6 +20,7 @@ def body_velocity(t: Array, pose: Array) -> Array:
     Args:
         t: Times in s, shape (T,), increasing; assumed to be evenly spaced.
         pose: x, y in m and heading in rad, shape (..., T, 3), NaN where missing.
+        window_s: Length of the moving window: 11 samples at 50 Hz.
 
     Returns:
         Surge and sway in m/s, yaw rate in rad/s, shape (..., T, 3).
@@ -28,7 +29,7 @@ def body_velocity(t: Array, pose: Array) -> Array:
         ValueError: If there are fewer than five poses.
     """
     period = float(np.median(np.diff(t)))
-    odd = 2 * max(1, round(_WINDOW_S / period / 2)) + 1
+    odd = 2 * max(1, round(window_s / period / 2)) + 1
     size = min(max(odd, 5), t.size - 1 + t.size % 2)
     filled = np.array(pose, dtype=np.float64)
     for place in np.ndindex(filled.shape[:-2]):
@@ -49,10 +50,6 @@ def _bridge(t: Array, pose: Array) -> None:
             raise ValueError(f"{present.sum()} poses, five are needed")
         values = np.unwrap(pose[present, k]) if k == 2 else pose[present, k]
         pose[:, k] = values if present.all() else np.interp(t, t[present], values)
-
-
-NEWEST = 5
-"""Samples in the newest velocity: 0.08 s at 50 Hz, a delay of 0.04 s."""
 
 
 def slope_weights(samples: int = NEWEST, period_s: float = 0.02) -> Array:

@@ -2,11 +2,9 @@
 
 Recordings, robots and models are objects or the names of their files; a single recording is taken
 as a list of one. The result is a frozen dataclass that prints as a table and has ``plot()``, which
-returns a Matplotlib figure. The commands of the same names parse their options and call these
-functions; the options are made from the signatures and docstrings below. The verbs that need the
+returns a Matplotlib figure. The options of the commands of the same names are made from the
+signatures and docstrings below, so this module imports no large libraries. The verbs that need the
 fluid (``diagnose``, ``calibrate``, ``simulate``) are in ``sim.verbs``.
-
-This module imports no large libraries, so that the command line reads it without delay.
 """
 
 from __future__ import annotations
@@ -19,12 +17,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from sim2real.errors import InputError, check_effort, check_whole, shown
 
 if TYPE_CHECKING:
-    from sim2real.density import Density
     from sim2real.model import Model
     from sim2real.posterior.posteriors import Posteriors
     from sim2real.ranges.gather import Gathered
     from sim2real.recording import Recording
-    from sim2real.robot import Robot
+    from sim2real.robot import Density, Robot
     from sim2real.servo.prediction import Prediction
     from sim2real.servo_library.catalogue import ServoLibrary
 
@@ -40,6 +37,7 @@ def identify(
     effects: Sequence[str] | str = (),
     law: Literal["pd", "motor"] | None = None,
     effort: float = 1.0,
+    interval: float = 0.9,
     seed: int = 0,
 ) -> Model:
     """Identify the gains and the latency of every servo that moves.
@@ -60,10 +58,11 @@ def identify(
             and pd where effects are given or the data sheet states neither torque nor speed.
         effort: Multiple of the largest number of evaluations of a search; a note states which fits
             have spent theirs.
+        interval: Probability of the intervals of the parameters.
         seed: Seed of the search for a starting point.
 
     Returns:
-        The fitted model, with 90 % intervals and held-out errors.
+        The fitted model, with intervals and held-out errors.
 
     Raises:
         InputError: If no joint moves, a recording and the robot do not agree, or the catalogue has
@@ -81,6 +80,7 @@ def identify(
         "effects": (effects,) if isinstance(effects, str) else effects,
         "law": law,
         "effort": effort,
+        "interval": interval,
         "seed": seed,
         "progress": lambda joints: tqdm(joints, desc="identify", unit="joint", disable=None),
     }
@@ -95,7 +95,7 @@ def density(robot: Robot | File) -> Density:
     Args:
         robot: The robot, with masses and lengths of its links (robot.toml).
     """
-    from sim2real.density import normalised_density
+    from sim2real.robot import normalised_density
 
     return normalised_density(robot_of(robot))
 
@@ -223,7 +223,7 @@ def predict(recordings: Recorded, robot: Robot | File | None, model: Model | Fil
     from sim2real.plausible import validate_commands
     from sim2real.servo.prediction import predict_recordings
 
-    loaded = recordings_or_commands(recordings)
+    loaded = recordings_of(recordings, or_commands=True)
     if robot is not None:
         description = robot_of(robot)
         for recording in loaded:
@@ -241,18 +241,34 @@ def servos() -> ServoLibrary:
     return shipped()
 
 
-def recordings_of(recordings: Recorded) -> list[Recording]:
+def recordings_of(recordings: Recorded, *, or_commands: bool = False) -> list[Recording]:
     """The recordings, read where files are given.
+
+    With ``or_commands``, a CSV without JSON is a table of commands.
 
     Raises:
         InputError: If there is none, or a file is not a recording.
     """
-    from sim2real.recording import Recording, read_recording
+    from sim2real.recording import Recording, read_commands, read_recording
 
-    return [
-        entry if isinstance(entry, Recording) else read_recording(entry)
-        for entry in _listed(recordings)
-    ]
+    sequence: object = recordings
+    if isinstance(sequence, Recording | str | os.PathLike):
+        sequence = [sequence]
+    expected = "a recording, its CSV file, or a list of these"
+    if not isinstance(sequence, Iterable):
+        raise InputError("recordings", "", shown(sequence), expected)
+    listed = []
+    for entry in sequence:
+        _check_type("recordings", entry, Recording, expected)
+        if isinstance(entry, Recording):
+            listed.append(entry)
+        elif or_commands and not Path(entry).with_suffix(".json").exists():
+            listed.append(read_commands(entry))
+        else:
+            listed.append(read_recording(entry))
+    if not listed:
+        raise InputError("recordings", "", "none", "at least one")
+    return listed
 
 
 def recordings_to_fit(recordings: Recorded) -> list[Recording]:
@@ -262,28 +278,13 @@ def recordings_to_fit(recordings: Recorded) -> list[Recording]:
         InputError: If there is none, or a file is not a recording.
     """
     listed = recordings_of(recordings)
-    simulated = ", ".join(recording.file for recording in listed if recording.is_simulated)
+    simulated = [recording.file for recording in listed if recording.is_simulated]
     if simulated:
         import warnings
 
-        expected = "the fit is of that simulator, not of a robot"
-        warnings.warn(f"{simulated}: simulated, not measured; {expected}", stacklevel=3)
+        sentence = "simulated, not measured; the fit is of that simulator, not of a robot"
+        warnings.warn(f"{', '.join(simulated)}: {sentence}", stacklevel=3)
     return listed
-
-
-def recordings_or_commands(recordings: Recorded) -> list[Recording]:
-    """The recordings, read where files are given; a CSV without JSON is a table of commands.
-
-    Raises:
-        InputError: If there is none, or times or commands do not conform to the format.
-    """
-    from sim2real.recording import Recording, read_commands, read_recording
-
-    def read(path: File) -> Recording:
-        measured = Path(path).with_suffix(".json").exists()
-        return read_recording(path) if measured else read_commands(path)
-
-    return [entry if isinstance(entry, Recording) else read(entry) for entry in _listed(recordings)]
 
 
 def robot_of(robot: Robot | File) -> Robot:
@@ -310,23 +311,6 @@ def model_of(model: Model | File) -> Model:
     return model if isinstance(model, Model) else read_model(model)
 
 
-def _listed(recordings: Recorded) -> list[Recording | File]:
-    from sim2real.recording import Recording
-
-    sequence: object = recordings
-    if isinstance(sequence, Recording | str | os.PathLike):
-        sequence = [sequence]
-    expected = "a recording, its CSV file, or a list of these"
-    if not isinstance(sequence, Iterable):
-        raise InputError("recordings", "", shown(sequence), expected)
-    listed = list(sequence)
-    if not listed:
-        raise InputError("recordings", "", "none", "at least one")
-    for entry in listed:
-        _check_type("recordings", entry, Recording, expected)
-    return listed
-
-
 def _check_type(argument: str, value: object, kind: type, expected: str) -> None:
     """Check that ``value`` is an object of this kind or the name of a file."""
     if not isinstance(value, kind | str | os.PathLike):
@@ -334,6 +318,5 @@ def _check_type(argument: str, value: object, kind: type, expected: str) -> None
 
 
 def _check_sampling(verb: str, steps: int, walkers: int, seed: int) -> None:
-    check_whole(verb, "steps", steps, 1)
-    check_whole(verb, "walkers", walkers, 2)
-    check_whole(verb, "seed", seed)
+    for name, value, least in (("steps", steps, 1), ("walkers", walkers, 2), ("seed", seed, 0)):
+        check_whole(verb, name, value, least)

@@ -57,27 +57,16 @@ def write_good_files(folder: Path) -> None:
         {"effect": "backlash", "parameters": {"gap_rad": 0.01}},
     ]
     joint |= {"interval": {"kp_Nm_per_rad": [2.1, None]}, "effects": of_effects}
-    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.0, "rotor_inertia_kgm2": 0.001}
-    gears = joint | {
-        "load": vars(weight),
-        "law": "motor",
-        "motor": line | {"coulomb_Nm": 0.02},
-        "effects": [],
-    }
+    motor = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.0, "rotor_inertia_kgm2": 0.001}
+    motor |= {"coulomb_Nm": 0.02}
+    gears = joint | {"load": vars(weight), "law": "motor", "motor": motor, "effects": []}
     diagnosis = {"schema": "sim2real.diagnosis/1", "rival_sets": [RIVALS.content()]}
-    log: dict[str, Any] = {
-        "mass": 0.1,
-        "length": 0.1,
-        "kp": 200,
-        "vin": 7.4,
-        "motor": "xl330",
-        "entries": [],
-    }
     bench = pd.read_csv(folder / "a.csv")
     t, command, angle = bench.to_numpy().T
-    for row in zip(t, command, angle, strict=True):
-        sample = dict(zip(("timestamp", "goal_position", "position"), row, strict=True))
-        log["entries"].append(sample | {"torque_enable": True, "input_volts": 7.3})
+    entries = bench.set_axis(["timestamp", "goal_position", "position"], axis=1)
+    entries = entries.assign(torque_enable=True, input_volts=7.3).to_dict("records")
+    log: dict[str, Any] = {"mass": 0.1, "length": 0.1, "kp": 200, "vin": 7.4, "motor": "xl330"}
+    log["entries"] = entries
     contents = {
         "model": {"schema": "sim2real.model/1", "joints": {"j1": joint}},
         "gears": {"schema": "sim2real.model/1", "joints": {"j1": gears}},

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from good_input import ROBOT, message
 
-from sim2real.appendages import Appendage, area_error
-from sim2real.bluff_bodies import Sides
+from sim2real.appendages import Appendage, Sides, area_error
 from sim2real.robot import read_robot
 
 BOX = """[[links.appendages]]
@@ -53,6 +52,7 @@ def test_boxes_and_cylinders_belong_to_the_link_above(tmp_path: Path) -> None:
         ("size_m", 'axis = "up"\nsize_m', (".axis", "'up'", "no axis of a box")),
         ("size_m", "in_hull = 1\nsize_m", (".in_hull", "1", "true or false")),
         ('name = "box"\n', "", (".name", "nothing", "text")),
+        ("size_m", "size_mm", (".size_mm", "mean size_m?")),
     ],
 )
 def test_a_bad_field_is_one_line(

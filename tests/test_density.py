@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from sim2real.cli import main
-from sim2real.density import normalised_density, with_density
 from sim2real.model import JointModel, Model, read_model, write_model
-from sim2real.robot import read_robot
+from sim2real.robot import normalised_density, read_robot, with_density
 
 ROBOT = Path(__file__).parents[1] / "datasets" / "servo_steps" / "robot.toml"
 
@@ -35,11 +34,6 @@ def test_formula(robot):
     found = normalised_density(robot)
     assert found.value[0] == pytest.approx(0.52 / 0.20 * 0.52 / 1.10)
     assert found.sd is None and found.interval is None
-
-
-def test_lengths_weigh_it_to_one(robot):
-    found = normalised_density(robot)
-    assert np.average(found.value, weights=found.length_m) == pytest.approx(1.0)
 
 
 def test_units_do_not_matter(robot):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from sim2real import cli, extras
+from sim2real import cli, errors
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "datasets" / "servo_steps"
@@ -25,7 +25,7 @@ class Without:
         self.finder = finder
 
     def find_spec(self, name, path=None, target=None):
-        optional = name.partition(".")[0] in {sorted(extras._LIBRARIES)}
+        optional = name.partition(".")[0] in {sorted(errors._LIBRARIES)}
         return None if optional else self.finder.find_spec(name, path, target)
 
 sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
@@ -107,7 +107,7 @@ def test_what_a_command_cannot_do_without_is_one_line(arguments, library):
 def test_every_optional_library_belongs_to_an_extra():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     named = project["optional-dependencies"]
-    for title, extra in extras._LIBRARIES.values():
+    for title, extra in errors._LIBRARIES.values():
         assert extra in named and f"{extra}," in named["all"][0].replace("]", ","), title
 
 

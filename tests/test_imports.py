@@ -27,10 +27,9 @@ LIGHT = (
     "sim/commands/options.py",
     "sim/verbs.py",
 )
-HEAVY = {"torch", "warp", "cv2", "serial", "matplotlib", "casadi", "scipy", "pandas", "numpy"}
+HEAVY = {"torch", "warp", "cv2", "serial", "matplotlib", "scipy", "pandas", "numpy"}
 ONLY_IN = {
-    "warp": ("sim2real/servo/", "sim2real/effects/", "sim2real/warp_start.py", "sim/"),
-    "casadi": (),
+    "warp": ("sim2real/servo/", "sim2real/effects/", "sim/"),
     "emcee": ("sim2real/",),
     "serial": ("sim2real/hardware/",),
     "cv2": ("sim2real/hardware/",),
@@ -199,7 +198,6 @@ def test_light_modules_import_nothing_heavy() -> None:
         ("sim2real/cli.py", "class A:\n    import rl", "imports rl from the floor above"),
         ("sim2real/cli.py", "try:\n    import numpy as np\nfinally:\n    pass", "before it is"),
         ("sim2real/__init__.py", "from scipy.stats import chi2", "imports scipy before it is"),
-        ("sim2real/fit.py", "import casadi", "imports casadi, allowed in no package only"),
         ("sim/water.py", "import emcee", "imports emcee, allowed in sim2real/ only"),
         (
             "rl/env.py",

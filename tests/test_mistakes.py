@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from good_input import HEADER, MODEL, ROBOT, ROWS, SIDECAR, csv_file, message
+from good_input import message
 from simulated import INERTIA, LATENCY, NOISE, recording, robot, row, steps
 
 import sim2real as s2r
 from sim2real.errors import InputError
 from sim2real.exporters.simulators import actuators_json
-from sim2real.model import JointModel, Model, read_model, write_model
+from sim2real.model import JointModel, Model
 from sim2real.output import write_json
-from sim2real.plausible import lead_s, validate_recording
+from sim2real.plausible import validate_recording
+from sim2real.readings import lead_s
 from sim2real.recording import Load, Recording, read_commands, read_recording
 from sim2real.robot import Robot, Servo, read_robot
 from sim2real.servo.rollout import rollout
@@ -112,71 +113,6 @@ def test_shipped_and_real_recordings_are_plausible(realdata: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "parts"),
-    [
-        ("max_torque_Nm", "max_torqe_Nm", ("servos.lx824.max_torqe_Nm", "mean max_torque_Nm?")),
-        ("limits_rad", "limit_rad", ("joints[0].limit_rad", "mean limits_rad?")),
-        ("mass_kg", "Mass_kg", ("links[0].Mass_kg", "mean mass_kg?")),
-        ('name = "fish"', 'nam = "fish"', ("nam:", "mean name?")),
-        ('name = "fish"', 'name = "fish"\nzzz = 1', ("zzz:", "one of name, links, joints, servos")),
-        ("[-0.8, 0.8]", "[-60, 60]", ("joints[0].limits_rad", "[-60, 60]", "degrees?")),
-    ],
-)
-def test_keys_and_limits_of_a_robot(
-    tmp_path: Path, old: str, new: str, parts: tuple[str, ...]
-) -> None:
-    path = tmp_path / "robot.toml"
-    path.write_text(ROBOT.replace(old, new, 1))
-    message(lambda: read_robot(path), str(path), *parts)
-
-
-def test_appendages_are_known(tmp_path: Path) -> None:
-    path = tmp_path / "robot.toml"
-    box = '[[links.appendages]]\nname = "box"\nshape = "box"\nsize_m = [0.1, 0.1, 0.1]\n'
-    path.write_text(ROBOT.replace("[[joints]]", box + "[[joints]]", 1))
-    read_robot(path)
-    path.write_text(path.read_text().replace("size_m", "size_mm"))
-    message(lambda: read_robot(path), "links[1].appendages[0].size_mm", "mean size_m?")
-
-
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        ({"medum": "water"}, ("medum", "medium")),
-        ({"loads": {"j1": {"inertia_kgm2": 1, "pendulum_mass": 1}}}, ("loads.j1.pendulum_mass",)),
-        ({"Loads": {}}, ("Loads", "loads")),
-    ],
-)
-def test_misspelt_fields_of_a_sidecar(
-    tmp_path: Path, change: dict[str, object], parts: tuple[str, ...]
-) -> None:
-    path = csv_file(tmp_path)
-    given = {k: v for k, v in SIDECAR.items() if k not in {key.lower() for key in change}}
-    path.with_suffix(".json").write_text(json.dumps({**given, **change}))
-    message(lambda: read_recording(path), "an unknown key", "did you mean", *parts)
-
-
-def test_further_fields_of_a_sidecar_are_kept(tmp_path: Path) -> None:
-    path = csv_file(tmp_path)
-    further = {"servo": "lx", "sources": ["a"], "tested_joints": ["j1"], "external_load": {}}
-    path.with_suffix(".json").write_text(json.dumps(SIDECAR | {"source": "x"} | further))
-    assert read_recording(path).metadata == further
-
-
-def test_columns_that_were_found(tmp_path: Path) -> None:
-    for header, hint in (("time,j1.command_rad,j1.position_rad", "time"), ("t,a,b", "t")):
-        path = csv_file(tmp_path, ROWS, header)
-        message(
-            lambda path=path: read_recording(path),
-            "no column t_s among",
-            header.split(",")[2],
-            hint,
-        )
-    path = csv_file(tmp_path, ROWS, HEADER.replace("position_rad", "positon_rad"))
-    message(lambda: read_recording(path), "did you mean j1.positon_rad?")
-
-
-@pytest.mark.parametrize(
     ("call", "parts"),
     [
         (lambda: s2r.identify(GOOD, BENCH, law="pid"), ("law", "'pid'", "pd, motor")),  # type: ignore[arg-type]
@@ -185,6 +121,7 @@ def test_columns_that_were_found(tmp_path: Path) -> None:
         (lambda: s2r.identify(GOOD, BENCH, effects=[3]), ("effects", "3", "a name")),  # type: ignore[list-item]
         (lambda: s2r.identify(3, BENCH), ("recordings", "3")),  # type: ignore[arg-type]
         (lambda: s2r.identify([None], BENCH), ("recordings", "None")),  # type: ignore[list-item]
+        (lambda: s2r.identify([], BENCH), ("recordings", "none", "at least one")),
         (lambda: s2r.identify(GOOD, None), ("robot", "None")),  # type: ignore[arg-type]
         (lambda: s2r.predict(GOOD, BENCH, 3), ("model", "3")),  # type: ignore[arg-type]
         (lambda: s2r.posterior(GOOD, BENCH, SERVO, steps=0), ("steps", "0", "at least 1")),
@@ -245,11 +182,3 @@ def test_infinite_numbers_in_json(tmp_path: Path) -> None:
     write_json(path, {"a": [np.inf, -np.inf, float("nan")], "b": {"c": (np.float64(np.inf), 1.5)}})
     found = json.loads(path.read_text(), parse_constant=pytest.fail)
     assert found == {"a": ["inf", "-inf", None], "b": {"c": ["inf", 1.5]}}
-    joint = replace(SERVO.joints["j1"], interval={"latency_s": (0.0, np.inf)})
-    model = Model(joints={"j1": joint}, fit={"j1.position_rad": {"train": np.inf}})
-    write_model(model, path)
-    assert json.loads(path.read_text())["joints"]["j1"]["interval"]["latency_s"] == [0.0, None]
-    assert read_model(path).joints["j1"].interval == joint.interval
-    assert read_model(path).fit == model.fit
-    path.write_text(json.dumps(MODEL | {"fit": {"j1.position_rad": {"train": "much"}}}))
-    message(lambda: read_model(path), "fit.j1.position_rad.train", "'much'")

@@ -150,14 +150,10 @@ def test_commands_alone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.t, [0, 0.02])
     np.testing.assert_array_equal(read.commands["j1"], [0.1, 0.2])
     assert (read.joints, read.loads) == (("j1",), {})
-
-
-def test_commands_with_a_sidecar(tmp_path: Path) -> None:
     recording = example(tmp_path)
-    read = read_commands(tmp_path / "bench.csv")
+    read = read_commands(tmp_path / "bench.csv")  # with a sidecar
     assert (read.loads, read.metadata) == (recording.loads, recording.metadata)
-    for j, joint in enumerate(recording.joints):
-        np.testing.assert_array_equal(read.commands[joint], recording.command[:, j])
+    np.testing.assert_array_equal(read.command, recording.command)
 
 
 def test_line_endings_and_byte_order_mark(tmp_path: Path) -> None:
@@ -167,11 +163,6 @@ def test_line_endings_and_byte_order_mark(tmp_path: Path) -> None:
     for written in ("\ufeff" + text, text.replace("\n", "\r\n"), text + "\n\n"):
         path.write_bytes(written.encode())
         np.testing.assert_array_equal(read_recording(path).position, expected.position)
-
-
-def test_gravity_of_a_pendulum() -> None:
-    assert Load(0.0049, 0.49, 0.1).gravity_Nm == pytest.approx(0.49 * 9.80665 * 0.1)
-    assert Load(0.0049).gravity_Nm == 0
 
 
 def test_real_recordings_survive_a_round_trip(realdata: Path, tmp_path: Path) -> None:

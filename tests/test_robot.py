@@ -27,15 +27,9 @@ inertia_kgm2 = 0.002
 name = "body"
 mass_kg = 1
 length_m = 0.1
-width_m = 0.1
-height_m = 0.1
 
 [[links]]
 name = "tail"
-mass_kg = 0.1
-length_m = 0.1
-width_m = 0.1
-height_m = 0.1
 com_m = 0
 
 [[joints]]
@@ -67,27 +61,14 @@ def test_fields_of_a_robot(tmp_path: Path) -> None:
     assert (robot.name, robot.path) == ("two-joint fish", path)
     assert [link.name for link in robot.links] == ["head", "body", "tail"]
     assert robot.links[0] == Link("head", 0.52, 0.2, 0.13, 0.12, "abs", 0.1, 0.002)
-    assert robot.links[1] == Link("body", 1, 0.1, 0.1, 0.1)
+    assert robot.links[1] == Link("body", 1, 0.1)
     assert robot.links[2].com_m == 0
     assert [joint.name for joint in robot.joints] == ["j1", "j2"]
     assert robot.joints[0].servo == Servo("lx824", 1.67, 5.24, 0.00419)
     assert robot.joints[1].servo == Servo("small", 0.5, 9, 0)
     assert robot.joints[1].limits_rad == (0, 1)
-
-
-def test_joint_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "robot.toml"
-    path.write_text(FISH)
-    robot = read_robot(path)
     assert robot.joint("j2") is robot.joints[1]
     assert robot.joint("j3") is None
-
-
-@pytest.mark.parametrize("line", ['name = "two-joint fish"\n', ""])
-def test_the_name_may_be_left_out(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "robot.toml"
-    path.write_text(line + FISH.split("\n", 2)[2])
-    assert read_robot(path).name == ("two-joint fish" if line else "robot")
 
 
 def test_real_robots(realdata: Path) -> None:
@@ -112,6 +93,7 @@ def test_a_bench_states_only_what_is_used(tmp_path: Path) -> None:
     path.write_text(BENCH)
     robot = read_robot(path)
     assert robot.joints[0].servo.max_torque_Nm == 0.5
+    assert robot.name == "robot"  # none is stated
     assert [link.name for link in robot.links] == ["link0", "link1"]
     for use, place in (
         (lambda: robot.links[1].mass_kg, "links[1].mass_kg: found nothing, expected a number"),

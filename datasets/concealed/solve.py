@@ -20,7 +20,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from sim2real.commands.placement import add_executor, where_jobs_run
+from sim2real.commands.command import add_executor, where_jobs_run
 from sim2real.diagnose.diagnose import Case, diagnose_all
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
 from sim2real.executor import Job, run_jobs

@@ -4,7 +4,7 @@
 
 The steps that the README of this folder lists, in its order: robots on every device at once,
 held-out swims in the fluid while cases are answered. Fills ``OUT`` with ``water``, ``heldout``,
-``verdicts`` and ``again``; grade with ``sealed_grade.py``. A stopped run is continued.
+``verdicts`` and ``again``; grade with ``datasets/sealed/grade.py``. A stopped run is continued.
 """
 
 from __future__ import annotations

@@ -31,10 +31,10 @@ from sim.inference.in_water import (
 )
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
+from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
-from sim.inference.twin_search import SwimPrior
 from sim2real.body import values
-from sim2real.commands.placement import add_executor, where_jobs_run
+from sim2real.commands.command import add_executor, where_jobs_run
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.executor import Job, JobOutcome, run_jobs
 from sim2real.executor.job import NOT_STARTED

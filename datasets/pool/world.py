@@ -21,8 +21,7 @@ from surfaces import Links, Surfaces
 from truth import Truth, values
 from waters import POOL_HALF_M, Waters
 
-from sim.fluid.fluid import Fluid
-from sim.fluid.tank import WINDOW_M
+from sim.fluid.fluid import WINDOW_M, Fluid
 from sim.fluid.wall import Wall
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.model import JointModel, Model
@@ -101,7 +100,7 @@ class World:
             self.swimmer = Swimmer(
                 without_drag(self.robot), models, n_envs=len(truths), cell_m=cell_m, device=device,
                 viscosity_m2_s=water.viscosity_m2_s, smagorinsky=water.smagorinsky,
-                wall=Wall(True, water.line, ghosts=True, edge=water.edge), box_m=water.box_m,
+                wall=Wall(True, water.line, edge=water.edge), box_m=water.box_m,
                 substeps=max(32, 2 * int(np.ceil(CONTROL_S * 1.4 / 0.15 / cell_m / 2))), threads=2,
             )  # fmt: skip
         self.h = CONTROL_S / self.swimmer.substeps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,63 +12,72 @@ from typing import Any
 import numpy as np
 import torch
 
-from rl.experiments.ablation import ablate
+from rl.controllers import Controller
+from rl.deploy.policy import PolicyController
+from rl.experiments.ablation import ARMS, ablate, arm_of, policy_in, turn_of, weights_digest
 from rl.experiments.ablation_report import markdown, write_report
-from rl.experiments.arms import ARMS, arm_of
-from rl.experiments.predicted import Agents, predict
 from rl.experiments.reality import RealityFile, read_reality
-from rl.experiments.testbeds import Real, Simulated, Testbed
-from rl.forecast.realities import check_ranges, draw_realities, sample_of
-from rl.forecast.swims import SimulationSettings
+from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
+from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
+from rl.forecast.swims import Forecaster, predict_arms
 from rl.randomize import noise_of
-from rl.sac import plan as recipes
-from rl.sac.plan import Arm, Plan
+from rl.sac import plan as plans
+from rl.sac.plan import OPTIONS, QUICK, Arm, Plan
 from rl.sac.train import train
-from rl.task import Task
 from rl.world import Draws
-from sim2real.commands.placement import where_jobs_run
-from sim2real.errors import InputError
+from sim2real.commands.command import where_jobs_run
+from sim2real.errors import InputError, check_whole
 from sim2real.executor import map_jobs
 from sim2real.model import Model, read_model
 from sim2real.output import provenance
 from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.robot import Robot, read_robot
 
+FILES = ("robot", "model", "ranges", "enriched", "reality", "truth")
+"""Options that are files of the arms."""
+
 
 def run(options: argparse.Namespace) -> int:
     """Train the arms, evaluate the turn in simulation and reality, write the report."""
     if options.out.exists() and not options.out.is_dir():
         raise InputError(options.out, "", "a file", "a folder")
-    for name, least in (("seeds", 1), ("repeats", 1)):
-        if getattr(options, name) < least:
-            raise InputError("ablate", f"--{name}", str(getattr(options, name)), f">= {least}")
+    for name in ("seeds", "repeats"):
+        check_whole("ablate", f"--{name}", getattr(options, name), 1)
     torch.set_num_threads(1)
     robot, model = read_robot(options.robot), read_model(options.model)
     if options.ranges is None:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
+    if options.first and options.executor is not None:
+        raise InputError("ablate", "--first", "--executor with it", "one of the two")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
-    enriched = None if options.enriched is None else read_model(options.enriched)
-    predictor = predictor_of(options, robot, model, ranges) if options.forecast else None
-    truth = known_of(options, reality)
-    unavailable = {"all-and-effects"} if enriched is None else set()
-    unavailable |= {"ceiling"} if truth is None else set()
-    names = options.arms or [name for name in ARMS if name not in {*unavailable, "none", "midway"}]
-    if truth is None and "ceiling" in names:
+    drawn = realities_of(options, robot, model, ranges) if options.forecast else None
+    known = options.truth is not None or isinstance(reality, Model)
+    missing = {"all-and-effects"} if options.enriched is None else set()
+    missing |= set() if known else {"ceiling"}
+    names = options.arms or [name for name in ARMS if name not in {*missing, "none", "midway"}]
+    if "ceiling" in missing & set(names):
         raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
-    if enriched is None and any(ARMS[name].effects for name in names):
+    if missing & set(names):
         raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL with it")
-    arms = [arm_of(name, model, robot, ranges, enriched, truth) for name in names]
+    files = {name: getattr(options, name) for name in FILES}
+    arms = [read_arm(name, **files) for name in names]
     plan = plan_of(options)
     testbeds = make_testbeds(robot, arms, plan, ranges, reality, options.reality_cell_m)
-    files = [options.robot, options.model, options.ranges]
-    files += reality.files if isinstance(reality, RealityFile) else [options.reality]
-    files += [*([options.truth] if options.truth else []), *(options.first or [])]
-    note = provenance([*files, *([options.enriched] if options.enriched else [])], options.seed)
+    sources = [path for path in files.values() if path is not None and path.suffix != ".py"]
+    sources += [*(reality.files if isinstance(reality, RealityFile) else ())]
+    note = provenance([*sources, *(options.first or [])], options.seed)
+    if options.executor is None:
+        agents = train(options.out / "train", robot, arms, plan, note, first=options.first or ())
+    else:
+        agents = train_jobs(options, names, plan)
     results = ablate(
-        options.out, robot, arms, plan, testbeds, repeats=options.repeats, seed=options.seed,
-        sampled=options.sampled, note=note,
-        trainer=trainer_of(options), predictor=predictor,
+        options.out, robot, names, agents, plan, testbeds, repeats=options.repeats,
+        seed=options.seed,
     )  # fmt: skip
+    if drawn is not None:
+        settings = SimulationSettings(device=options.device, threads=options.threads)
+        forecaster = Forecaster(robot, turn_of(plan), drawn, 2, options.seed, settings)
+        results["forecast"] = predict_agents(options.out, forecaster, names, agents)
     write_report(results, plan, options.out, note)
     print(markdown(results))
     print(f"report: {options.out / 'index.html'}")
@@ -82,46 +92,38 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
     return read_reality(options.reality, **({} if cell is None else {"cell_m": cell}))
 
 
-def known_of(options: argparse.Namespace, reality: Model | RealityFile) -> Model | None:
-    """The true parameters of the reality; None if they are not known."""
-    if options.truth is not None:
-        return read_model(options.truth)
-    return reality if isinstance(reality, Model) else None
-
-
-def trainer_of(options: argparse.Namespace) -> Callable[..., list[Path]] | None:
-    """The training function; None for ``rl.sac.train.train``, all agents in one batch.
-
-    With ``--first`` training continues from policies; with ``--executor`` each run has a process.
-    """
-    if options.first and options.executor is not None:
-        raise InputError("ablate", "--first", "--executor with it", "one of the two")
-    if options.first:
-        return partial(train, first=options.first)
-    return None if options.executor is None else by_jobs(options)
-
-
-def predictor_of(
-    options: argparse.Namespace, robot: Robot, model: Model, ranges: Ranges, realities: int = 50
-) -> Callable[[Agents, Task, Path, str], dict[str, Any]]:
-    """The forecast of arms in realities that agree with the model and its ranges, in the twin.
+def realities_of(
+    options: argparse.Namespace, robot: Robot, model: Model, ranges: Ranges, n: int = 50
+) -> Realities:
+    """Realities that agree with the model and its ranges, for the forecast of the arms.
 
     Raises:
         InputError: If the ranges have no posterior sample, or are not those of the model.
     """
     sample = sample_of(ranges, options.ranges)
     check_ranges(ranges, model, options.ranges)
-    rng = np.random.default_rng(options.seed)
-    drawn = draw_realities(robot, model, ranges, sample, realities, rng)
-    settings = SimulationSettings(device=options.device, threads=options.threads)
-    return partial(predict, robot=robot, realities=drawn, seed=options.seed, settings=settings)
+    return draw_realities(robot, model, ranges, sample, n, np.random.default_rng(options.seed))
+
+
+def predict_agents(
+    folder: Path, forecaster: Forecaster, arms: Sequence[str], agents: Sequence[Path]
+) -> dict[str, Any]:
+    """The forecast of the agents of each arm, kept in ``forecast.npz``."""
+
+    def make(agent: Path, _n: int) -> Controller:
+        return PolicyController(policy_in(agent))
+
+    made: dict[str, list[Callable[[int], Controller]]] = {arm: [] for arm in arms}
+    for k, agent in enumerate(agents):
+        made[arms[k * len(arms) // len(agents)]].append(partial(make, agent))
+    return predict_arms(forecaster, made, folder / "forecast.npz", weights_digest(agents))
 
 
 def plan_of(options: argparse.Namespace) -> Plan:
     """The plan of the training; options override the settings of ``--quick``."""
     options_set = {name: value for name, value in vars(options).items() if value is not None}
-    quick = {} if not options.quick else {"recipe": "brief"} if options.first else recipes.QUICK
-    return recipes.plan_of(
+    quick = {} if not options.quick else {"recipe": "brief"} if options.first else QUICK
+    return plans.plan_of(
         {**quick, **options_set},
         seeds=tuple(range(options.seed, options.seed + options.seeds)), fidelity=options.fidelity,
         device=options.device, cell_m=options.cell_m, threads=options.threads,
@@ -134,83 +136,55 @@ def make_testbeds(
 ) -> list[Testbed]:  # fmt: skip
     """The testbeds: the simulator of each arm, and the reality, which no arm was trained in.
 
-    Args:
-        robot: The robot.
-        arms: The arms.
-        plan: How they are trained.
-        ranges: Source of the sensor noise, if the reality is a model.
-        reality: A model for the library's simulator, or a Python file, see ``reality``.
-        cell_m: Cell size in m, if the reality is a model; default: half of that in training.
+    A reality that is a model has the sensor noise of the ranges and cells of ``cell_m`` m, by
+    default half of those in training.
     """
-    S = len(plan.seeds)
-    draws = [arm.draws for arm in arms for _ in range(S)]
-    simulation = _simulated("simulation", draws, plan, plan.cell_m, {})
+    draws = [arm.draws for arm in arms for _ in plan.seeds]
+    settings = SimulationSettings(plan.fidelity, plan.device, plan.threads, plan.cell_m)
+    simulation = simulated("simulation", draws, settings)
     if isinstance(reality, RealityFile):
-        return [simulation, Real(reality, plan.device)]
+        return [simulation, real(reality, plan.device)]
     noise = noise_of(ranges, [joint.name for joint in robot.joints])
-    real = [Draws((reality,), noise)] * len(draws)
     finer: dict[str, Any] = {"substeps": 16}
     if plan.fidelity == "fluid":
         finer = {"smagorinsky": 0.14, "viscosity_m2_s": 4e-5}
-    return [simulation, _simulated("reality", real, plan, cell_m or plan.cell_m / 2, finer)]
+    settings = replace(settings, cell_m=cell_m or plan.cell_m / 2)
+    true = [Draws((reality,), noise)] * len(draws)
+    return [simulation, simulated("reality", true, settings, **finer)]
 
 
-def _simulated(
-    name: str, draws: Sequence[Draws], plan: Plan, cell_m: float, options: dict[str, Any]
-) -> Simulated:
-    return Simulated(name, draws, plan.fidelity, cell_m, options, plan.device, plan.threads)
-
-
-def by_jobs(options: argparse.Namespace) -> Any:  # noqa: ANN401 - a trainer
-    """A trainer that runs each arm and seed in its own process."""
-
-    def train_jobs(
-        folder: Path, robot: Robot, arms: Sequence[Arm], plan: Plan, note: dict[str, Any]
-    ) -> list[Path]:
-        del robot, note
-        calls = {}
-        for arm in arms:
-            for seed in plan.seeds:
-                files = {
-                    key: None if value is None else str(value.absolute())
-                    for key in ("robot", "model", "ranges", "enriched", "reality", "truth")
-                    for value in (getattr(options, key),)
-                }
-                call = {**files, "arm": arm.name, "seed": seed, "plan": plan_options(options)}
-                calls[f"{arm.name}-{seed}"] = call
-        work = "rl.commands.ablate:train_one"
-        folders = map_jobs(work, calls, folder, **where_jobs_run(options))
-        return [folder / folder.name for folder in folders]
-
-    return train_jobs
-
-
-def plan_options(options: argparse.Namespace) -> dict[str, Any]:
-    """The options that ``plan_of`` reads, as JSON values."""
-    names = ("quick", *recipes.OPTIONS, "fidelity", "device", "cell_m", "threads")
-    return {name: getattr(options, name, None) for name in names}
+def train_jobs(options: argparse.Namespace, arms: Sequence[str], plan: Plan) -> list[Path]:
+    """Train each arm and seed in its own process."""
+    files = {name: getattr(options, name) for name in FILES}
+    paths = {name: None if x is None else str(x.absolute()) for name, x in files.items()}
+    names = ("quick", *OPTIONS, "fidelity", "device", "cell_m", "threads")
+    stated = {name: getattr(options, name, None) for name in names}
+    calls = {
+        f"{arm}-{seed}": {"arm": arm, "seed": seed, "plan": stated, "files": paths}
+        for arm in arms
+        for seed in plan.seeds
+    }
+    out = options.out / "train"
+    folders = map_jobs("rl.commands.ablate:train_one", calls, out, **where_jobs_run(options))
+    return [folder / folder.name for folder in folders]
 
 
 def train_one(
-    folder: Path,
-    *,
-    robot: str,
-    model: str,
-    ranges: str,
-    enriched: str | None,
-    reality: str,
-    truth: str | None,
-    arm: str,
-    seed: int,
-    plan: dict[str, Any],
+    folder: Path, *, arm: str, seed: int, plan: dict[str, Any], files: dict[str, str | None]
 ) -> None:
     """Train one arm with one seed, as a job of ``sim2real.executor``."""
     torch.set_num_threads(1)
-    fish = read_robot(robot)
-    enriched_model = None if enriched is None else read_model(enriched)
-    truth_model = read_model(truth or reality) if arm == "ceiling" else None
-    trained_arm = arm_of(
-        arm, read_model(model), fish, read_ranges(ranges), enriched_model, truth_model
-    )
-    training_plan = plan_of(argparse.Namespace(**plan, seed=seed, seeds=1))
-    train(folder, fish, [trained_arm], training_plan)
+    paths: dict[str, Any] = {name: path and Path(path) for name, path in files.items()}
+    one = read_arm(arm, **paths)
+    options = argparse.Namespace(**plan, first=None, seed=seed, seeds=1)
+    train(folder, read_robot(paths["robot"]), [one], plan_of(options))
+
+
+def read_arm(
+    name: str, *, robot: Path, model: Path, ranges: Path, enriched: Path | None, reality: Path,
+    truth: Path | None,
+) -> Arm:  # fmt: skip
+    """An arm from the files of the command."""
+    found = None if enriched is None else read_model(enriched)
+    true = read_model(truth or reality) if name == "ceiling" else None
+    return arm_of(name, read_model(model), read_robot(robot), read_ranges(ranges), found, true)

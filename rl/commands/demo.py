@@ -3,61 +3,55 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 import torch
 
 from rl.commands import demo_pool
-from rl.commands.alongside import Alongside
-from rl.commands.demo_pool import PRETRAINED, Done, Pool, pool_work, run_ablation
-from rl.commands.demo_summary import summary_section
-from rl.commands.demo_swim import swim_section
-from rl.experiments.ablation_report import (
-    difference_figure,
-    markdown,
-    retention_text,
-    return_figure,
-    rows,
-    seeds_text,
-    trajectory_figure,
-    write_report,
-)
-from rl.experiments.differences import differences
-from rl.experiments.pretrained import Pretrained, read_pretrained
+from rl.experiments.ablation_report import markdown, sections, write_report
+from rl.experiments.episodes import run_episodes
+from rl.experiments.film import Film
+from rl.experiments.named import controller_of
+from rl.make import make_world
+from rl.task import TASKS, shortened
+from rl.world import Draws
 from sim.commands.diagnose import write_all
-from sim.inference.followed import by_followed_twin
-from sim.inference.swims import by_twin
-from sim.view.calibration_page import calibration_section
-from sim.view.diagnosis_page import swims_section
+from sim.inference.swims import by_followed_twin, by_twin
+from sim.view.swim_page import calibration_section, swims_section
+from sim.view.video import Video
 from sim2real.check import check
-from sim2real.commands.identify import most_held_out
+from sim2real.commands.recordings import most_held_out
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.diagnose.result import Diagnosis, write_diagnosis
+from sim2real.diagnose.result import Diagnosis, percent, write_diagnosis
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
-from sim2real.model import Model, write_model
+from sim2real.model import Model, read_model, write_model
 from sim2real.output import check_writable
 from sim2real.ranges.entry import write_ranges
-from sim2real.recording import Recording, read_recording
+from sim2real.recording import read_recording
 from sim2real.report.diagnosis import diagnosis_section
-from sim2real.report.drawing import svg
-from sim2real.report.identification import Fit, identification_section
-from sim2real.report.page import Block, Figure, Note, Section, write_page
+from sim2real.report.identification import identification_section
+from sim2real.report.page import Film as Shown
+from sim2real.report.page import Note, Section, Table, Text, write_page
+from sim2real.report.quantity import milliradians, quantities
 from sim2real.report.ranges import ranges_section
 from sim2real.report.recordings import recordings_section
-from sim2real.report.style import NARROW
-from sim2real.report.table import fit_report
-from sim2real.robot import Robot, read_robot
-from sim2real.servo.prediction import Replay, replay
+from sim2real.robot import read_robot
+from sim2real.servo.prediction import replay
 
-STAGES = ("recordings", "check", "identify", "diagnose", "calibrate", "ranges", "ablate", "swim")
+LONGEST = 500
+"""Longest film in control periods: ten seconds."""
 _DIAGNOSED = ("chirp", "steps")
+"""Recordings of different kinds: sufficient for a diagnosis, and quick."""
 _SHOWN = "square"
 """Recording that the page shows with the held-out one: the test signal of the paper."""
 
@@ -66,25 +60,39 @@ def run(options: argparse.Namespace) -> int:
     """Run bench, pool and ablation; write ``index.html`` and the result files."""
     page = check_writable(options.out / "index.html")
     torch.set_num_threads(1)
-    work = (options.pool, _ablation_in(options), options.seed, demo_pool.REPEATS, options.train)
-    with Alongside(pool_work, *work) as second_process:
-        bench, robot, model, servos = _bench(options)
-        pool, body, ablation, swim = _pool(options, second_process)
+    spawn = multiprocessing.get_context("spawn")
+    out = options.out / ("trained" if options.train else "ablation")
+    with ProcessPoolExecutor(1, spawn, demo_pool.begin_process) as second_process:
+        stages = [demo_pool.diagnosed, demo_pool.calibrated, demo_pool.ranges_of]
+        pool = [second_process.submit(demo_pool.timed, stage, options.pool) for stage in stages]
+        work = (demo_pool.tested, options.pool, out, options.seed)
+        if not options.train:  # training has processes of its own
+            pool.append(second_process.submit(demo_pool.timed, *work))
+        try:
+            bench, model, servos = _bench(options)
+            swam, results, body = _pool(options, out, pool)
+        except BaseException:
+            second_process.shutdown(wait=False, cancel_futures=True)
+            raise
+    table = sections(results, demo_pool.QUICK)
+    ablation = Section("A quick ablation", table[0].lead, [
+        _note(options), *(block for one in table[:-1] for block in one.blocks),
+    ])  # fmt: skip
+    film = _swim(results, options, out, body.model)
     with _stage("report", str(page)):
         write_page(
             page,
-            robot.name,
+            read_robot(options.data / "robot.toml").name,
             f"{len(model.joints)} servos identified, a body calibrated, techniques compared",
-            [summary_section(model, servos, body, ablation, swim), *bench, *pool],
+            [_summary(model, servos, body, ablation.lead, film), *bench, *swam, ablation],
             model.provenance,
-            stages=[(name, True) for name in STAGES],
         )
-    print("\n" + fit_report(model))
+    print(f"\n{model}")
     print(f"\nreport: {page}")
     return 0
 
 
-def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model, Diagnosis]:
+def _bench(options: argparse.Namespace) -> tuple[list[Section], Model, Diagnosis]:
     """Servos on a bench: recordings, identification, diagnosis."""
     paths = sorted(options.data.glob("*.csv"), reverse=True)  # the chirp last: it is held out
     if not paths:
@@ -97,143 +105,140 @@ def _bench(options: argparse.Namespace) -> tuple[list[Section], Robot, Model, Di
     with _stage("identify", "gains and latency of each servo"):
         model = identify(recordings, robot, seed=options.seed)
     with _stage("diagnose", "physics missing from the servo model"):
-        diagnosis = diagnose(_two(recordings), robot, seed=options.seed)
+        chosen = [recording for recording in recordings if recording.name in _DIAGNOSED]
+        diagnosis = diagnose(chosen or recordings[:2], robot, seed=options.seed)
     write_all(diagnosis, options.out / "diagnosis.json")
     with _stage("replay", "the model on the recordings"):
         replays = replay(model, recordings)
     write_model(model, options.out / "model.json")
-    sections = [
-        recordings_section(recordings, checks),
-        identification_section(model, _shown(replays)),
-        diagnosis_section(diagnosis),
-    ]
-    return sections, robot, model, diagnosis
+    held_out = list(most_held_out(replays).values())
+    square = [run for run in replays if run.recording.name == _SHOWN and run not in held_out]
+    shown = [(r.recording, r.joint, r.predicted, r.held_out) for r in [*square[:1], *held_out]]
+    made = [recordings_section(recordings, checks), identification_section(model, shown)]
+    return [*made, diagnosis_section(diagnosis)], model, diagnosis
 
 
 def _pool(
-    options: argparse.Namespace, second_process: Iterator[Done]
-) -> tuple[list[Section], Diagnosis, str, Section]:
-    """A robot in a pool: diagnosis, calibration, ranges, a quick ablation, a swim.
-
-    Returns:
-        The sections, the diagnosis, the ablation's result in a sentence, and the swim's section.
-    """
-    pool, out = Pool.of(options.pool), options.out
-    agents = None if options.train else read_pretrained(options.pool / PRETRAINED)
-    robot, swim, followed = pool.robot, pool.swim, by_followed_twin(pool.robot)
+    options: argparse.Namespace, out: Path, pool: Sequence[Future[tuple[Any, float]]]
+) -> tuple[list[Section], dict[str, Any], Diagnosis]:
+    """A robot in a pool: its sections, the result of the ablation, the diagnosis of the swim."""
+    folder, stages = options.pool, iter(pool)
+    robot, swim = demo_pool.robot_in(folder), demo_pool.swim_in(folder)
     what = f"physics missing from the body model, on {swim.name}"
-    missing = _received(second_process, "diagnose", what)
-    write_model(missing.model, out / "swim.enriched.json")
-    write_diagnosis(missing, out / "swim.json", "swim.enriched.json")
+    missing = _received(next(stages), "diagnose", what)
+    write_model(missing.model, options.out / "swim.enriched.json")
+    write_diagnosis(missing, options.out / "swim.json", "swim.enriched.json")
     what = "the body in the twin, with the effects found"
-    fitted, drift = _received(second_process, "calibrate", what)
-    gathered = _received(second_process, "ranges", "randomization ranges")
-    write_model(fitted.model, out / "calibrated.json")
-    write_ranges(gathered.ranges, out / "ranges.json")
-    if agents is None:
+    fitted = _received(next(stages), "calibrate", what)
+    gathered = _received(next(stages), "ranges", "randomization ranges")
+    write_model(fitted.model, options.out / "calibrated.json")
+    write_ranges(gathered.ranges, options.out / "ranges.json")
+    if options.train:
         title = f"{demo_pool.QUICK.steps} steps of each of {demo_pool.SEEDS} seeds of 4 arms"
         with _stage("ablate", f"{title}, in the twin"):
-            results = run_ablation(
-                pool, fitted.model, gathered, _ablation_in(options), options.seed,
-                demo_pool.REPEATS, plan=demo_pool.QUICK, seeds=demo_pool.SEEDS,
-            )  # fmt: skip
+            results = demo_pool.ablated(
+                folder, out, options.seed, fitted.model, gathered.ranges, pretrained=False
+            )
     else:
-        title = f"{len(agents.seeds)} seeds of 4 arms, trained beforehand, in the twin"
-        results = _received(second_process, "ablate", title)
-    plan = replace(demo_pool.QUICK, seeds=agents.seeds if agents else ())
-    write_report(results, plan, _ablation_in(options), fitted.model.provenance)
+        title = "4 arms, trained beforehand, in the twin"
+        results = _received(next(stages), "ablate", title)
+    write_report(results, demo_pool.QUICK, out, fitted.model.provenance)
     print(markdown(results))
-    if drift > 1:
-        print(f"note: {_drift_warning(drift)}")
-    ablation = _ablation(results, agents, drift)
-    sections = [
-        replace(swims_section(missing, [swim], followed, robot), title="Diagnosis of the swim"),
-        calibration_section(swim, pool.model, fitted, by_twin(robot), robot),
+    swims = swims_section(missing, [swim], by_followed_twin(robot), robot)
+    servos = read_model(folder / "model.json")
+    made = [
+        replace(swims, title="Diagnosis of the swim"),
+        calibration_section(
+            swim, (servos, fitted.model), (fitted.rmse, fitted.train), by_twin(robot), robot
+        ),
         ranges_section(gathered),
-        ablation,
     ]
-    return sections, missing, ablation.lead, _swim(results, options, robot, fitted.model)
+    return made, results, replace(missing, model=fitted.model)
 
 
-def _ablation_in(options: argparse.Namespace) -> Path:
-    """Folder of the ablation, a different one for agents trained in this run."""
-    return Path(options.out / ("trained" if options.train else "ablation"))
-
-
-def _drift_warning(drift: float) -> str:
-    """Warning that the shipped agents were trained for another calibration."""
-    return (
-        "the shipped agents were trained for another calibration: its swim differs from this one's "
-        f"by {drift:.1f} times its held-out error; --train trains agents for this one"
+def _note(options: argparse.Namespace) -> Note:
+    """How the agents of the ablation were trained."""
+    when = (
+        "in this run"
+        if options.train
+        else "beforehand, by “sim2real demo --train”, and ship with the data; this run evaluates "
+        "them in simulation, with its own calibration, and in reality"
     )
-
-
-def _ablation(results: dict[str, Any], agents: Pretrained | None, drift: float) -> Section:
-    """Section on the ablation."""
-    steps = demo_pool.QUICK.steps if agents is None else agents.plan["steps"]
-    when = "in this run"
-    if agents is not None:
-        when = (
-            "beforehand, by “sim2real demo --train”, and ship with the data; this run evaluates "
-            "them in simulation, with its own calibration, and in reality"
-        )
-    note = (
+    return Note(
+        "info",
         f"The agents were trained {when}. "
         "The agents of a seed start from one shipped with the data, trained with servos and "
         "densities half way between the calibrated ones and those of the old simulator, and train "
-        f"for {steps} steps in the simulator of their arm: pairs differ only by their arms. A "
-        "difference whose interval excludes zero is significant. The reality is here the twin with "
-        "other parameters, friction, play and a skin, as a surrogate with its own fluid is too "
-        "slow for two cores. Of a hundred such ablations in an earlier version of the twin 97 or "
-        "more found the servo calibration significant, twenty another technique by chance. "
-        "Trained from scratch and evaluated in the fluid, the servo calibration had by far the "
-        "largest effect (reports/ablation)."
+        f"for {demo_pool.QUICK.steps} steps in the simulator of their arm: pairs differ only by "
+        "their arms. A difference whose interval excludes zero is significant. The reality is here "
+        "the twin with other parameters, friction, play and a skin, as a surrogate with its own "
+        "fluid is too slow for two cores. Trained from scratch and evaluated in the fluid, the "
+        "servo calibration had by far the largest effect (reports/ablation).",
     )
-    effects_of_arms = differences(results)
-    blocks: list[Block] = [Note("info", note)]
-    if drift > 1:
-        blocks.append(
-            Note("warn", _drift_warning(drift)[0].upper() + _drift_warning(drift)[1:] + ".")
-        )
-    captions = ("", seeds_text(effects_of_arms), "")
-    plots = (
-        return_figure(rows(results)),
-        difference_figure(effects_of_arms),
-        trajectory_figure(results),
-    )
-    figures = [
-        Figure(svg(figure), caption, svg(figure, width=NARROW))
-        for figure, caption in zip(plots, captions, strict=True)
-    ]
-    lead = retention_text({row["arm"]: row for row in rows(results)})
-    return Section("A quick ablation", lead, [*blocks, *figures])
 
 
-def _swim(
-    results: dict[str, Any], options: argparse.Namespace, robot: Robot, model: Model
-) -> Section:
-    """Film of a swim of the agent with all techniques that did best in simulation."""
+def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model: Model) -> Section:
+    """Film of the agent with all techniques that did best in simulation, in the fluid."""
     candidates = [agent for agent in results["agents"] if agent["arm"] == "all"]
-    best = max(candidates, key=lambda agent: fmean(agent["simulation"]["return"]))
+    best = max(candidates, key=lambda agent: fmean(agent["simulation"]["return"]))["folder"]
     if options.train:
-        (policy,) = (_ablation_in(options) / "train").glob(f"*/{best['folder']}/policy.zip")
+        (policy,) = (out / "train").glob(f"*/{best}/policy.zip")
     else:
-        policy = options.pool / PRETRAINED / best["folder"] / "policy.npz"
-    film = check_writable(options.out / "swim.gif")
+        policy = options.pool / demo_pool.PRETRAINED / best / "policy.npz"
+    film, robot = check_writable(options.out / "swim.gif"), demo_pool.robot_in(options.pool)
+    limits = [joint.limits_rad for joint in robot.joints]
     with _stage("swim", "the policy with all techniques, in the fluid"):
-        return swim_section(policy, robot, model, film, options.seed)
+        world = make_world(
+            robot, shortened(TASKS["turn"], LONGEST), Draws((model,)), n_envs=1, fidelity="fluid",
+            seed=options.seed, threads=2,
+        )  # fmt: skip
+        name = "trained in the twin, tested in the fluid"
+        with Video(film) as video, Film(video, world, {0: name}, width=480) as watch:
+            trial = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
+    time_s = float(trial.time_s[0])
+    outcome = f"It has not arrived after {LONGEST / 50:.0f} s."
+    if np.isfinite(time_s):
+        outcome = f"It arrives after {time_s:.1f} s."
+    lead = (
+        "Of the agents with all techniques, the one with the highest return in simulation turns by "
+        "180° and swims to a target behind it, in a lattice-Boltzmann fluid with cells of 2 cm. "
+        f"It was trained in the twin only. {outcome}"
+    )
+    caption = (
+        "From above: the robot, its path, the target, and the vorticity of the water around it."
+    )
+    alt = "Film of the simulated fish as it turns and swims to a target, seen from above"
+    return Section("A swim", lead, [Shown(film.read_bytes(), alt, caption)])
 
 
-def _two(recordings: Sequence[Recording]) -> list[Recording]:
-    """Two recordings of different kinds: sufficient for a diagnosis, and quick."""
-    chosen = [recording for recording in recordings if recording.name in _DIAGNOSED]
-    return chosen or list(recordings[:2])
+def _summary(
+    model: Model, servos: Diagnosis, body: Diagnosis, ablation: str, swim: Section
+) -> Section:
+    """Verdicts, key numbers and the film: the first section of the page."""
+    rows = [
+        ("diagnosis of the servos", _verdict(servos)),
+        ("diagnosis of the body", _verdict(body)),
+    ]
+    for name, joint in model.joints.items():
+        shown = [q for q in quantities(joint) if q.name in ("kp", "kd", "latency")]
+        values = ", ".join(f"{q.name} {q.texts[0]} {q.unit}" for q in shown)
+        figures = model.fit[f"{name}.position_rad"]
+        error, noise = (milliradians(figures.get(key)) for key in ("heldout", "noise"))
+        rows.append((f"servo {name}", f"{values}\nheld-out error {error}, sensor noise {noise}"))
+    lead = (
+        "The recordings give the parameters of the servos and of the body, the physics that both "
+        "models leave out, and ranges for training. The section on the ablation says how the "
+        "policy that swims below was trained."
+    )
+    film = [Text(swim.lead, "A swim of the trained policy"), *swim.blocks]
+    table = Table(("what", "result"), [*rows, ("ablation", ablation)])
+    return Section("Results", lead, [table, *film])
 
 
-def _shown(replays: Sequence[Replay]) -> list[Fit]:
-    chosen = list(most_held_out(replays).values())
-    square = [run for run in replays if run.recording.name == _SHOWN and run not in chosen]
-    return [(r.recording, r.joint, r.predicted, r.held_out) for r in [*square[:1], *chosen]]
+def _verdict(diagnosis: Diagnosis) -> str:
+    """The verdict, and below it each effect with its probability."""
+    effects = [f"{percent(e.probability)}: {e.statement}" for e in diagnosis.effects]
+    return "\n".join([diagnosis.verdict.replace("_", " "), *effects])
 
 
 @contextmanager
@@ -245,9 +250,9 @@ def _stage(name: str, title: str) -> Iterator[None]:
     print(f"({time.perf_counter() - start:.1f} s)", flush=True)
 
 
-def _received(second_process: Iterator[Done], name: str, title: str) -> Any:  # noqa: ANN401 - a result
+def _received(stage: Future[tuple[Any, float]], name: str, title: str) -> Any:  # noqa: ANN401
     """Wait for a stage of the second process, print its duration and return its result."""
     print(f"{name:10}{title}", end=" ", flush=True)
-    done = next(second_process)
-    print(f"({done.seconds:.1f} s)", flush=True)
-    return done.value
+    value, seconds = stage.result()
+    print(f"({seconds:.1f} s)", flush=True)
+    return value

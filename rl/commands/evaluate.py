@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,15 @@ import numpy as np
 import torch
 
 from rl.controllers import Controller
-from rl.experiments.evaluate import Episodes, run_episodes, summary
+from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.trials import UNSEEN, run_trials
+from rl.experiments.testbeds import UNSEEN, SimulationSettings, run_trials
 from rl.make import draws_of, make_world, own_stream
 from rl.sac.plan import RECIPES
 from rl.task import TASKS
 from sim.view.video import Video, check_video
-from sim2real.errors import InputError
+from sim2real.errors import check_whole
 from sim2real.model import read_model
 from sim2real.output import check_writable, provenance, write_json
 from sim2real.ranges.entry import read_ranges
@@ -36,24 +35,19 @@ def run(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     robot, model = read_robot(options.robot), read_model(options.model)
     ranges = None if options.ranges is None else read_ranges(options.ranges)
-    if options.episodes < 1:
-        raise InputError("evaluate", "--episodes", str(options.episodes), "at least 1")
+    check_whole("evaluate", "--episodes", options.episodes, 1)
     weight = RECIPES["default"].energy if options.energy_weight is None else options.energy_weight
     task = replace(TASKS[options.task], energy=weight)
     names = list(dict.fromkeys(options.policies))
     limits = [joint.limits_rad for joint in robot.joints]
 
-    def controllers(n: int, policies: Sequence[str]) -> dict[str, Controller]:
-        choices: Any = {"gains": options.gains, "sampled": options.sampled}
-        return {name: controller_of(name, limits, n, **choices) for name in policies}
+    def controllers(n: int) -> dict[str, Controller]:
+        return {name: controller_of(name, limits, n, gains=options.gains) for name in names}
 
-    water: Any = {
-        "fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m,
-        "threads": options.threads,
-    }  # fmt: skip
+    settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
     swims = run_trials(
-        robot, model, ranges, task, controllers(options.episodes, names),
-        episodes=options.episodes, seed=options.seed, **water,
+        robot, model, ranges, task, controllers(options.episodes),
+        episodes=options.episodes, seed=options.seed, settings=settings,
     )  # fmt: skip
     table = {name: summary(episodes, task) for name, episodes in swims.items()}
     options.result = {"task": options.task, "fidelity": options.fidelity, "results": table}
@@ -74,10 +68,12 @@ def run(options: argparse.Namespace) -> int:
     if options.video is not None:
         draws = draws_of(model, ranges, robot, seed=options.seed + UNSEEN, n=1)
         with Video(options.video) as video:
-            for name, controller in controllers(1, names).items():
+            for name, controller in controllers(1).items():
                 with own_stream(options.device):
-                    world = make_world(robot, task, draws, n_envs=1, seed=options.seed, **water)
-                    with Film(video, world, shown(name)) as film:
+                    world = make_world(
+                        robot, task, draws, n_envs=1, seed=options.seed, **settings.world
+                    )
+                    with Film(video, world, {0: shown(name)}) as film:
                         run_episodes(world, controller, name=name, watch=film)
     return 0
 
@@ -98,15 +94,13 @@ def table_line(name: str, row: dict[str, Any]) -> str:
 
 def draw(swims: dict[str, Episodes], picture: Path) -> None:
     """Trajectories over the pool, a panel for each policy."""
-    from rl.experiments.trajectories import Path as Way
-    from rl.experiments.trajectories import draw as draw_ways
+    from rl.experiments.paths import pool_figure
     from sim2real.report.drawing import save_png
 
-    ways: dict[str, Way | list[Way]] = {}
+    ways, notes = {}, {}
     for name, episodes in swims.items():
         time = episodes.time_s
-        outcome = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
-        drawn = range(min(5, len(time)))
-        ways[shown(name)] = [Way(episodes.pose[:, e, :2], outcome) for e in drawn]
-    figure = draw_ways(ways, next(iter(swims.values())).targets[0])
-    save_png(figure, picture)
+        ways[shown(name)] = [episodes.pose[:, e, :2] for e in range(min(5, len(time)))]
+        notes[shown(name)] = f"{time[0]:.1f} s" if np.isfinite(time[0]) else "does not arrive"
+    targets = next(iter(swims.values())).targets[0]
+    save_png(pool_figure(ways, targets, notes), picture)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from rl import verbs
-from sim2real.commands.verb import arguments_of
-from sim2real.extras import if_installed
+from sim2real.commands.command import arguments_of
+from sim2real.errors import if_installed
 from sim2real.output import beside, check_writable, is_stream, write_json
 
 

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -39,9 +38,17 @@ def run(options: argparse.Namespace) -> int:
     if not 0 < options.seconds <= LONGEST_S:
         raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
     if options.out is not None:
-        _check_out(options.out)
+        if options.out.suffix != ".csv":
+            raise InputError("--out", "", str(options.out), "a file name ending in .csv")
+        check_writable(options.out)
+        check_writable(options.out.with_suffix(".json"))
     key = shared_key(options.key_file)
-    policy = _policy(options.policy)
+    if options.policy.suffix == ".zip":  # which needs PyTorch
+        from rl.deploy.export import read_zip
+
+        policy = read_zip(options.policy)
+    else:
+        policy = read_npz(options.policy)
     pilot = Pilot(policy, target, options.seconds)
     with (
         interruption() as stop,
@@ -66,23 +73,13 @@ def _report(track: Track, written: str) -> int:
     """Print the outcome in one line; return the exit status."""
     outcome = f"closest {track.closest_m:.3f} m" if np.isfinite(track.closest_m) else "not started"
     if track.stopped:
-        print(
-            f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}", file=sys.stderr
-        )
+        line = f"sim2real swim: {track.stopped}; {outcome}; sent to rest; {written}"
+        print(line, file=sys.stderr)
         return 1
     if track.reached_s is not None:
         outcome = f"target reached in {track.reached_s:.2f} s"
     print(f"{outcome}; {written}")
     return 0
-
-
-def _policy(path: Path) -> Policy:
-    """A policy from ``.npz``, or from the ``.zip`` of a training, which needs PyTorch."""
-    if path.suffix != ".zip":
-        return read_npz(path)
-    from rl.deploy.export import read_zip
-
-    return read_zip(path)
 
 
 @contextmanager
@@ -91,22 +88,22 @@ def _robot(
 ) -> Iterator[str]:
     """URL of the robot; a virtual one, or one on a bus, runs until the block ends."""
     if options.bus is not None:
+        _needs(options, "port", "ids", "robot", "pose", why="--bus")
         with _on_bus(options, policy, stop, key) as url:
             yield url
-        return
-    if not options.virtual:
-        if options.port is None:
-            raise InputError("--port", "", "nothing", "udp://HOST:PORT, --bus or --virtual")
-        yield options.port
-        return
-    from rl.deploy.virtual_robot import virtual_robot
-    from sim.twin.twin import Twin
-    from sim2real.model import read_model
+    elif options.virtual:
+        from rl.deploy.virtual_robot import virtual_robot
+        from sim.twin.twin import Twin
+        from sim2real.model import read_model
 
-    _needs(options, "robot", "model", why="--virtual")
-    robot = _described(options, policy)
-    with virtual_robot(Twin(robot, read_model(options.model), threads=1), key) as url:
-        yield url
+        _needs(options, "robot", "model", why="--virtual")
+        robot = _described(options, policy)
+        with virtual_robot(Twin(robot, read_model(options.model), threads=1), key) as url:
+            yield url
+    elif options.port is None:
+        raise InputError("--port", "", "nothing", "udp://HOST:PORT, --bus or --virtual")
+    else:
+        yield options.port
 
 
 @contextmanager
@@ -121,7 +118,6 @@ def _on_bus(
     from sim2real.hardware.servo_bus import Stopped
     from sim2real.hardware.session import mounted
 
-    _needs(options, "port", "ids", "robot", "pose", why="--bus")
     robot = _described(options, policy)
     try:
         ids = [int(number) for number in options.ids.split(",")]
@@ -135,15 +131,10 @@ def _on_bus(
             priority(),
             connection(options.bus, options.port, options.baud) as link,
             bus_robot(
-                link,
-                mounted(link, robot, wiring),
-                rest,
-                options.pose,
-                hottest_C=options.max_temperature,
-                interrupted=stop,
-                key=key,
+                link, mounted(link, robot, wiring), rest, options.pose,
+                hottest_C=options.max_temperature, interrupted=stop, key=key,
             ) as (url, driven),
-        ):
+        ):  # fmt: skip
             yield url
             if driven.stopped:
                 print(f"sim2real swim: {driven.stopped}", file=sys.stderr)
@@ -204,10 +195,3 @@ def _target(text: str) -> Array:
     if place.shape != (2,) or not np.isfinite(place).all():
         raise InputError("--target", "", repr(text), "X,Y in m, as 1.2,-0.4")
     return place
-
-
-def _check_out(out: Path) -> None:
-    if out.suffix != ".csv":
-        raise InputError("--out", "", str(out), "a file name ending in .csv")
-    check_writable(out)
-    check_writable(out.with_suffix(".json"))

@@ -11,15 +11,14 @@ import numpy as np
 import torch
 
 from rl.controllers import discrete_train
-from rl.experiments.paces import choose_prices
-from rl.experiments.selection import HELD_OUT, held_out
+from rl.experiments.selection import HELD_OUT, choose_prices, held_out
+from rl.experiments.testbeds import SimulationSettings
 from rl.sac import train as sac
 from rl.sac.curve import draw_curves, read_progress
-from rl.sac.plan import RECIPES
-from sim2real.commands.placement import where_jobs_run
+from rl.sac.plan import OPTIONS, RECIPES
+from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
 from sim2real.executor import map_jobs
-from sim2real.extras import library
 from sim2real.model import read_model
 from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
@@ -34,15 +33,13 @@ def run(options: argparse.Namespace) -> int:
     if options.out.exists() and not options.out.is_dir():
         raise InputError(options.out, "", "a file", "a folder")
     torch.set_num_threads(1)  # the networks are small
-    arguments = call(options)
+    arguments = arguments_of(options)
     if options.executor is None:
         folders = TRAINERS[options.controller].train_run(options.out, **arguments)
     else:
         folders = _side_by_side(options, arguments)
     if not options.no_plots:
         draw_curves({"policy": folders}, options.out / "curve.png")
-    if options.tensorboard:
-        write_tensorboard(folders)
     for folder in folders:
         progress = read_progress(folder)
         ended = np.flatnonzero(progress["episodes"] > 0)
@@ -59,11 +56,11 @@ def select(options: argparse.Namespace, folders: list[Path]) -> None:
     """Choose each agent's price and then the best agent by held-out trials: ``trials.json``."""
     fish, model = read_robot(options.robot), read_model(options.model)
     ranges = None if options.ranges is None else read_ranges(options.ranges)
-    water = {"fidelity": options.fidelity, "device": options.device, "cell_m": options.cell_m}
-    water["threads"] = options.threads
-    prices = choose_prices(folders, fish, model, ranges, episodes=options.trials, **water)
+    settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
+    call: dict[str, Any] = {"episodes": options.trials, "settings": settings}
+    prices = choose_prices(folders, fish, model, ranges, **call)
     energy = options.energy_weight or RECIPES[options.recipe or "default"].energy
-    trials = held_out(folders, fish, model, ranges, energy=energy, episodes=options.trials, **water)
+    trials = held_out(folders, fish, model, ranges, energy=energy, **call)
     write_json(options.out / "trials.json", {**trials, "prices": prices})
     for agent, rows in trials["agents"].items():
         summary = ", ".join(
@@ -77,22 +74,15 @@ def select(options: argparse.Namespace, folders: list[Path]) -> None:
     print(f"best of {options.trials} held-out trials each: {trials['best']}")
 
 
-def call(options: argparse.Namespace) -> dict[str, Any]:
+def arguments_of(options: argparse.Namespace) -> dict[str, Any]:
     """Arguments of ``train_run`` as JSON values; options override those of ``--quick``.
 
     Raises:
         InputError: If the controller has no such option.
     """
-    choices = {
-        "recipe": options.recipe, "task": options.task, "steps": options.steps,
-        "envs": options.envs, "segment": options.segment,
-        "updates_per_step": options.updates_per_step,
-        "learning_rate": options.learning_rate, "discount": options.discount,
-        "energy_weight": options.energy_weight, "energy_start": options.energy_start,
-    }  # fmt: skip
-    count = options.seeds
+    given = {name: getattr(options, name, None) for name in OPTIONS}
+    options_set = {name: value for name, value in given.items() if value is not None}
     trainer = TRAINERS[options.controller]
-    options_set = {name: value for name, value in choices.items() if value is not None}
     if options.first:
         options_set["first"] = [str(path.absolute()) for path in options.first]
     for name in options_set.keys() - inspect.signature(trainer.train_run).parameters:
@@ -104,7 +94,7 @@ def call(options: argparse.Namespace) -> dict[str, Any]:
         "robot": str(options.robot),
         "model": str(options.model),
         "ranges": None if options.ranges is None else str(options.ranges),
-        "seeds": list(range(options.seed, options.seed + count)),
+        "seeds": list(range(options.seed, options.seed + options.seeds)),
         "fidelity": options.fidelity,
         "device": options.device,
         "cell_m": options.cell_m,
@@ -130,22 +120,3 @@ def _side_by_side(options: argparse.Namespace, arguments: dict[str, Any]) -> lis
     folders = map_jobs(work, calls, options.out, **where_jobs_run(options))
     seeds = arguments["seeds"]
     return [folder / f"policy-{seed}" for folder, seed in zip(folders, seeds, strict=True)]
-
-
-def write_tensorboard(folders: list[Path]) -> None:
-    """Write the learning curves for TensorBoard, into the folder of each agent.
-
-    Raises:
-        InputError: If TensorBoard is not installed.
-    """
-    library("tensorboard", "--tensorboard")
-    from torch.utils.tensorboard import SummaryWriter
-
-    for folder in folders:
-        progress = read_progress(folder)
-        steps = progress.pop("steps")
-        with SummaryWriter(str(folder / "tensorboard")) as writer:
-            for name, values in progress.items():
-                for step, value in zip(steps, values, strict=True):
-                    if np.isfinite(value):
-                        writer.add_scalar(name, value, int(step))

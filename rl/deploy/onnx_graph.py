@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from rl.deploy.policy import Policy
 from rl.observer import Observer
-from sim2real.extras import library
+from sim2real.errors import library
 
 _DOC = """One decision. observation (N, O): {columns}. begin (N, 1): 1 where a swim starts, else 0.
 memory (N, M): result of the last call; arbitrary where a swim starts. set_points (N, {period}, J):

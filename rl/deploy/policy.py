@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rl.observer import PAPER, Observer, View
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array32, Mask
 from sim2real.errors import InputError
-from sim2real.structured import finite_number
+from sim2real.structured import finite_number, read_arrays
 
 SCHEMA = "sim2real.policy/2"
 FIRST = "sim2real.policy/1"

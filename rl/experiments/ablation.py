@@ -1,105 +1,229 @@
-"""The ablation: train every arm, test the 180 degree turn in simulation and in reality, compare.
+"""The ablation: its arms, and tests of their agents at the turn in simulation and in reality.
 
-Every stage writes a file to the folder of the run and is skipped if that file exists; training
-resumes from its checkpoint.
+An arm has some techniques, and defaults that replace the others: without a technique the default of
+the old simulator is used (Lin, Liu, Wang, Sec. IV-D). Where that simulator has no default for this
+robot, one is defined here.
+
+Every testbed writes a file to the folder of the run and is skipped if that file is of the same
+policies and settings.
+
+A folder of pretrained agents, small enough to ship, holds ``ARM-SEED/policy.npz`` of each (only its
+policy, see ``rl.deploy.forward``), the ``model.json`` and ``ranges.json`` that they were trained
+for, and ``agents.json``: the plan, the SHA-256 of every file and the provenance.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rl.controllers import Controller
-from rl.deploy.export import SampledController, read_zip
-from rl.deploy.policy import Policy, PolicyController, read_npz
-from rl.experiments.evaluate import Episodes, spent
-from rl.experiments.predicted import Agents
-from rl.experiments.real_episodes import same_starts
-from rl.experiments.testbeds import Controllers, Testbed
+from rl.deploy.export import read_zip
+from rl.deploy.policy import Policy, PolicyController, npz, read_npz
+from rl.experiments.episodes import Episodes, measured
+from rl.experiments.testbeds import Controllers, Testbed, same_starts
+from rl.make import draws_of
+from rl.randomize import noise_of, with_density
 from rl.sac.plan import Arm, Plan
-from rl.sac.train import train
 from rl.task import TASKS, Task
+from rl.world import Draws
 from sim2real.arrays import Array
-from sim2real.output import write_json
+from sim2real.errors import InputError
+from sim2real.model import FittedEffect, JointModel, Model, write_model
+from sim2real.output import write_json, write_whole
+from sim2real.ranges.entry import Ranges, write_ranges
 from sim2real.robot import Robot
-from sim2real.structured import read_json
+from sim2real.structured import Fields, read_json
+
+LISTING = "agents.json"
+EFFORT_NM = 2.0
+"""Torque limit of the joints in the old simulator, N m."""
+STIFF = JointModel(
+    kp_Nm_per_rad=10.0,
+    kd_Nms_per_rad=0.2,
+    latency_s=0.0,
+    inertia_kgm2=0.002,
+    effects=(FittedEffect("torque_saturation", {"limit_Nm": EFFORT_NM}),),
+)
+"""An uncalibrated servo. The old simulator drives joints by torque; the task commands angles, so
+the default is a stiff drive without latency that reaches its torque limit at an error of 0.2
+rad."""
+
+
+@dataclass(frozen=True)
+class Techniques:
+    """Techniques of an arm: without servo joints are ``STIFF``, without density links are alike.
+
+    Without randomization all episodes have the same model, with effects the diagnosed ones.
+    """
+
+    servo: bool = True
+    density: bool = True
+    randomization: bool = True
+    effects: bool = False
+
+
+ARMS: Mapping[str, Techniques] = {
+    "all": Techniques(),
+    "no-servo": Techniques(servo=False),
+    "no-density": Techniques(density=False),
+    "no-randomization": Techniques(randomization=False),
+    "all-and-effects": Techniques(effects=True),
+    "ceiling": Techniques(),
+    "none": Techniques(servo=False, density=False, randomization=False),
+    "midway": Techniques(),
+}
+"""The four arms of the paper; "all-and-effects", with diagnosed effects; and "ceiling", trained
+with the true parameters of the reality where they are known: an upper bound. By default not run:
+"none", and "midway", whose servos and densities lie half way between those of "all" and "none".
+Training of the other arms can continue from agents of "midway": no arm is favoured by that start,
+and the time to learn swimming, which differs by chance, is not part of the comparison."""
+PAPER = ("all", "no-servo", "no-density", "no-randomization")
+TITLES: Mapping[str, str] = {
+    "all": "all techniques",
+    "no-servo": "no servo calibration",
+    "no-density": "no density calibration",
+    "no-randomization": "no randomization",
+    "all-and-effects": "all, and the effects found",
+    "ceiling": "trained in reality itself",
+    "none": "no technique",
+    "midway": "half way from no technique",
+}
+
+
+def one_density(robot: Robot) -> list[float]:
+    """Normalised densities of links of one material, with volumes of elliptic cylinders.
+
+    The old simulator gives every link 1080 kg/m3. The robot is neutrally buoyant, so the total mass
+    is kept and only its distribution changes.
+    """
+    section = np.array([link.width_m * link.height_m for link in robot.links])
+    length = np.array([link.length_m for link in robot.links])
+    return [float(x) for x in section * length.sum() / (section * length).sum()]
+
+
+def model_of(
+    techniques: Techniques, model: Model, robot: Robot, enriched: Model | None = None
+) -> Model:
+    """The simulator that an arm trains in; ``enriched`` is the model with diagnosed effects."""
+    chosen = with_density(enriched if techniques.effects and enriched else model, robot)
+    if not techniques.density:
+        chosen = replace(chosen, body={**chosen.body, "normalised_density": one_density(robot)})
+    if not techniques.servo:
+        chosen = replace(chosen, joints=dict.fromkeys(chosen.joints, STIFF))
+    return chosen
+
+
+def arm_of(
+    name: str,
+    model: Model,
+    robot: Robot,
+    ranges: Ranges,
+    enriched: Model | None = None,
+    reality: Model | None = None,
+) -> Arm:
+    """An arm of ``ARMS`` to train; "ceiling" needs the true parameters of the reality.
+
+    Ranges of a technique that the arm does not use are omitted, as they contain its results.
+    """
+    techniques = ARMS[name]
+    if name == "midway":
+        drawn, old = arm_of("all", model, robot, ranges).draws, model_of(ARMS["none"], model, robot)
+        models = tuple(half_way(m, old) for m in drawn.models)
+        return Arm(name, replace(drawn, models=models))
+    if name == "ceiling":
+        assert reality is not None, "the caller has looked"
+        noise = noise_of(ranges, [joint.name for joint in robot.joints])
+        return Arm(name, Draws((with_density(reality, robot),), noise))
+    arm_model = model_of(techniques, model, robot, enriched)
+    if not techniques.randomization:
+        return Arm(name, draws_of(arm_model, None, robot, seed=0))
+    joints = set(model.joints)
+
+    def used(parameter: str) -> bool:
+        servo = parameter.split(".")[0] in joints and not parameter.endswith("position_noise_rad")
+        if not techniques.servo and (servo or parameter == "command_latency_s"):
+            return False
+        return techniques.density or not parameter.startswith("body.normalised_density")
+
+    entries = tuple(entry for entry in ranges.entries if used(entry.parameter))
+    return Arm(name, draws_of(arm_model, replace(ranges, entries=entries), robot, seed=0))
+
+
+def half_way(first: Model, second: Model) -> Model:
+    """Mean of two models: geometric for gains, arithmetic for latencies and densities."""
+    joints = {}
+    for name, a in first.joints.items():
+        b = second.joints[name]
+        joints[name] = replace(
+            a,
+            kp_Nm_per_rad=(a.kp_Nm_per_rad * b.kp_Nm_per_rad) ** 0.5,
+            kd_Nms_per_rad=(a.kd_Nms_per_rad * b.kd_Nms_per_rad) ** 0.5,
+            latency_s=(a.latency_s + b.latency_s) / 2,
+        )
+    density = np.mean([m.body["normalised_density"] for m in (first, second)], axis=0)
+    body = {**first.body, "normalised_density": [float(x) for x in density]}
+    return replace(first, joints=joints, body=body)
+
+
+def turn_of(plan: Plan, longest: int | None = None) -> Task:
+    """The turn that agents of a plan are tested in, of ``longest`` control periods if given."""
+    turn = TASKS["turn"]
+    return replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
 
 
 def ablate(
     folder: Path,
     robot: Robot,
-    arms: Sequence[Arm],
+    arms: Sequence[str],
+    agents: Sequence[Path],
     plan: Plan,
     testbeds: Sequence[Testbed],
     *,
     repeats: int = 5,
     seed: int = 0,
-    sampled: bool = False,
     longest: int | None = None,
-    note: dict[str, Any] | None = None,
-    trainer: Callable[..., list[Path]] | None = None,
-    predictor: Callable[[Agents, Task, Path, str], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Train and test all arms.
+    """Test the agents of all arms.
 
     Args:
         folder: Folder of the run.
         robot: Links, joints and data sheets.
-        arms: The simulator that each group of agents trains in.
-        plan: Plan of the training.
+        arms: Names of the arms.
+        agents: Folders of the agents: all seeds of the first arm, then those of the next.
+        plan: Plan of their training.
         testbeds: Where the policies are tested.
         repeats: Episodes of each agent and testbed.
         seed: Seed of starts and noise.
-        sampled: Whether actions are sampled from the policy, as in training.
         longest: Maximum length of a trial in control periods; default: that of the task.
-        note: Provenance.
-        trainer: Training function with the arguments of ``rl.sac.train.train``, the default.
-        predictor: Forecast of the arms' agents at a task: ``rl.experiments.predicted.predict``
-            with its other arguments.
 
     Returns:
         ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
-        training), reward, success, time and energy of each repeat; ``forecast`` with a predictor.
+        training), reward, success, time and energy of each repeat.
     """
-    trainer = trainer or train
-    agents = trainer(folder / "train", robot, arms, plan, note)
-    turn = TASKS["turn"]
-    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
-
-    def controller(k: int, _n: int = 0) -> Controller:
-        if sampled:
-            return SampledController(agents[k] / "policy.zip", seed=k)
-        return PolicyController(policy_in(agents[k]))
-
+    task = turn_of(plan, longest)
     results: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
+    weights = weights_digest(agents)
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
-        digest = inputs_digest(agents, robot, testbed, task, (repeats, seed, sampled, discount))
+        inputs = (weights, robot, testbed.key, task.energy, task.steps, repeats, seed, discount)
+        key = hashlib.sha256(repr(inputs).encode()).hexdigest()
         result = read_json(path) if path.exists() else {}
-        if result.get("key") != digest:
-            policies = [controller(k) for k in range(len(agents))]
+        if result.get("key") != key:
+            policies = [PolicyController(policy_in(agent)) for agent in agents]
             starts = same_starts(task, len(agents), repeats, seed, len(robot.joints))
             episodes = testbed.swim(Controllers(policies, repeats), robot, task, starts, seed)
-            result = {"key": digest, **as_json(episodes, len(agents), task, discount)}
+            result = {"key": key, **as_json(episodes, len(agents), task, discount)}
             write_json(path, result)
         results[testbed.name] = result
-    names = [(arm.name, s) for arm in arms for s in plan.seeds]
-    forecast = {}
-    if predictor is not None:
-        made: Agents = {arm.name: [] for arm in arms}
-        for k, (arm_name, _) in enumerate(names):
-            made[arm_name].append(partial(controller, k))
-        key = repr((weights_digest(agents).hexdigest(), sampled))
-        forecast = {"forecast": predictor(made, task, folder / "forecast.npz", key)}
+    names = [(arm, s) for arm in arms for s in plan.seeds]
     return {
-        **forecast,
         "repeats": repeats,
         "testbeds": [testbed.name for testbed in testbeds],
         "said": {testbed.name: testbed.description for testbed in testbeds},
@@ -118,52 +242,31 @@ def policy_in(agent: Path) -> Policy:
     return read_npz(small) if small.exists() else read_zip(agent / "policy.zip")
 
 
-def weights_digest(agents: Sequence[Path]) -> hashlib._Hash:
+def weights_digest(agents: Sequence[Path]) -> str:
     """SHA-256 of the policies in the folders of agents."""
     digest = hashlib.sha256()
     for agent in agents:
         digest.update(repr([layer.tobytes() for layer in policy_in(agent).weights]).encode())
-    return digest
-
-
-def inputs_digest(
-    agents: Sequence[Path],
-    robot: Robot,
-    testbed: Testbed,
-    task: Task,
-    settings: tuple[int, int, bool, float],
-) -> str:
-    """SHA-256 of all inputs of a test: policies, robot, testbed, reward, starts.
-
-    Args:
-        agents: Folders.
-        robot: The robot.
-        testbed: The testbed.
-        task: The task.
-        settings: Repeats, seed, whether actions are sampled, discount per control period.
-    """
-    digest = weights_digest(agents)
-    digest.update(repr((robot, testbed.key(), task.energy, task.steps, settings)).encode())
     return digest.hexdigest()
 
 
 def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str, Any]:
-    """Episodes of A agents as JSON values; time and energy as in ``evaluate.spent``."""
-    time, energy = spent(episodes, task)
-    returns = episodes.discounted(discount)
-    rows_of = np.arange(len(energy)).reshape(A, -1)
+    """Episodes of A agents as JSON values; time and energy as in ``episodes.spent``."""
+    figures = measured(episodes, task)
+    columns = {
+        "return": episodes.discounted(discount),
+        **{name: figures[name] for name in ("reward", "time_s", "energy")},
+        "faced_s": episodes.faced_s(),
+    }
+    rows_of = np.arange(len(episodes.reached)).reshape(A, -1)
 
     def numbers(values: Array) -> list[float | None]:
         return [round(float(x), 6) if np.isfinite(x) else None for x in values]
 
     agents = [
         {
-            "return": numbers(returns[rows]),
-            "reward": numbers(episodes.reward[rows]),
+            **{name: numbers(values[rows]) for name, values in columns.items()},
             "success": [bool(x) for x in episodes.success[rows]],
-            "time_s": numbers(time[rows]),
-            "energy": numbers(energy[rows]),
-            "faced_s": numbers(episodes.faced_s()[rows]),
             "path": [
                 [numbers(point) for point in episodes.pose[::5, e, :2] if np.isfinite(point).all()]
                 for e in rows[:2]
@@ -174,20 +277,51 @@ def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str
     return {"agents": agents, "targets": episodes.targets[rows_of[0], 0].tolist()}
 
 
-def bootstrap(
-    values: Sequence[Sequence[float]], rng: np.random.Generator, draws: int = 4000
-) -> tuple[float, float, float]:
-    """Mean with a 90 % bootstrap interval; agents are resampled, then their repeats.
+def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tuple[int, ...]]:
+    """Folders of pretrained agents, all seeds of the first arm, then those of the next; the seeds.
 
-    Args:
-        values: One list of repeats for each agent.
-        rng: Random number generator.
-        draws: Number of resamples.
+    Raises:
+        InputError: If an agent is missing, or its file differs from the listed one.
     """
-    table = np.array(values, dtype=np.float64)
-    A, R = table.shape
-    agents = rng.integers(A, size=(draws, A))
-    repeats = rng.integers(R, size=(draws, A, R))
-    means = table[agents[:, :, None], repeats].mean(axis=(1, 2))
-    low, high = np.quantile(means, [0.05, 0.95])
-    return float(table.mean()), float(low), float(high)
+    path = folder / LISTING
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "pretrained agents")
+    listing = Fields(path, "", read_json(path))
+    listed, plan = listing.table("files"), listing.table("plan")
+    seeds = plan.content.get("seeds")
+    if not isinstance(seeds, list):
+        raise plan.error("seeds", "those of a training")
+    names = [f"{arm}-{seed}" for arm in arms for seed in seeds]
+    for name in names:
+        file = folder / name / "policy.npz"
+        sha256 = listed.content.get(f"{name}/policy.npz")
+        if sha256 is None or not file.is_file():
+            raise InputError(file, "", "no such agent", f"one of {LISTING}")
+        if _sha256(file) != sha256:
+            raise InputError(file, "", "another file", f"the one listed in {LISTING}")
+    return [folder / name for name in names], tuple(seeds)
+
+
+def write_pretrained(
+    folder: Path, agents: Sequence[Path], plan: Plan, model: Model, ranges: Ranges,
+    note: dict[str, Any],
+) -> Path:  # fmt: skip
+    """Write the policies of trained agents, ``ARM-SEED`` each, and their listing.
+
+    Agents already in the folder are removed. ``model`` and ``ranges`` are those of the training.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*/policy.npz"):
+        shutil.rmtree(old.parent)
+    write_model(model, folder / "model.json")
+    write_ranges(ranges, folder / "ranges.json")
+    for agent in agents:
+        write_whole(folder / agent.name / "policy.npz", npz(policy_in(agent)))
+    names = ["model.json", "ranges.json", *(f"{agent.name}/policy.npz" for agent in agents)]
+    files = {name: _sha256(folder / name) for name in names}
+    content = {"plan": plan.content(), "files": files, "provenance": note}
+    return write_json(folder / LISTING, content)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

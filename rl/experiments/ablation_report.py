@@ -1,34 +1,51 @@
-"""Report of the ablation: HTML page, Markdown tables and figures."""
+"""Report of the ablation: HTML page, Markdown tables and figures of the same rows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rl.experiments.ablation import bootstrap
-from rl.experiments.arms import TITLES
-from rl.experiments.differences import OUTCOME, STILL, Difference, differences, seeds_needed
-from rl.experiments.predicted import HEADER, predicted_rows
+from rl.experiments.ablation import TITLES
+from rl.experiments.paths import aligned, paths_figure
+from rl.experiments.statistics import OUTCOME, Difference, bootstrap, differences, seeds_needed
 from rl.sac.curve import draw_curves
 from rl.sac.plan import Plan
 from sim2real.output import write_json, write_whole
+from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
+from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Results = Mapping[str, Any]
 
+_RETURNS = (
+    "Rewards discounted as in training: means with 90 % bootstrap intervals over agents and "
+    "repeats. Time, energy and reward are those in reality, "
+    "over all turns: a turn that does not arrive counts with the full duration of the task."
+)
+_FORECAST = (
+    "Rewards that were predicted from the model and its ranges alone, without the reality: mean of "
+    "many turns with the 90 % interval over drawn realities, and the reward measured in reality. "
+    "Lost is the reward of all techniques minus that of the arm."
+)
+_DIFFERENCES = (
+    "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
+    "90 % interval, positive if the arm is worse. A loss is significant if its interval excludes "
+    "zero. Needed are the seeds for an interval narrower than a third of the largest loss."
+)
+
 
 def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, Any]) -> None:
     """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained.
 
-    ``losses`` in the JSON are the same as in text, table and figure: positive if an arm is worse.
+    ``losses`` in the JSON are the same as in table and figure: positive if an arm is worse.
     """
     losses = {arm: asdict(loss) for arm, loss in differences(results).items()}
     write_json(folder / "ablation.json", {**results, "table": rows(results), "losses": losses})
@@ -55,112 +72,81 @@ def rows(results: Results) -> list[dict[str, Any]]:
                 name: bootstrap([a[testbed][name] for a in agents], np.random.default_rng(0))
                 for name in (OUTCOME, "reward")
             }
-            row[testbed]["success"] = float(np.mean([a[testbed]["success"] for a in agents]))
-            for name in ("time_s", "energy"):
+            for name in ("success", "time_s", "energy"):
                 row[testbed][name] = float(np.mean([a[testbed][name] for a in agents]))
         out.append(row)
     return out
 
 
-def markdown(results: Results) -> str:
-    """The tables as Markdown."""
-    lines = [
-        "| arm | simulation: return | arrives | reality: return | arrives | time (s) | energy "
-        "| reward |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+def tables(results: Results) -> dict[str, Table]:
+    """The tables of the report: ``returns``, ``losses``, and ``forecast`` if one was made."""
     table = rows(results)
-    for row in table:
-        sim, real = (row[testbed] for testbed in results["testbeds"])
-        lines.append(
-            f"| {TITLES[row['arm']]} | {_mean(sim)} | {100 * sim['success']:.0f} % "
-            f"| {_mean(real)} | {100 * real['success']:.0f} % | {real['time_s']:.1f} "
-            f"| {real['energy']:.0f} | {real['reward'][0]:.1f} |"
-        )
-    lines += [
-        "",
-        "| arm | loses in reality, by seed (90 % interval) | sd over pairs | pairs | needed "
-        "| no turn counted below 0 | sd | needed |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    losses, floored_losses = differences(results), differences(results, floor=STILL)
-    for arm, loss in losses.items():
-        bounded = floored_losses[arm]
-        lines.append(
-            f"| {TITLES[arm]} | {_ends(loss)} | {loss.sd:.2f} | {loss.pairs} "
-            f"| {_count(losses, arm)} | {_ends(bounded)} | {bounded.sd:.2f} "
-            f"| {_count(floored_losses, arm)} |"
-        )
-    if predicted := predicted_rows(results, table):
-        lines += ["", "| " + " | ".join(HEADER) + " |", "|---" * len(HEADER) + "|"]
-        lines += ["| " + " | ".join(x.replace("\n", ", ") for x in row) + " |" for row in predicted]
-    return "\n".join(lines)
-
-
-def _ends(loss: Difference) -> str:
-    return f"{loss.mean:+.2f} ({loss.low:+.2f} to {loss.high:+.2f})"
-
-
-def _count(losses: Mapping[str, Difference], arm: str) -> str:
-    count = seeds_needed(losses)[arm]
-    return "more than 200" if count is None else f"{count}"
-
-
-def _mean(testbed: Mapping[str, Any]) -> str:
-    mean, low, high = testbed[OUTCOME]
-    return f"{mean:.2f} ({low:.2f} to {high:.2f})"
-
-
-def sections(results: Results, plan: Plan) -> list[Section]:
-    """Sections of the page."""
-    table = rows(results)
-    by_arm = {row["arm"]: row for row in table}
-    cells = [
+    returns = [
         (
             TITLES[row["arm"]],
             *(
                 cell
                 for testbed in results["testbeds"]
-                for cell in (
-                    f"{row[testbed][OUTCOME][0]:.2f}\n{row[testbed][OUTCOME][1]:.2f} to "
-                    f"{row[testbed][OUTCOME][2]:.2f}",
-                    f"{100 * row[testbed]['success']:.0f} %",
-                )
+                for cell in (_ends(row[testbed][OUTCOME]), f"{100 * row[testbed]['success']:.0f} %")
             ),
             f"{row['reality']['time_s']:.1f}",
             f"{row['reality']['energy']:.0f}",
+            f"{row['reality']['reward'][0]:.1f}",
         )
         for row in table
     ]
-    header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "s", "energy")
-    note = (
-        "Rewards discounted as in training: means with 90 % bootstrap intervals over agents and "
-        "repeats. Time and energy are those in reality, "
-        "over all turns: a turn that does not arrive counts with the full duration of the task."
-    )
-    returns = Section(
-        "Effect of each technique",
-        retention_text(by_arm),
-        [picture(return_figure(table)), Table(header, cells, caption=note)],
-    )
+    header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "time (s)",
+              "energy", "reward")  # fmt: skip
     losses = differences(results)
-    notes: list[Block] = [
-        Note("good" if loss.low > 0 else "warn" if loss.high < 0 else "info", loss_text(arm, loss))
-        for arm, loss in losses.items()
-    ]
+    needed = {arm: S or "more than 200" for arm, S in seeds_needed(losses).items()}
+    lost = [
+        (TITLES[arm], _ends((x.mean, x.low, x.high), "+.2f"), "yes" if x.significant else "no",
+         f"{x.sd:.2f}", str(x.pairs), str(needed[arm]))
+        for arm, x in losses.items()
+    ]  # fmt: skip
+    titles = ("arm", "loses in reality, by seed", "significant", "sd over pairs", "pairs", "needed")
+    out = {"returns": Table(header, returns, _RETURNS), "losses": Table(titles, lost)}
+    predicted = []
+    rewards = {row["arm"]: row["reality"]["reward"] for row in table}
+    for arm, forecast in results.get("forecast", {}).items():
+        loses = ["", ""]
+        if "loses" in forecast:
+            loses = [_ends(forecast["loses"]), f"{rewards['all'][0] - rewards[arm][0]:.1f}"]
+        predicted.append((TITLES[arm], _ends(forecast["reward"]), _ends(rewards[arm]), *loses))
+    if predicted:
+        names = ("arm", "reward, forecast", "reward, reality", "loses, forecast", "loses, reality")
+        out["forecast"] = Table(names, predicted)
+    return out
+
+
+def _ends(values: Sequence[float], shape: str = ".2f") -> str:
+    """A mean, and its interval on the line below."""
+    mean, low, high = (f"{x:{shape}}" for x in values)
+    return f"{mean}\n{low} to {high}"
+
+
+def markdown(results: Results) -> str:
+    """The tables as Markdown."""
+    parts = []
+    for table in tables(results).values():
+        lines = [table.header, ["---"] * len(table.header), *table.rows]
+        parts.append("\n".join(f"| {' | '.join(x)} |".replace("\n", "; ") for x in lines))
+    return "\n\n".join(parts)
+
+
+def sections(results: Results, plan: Plan) -> list[Section]:
+    """Sections of the page."""
+    made, losses, table = tables(results), differences(results), rows(results)
+    by_arm = {row["arm"]: row for row in table}
+    lost: list[Block] = [made["losses"]]
     if losses:
-        notes.insert(0, picture(difference_figure(losses)))
-        notes += [Note("info", seeds_text(losses)), Note("info", floored_text(results))]
+        lost.insert(0, picture(difference_figure(losses)))
     if not any(row["reality"]["success"] for row in table):
         warning = (
             "No arm reached the target in reality: returns compare how far the robot turns towards "
+            "it and with how much energy, not arrival times."
         )
-        notes.insert(0, Note("warn", warning + "it and with how much energy, not arrival times."))
-    trajectories = Section(
-        "The turns",
-        "Trajectories of the head in reality: two turns of each agent.",
-        [picture(trajectory_figure(results))],
-    )
+        lost.insert(0, Note("warn", warning))
     method = Text(
         f"Each agent: {plan.steps} steps of soft actor-critic at the task “{plan.task.name}”, "
         f"{plan.envs} environments, {plan.settings.updates_per_step:g} updates a step, energy "
@@ -168,92 +154,21 @@ def sections(results: Results, plan: Plan) -> list[Section]:
         f"reality. Simulation: {results['said']['simulation']}. "
         f"Reality: {results['said']['reality']}."
     )
-    predicted = predicted_rows(results, table)
-    forecast = [Section("Forecast", _FORECAST, [Table(HEADER, predicted)])] if predicted else []
+    effect: list[Block] = [picture(return_figure(table)), made["returns"]]
+    predicted = [Section("Forecast", _FORECAST, [made["forecast"]])] if "forecast" in made else []
+    lead = "Trajectories of the head in reality: two turns of each agent."
     return [
-        returns,
-        *forecast,
-        Section("Loss without each technique", _DIFFERENCES, notes),
-        trajectories,
+        Section("Effect of each technique", retention_text(by_arm), effect),
+        *predicted,
+        Section("Loss without each technique", _DIFFERENCES, lost),
+        Section("The turns", lead, [picture(trajectory_figure(results))]),
         Section("Method", "", [method]),
     ]
 
 
 def picture(figure: Figure) -> Picture:
-    """A figure for a page, with a narrow version for small screens."""
-    from sim2real.report.drawing import svg
-    from sim2real.report.style import NARROW
-
-    return Picture(svg(figure), narrow=svg(figure, width=NARROW))
-
-
-_FORECAST = (
-    "Rewards that were predicted from the model and its ranges alone, without the reality: mean of "
-    "many turns with the 90 % interval over drawn realities, and the reward measured in reality. "
-    "Lost is the reward of all techniques minus that of the arm."
-)
-_DIFFERENCES = (
-    "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
-    "90 % interval, positive if the arm is worse. A loss is significant if its interval excludes "
-    "zero."
-)
-
-
-def loss_text(arm: str, loss: Difference) -> str:
-    """The loss of an arm relative to all techniques, as a sentence; positive if it is worse."""
-    text = f"{TITLES[arm]}: loss of return in reality"
-    if loss.pairs < 2:
-        return f"{text} {loss.mean:+.2f}; one pair of agents gives no interval"
-    return f"{text} {_ends(loss)}{'' if loss.significant else ', not significant'}"
-
-
-def seeds_text(losses: Mapping[str, Difference]) -> str:
-    """Number of seeds for intervals as narrow as ``SHARE`` asks, as a sentence."""
-    largest = max(abs(loss.mean) for loss in losses.values())
-    parts = [
-        f"{TITLES[arm]} {'more than 200' if count is None else count}"
-        for arm, count in seeds_needed(losses).items()
-    ]
-    pairs = list(dict.fromkeys(loss.pairs for loss in losses.values()))
-    seeds = f"{pairs[0]} seeds an arm" if len(pairs) == 1 else f"{min(pairs)} to {max(pairs)} seeds"
-    return (
-        f"{seeds}. For intervals narrower than a third of the largest difference "
-        f"({largest:.2f}) the spread over pairs requires: {', '.join(parts)}."
-    )
-
-
-def floored_text(results: Results) -> str:
-    """Losses with returns floored at that of a robot that does not move, as a sentence."""
-    losses = differences(results, floor=STILL)
-    needed = seeds_needed(losses)
-    parts = [
-        f"{TITLES[arm]} {_ends(loss)}, {needed[arm] or 'more than 200'} seeds required"
-        for arm, loss in losses.items()
-    ]
-    text = "With returns floored at that of a robot that does not move, as a robot that moves "
-    return f"{text}erratically is switched off: {'; '.join(parts)}."
-
-
-def difference_figure(losses: Mapping[str, Difference]) -> Figure:
-    """Loss of each arm with its interval."""
-    from sim2real.report.style import ACCENT, INK, MUTED, house_style, new_figure
-
-    with house_style():
-        figure = new_figure(70 + 34 * len(losses), "Return lost in reality without each technique")
-        axes = figure.subplots()
-        for y, loss in enumerate(losses.values()):
-            colour = ACCENT if loss.significant else MUTED
-            ends = [[min(loss.mean - loss.low, 1e6)], [min(loss.high - loss.mean, 1e6)]]
-            if loss.pairs > 1:
-                axes.errorbar([loss.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
-            axes.plot([loss.mean], [y], "o", color=colour, ms=4)
-        axes.axvline(0, color=INK, lw=0.8)
-        axes.margins(0.06, 0.2)
-        axes.set_yticks(range(len(losses)), [TITLES[arm] for arm in losses])
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel("return of all techniques\nminus that of this arm, in reality")
-    return figure
+    """A figure for a page."""
+    return Picture(svg(figure))
 
 
 def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:
@@ -269,10 +184,26 @@ def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:
     return text
 
 
+def difference_figure(losses: Mapping[str, Difference]) -> Figure:
+    """Loss of each arm with its interval."""
+    with house_style():
+        figure = new_figure(70 + 34 * len(losses), "Return lost in reality without each technique")
+        axes = figure.subplots()
+        for y, loss in enumerate(losses.values()):
+            colour = ACCENT if loss.significant else MUTED
+            if loss.pairs > 1:
+                ends = [[loss.mean - loss.low], [loss.high - loss.mean]]
+                axes.errorbar([loss.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
+            axes.plot([loss.mean], [y], "o", color=colour, ms=4)
+        axes.axvline(0, color=INK, lw=0.8)
+        axes.margins(0.06, 0.2)
+        _by_arm(axes, list(losses))
+        axes.set_xlabel("return of all techniques\nminus that of this arm, in reality")
+    return figure
+
+
 def return_figure(table: list[dict[str, Any]]) -> Figure:
     """Return of each arm in simulation and in reality, with intervals."""
-    from sim2real.report.style import ACCENT, FAINT, house_style, new_figure
-
     with house_style():
         figure = new_figure(60 + 46 * len(table), "Return of each arm in simulation and reality")
         axes = figure.subplots()
@@ -281,10 +212,8 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
             mean, low, high = np.array([row[testbed][OUTCOME] for row in table]).T
             axes.barh(y, mean, 0.3, color=colour, label=testbed)
             axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="none", ecolor="0.2", lw=1)
-        axes.set_yticks(range(len(table)), [TITLES[row["arm"]] for row in table])
-        axes.invert_yaxis()
+        _by_arm(axes, [row["arm"] for row in table])
         axes.grid(axis="x")
-        axes.grid(visible=False, axis="y")
         axes.set_xlabel(
             "discounted return of a 180 degree turn\nwith the target 1.5 m behind", loc="right"
         )
@@ -292,34 +221,22 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
     return figure
 
 
+def _by_arm(axes: Any, arms: Sequence[str]) -> None:  # noqa: ANN401
+    """A row of a chart for each arm."""
+    axes.set_yticks(range(len(arms)), [TITLES[arm] for arm in arms])
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+
+
 def trajectory_figure(results: Results) -> Figure:
-    """Trajectories in reality, one panel per arm."""
-    from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
-
-    arms = list(dict.fromkeys(agent["arm"] for agent in results["agents"]))
-    with house_style():
-        rows = -(-len(arms) // 2)
-        figure = new_figure(170 * rows, "Trajectories of the head in reality, by arm")
-        panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False).ravel()
-        for axes in panels[len(arms) :]:
-            axes.set_visible(False)
-        for axes, arm in zip(panels, arms, strict=False):
-            for agent in results["agents"]:
-                if agent["arm"] != arm:
-                    continue
-                for n, path in enumerate(agent["reality"]["path"]):
-                    path_m = aligned(np.array(path), np.array(results["targets"]["reality"][n]))
-                    axes.plot(*path_m.T, color=ACCENT if arm == "all" else INK, lw=0.7, alpha=0.7)
-            axes.plot([-1.5], [0], "o", mfc="none", mec=FAINT)
-            axes.plot([0], [0], "o", color=INK, markersize=3)
-            axes.set(aspect="equal", xlim=(-1.7, 0.6), ylim=(-0.5, 0.5))
-            axes.set_title(TITLES[arm])
-    return figure
-
-
-def aligned(path: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The trajectory with its start at the origin and the target on the negative x axis."""
-    direction = target - path[0]
-    direction = direction / np.linalg.norm(direction)
-    moved = path - path[0]
-    return np.stack([-moved @ direction, moved @ np.array([-direction[1], direction[0]])], axis=1)
+    """Trajectories in reality, one panel per arm, that of all techniques highlighted."""
+    targets = np.array(results["targets"]["reality"])
+    ways: dict[str, list[Any]] = {}
+    for agent in results["agents"]:
+        colour = ACCENT if agent["arm"] == "all" else INK
+        ways.setdefault(TITLES[agent["arm"]], []).extend(
+            aligned(np.array(path), target, colour)
+            for path, target in zip(agent["reality"]["path"], targets, strict=False)
+        )
+    label, limits = "Trajectories of the head in reality, by arm", ((-1.7, 0.6), (-0.5, 0.5))
+    return paths_figure(ways, label, away_m=[1.5], limits=limits)

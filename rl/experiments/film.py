@@ -7,12 +7,10 @@ fluid also the vorticity within the simulated box, which moves with the robot.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
-from rl.forecast.inexact import Inexact
 from rl.world import World
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
@@ -34,71 +32,64 @@ _HELD_S = 1.0
 def still(world: World, *, width: int = 480) -> Picture:
     """The first robot of a world from above, shape (height, width, 3), 8 bits a channel."""
     live: Any = world.simulator.live()
-    return Film(None, world, "", width=width)._picture(float(live.clock.numpy()[0]))
-
-
-class Films:
-    """Several robots of a world side by side in a video, used as ``Film``."""
-
-    def __init__(self, video: Video, world: World, names: Mapping[int, str]) -> None:
-        """Set up the cameras.
-
-        Args:
-            video: Open video that pictures are added to.
-            world: The robots.
-            names: By the index of each filmed robot, its name in the video.
-        """
-        half = 2 * (video.width // 4)
-        self._video, self._taken = video, 0
-        self._each = [Film(None, world, n, robot=e, width=half) for e, n in names.items()]
-
-    def __call__(self, going: Mask) -> None:
-        """As ``Film``; a robot whose episode has ended stays in its last picture."""
-        for film in self._each:
-            film(going)
-        if self._taken < (taken := max(film.taken for film in self._each)):
-            self._taken = taken
-            self._video.add(np.concatenate([film.image for film in self._each], axis=1))
+    return _Camera(world, 0, "", width).picture(float(live.clock.numpy()[0]))
 
 
 class Film:
     """The part of a video that shows one policy; call it after every step of the world.
 
-    A context manager: leaving the block repeats the last picture for one second.
+    As a context manager it repeats the last picture for one second at the end. Robots by their
+    index in the world are shown side by side, with their names; ``width`` is that of each in
+    pixels, even. A robot whose episode has ended stays in its last picture.
     """
 
     def __init__(
-        self,
-        video: Video | None,
-        world: World,
-        name: str,
-        *,
-        robot: int = 0,
-        width: int | None = None,
+        self, video: Video, world: World, names: Mapping[int, str], *, width: int | None = None
     ) -> None:
-        """Set up the camera.
+        wide = width or 2 * round(_SHARE * video.width / 2)
+        self._video, self._taken = video, 0
+        self._cameras = [_Camera(world, robot, name, wide) for robot, name in names.items()]
 
-        Args:
-            video: Open video that pictures are added to; None to discard them.
-            world: The robots.
-            name: Name of the policy, shown in the video.
-            robot: Index of the robot that is filmed, from its next start on.
-            width: Width of a picture in pixels, even; default: derived from that of the video.
-        """
-        self._video, self._world, self._name, self._robot = video, world, name, robot
-        wide = width or 2 * round(_SHARE * (_DRAWN_FOR if video is None else video.width) / 2)
+    def __call__(self, going: Mask) -> None:
+        """Extend the trajectories, and add a picture if the next frame is due."""
+        for camera in self._cameras:
+            camera.follow(going)
+        if self._taken < (taken := max(camera.taken for camera in self._cameras)):
+            self._taken = taken
+            self._add()
+
+    def _add(self) -> None:
+        self._video.add(np.concatenate([camera.image for camera in self._cameras], axis=1))
+
+    def __enter__(self) -> Self:
+        """Return the film."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:  # noqa: ANN401
+        """Repeat the last picture."""
+        if kind is None and self._taken:
+            for _repeat in range(round(_HELD_S * FRAMES_PER_S)):
+                self._add()
+
+
+class _Camera:
+    """Follows one robot of a world from above, from its next start on."""
+
+    def __init__(self, world: World, robot: int, name: str, width: int) -> None:
+        self._world, self._name, self._robot = world, name, robot
         length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
-        self._pixels = wide / length
-        high = 2 * round(breadth * self._pixels / 2)
-        self._x, self._y = places((0.0, 0.0), self._pixels, wide, high)
+        self._pixels = width / length
+        self._x, self._y = places(
+            (0.0, 0.0), self._pixels, width, 2 * round(breadth * self._pixels / 2)
+        )
         self._rules = self._pool()
         self._way = np.zeros_like(self._rules)
         self._last: Array | None = None
         self.taken = 0
-        self.image: Picture | None = None
+        self.image: Picture = np.empty((0, 0, 3), dtype=np.uint8)
 
-    def __call__(self, going: Mask) -> None:
-        """Extend the trajectory if the robot swam, and add a picture if the next frame is due."""
+    def follow(self, going: Mask) -> None:
+        """Extend the trajectory if the robot swam, and take a picture if the next one is due."""
         if not going[self._robot]:
             return
         live: Any = self._world.simulator.live()
@@ -109,30 +100,10 @@ class Film:
         self._last = position
         clock = float(live.clock.numpy()[self._robot])
         if clock + 1e-6 >= self.taken / FRAMES_PER_S:
-            self.image = self._picture(clock)
-            self._add(self.image)
+            self.image = self.picture(clock)
             self.taken += 1
 
-    def __enter__(self) -> Self:
-        """Return the film."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Repeat the last picture."""
-        if kind is None and self.image is not None:
-            for _ in range(round(_HELD_S * FRAMES_PER_S)):
-                self._add(self.image)
-
-    def _add(self, image: Picture) -> None:
-        if self._video is not None:
-            self._video.add(image)
-
-    def _picture(self, clock: float) -> Picture:
+    def picture(self, clock: float) -> Picture:
         """The current picture."""
         world, x, y, e = self._world, self._x, self._y, self._robot
         simulator: Any = world.simulator
@@ -143,7 +114,7 @@ class Film:
             canvas = colours(zoomed(plane, x, y) / VORTICITY)
         else:
             drift = np.broadcast_to(simulator.outside.current, (world.n_envs, 2))[e] * clock
-            if isinstance(simulator, Inexact):
+            if hasattr(simulator, "links"):  # of a path that differs from the simulated one
                 links = simulator.links(e)
                 links[:, :2] += drift
             else:

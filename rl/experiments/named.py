@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rl.controllers import Controller
 from rl.controllers.classical import PACES, TUNED, tuned
-from rl.deploy.export import SampledController, read_zip
+from rl.deploy.export import read_zip
 from rl.deploy.policy import PolicyController, read_npz
 from sim2real.errors import InputError
 
@@ -16,10 +16,7 @@ CONTROLLERS = ("pnl", "adrc")
 
 
 def with_price(name: str) -> tuple[str, float | None]:
-    """The file and the price of energy in a name ``FILE.zip@PRICE``.
-
-    Args:
-        name: Name of a controller; returned unchanged if it contains no price.
+    """The file and the price of energy in a name ``FILE.zip@PRICE``, or the name and no price.
 
     Raises:
         InputError: If the price is no number.
@@ -41,21 +38,12 @@ def shown(name: str) -> str:
 
 
 def controller_of(
-    name: str,
-    limits_rad: Sequence[tuple[float, float]],
-    n_envs: int,
-    *,
-    gains: Path | None = None,
-    sampled: bool = False,
+    name: str, limits_rad: Sequence[tuple[float, float]], n_envs: int, *, gains: Path | None = None
 ) -> Controller:
     """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
 
-    Args:
-        name: Policy file or controller; for ``FILE.zip@PRICE`` see ``set_price``.
-        limits_rad: Lowest and highest angle of each joint.
-        n_envs: Number of robots.
-        gains: File of the tuned gains; default: those tuned in the twin.
-        sampled: Whether actions are sampled from a ``.zip`` policy, as in training.
+    For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of tuned gains, by default of
+    those tuned in the twin.
 
     Raises:
         InputError: If it is neither, or was not trained for the price.
@@ -83,6 +71,4 @@ def controller_of(
     if len(policy.joints) != len(limits_rad):
         joints = f"{len(policy.joints)} joints"
         raise InputError(name, "joints", joints, f"{len(limits_rad)}, as the robot has")
-    if sampled and not name.endswith(".npz"):
-        return SampledController(path, price=price)
     return PolicyController(policy)

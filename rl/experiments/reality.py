@@ -6,57 +6,70 @@ defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
-        return reality    # with the two methods below
+        return reality    # with the methods of ``Reality``
 
     AT_ONCE = 1           # if the number of robots at a time is limited, or:
     def at_once(**options): return 1       # the same, as a function of the options of make
 
-and the object that ``make`` returns has::
-
-    reality.reset(pose, joint)    # poses (n, 3), joint angles (n, J): place robots at rest
-    reality.step(desired)         # desired joint angles (n, J), held for 0.02 s
-
-Both return measurements: poses (n, 3), x and y of the head's centre of mass in m and its
-heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN where
-there is none. A robot whose episode is over is commanded to straight joints. Velocities,
-observations, arrival and reward are computed from measurements, as on the real robot. A surrogate
-can add::
-
-    reality.rate()                # present true joint rates (n, J) in rad/s
-
-With this method the energy is computed from true rates, as in the simulator: rates estimated from
-five samples of reported angles miss half of it. Without it, energies of simulation and reality must
-not be compared. An example is ``datasets/pool/reality.py``.
+A robot whose episode is over is commanded to straight joints. A surrogate can add a method
+``reality.rate()``, present true joint rates (n, J) in rad/s, from which the energy is computed as
+in the simulator: rates estimated from five samples of reported angles miss half of it. Without it,
+energies of simulation and reality must not be compared. An example is ``datasets/pool/reality.py``.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import inspect
+import runpy
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from sim2real.arrays import Array
+import numpy as np
+import torch
+from torch import Tensor
+
+from rl.deploy.link import SILENCE_S, Telemetry
+from rl.deploy.pilot import Measurements
+from rl.observer import observation_bounds
+from rl.task import CONTROL_S, Task, bonus, effort, reward
+from rl.world import Step
+from sim2real.arrays import Array, Index
 from sim2real.errors import InputError
 from sim2real.robot import Robot
 
 _NAME = "reality_of_your_own"
 
 
+class Starts(NamedTuple):
+    """Where n episodes begin: poses (n, 3), joint angles (n, J), waypoints (n, W, 2)."""
+
+    pose: Array
+    joint: Array
+    targets: Array
+
+    def of(self, rows: Index) -> Starts:
+        """The starts of some of the episodes."""
+        return Starts(*(x[rows] for x in self))
+
+
 class Reality(Protocol):
-    """Robots that can be moved and measured."""
+    """n robots that can be moved and measured.
+
+    Both methods return measurements: poses (n, 3), x and y of the head's centre of mass in m and
+    its heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN
+    where there is none.
+    """
 
     def reset(self, pose: Array, joint: Array) -> tuple[Array, Array]:
-        """Place the robots at rest; measured poses and joint angles."""
+        """Place the robots at rest at poses (n, 3) with joint angles (n, J)."""
 
     def step(self, desired: Array) -> tuple[Array, Array]:
-        """Command angles for a control period; poses and joint angles measured after it."""
+        """Command joint angles (n, J), held for 0.02 s."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +81,7 @@ class RealityFile:
         sha256: Hash of these files.
         options: Options of its ``make``, including defaults.
         at_once: Maximum number of robots at a time; None if unlimited.
-        make: Called as ``make(robot, n, seed, device, **options)``.
+        make: The function of the file.
     """
 
     files: tuple[Path, ...]
@@ -97,17 +110,13 @@ class RealityFile:
 
 
 def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - the file's own
-    """Run a file that defines ``make``.
-
-    Args:
-        path: The file.
-        options: Options of its ``make``.
+    """Run a file that defines ``make``; ``options`` are those of its ``make``.
 
     Raises:
         InputError: If it cannot be run, or has no valid ``make``.
     """
-    module, files = _run(path)
-    make = getattr(module, "make", None)
+    content, files = _run(path)
+    make = content.get("make")
     if not callable(make):
         raise InputError(path, "make", "nothing to call", "make(robot, n, seed, device, **options)")
     try:
@@ -118,8 +127,8 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
         raise InputError(path, "make", str(error), expected) from None
     own_parameters = list(signature.parameters.values())[4:]
     defaults = {p.name: p.default for p in own_parameters if p.default is not p.empty}
-    at_once = getattr(module, "AT_ONCE", None)
-    if callable(by_options := getattr(module, "at_once", None)):
+    at_once = content.get("AT_ONCE")
+    if callable(by_options := content.get("at_once")):
         at_once = by_options(**{**defaults, **options})
     if at_once is not None and (type(at_once) is not int or at_once < 1):
         raise InputError(path, "AT_ONCE", repr(at_once), "a number of robots, at least 1")
@@ -129,22 +138,17 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
     return RealityFile(tuple(files), digest.hexdigest(), {**defaults, **options}, at_once, make)
 
 
-def _run(path: Path) -> tuple[ModuleType, list[Path]]:
-    """The module, and its files: the file itself, then those imported from its folder."""
+def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
+    """Names in the file, and its files: the file itself, then those imported from its folder."""
     if not path.is_file():
         raise InputError(path, "", "no such file", "a Python file that defines make")
-    spec = importlib.util.spec_from_file_location(_NAME, path)
-    if spec is None or spec.loader is None:
-        raise InputError(path, "", "no Python file", "one that ends in .py")
-    module = importlib.util.module_from_spec(spec)
     with _neighbours(path) as imported:
-        sys.modules[_NAME] = module  # dataclasses look their module up by its name
         try:
-            spec.loader.exec_module(module)
+            content = runpy.run_path(str(path), run_name=_NAME)
         except Exception as error:
             problem = f"{type(error).__name__}: {error}"
             raise InputError(path, "", problem, "a Python file that can be run") from None
-    return module, [path, *imported]
+    return content, [path, *imported]
 
 
 @contextmanager
@@ -164,3 +168,106 @@ def _neighbours(path: Path) -> Iterator[list[Path]]:
             if file is not None and Path(file).parent == folder and Path(file) != path.resolve():
                 imported.append(path.parent / Path(file).name)
         sys.modules.update(replaced)
+
+
+class RealWorld:
+    """The robots of a reality at a task, as ``rl.world.World`` has those of a simulator.
+
+    Observations, rewards and ends are computed from measurements. Joint rates, and the energy in
+    the reward, are true values if the reality has a method ``rate``, else estimates. An episode
+    also ends if a robot or joint is not measured for ``SILENCE_S``.
+
+    Attributes:
+        pose, rate, targets: As of ``World``; poses are measured.
+    """
+
+    device = torch.device("cpu")
+
+    def __init__(
+        self, reality: Reality, robot: Robot, task: Task, starts: Starts, *, name: str = "reality"
+    ) -> None:
+        """Take over the robots of a reality; ``name`` is its name in errors."""
+        self.n_envs, J = starts.joint.shape
+        self.task, self.targets = task, torch.as_tensor(starts.targets)
+        self._reality, self._starts, self._name = reality, starts, name
+        self._limits = np.array([joint.limits_rad for joint in robot.joints]).T
+        self._bound = np.array(observation_bounds(J), dtype=np.float32)
+
+    def reset(self) -> Tensor:
+        """Start all episodes; the first observations, shape (n, O).
+
+        Raises:
+            InputError: If the reality returns arrays of other shapes, or does not measure all
+                robots at their starts.
+        """
+        n = self.n_envs
+        self._observers = [Measurements(self._bound) for _ in range(n)]
+        self._going, self._periods = np.ones(n, dtype=bool), 0
+        self._reached = np.zeros(n, dtype=np.int64)
+        self._observation = np.zeros((n, len(self._bound)), dtype=np.float32)
+        self._look(self._reality.reset(self._starts.pose, self._starts.joint))
+        return torch.from_numpy(self._observation)
+
+    def step(self, action: Tensor, *, begin: bool = False) -> Step:
+        """Command angles (n, J) for a control period; no episode is started where one ended."""
+        assert not begin, "a reality has one episode of each robot"
+        before = self._distance()
+        desired = np.clip(action.numpy(), *self._limits)
+        desired[~self._going] = np.clip(0.0, *self._limits)
+        self._look(self._reality.step(desired))
+        distance = self._distance()
+        reached = distance < self.task.arrive_m
+        outside = (
+            self.pose[:, :2].abs() > torch.tensor(self.task.domain_m, dtype=torch.float64) / 2
+        ).any(dim=1)
+        used, ending = effort(self.rate), bonus(self.task, reached, outside)
+        value = reward(self.task, before, distance, self.rate, reached, outside)
+        self._reached += reached.numpy() & self._going
+        arrived = self._reached >= self.targets.shape[1]
+        for e in np.flatnonzero(reached.numpy() & self._going & ~arrived).tolist():
+            self._observe(e)
+        blind = np.array([observer.blind_s > SILENCE_S for observer in self._observers])
+        ended = torch.as_tensor(arrived) | outside
+        self._going = self._going & ~(ended.numpy() | blind)
+        seen, count = torch.from_numpy(self._observation), torch.from_numpy(self._reached.copy())
+        return Step(seen, value, used, ending, ended, torch.as_tensor(blind), count, seen)
+
+    def _look(self, measured: tuple[Array, Array]) -> None:
+        """Process what the reality measured of the robots whose episodes go on."""
+        pose, joint = self._checked(measured)
+        t = CONTROL_S * self._periods
+        self._periods += 1
+        for e in np.flatnonzero(self._going).tolist():
+            self._observers[e].take(Telemetry(t, pose[e], joint[e]))
+            if not np.isfinite(self._observers[e].blind_s):
+                problem = f"robot {e} not measured at its start"
+                raise InputError(self._name, "reset", problem, "a pose and all angles")
+            self._observe(e)
+        self.pose, self.rate = torch.as_tensor(pose), torch.as_tensor(self._rates(joint.shape))
+
+    def _observe(self, e: int) -> None:
+        target = self._starts.targets[e, min(self._reached[e], self.targets.shape[1] - 1)]
+        self._observation[e] = self._observers[e].observation(target)
+
+    def _distance(self) -> Tensor:
+        """From each head to its target in m, shape (n,)."""
+        return torch.as_tensor(np.hypot(*self._observation[:, -2:].T.astype(np.float64)))
+
+    def _rates(self, shape: tuple[int, ...]) -> Array:
+        """Joint rates in rad/s: true values if the reality has them, else estimates."""
+        true_rate = getattr(self._reality, "rate", None)
+        if not callable(true_rate):
+            return self._observation[:, 3 + shape[1] : -2].astype(np.float64)
+        return np.nan_to_num(np.asarray(true_rate(), dtype=np.float64)).reshape(shape)
+
+    def _checked(self, measured: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Measured poses and joint angles as arrays of their own."""
+        try:
+            pose, joint = (np.array(x, dtype=np.float64) for x in measured)
+        except (TypeError, ValueError) as error:
+            raise InputError(self._name, "seen", str(error), "poses and joint angles") from None
+        expected = ((self.n_envs, 3), (self.n_envs, (len(self._bound) - 5) // 2))
+        if (pose.shape, joint.shape) != expected:
+            problem = f"arrays of shapes {pose.shape} and {joint.shape}"
+            raise InputError(self._name, "seen", problem, f"{expected[0]} and {expected[1]}")
+        return pose, joint

@@ -1,44 +1,50 @@
-"""Testbeds of the ablation: the simulator of an arm, or a reality not used in training."""
+"""Where policies are tested: a simulator, or a reality not used in training."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rl.controllers import Controller
-from rl.experiments.evaluate import Episodes, run_episodes
-from rl.experiments.real_episodes import Starts, run_real_episodes
-from rl.experiments.reality import RealityFile
-from rl.make import Fidelity, make_world, own_stream
+from rl.experiments.episodes import Episodes, run_episodes
+from rl.experiments.reality import RealityFile, RealWorld, Starts
+from rl.make import Fidelity, draws_of, make_world, own_stream
 from rl.sac.train import digest
 from rl.task import Task
-from rl.world import Draws
+from rl.world import Draws, World
 from sim2real.arrays import Array, Array32, Index, Mask
+from sim2real.model import Model
+from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
 
+UNSEEN = 10_000
+"""Offset of the seed, so that trials do not use robots drawn in training."""
 
-class Testbed(Protocol):
-    """A simulator or reality that policies are tested in."""
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """How robots are simulated: ``twin`` or ``fluid``, CPU threads, side of a cell of the fluid.
+
+    ``at_once`` draws of a forecast are in a batch; the results of each are kept in its file.
+    """
+
+    fidelity: Fidelity = "twin"
+    device: str = "cpu"
+    threads: int = 1
+    cell_m: float = 0.02
+    at_once: int = 50
 
     @property
-    def name(self) -> str:
-        """``simulation`` or ``reality``."""
+    def world(self) -> dict[str, Any]:
+        """Arguments of ``make_world``."""
+        return {k: x for k, x in vars(self).items() if k != "at_once"}
 
-    @property
-    def description(self) -> str:
-        """What it is, in a few words."""
 
-    def key(self) -> str:
-        """SHA-256 of all that determines the results in it."""
-
-    def swim(
-        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
-    ) -> Episodes:
-        """One episode of each robot."""
+IN_TWIN = SimulationSettings()
 
 
 class Controllers:
@@ -69,133 +75,132 @@ class Controllers:
         return action
 
     def _shares(self) -> list[tuple[Controller, Index]]:
-        shares = [
-            (controller, np.flatnonzero(self.owner == k))
-            for k, controller in enumerate(self.controllers)
-        ]
-        return [share for share in shares if len(share[1])]
+        rows = [np.flatnonzero(self.owner == k) for k in range(len(self.controllers))]
+        return [(c, r) for c, r in zip(self.controllers, rows, strict=True) if len(r)]
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """The fluid or the twin.
+def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
+    """Starts and targets of ``repeats`` episodes, the same for each agent, agent by agent."""
+    placed = task.place(np.random.default_rng(seed), repeats, J)
+    return Starts(*(np.tile(x, (agents, *[1] * (x.ndim - 1))) for x in placed))
 
-    Attributes:
-        name: ``simulation`` or ``reality``.
-        draws: Robot and noise of each agent, in the agents' order.
-        fidelity: ``twin`` or ``fluid``.
-        cell_m: Side of a cell of the fluid.
-        options: Further options of the simulator.
-        device, threads: Device and CPU threads of the simulation.
+
+def simulate(
+    robot: Robot,
+    task: Task,
+    starts: Starts,
+    draws: Sequence[Draws],
+    controller: Controller,
+    settings: SimulationSettings,
+    *,
+    seed: int,
+    name: str,
+    watched: Callable[[World], Callable[[Mask], None]] | None = None,
+    **options: Any,  # noqa: ANN401 - those of ``make_world``
+) -> Episodes:
+    """One episode of each robot in the fluid or the twin, all at once.
+
+    ``watched`` makes of the world what is called at every step, see ``run_episodes``.
+    """
+    with own_stream(settings.device):
+        world = make_world(
+            robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
+            seed=seed, **settings.world, **options,
+        )  # fmt: skip
+        watch = None if watched is None else watched(world)
+        return run_episodes(world, controller, name=name, watch=watch)
+
+
+def run_trials(
+    robot: Robot,
+    model: Model,
+    ranges: Ranges | None,
+    task: Task,
+    controllers: Mapping[str, Controller],
+    *,
+    episodes: int = 50,
+    seed: int = 0,
+    settings: SimulationSettings = IN_TWIN,
+) -> dict[str, Episodes]:
+    """Run the same starts, targets and robots with every controller, in one batch.
+
+    Robots and noise are drawn from the ranges; without ranges all robots are the model.
+    """
+    drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
+    models = list(drawn.models) * (episodes if ranges is None else 1)
+    draws = [Draws((m,), drawn.noise) for m in models[:episodes]] * len(controllers)
+    starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
+    steering = Controllers(list(controllers.values()), episodes)
+    swims = simulate(robot, task, starts, draws, steering, settings, seed=seed, name=task.name)
+    return {name: swims.of(steering.owner == k) for k, name in enumerate(controllers)}
+
+
+class Testbed(NamedTuple):
+    """A simulator or a reality: ``swim`` runs one episode of each robot.
+
+    ``name`` is ``simulation`` or ``reality``, ``description`` says in a few words what it is, and
+    ``key`` is the SHA-256 of all that determines the results in it.
     """
 
     name: str
-    draws: Sequence[Draws]
-    fidelity: Fidelity
-    cell_m: float
-    options: Mapping[str, Any]
-    device: str = "cpu"
-    threads: int = 1
-
-    @property
-    def description(self) -> str:
-        """What it is, in a few words."""
-        water = f"fluid, cells of {100 * self.cell_m:g} cm"
-        return f"the library's laws in the {water if self.fidelity == 'fluid' else 'twin'}"
-
-    def key(self) -> str:
-        """SHA-256 of robots and simulator settings."""
-        settings = (self.fidelity, self.cell_m, dict(self.options))
-        content = repr(([digest(draws) for draws in self.draws], settings))
-        return hashlib.sha256(content.encode()).hexdigest()
-
-    def swim(
-        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
-    ) -> Episodes:
-        """One episode of each robot, all at once."""
-
-        def place(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-            del rng, n, J
-            return starts.pose, starts.joint, starts.targets
-
-        with own_stream(self.device):
-            world = make_world(
-                robot, replace(task, place=place), self.draws, n_envs=len(controller.owner),
-                fidelity=self.fidelity, device=self.device, cell_m=self.cell_m,
-                threads=self.threads, seed=seed, **self.options,
-            )  # fmt: skip
-            return run_episodes(world, controller, name=self.name)
+    description: str
+    key: str
+    swim: Callable[[Controllers, Robot, Task, Starts, int], Episodes]
 
 
-@dataclass(frozen=True)
-class Real:
-    """A user-defined reality.
+def simulated(
+    name: str,
+    draws: Sequence[Draws],
+    settings: SimulationSettings,
+    **options: Any,  # noqa: ANN401 - those of the simulator
+) -> Testbed:
+    """The fluid or the twin, with robot and noise of each agent, in the agents' order."""
 
-    Attributes:
-        file: Its Python file.
-        device: Device of a simulated surrogate.
-        name: ``reality``.
+    def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
+        return simulate(robot, task, starts, draws, who, settings, seed=seed, name=name, **options)
+
+    fluid = settings.fidelity == "fluid"
+    water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
+    content = ([digest(one) for one in draws], (settings.fidelity, settings.cell_m, options))
+    key = hashlib.sha256(repr(content).encode()).hexdigest()
+    return Testbed(name, f"the library's laws in the {water}", key, swim)
+
+
+def real(file: RealityFile, device: str = "cpu") -> Testbed:
+    """A user-defined reality, which may be simulated on a device.
+
+    Its robots swim in groups of equal size, of at most ``at_once``.
     """
 
-    file: RealityFile
-    device: str = "cpu"
-    name: str = "reality"
-
-    @property
-    def description(self) -> str:
-        """What it is, in a few words."""
-        options = "".join(f", {key} {value}" for key, value in self.file.options.items())
-        return f"{self.file.path.name}{options}; rewards from what camera and servos show"
-
-    def key(self) -> str:
-        """SHA-256 of the file, its imports from its folder, and its options."""
-        content = repr((self.file.sha256, sorted(self.file.options.items())))
-        return hashlib.sha256(content.encode()).hexdigest()
-
-    def swim(
-        self, controller: Controllers, robot: Robot, task: Task, starts: Starts, seed: int
-    ) -> Episodes:
-        """One episode of each robot, at most ``at_once`` robots at a time."""
-        total = len(controller.owner)
-        groups = -(-total // (self.file.at_once or total))
-        n = -(-total // groups)
-        reality = self.file(robot, n, seed, self.device)
+    def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
+        total = len(who.owner)
+        n = max(n for n in range(1, (file.at_once or total) + 1) if total % n == 0)
+        reality = file(robot, n, seed, device)
         parts = []
-        for first in range(0, total, n):
-            rows = np.arange(first, first + n)
-            swims = rows < total
-            rows = np.minimum(rows, total - 1)
-            episodes = run_real_episodes(
-                reality, controller.of(rows), robot, task, starts.of(rows), swims=swims,
-                name=str(self.file.path),
-            )  # fmt: skip
-            parts.append(subset(episodes, swims))
+        for rows in np.arange(total).reshape(-1, n):
+            world = RealWorld(reality, robot, task, starts.of(rows), name=str(file.path))
+            parts.append(run_episodes(world, who.of(rows), name="reality"))
         return _joined(parts)
 
-
-def subset(episodes: Episodes, mask: Mask) -> Episodes:
-    """The episodes of some of the robots, ``which`` of shape (E,)."""
-    e = episodes
-    return Episodes(
-        e.pose[:, mask], e.rate[:, mask], e.value[:, mask], e.reached[mask], e.steps[mask],
-        e.targets[mask],
-    )  # fmt: skip
+    options = "".join(f", {key} {value}" for key, value in file.options.items())
+    description = f"{file.path.name}{options}; rewards from what camera and servos show"
+    content = repr((file.sha256, sorted(file.options.items())))
+    return Testbed("reality", description, hashlib.sha256(content.encode()).hexdigest(), swim)
 
 
 def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def padded(values: Array) -> Array:
-        padding = [(0, T - len(values)), *[(0, 0)] * (values.ndim - 1)]
-        return np.pad(values, padding, constant_values=np.nan)
+    def recorded(name: str) -> Array:
+        values = [getattr(part, name) for part in parts]
+        padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
+        whole = [np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)]
+        return np.concatenate(whole, axis=1)
 
-    return Episodes(
-        np.concatenate([padded(part.pose) for part in parts], axis=1),
-        np.concatenate([padded(part.rate) for part in parts], axis=1),
-        np.concatenate([padded(part.value) for part in parts], axis=1),
-        *(
-            np.concatenate([getattr(part, key) for part in parts])
-            for key in ("reached", "steps", "targets")
-        ),
+    pose, rate, value = (recorded(name) for name in ("pose", "rate", "value"))
+    reached, steps, targets = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("reached", "steps", "targets")
     )
+    return Episodes(pose, rate, value, reached, steps, targets)

@@ -1,16 +1,24 @@
-"""What the uncertainty of a forecast comes from, and the measurements that would reduce it."""
+"""What the uncertainty of a forecast comes from: what to measure and what to randomize next."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rl.experiments.statistics import expected, interval, normal_scores, quantiles, reliability
 from rl.forecast.realities import DEVIATIONS
-from rl.forecast.statistics import expected, interval, normal_scores, reliability
 from rl.forecast.trials import Trials, update
 from sim2real.arrays import Array
+
+_MEASURED_BY = {
+    "law of the twin": "calibrate in the fluid (sim2real calibrate --fluid)",
+    "latency": "record steps through the robot's own link, on several days",
+    "density": "weigh the links",
+    "water": "record further swims in the pool and calibrate with them",
+    "effects of the body": "record the swim that sim2real diagnose suggests",
+}
 
 
 @dataclass(frozen=True)
@@ -37,17 +45,16 @@ class Measurement:
 def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
     """What a parameter of a reality belongs to, and what measures it."""
     head, _, tail = parameter.partition(".")
-    if parameter in DEVIATIONS:
-        return "law of the twin", "calibrate in the fluid (sim2real calibrate --fluid)"
-    if head in joints and tail == "latency_s":
-        return "latency", "record steps through the robot's own link, on several days"
-    if head in joints:
+    if head in joints and tail != "latency_s":
         return f"servo {head}", f"record {head} on the bench, as sim2real design suggests"
-    if parameter.startswith("body.normalised_density"):
-        return "density", "weigh the links"
-    if head == "twin":
-        return "water", "record further swims in the pool and calibrate with them"
-    return "effects of the body", "record the swim that sim2real diagnose suggests"
+    kind = (
+        "law of the twin" if parameter in DEVIATIONS
+        else "latency" if head in joints
+        else "density" if parameter.startswith("body.normalised_density")
+        else "water" if head == "twin"
+        else "effects of the body"
+    )  # fmt: skip
+    return kind, _MEASURED_BY[kind]
 
 
 def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
@@ -57,12 +64,7 @@ def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dic
     that predicts left-out draws best (leave-one-out error in closed form: Golub, Heath and Wahba,
     Technometrics 21 (1979) 215), parameters that do not matter have no share. The share of a group
     is the variance of its functions, its first-order index where groups are independent (Sobol,
-    Math. Comput. Simul. 55 (2001) 271).
-
-    Args:
-        parameters: Shape (N, P).
-        outcome: Shape (N,).
-        groups: Group of each parameter.
+    Math. Comput. Simul. 55 (2001) 271). Parameters (N, P) belong to P groups.
     """
     names = list(dict.fromkeys(groups))
     sd = parameters.std(axis=0)
@@ -97,21 +99,15 @@ def shares_of(
 ) -> dict[str, float]:
     """Share of a figure's variance between realities that each group explains, 0 to 1.
 
-    As ``first_order`` of the trials' normal scores, divided by the share of the variance that is
-    not the chance of single trials.
-
-    Args:
-        parameters: Shape (N, P).
-        values: The figure, shape (N, T).
-        weights: Of the draws, shape (N,), with sum 1.
-        groups: Group of each parameter.
+    As ``first_order`` of the normal scores of trials (N, T), divided by the share of the variance
+    that is not the chance of single trials.
     """
-    reliable, scores = reliability(values), normal_scores(values)
+    reliable, scores, N = reliability(values), normal_scores(values), len(weights)
     if reliable <= 0:
         return dict.fromkeys(groups, 0.0)
-    rows = np.arange(len(weights))
+    rows = np.arange(N)
     if not np.allclose(weights, weights[0]):
-        rows = np.random.default_rng(0).choice(len(weights), len(weights), p=weights)
+        rows = np.random.default_rng(0).choice(N, N, p=weights)
     found = first_order(parameters[rows], expected(scores)[rows], groups)
     whole = max(reliable, sum(found.values()))
     return {name: share / whole for name, share in found.items()}
@@ -127,13 +123,8 @@ def ranked(
 ) -> list[Measurement]:
     """Measurements, the one that is expected to shrink the intervals most first.
 
-    Args:
-        names: Names of the P parameters.
-        parameters: Their values in each draw, shape (N, P).
-        figures: Figures of one policy, shape (N, T) each.
-        weights: Of the draws, shape (N,).
-        joints: Names of the robot's joints.
-        trials: Number of trials on the real robot, which are a measurement too.
+    Of P parameters in N draws, shape (N, P), and the figures of one policy, shape (N, T) each.
+    ``trials`` on the real robot are a measurement too.
     """
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
@@ -157,13 +148,8 @@ def narrowed_by_trials(
 
     A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): the
     real robot is one of the draws, its trials update the forecast as real ones will. The median
-    over draws, as the interval grows many times if trials are like those of a rare failure.
-
-    Args:
-        figures: Figures of one policy that differ between realities, shape (N, T) each.
-        weights: Of the draws, shape (N,), with sum 1.
-        trials: Number of trials.
-        tries: Number of draws that stand for the real robot.
+    over ``tries`` draws, as the interval grows many times if trials are like those of a rare
+    failure. The figures of one policy, shape (N, T) each, are those that differ between realities.
     """
     observed = tuple(name for name in figures if name != "success")
     if not observed:
@@ -189,3 +175,66 @@ def narrowed_by_trials(
         name: max(0.0, float(1 - ratio))
         for name, ratio in zip(figures, np.median(shares, axis=0), strict=True)
     }
+
+
+@dataclass(frozen=True)
+class TrainingRange:
+    """A parameter to randomize in the next training.
+
+    Attributes:
+        parameter: Its name in ``ranges.json``; latencies are those of single joints.
+        share: Share of the variance between realities that it explains, 0 to 1.
+        drawn: Its 5 % and 95 % quantile in the realities.
+        trained: The same in the training of the policy; None if the policy does not state it.
+        advice: ``widen``, ``narrow``, ``move`` or ``keep`` the range of the training, so that it
+            becomes that of the realities; ``draw`` from that if the training's is not known.
+    """
+
+    parameter: str
+    share: float
+    drawn: tuple[float, float]
+    trained: tuple[float, float] | None
+    advice: str
+
+
+def training_ranges(
+    names: Sequence[str],
+    parameters: Array,
+    values: Array,
+    weights: Array,
+    trained: Mapping[str, Sequence[float]] | None,
+    *,
+    least: float = 0.01,
+) -> list[TrainingRange]:
+    """Ranges of the next training, those of the parameters that matter most first.
+
+    They explain at least a share ``least`` of the variance of ``values``, the figure that policies
+    are ranked by, shape (N, T). Errors of the simulator itself cannot be randomized. ``trained``
+    are the quantiles of the training by name; an effect that it lacks was 0.
+    """
+    shares = shares_of(parameters, values, weights, names)
+    out = []
+    for name, column in zip(names, parameters.T, strict=True):
+        if name in DEVIATIONS or shares[name] < least:
+            continue
+        low, high = map(float, quantiles(column[:, None], weights, np.array([0.05, 0.95])))
+        before = None
+        if trained is not None:
+            ends = trained.get(name, (0.0, 0.0))
+            before = float(ends[0]), float(ends[1])
+        shown = f"body.{name}" if name.startswith("twin.") else name
+        advice = _advice((low, high), before)
+        out.append(TrainingRange(shown, shares[name], (low, high), before, advice))
+    return sorted(out, key=lambda one: -one.share)
+
+
+def _advice(
+    drawn: tuple[float, float], trained: tuple[float, float] | None, slack: float = 0.25
+) -> str:
+    """What to do with a training's range; ends agree within a share ``slack`` of the width."""
+    if trained is None:
+        return "draw"
+    room = slack * (drawn[1] - drawn[0])
+    less = trained[0] > drawn[0] + room or trained[1] < drawn[1] - room
+    more = trained[0] < drawn[0] - room or trained[1] > drawn[1] + room
+    return ("move" if more else "widen") if less else "narrow" if more else "keep"

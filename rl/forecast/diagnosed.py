@@ -26,11 +26,7 @@ from sim2real.structured import Fields, read_json
 class Possible:
     """An effect outside the rival sets of servos: named, or considered and not named.
 
-    Attributes:
-        effect: Its identifier.
-        component: The joint, or the part of the body.
-        probability: Probability that it is present.
-        mean, sd: Of its parameters by name.
+    The component is a joint, or a part of the body; ``mean`` and ``sd`` are of its parameters.
     """
 
     effect: str
@@ -41,8 +37,8 @@ class Possible:
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        known: dict[str, Effect | BodyEffect] = {effect.name: effect for effect in CATALOGUE}
-        known |= {effect.name: effect for effect in BODY}
+        known: dict[str, Effect | BodyEffect] = {e.name: e for e in CATALOGUE}
+        known |= {e.name: e for e in BODY}
         if self.effect not in known:
             expected = "an effect of servo or body"
             raise InputError("diagnosis", "effects", repr(self.effect), expected)
@@ -55,12 +51,10 @@ class Possible:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What a ``diagnosis.json`` leaves open.
+    """What a ``diagnosis.json`` leaves open, and errors of the enriched model by signal.
 
-    Attributes:
-        rivals: Sets of effects of servos, with gains and their precision.
-        possible: All other effects.
-        fit: Errors of the enriched model, by signal.
+    Sets of effects of servos, with gains and their precision, are rivals; all other effects are
+    possible.
     """
 
     rivals: tuple[JointRivals, ...]
@@ -140,31 +134,34 @@ def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
     Raises:
         InputError: If the file is no diagnosis.
     """
-    camera = {effect.name for effect in CAMERA}
     top = Fields(path, "", read_json(path, SCHEMA))
+
+    def entries(key: str) -> list[Fields]:
+        return top.tables(key) if top.content.get(key) else []
+
     rivals = read_rival_sets(top) if top.content.get("rival_sets") else ()
-    settled = {joint.component for joint in rivals}
+    left_out = {joint.component for joint in rivals}, {effect.name for effect in CAMERA}
     limits = {}
-    for entry in top.tables("detection_limits") if top.content.get("detection_limits") else []:
+    for entry in entries("detection_limits"):
         sizes = entry.table("smallest")
         known = {k: sizes.number(k) for k, x in sizes.content.items() if x is not None}
         limits[entry.text("effect"), entry.text("component")] = known
     possible = []
     for key in ("effects", "negligible", "rivals"):
-        for entry in top.tables(key) if top.content.get(key) else []:
+        for entry in entries(key):
             effect, component = entry.text("effect"), entry.text("component")
-            if component in settled or effect in camera:
+            if component in left_out[0] or effect in left_out[1]:
                 continue
-            if key == "rivals":
-                mean = {k: x / 2 for k, x in limits.get((effect, component), {}).items()}
-                sd = dict(mean)
-                for name, size in LAW_ERROR.imitated.items():
-                    if not limits and name.startswith(f"{effect}."):
-                        mean[name.partition(".")[2]], sd[name.partition(".")[2]] = 0.0, size
-            else:
+            if key != "rivals":
                 fields = entry.table("parameters")
                 mean = {k: fields.table(k).number("mean") for k in fields.content}
                 sd = {k: fields.table(k).number("sd", low=0) for k in fields.content}
+            elif limits:
+                sd = mean = {k: x / 2 for k, x in limits.get((effect, component), {}).items()}
+            else:
+                sizes_of = {name.split(".", 1)[1]: x for name, x in LAW_ERROR.imitated.items()
+                            if name.startswith(f"{effect}.")}  # fmt: skip
+                mean, sd = dict.fromkeys(sizes_of, 0.0), sizes_of
             if mean:
                 probability = entry.number("probability", low=0)
                 possible.append(Possible(effect, component, probability, mean, sd))

@@ -2,26 +2,85 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rl.forecast.causes import Measurement, ranked
-from rl.forecast.figures import FIGURES
-from rl.forecast.limits import Limit
-from rl.forecast.statistics import best, expected, interval
-from rl.forecast.training_ranges import TrainingRange, training_ranges
+from rl.experiments.episodes import FIGURES
+from rl.experiments.statistics import best, expected, interval
+from rl.forecast.causes import Measurement, TrainingRange, ranked, training_ranges
 from rl.forecast.trials import Trials, Update, update
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
+from sim2real.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "sim2real.forecast/1"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of a figure, at least or at most a value in its unit.
+
+    It is kept by a ``share`` of the trials, or, if that is None, by the next trial.
+    """
+
+    figure: str
+    above: bool
+    value: float
+    share: float | None = None
+
+    def kept(self, values: Array) -> Array:
+        """1 where values (N, T) keep the limit, else 0."""
+        return np.asarray(values >= self.value if self.above else values <= self.value, np.float64)
+
+    def __str__(self) -> str:
+        """As on the command line."""
+        suffix = "" if self.share is None else f"@{self.share:g}"
+        return f"{self.figure}{'>=' if self.above else '<='}{self.value:g}{suffix}"
+
+
+def limit_of(text: str) -> Limit:
+    """A limit from its text; ``time`` and ``path`` stand for ``time_s`` and ``path_m``.
+
+    Raises:
+        InputError: If it is none.
+    """
+    match = re.fullmatch(r"(\w+)\s*(<=|>=)\s*([-+.\deE]+)(?:@([.\d]+))?", text.strip())
+    expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
+    if match is None:
+        raise InputError("forecast", "limit", repr(text), expected)
+    name = {"time": "time_s", "path": "path_m"}.get(match[1], match[1])
+    try:
+        value, share = float(match[3]), None if match[4] is None else float(match[4])
+    except ValueError:
+        raise InputError("forecast", "limit", repr(text), expected) from None
+    if name not in FIGURES or not (share is None or 0 < share <= 1):
+        raise InputError("forecast", "limit", repr(text), expected)
+    return Limit(name, match[2] == ">=", value, share)
+
+
+class Row(NamedTuple):
+    """A figure of a policy: its mean, and 90 % intervals of the mean and the next trial."""
+
+    policy: str
+    figure: str
+    mean: float
+    mean_90: tuple[float, float]
+    next_trial_90: tuple[float, float]
+
+    @property
+    def texts(self) -> tuple[str, str, str]:
+        """The mean and both intervals; that of the next trial is empty for success."""
+        shape = FIGURES[self.figure].digits
+        ends = [f"{low:{shape}} to {high:{shape}}" for low, high in self[3:]]
+        return f"{self.mean:{shape}}", ends[0], "" if self.figure == "success" else ends[1]
 
 
 @dataclass(frozen=True)
@@ -67,22 +126,18 @@ class Forecast(NotebookDisplay):
     @property
     def weights(self) -> Array:
         """Weights of the realities, shape (N,), with sum 1."""
-        N = len(self.parameters)
-        return np.full(N, 1 / N) if self.update is None else self.update.weights
+        even = np.full(len(self.parameters), 1 / len(self.parameters))
+        return even if self.update is None else self.update.weights
 
     def interval(
-        self, policy: str, figure: str, trials: float = np.inf, level: float = 0.9
+        self, policy: str, figure: str, trials: float = np.inf
     ) -> tuple[float, float, float]:
-        """Mean and central interval of a figure's mean over a number of trials.
+        """Mean and central 90 % interval of a figure's mean over a number of trials.
 
-        Args:
-            policy: Name of the policy.
-            figure: Name of the figure.
-            trials: Number of trials; by default so many that chance within a reality averages out.
-            level: Probability of the interval.
+        By default there are so many that chance within a reality averages out.
         """
         values = self.figures[figure][self.policies.index(policy)]
-        return interval(values, self.weights, trials, level)
+        return interval(values, self.weights, trials)
 
     def probability(self, policy: str, limit: Limit) -> float:
         """Probability that a limit is kept by the next trial, or by a share of the trials."""
@@ -98,25 +153,18 @@ class Forecast(NotebookDisplay):
         chance = best(scores, self.weights)
         return [(self.policies[k], float(chance[k])) for k in np.argsort(-mean, kind="stable")]
 
-    def next_measurements(self, policy: str | None = None) -> list[Measurement]:
-        """Measurements by the expected narrowing of the intervals of one policy.
-
-        Args:
-            policy: Its name; by default the first of the ranking.
-        """
-        k = self.policies.index(policy or self.ranking()[0][0])
+    def next_measurements(self) -> list[Measurement]:
+        """Measurements by how much they narrow the intervals of the best policy."""
+        k = self.policies.index(self.ranking()[0][0])
         figures = {name: self.figures[name][k] for name in ("success", "time_s", "energy")}
         return ranked(self.names, self.parameters, figures, self.weights, self.joints)
 
-    def next_ranges(self, policy: str | None = None) -> list[TrainingRange]:
-        """Ranges to train with next, by the share of the figure that policies are ranked by.
+    def next_ranges(self) -> list[TrainingRange]:
+        """Ranges to train the best policy with next, by the share of the figure that ranks it.
 
         There are none for a controller that is not learned.
-
-        Args:
-            policy: Its name; by default the first of the ranking.
         """
-        policy = policy or self.ranking()[0][0]
+        policy = self.ranking()[0][0]
         if policy not in self.trained:
             return []
         values = self.figures[self.rank_by][self.policies.index(policy)]
@@ -127,21 +175,35 @@ class Forecast(NotebookDisplay):
         """The forecast after trials of the real robot."""
         return replace(self, update=update(trials, self.figures))
 
+    def rows(self) -> list[Row]:
+        """The intervals of all policies and figures: rows of every table."""
+        out = []
+        for policy in self.policies:
+            for figure in FIGURES:
+                mean, *ends = self.interval(policy, figure)
+                _, *trial = self.interval(policy, figure, 1)
+                out.append(Row(policy, figure, mean, (ends[0], ends[1]), (trial[0], trial[1])))
+        return out
+
     def content(self) -> dict[str, Any]:
         """Content of ``forecast.json``."""
-        table = {
-            policy: {
-                figure: {
-                    "unit": measure.unit,
-                    **_ends("mean", self.interval(policy, figure)),
-                    **_ends("next_trial", self.interval(policy, figure, 1)),
-                }
-                for figure, measure in FIGURES.items()
+        table: dict[str, dict[str, Any]] = {policy: {} for policy in self.policies}
+        for row in self.rows():
+            table[row.policy][row.figure] = {
+                "unit": FIGURES[row.figure].unit,
+                "mean_90": list(row.mean_90),
+                "mean": row.mean,
+                "next_trial_90": list(row.next_trial_90),
             }
-            | {"limits": {str(x): self.probability(policy, x) for x in self.limits}}
-            for policy in self.policies
+        for policy, entry in table.items():
+            entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
+        update = self.update and {
+            "trials": self.update.trials,
+            "effective_realities": self.update.effective,
+            "p_value": self.update.p_value,
+            "contradicted": self.update.contradicted,
         }
-        out: dict[str, Any] = {
+        return {
             "schema": SCHEMA,
             "robot": self.robot,
             "task": self.task,
@@ -152,35 +214,24 @@ class Forecast(NotebookDisplay):
             "ranking": [{"policy": p, "best": chance} for p, chance in self.ranking()],
             "next": [vars(one) for one in self.next_measurements()],
             "train_next": [vars(one) for one in self.next_ranges()],
-            "update": None,
+            "update": update,
             "notes": list(self.notes),
             "provenance": dict(self.provenance),
         }
-        if self.update is not None:
-            out["update"] = {
-                "trials": self.update.trials,
-                "effective_realities": self.update.effective,
-                "p_value": self.update.p_value,
-                "contradicted": self.update.contradicted,
-            }
-        return out
 
     def __str__(self) -> str:
         """Intervals of each policy, the ranking, and what to do next."""
         N = len(self.parameters)
         lines = [f"{self.task} of {self.robot} in {N} realities; 90 % intervals", ""]
-        for policy in self.policies:
-            lines.append(policy)
-            for figure, measure in FIGURES.items():
-                mean, low, high = self.interval(policy, figure)
-                _, least, most = self.interval(policy, figure, 1)
-                shape = measure.digits
-                row = f"  {figure:<8} {mean:>9{shape}} {measure.unit:<8}"
-                row += f" mean {low:{shape}} to {high:{shape}}"
-                if figure != "success":
-                    row += f", next trial {least:{shape}} to {most:{shape}}"
-                lines.append(row)
-            lines += [f"  P({x}) = {self.probability(policy, x):.2f}" for x in self.limits]
+        for row in self.rows():
+            if row.figure == "success":
+                lines.append(row.policy)
+            mean, ends, trial = row.texts
+            line = f"  {row.figure:<8} {mean:>9} {FIGURES[row.figure].unit:<8} mean {ends}"
+            lines.append(line + (f", next trial {trial}" if trial else ""))
+            if row.figure == "path_m":
+                chances = [(x, self.probability(row.policy, x)) for x in self.limits]
+                lines += [f"  P({limit}) = {chance:.2f}" for limit, chance in chances]
         if len(self.policies) > 1:
             order = ", ".join(f"{policy} {chance:.2f}" for policy, chance in self.ranking())
             lines += ["", f"best by {self.rank_by}, with its probability: {order}"]
@@ -207,14 +258,17 @@ class Forecast(NotebookDisplay):
 
     def plot(self, policy: str | None = None) -> Figure:
         """Paths of twenty realities over the pool; of all policies, or of one."""
-        from rl.forecast.paths import paths_figure
+        from rl.experiments.paths import aligned, paths_figure
+        from sim2real.report.style import ACCENT, MUTED
 
-        shown = self.policies if policy is None else (policy,)
-        which = [self.policies.index(one) for one in shown]
-        arrived = self.figures["success"][which, : len(self.targets), 0] > 0
-        return paths_figure(shown, self.paths[which], self.targets, arrived)
-
-
-def _ends(name: str, values: tuple[float, float, float]) -> dict[str, Any]:
-    mean, low, high = values
-    return {f"{name}_90": [low, high]} | ({"mean": mean} if name == "mean" else {})
+        ways = {}
+        for one in self.policies if policy is None else (policy,):
+            k = self.policies.index(one)
+            arrived = self.figures["success"][k, : len(self.targets), 0] > 0
+            trials = zip(self.paths[k], self.targets[:, 0], arrived, strict=True)
+            ways[one] = [
+                aligned(path[np.isfinite(path).all(axis=1)], target, ACCENT if won else MUTED)
+                for path, target, won in trials
+            ]
+        away = np.linalg.norm(self.targets[:, 0] - self.paths[0, :, 0], axis=1)
+        return paths_figure(ways, "Paths over the pool in the first realities", away_m=away)

@@ -11,15 +11,13 @@ import numpy as np
 
 from rl.controllers import Controller
 from rl.deploy.policy import PolicyController
+from rl.experiments.episodes import FIGURES
 from rl.experiments.named import controller_of, shown, with_price
-from rl.forecast import swims
+from rl.experiments.testbeds import SimulationSettings
 from rl.forecast.diagnosed import read_diagnosed
-from rl.forecast.figures import FIGURES
-from rl.forecast.forecast import Forecast
-from rl.forecast.limits import limit_of
-from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
-from rl.forecast.residuals import residuals_of
-from rl.forecast.swims import SimulationSettings
+from rl.forecast.forecast import Forecast, limit_of
+from rl.forecast.realities import Realities, check_ranges, draw_realities, residuals_of, sample_of
+from rl.forecast.swims import Forecaster
 from rl.forecast.trials import read_trials
 from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, Task
@@ -72,43 +70,27 @@ def make_forecast(
     origin = provenance([*inputs, *recordings, *_files(policies)], seed)
     swimmers = [origin["inputs"][str(path)] for path in _files(policies)]
     key = repr((drawn.digest(residuals), swimmers, robot, task.name, steps, settings))
+    forecaster = Forecaster(robot, task, drawn, count[1], seed, settings, residuals)
     with progress_bar("forecast") as progress:
-        swum = swims.swim(
-            robot, task, drawn, controllers, trials=count[1], seed=seed, settings=settings,
-            residuals=residuals, file=kept, key=key, progress=progress,
-        )  # fmt: skip
+        swum = forecaster.swim(controllers, file=kept, key=key, progress=progress)
+    joints = tuple(joint.name for joint in robot.joints)
     made = Forecast(
-        robot=robot.name,
-        task=task.name,
-        policies=tuple(controllers),
-        joints=tuple(joint.name for joint in robot.joints),
-        figures=swum.figures,
-        names=drawn.names,
-        parameters=drawn.values,
-        paths=swum.paths,
-        targets=swum.targets,
-        rank_by=rank_by,
-        trained=_trained(controllers),
-        limits=stated,
-        notes=_notes(model, drawn, bool(residuals)),
-        provenance=origin,
-    )
+        robot.name, task.name, tuple(controllers), joints, {name: swum[name] for name in FIGURES},
+        drawn.names, drawn.values, swum["paths"], swum["targets"], rank_by, _trained(controllers),
+        stated, notes=_notes(model, drawn, bool(residuals)), provenance=origin,
+    )  # fmt: skip
     made = made.after(observed) if observed else made
     if film is not None:
         best = made.ranking()[0][0]
         names = three_draws(made, best, settings.at_once)
-        swims.film(
-            film, names, robot, task, drawn, controllers[best], trials=count[1], seed=seed,
-            settings=settings, residuals=residuals,
-        )  # fmt: skip
+        forecaster.film(film, names, controllers[best])
     return made
 
 
 def three_draws(made: Forecast, policy: str, first: int) -> dict[int, str]:
-    """A good, a median and a bad one of the first realities, with what to call them in a film.
+    """A good, a median and a bad one of the ``first`` realities, with what to call them in a film.
 
-    Their first trial with the policy is at the 95 %, 50 % and 5 % quantile of the figure that
-    policies are ranked by.
+    Their first trial is at the 95 %, 50 % and 5 % quantile of the figure that ranks policies.
     """
     measure = FIGURES[made.rank_by]
     values = made.figures[made.rank_by][made.policies.index(policy), :first, 0]
@@ -153,11 +135,11 @@ def _trained(
     controllers: Mapping[str, Callable[[int], Controller]],
 ) -> dict[str, dict[str, list[float]]]:
     """What learned policies state of the robots that they were trained with."""
-    policies = {name: getattr(make(1), "policy", None) for name, make in controllers.items()}
+    made = {name: make(1) for name, make in controllers.items()}
     return {
-        name: policy.provenance.get("trained_over", {})
-        for name, policy in policies.items()
-        if policy is not None
+        name: controller.policy.provenance.get("trained_over", {})
+        for name, controller in made.items()
+        if isinstance(controller, PolicyController)
     }
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rl.experiments.ablation_report import picture
-from rl.forecast.figures import FIGURES
+from rl.experiments.episodes import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Film, Note, Section, Table, write_page
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+_PATHS = (
+    "The first trial in twenty realities, with the start at the right and the target at the left; "
+    "grey where it is not reached."
+)
 
 
 @result_section.register
@@ -22,18 +24,9 @@ def _forecast(forecast: Forecast) -> Section:
 
 
 def write_forecast_page(
-    forecast: Forecast,
-    path: str | os.PathLike[str],
-    *,
-    film: str | os.PathLike[str] | None = None,
+    forecast: Forecast, path: str | os.PathLike[str], *, film: str | os.PathLike[str] | None = None
 ) -> None:
-    """Write the page: intervals, paths, ranking, and what to measure and randomize next.
-
-    Args:
-        forecast: The forecast.
-        path: The page.
-        film: Film of three draws; a GIF is embedded.
-    """
+    """Write the page: intervals, paths, ranking, what to do next; a GIF of three draws is in it."""
     N = len(forecast.parameters)
     title = f"Forecast of {forecast.robot}"
     subtitle = f"The task “{forecast.task}” in {N} realities that agree with what is known"
@@ -51,21 +44,13 @@ def write_forecast_page(
 
 def sections(forecast: Forecast) -> list[Section]:
     """Sections of the page."""
-    rows = []
-    for policy in forecast.policies:
-        for figure, measure in FIGURES.items():
-            mean, low, high = forecast.interval(policy, figure)
-            _, least, most = forecast.interval(policy, figure, 1)
-            shape = measure.digits
-            next_trial = "" if figure == "success" else f"{least:{shape}} to {most:{shape}}"
-            cells = (f"{mean:{shape}}", f"{low:{shape}} to {high:{shape}}", next_trial)
-            rows.append((policy, measure.label, *cells))
+    rows = [(x.policy, FIGURES[x.figure].label, *x.texts) for x in forecast.rows()]
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
         "The interval of the mean is that of many trials of the real robot; that of the next trial "
         "contains the chance of a single one. Trials without arrival count with the full time."
     )
-    blocks: list[Block] = [picture(interval_figure(forecast)), Table(header, rows, caption)]
+    blocks: list[Block] = [Table(header, rows, caption)]
     blocks += [
         Note("info", f"{policy}: P({limit}) = {forecast.probability(policy, limit):.2f}")
         for policy in forecast.policies
@@ -77,12 +62,7 @@ def sections(forecast: Forecast) -> list[Section]:
         blocks.insert(0, Note(kind, forecast.verdict))
     out = [
         Section("What to expect", "", blocks),
-        Section(
-            "Paths",
-            "The first trial in twenty realities, with the start at the right and the target at "
-            "the left; grey where it is not reached.",
-            [picture(forecast.plot())],
-        ),
+        Section("Paths", _PATHS, [picture(forecast.plot())]),
     ]
     if len(forecast.policies) > 1:
         order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
@@ -118,25 +98,3 @@ def _range(ends: tuple[float, float] | None) -> str:
         return "not stated"
     low, high = (f"{x:.3g}" for x in ends)
     return low if low == high else f"{low} to {high}"
-
-
-def interval_figure(forecast: Forecast) -> Figure:
-    """Intervals of the mean (thick) and of the next trial (thin) of each policy."""
-    from sim2real.report.style import ACCENT, MUTED, house_style, new_figure
-
-    K = len(forecast.policies)
-    with house_style():
-        figure = new_figure(70 + 34 * K, "Intervals of time and energy")
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, name in zip(panels, ("time_s", "energy"), strict=True):
-            for y, policy in enumerate(forecast.policies):
-                mean, low, high = forecast.interval(policy, name)
-                _, least, most = forecast.interval(policy, name, 1)
-                axes.plot([least, most], [y, y], color=MUTED, lw=1.0)
-                axes.plot([low, high], [y, y], color=ACCENT, lw=3.0)
-                axes.plot([mean], [y], "o", color=ACCENT, ms=4)
-            axes.set_yticks(range(K), forecast.policies)
-            axes.set_ylim(K - 0.5, -0.5)
-            axes.margins(x=0.06)
-            axes.set_xlabel(FIGURES[name].label)
-    return figure

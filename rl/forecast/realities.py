@@ -10,26 +10,32 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rl.forecast.diagnosed import Diagnosed
-from rl.forecast.twin_error import TWIN_ERROR, TwinError
 from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
-from sim.inference.law_error import LAW_ERROR, LawError
-from sim.inference.swims import Coefficients, with_values
+from sim.inference.law_error import LAW_ERROR
+from sim.inference.swims import Coefficients, by_twin, simulated, swim_of, with_values
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.posterior.posteriors import JointSample, read_sample
-from sim2real.ranges.entry import Range, Ranges
+from sim2real.ranges.entry import Ranges
+from sim2real.recording import Recording
 from sim2real.robot import Robot
+from sim2real.structured import read_json
 
 _BODY = ("surge", "sway", "yaw_rate")
 DEVIATIONS = tuple(f"law error.{name}" for name in (*_BODY, "energy"))
 """Parameters of a draw that are relative errors of the simulated velocities and energy."""
+TWIN_ERROR = Path(__file__).with_name("twin_error.json")
+"""Error of energy in forecasts by the twin, learned from trials in several waters by
+``benchmarks/forecast_energy.py``: the logarithm of real energy over that forecast."""
+_NORMAL_90 = 1.645
+"""Half of the 90 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -54,16 +60,6 @@ class Realities:
     law: Array
     unexplained: Array
 
-    @property
-    def velocity_error(self) -> Array:
-        """Relative errors of surge, sway and yaw rate, shape (N, 3)."""
-        return self.law[:, :3]
-
-    @property
-    def energy_error(self) -> Array:
-        """Relative error of the energy, shape (N,)."""
-        return self.law[:, 3]
-
     def digest(self, residuals: Sequence[Array] = ()) -> str:
         """SHA-256 of the draws, and of residuals that disturb their trials."""
         found = hashlib.sha256(repr((self.names, self.noise)).encode())
@@ -81,32 +77,22 @@ def draw_realities(
     rng: np.random.Generator,
     *,
     diagnosed: Diagnosed | None = None,
-    error: LawError = LAW_ERROR,
-    forecast_error: TwinError = TWIN_ERROR,
 ) -> Realities:
-    """Draw realities.
+    """Draw n realities, with the noise of the ranges.
 
-    Args:
-        robot: The robot.
-        model: Its fitted servos and body.
-        ranges: Its ranges; their noise is that of the realities.
-        sample: The joint posterior sample of its servos.
-        n: Number of draws.
-        rng: Random number generator.
-        diagnosed: Effects with their probabilities, if they were diagnosed.
-        error: Error of the twin. Velocities of a calibrated body have its relative error; a body
-            that was not calibrated has laws as different as those of the robots in ``error``.
-        forecast_error: Error of the energy of trials of a calibrated body.
+    Velocities and energy of a calibrated body have the relative error of the twin; a body that was
+    not calibrated has laws as different as those of the robots in ``LAW_ERROR``.
     """
     models = draw_models(model, ranges, robot, n, rng, sample)
     if diagnosed is not None:
         models = [diagnosed.drawn(one, rng) for one in models]
-    models = _with_bodies(models, model, error, rng)
+    models = _with_bodies(models, model, rng)
     law = np.zeros((n, 4))
     if "twin" in model.body:
         # the mean speed and turn are slow; sway is zero on average, what matters of it is its beat
-        law[:, :3] = rng.standard_normal((n, 3)) * error.shares[(0, 1, 2), (0, 1, 0)]
-        law[:, 3] = np.expm1(rng.normal(*forecast_error.energy, n))
+        law[:, :3] = rng.standard_normal((n, 3)) * LAW_ERROR.shares[(0, 1, 2), (0, 1, 0)]
+        energy = read_json(TWIN_ERROR)["energy"]
+        law[:, 3] = np.expm1(rng.normal(energy["mean"], energy["sd"], n))
     names, table = parameters_of(models)
     varied = table.std(axis=0) > 1e-9 * np.abs(table).mean(axis=0)
     names = [name for name, one in zip(names, varied, strict=True) if one]
@@ -118,19 +104,11 @@ def draw_realities(
         swims = any(signal.startswith("body.") for signal in diagnosed.fit)
         fit = {**fit, **diagnosed.fit} if swims else {**diagnosed.fit, **fit}
     joints = [joint.name for joint in robot.joints]
-    return Realities(
-        models=tuple(models),
-        noise=noise_of(ranges, joints),
-        names=tuple(names),
-        values=table,
-        law=law,
-        unexplained=unexplained(fit, joints),
-    )
+    noise, rest = noise_of(ranges, joints), unexplained(fit, joints)
+    return Realities(tuple(models), noise, tuple(names), table, law, rest)
 
 
-def _with_bodies(
-    models: Sequence[Model], model: Model, error: LawError, rng: np.random.Generator
-) -> list[Model]:
+def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator) -> list[Model]:
     """Models with bodies drawn from their calibration, or from laws of other robots.
 
     A calibration fits latencies together with the body, so that they are drawn together; the
@@ -155,14 +133,14 @@ def _with_bodies(
         interval = model.body.get("interval", {})
         if "twin" in model.body:
             ends = {k: v for k, v in interval.items() if k.startswith("twin.")}
-            names, normal_width = list(ends), 2 * 1.645
+            names = list(ends)
             mean = np.array([np.mean(ends[k]) for k in names])
-            sd = np.array([np.ptp(ends[k]) / normal_width for k in names])
+            sd = np.array([np.ptp(ends[k]) / (2 * _NORMAL_90) for k in names])
         else:
-            names = [k for k in error.usual if k in error.unknown]
+            names = [k for k in LAW_ERROR.usual if k in LAW_ERROR.unknown]
             law = vars(Coefficients.of(model.body))
-            mean = np.array([error.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
-            sd = np.array([error.unknown[k] for k in names])
+            mean = np.array([LAW_ERROR.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
+            sd = np.array([LAW_ERROR.unknown[k] for k in names])
         drawn = mean + sd * rng.standard_normal((len(models), len(names)))
     drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
     rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)
@@ -183,9 +161,7 @@ def _overfit(model: Model) -> float:
 def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[str]) -> Array:
     """What a fit leaves unexplained beyond noise, shape (3 + J,); 0 for signals without a fit.
 
-    Args:
-        fit: Errors by signal, as ``Model.fit``; those on held-out data count where there are any.
-        joints: Names of the J joints.
+    Errors by signal are as in ``Model.fit``; those on held-out data count where there are any.
     """
     out = []
     for signal in (*(f"body.{name}" for name in _BODY), *(f"{j}.position_rad" for j in joints)):
@@ -208,45 +184,45 @@ def sample_of(ranges: Ranges, path: Path) -> JointSample:
 
 
 def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.0) -> None:
-    """Check that the ranges are those of the model.
+    """Check that the ranges, of the file ``path``, are those of the model.
 
-    Args:
-        ranges: The ranges.
-        model: The model.
-        path: File of the ranges, for messages.
-        widths: A value may be outside a range by this many of its widths (a 90 % interval is
-            narrower than a posterior), and by 5 % of itself.
+    A value may be outside a range by ``widths`` of its widths (a 90 % interval is narrower than a
+    posterior), and by 5 % of itself.
 
     Raises:
         InputError: If a value of the model is further outside, or a joint is not of the model.
     """
     known = numbers_of(model)
-    shared = ranges.named("command_latency_s")
     for entry in ranges.entries:
         joint, _, tail = entry.parameter.partition(".")
-        if tail == "latency_offset_s" and shared is not None:
-            at, value = _shifted(shared, entry), known.get(f"{joint}.latency_s")
-        else:
-            at, value = entry, known.get(entry.parameter)
         if tail == "latency_offset_s" and joint not in model.joints:
             joints = ", ".join(model.joints)
             raise InputError(path, entry.parameter, "a joint not of the model", joints)
-        if value is None:
-            continue
-        low, high = _ends(at)
+        low, high = entry.first, entry.second
+        if entry.distribution == "normal":
+            low, high = (entry.first + side * _NORMAL_90 * entry.second for side in (-1, 1))
+        value = known.get(entry.parameter, low)
         slack = widths * (high - low) + 0.05 * abs(value)
         if not low - slack <= value <= high + slack:
             found = f"{low:.4g} to {high:.4g}"
             raise InputError(path, entry.parameter, found, f"the model's {value:.4g} within")
 
 
-def _ends(entry: Range) -> tuple[float, float]:
-    if entry.distribution == "uniform":
-        return entry.first, entry.second
-    return entry.first - 1.645 * entry.second, entry.first + 1.645 * entry.second
+def residuals_of(recordings: Sequence[Recording], model: Model, robot: Robot) -> list[Array]:
+    """Measured less simulated surge, sway, yaw rate and joint angles of each swim, (T, 3 + J).
 
+    Their variance is reduced by that of the measurement noise; missing samples count as explained.
 
-def _shifted(shared: Range, offset: Range) -> Range:
-    """The range of one joint's latency: that of all, by its offset."""
-    (low, high), (least, most) = _ends(shared), _ends(offset)
-    return replace(shared, distribution="uniform", first=low + least, second=high + most)
+    Raises:
+        InputError: If a recording is no swim of this robot, or the twin diverges on it.
+    """
+    out = []
+    for recording in recordings:
+        swim = swim_of(recording, robot)
+        residual = swim.signals - simulated(swim, [model], by_twin(robot))[0]
+        if not np.isfinite(residual).any():
+            raise InputError(recording.file, "", "the twin diverges on it", "a swim it can follow")
+        square = np.nanmean(residual**2, axis=0)
+        share = 1 - np.divide(np.square(swim.noise), square, np.ones_like(square), where=square > 0)
+        out.append(np.nan_to_num(residual) * np.sqrt(np.clip(share, 0.0, 1.0)))
+    return out

@@ -1,4 +1,7 @@
-"""Policies swim in drawn realities; results are kept, so that an interrupted forecast resumes."""
+"""Policies swim in drawn realities, in a simulator with the errors that it is known to have.
+
+Results are kept, so that an interrupted forecast resumes.
+"""
 
 from __future__ import annotations
 
@@ -7,222 +10,152 @@ import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from scipy.signal import lfilter
+from torch.utils.dlpack import from_dlpack
 
 from rl.controllers import Controller
-from rl.experiments.evaluate import Episodes, run_episodes, spent
-from rl.experiments.film import Films
-from rl.forecast.figures import FIGURES
-from rl.forecast.inexact import Inexact, blocks, disturbances
+from rl.experiments.episodes import FIGURES, Episodes, measured
+from rl.experiments.film import Film
+from rl.experiments.reality import Starts
+from rl.experiments.statistics import interval
+from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
-from rl.make import Fidelity, make_world, own_stream
-from rl.metrics import path_length
-from rl.task import Task
+from rl.task import CONTROL_S, Task
 from rl.world import Draws, World
+from sim.robot.effects import Outside
+from sim.robot.live import Live, Simulator
+from sim.view.plane import front_ends
 from sim.view.video import Video
-from sim2real.archives import read_arrays
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.errors import InputError
+from sim2real.model import Model
 from sim2real.output import write_whole
 from sim2real.progress import Progress
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
+
+Makers = Mapping[str, Callable[[int], Controller]]
+"""By name, a function of the number of robots to their controller."""
 
 
 @dataclass(frozen=True)
-class SimulationSettings:
-    """How realities are simulated.
+class Forecaster:
+    """Trials of policies in drawn realities; starts, noise and disturbances are common to them.
 
-    Attributes:
-        fidelity: ``twin`` or ``fluid``.
-        device, threads: Device and CPU threads.
-        cell_m: Side of a cell of the fluid.
-        at_once: Draws in a batch; the results of each are kept in the file.
+    There are ``trials`` in each reality. Disturbances are made of the ``residuals`` of recordings;
+    without them, they are random signals of the size that the fit leaves unexplained.
     """
 
-    fidelity: Fidelity = "twin"
-    device: str = "cpu"
-    threads: int = 1
-    cell_m: float = 0.02
-    at_once: int = 50
+    robot: Robot
+    task: Task
+    realities: Realities
+    trials: int
+    seed: int
+    settings: SimulationSettings
+    residuals: Sequence[Array] = ()
 
+    def swim(
+        self,
+        controllers: Makers,
+        *,
+        file: Path | None = None,
+        key: str = "",
+        shown: int = 20,
+        progress: Progress = lambda share: None,
+    ) -> dict[str, Array]:
+        """Run all K policies in all N realities.
 
-@dataclass(frozen=True)
-class SimulatedTrials:
-    """Results of K policies in N realities, T trials in each.
+        Results so far are in ``file``: trials in it are not run again if its ``key`` is the same,
+        all that determines the results besides names and number of policies and trials.
 
-    Attributes:
-        figures: Each of ``FIGURES``, shape (K, N, T).
-        paths: Positions of the first trial in the first realities, every 0.1 s, in m, NaN after the
-            end, shape (K, n, S, 2).
-        targets: Waypoints of these trials in m, shape (n, W, 2).
-    """
+        Returns:
+            Each of ``FIGURES``, shape (K, N, T); of the first trial in the first ``shown``
+            realities ``paths``, positions every 0.1 s in m, NaN after the end, shape (K, n, S, 2),
+            and ``targets``, waypoints in m, shape (n, W, 2).
+        """
+        N, K, T = len(self.realities.models), len(controllers), self.trials
+        n, samples = min(shown, N), -(-(self.task.steps + 1) // 5)
+        inputs = (key, list(controllers), N, T, self.seed)
+        digest = hashlib.sha256(repr(inputs).encode()).hexdigest()
+        table = _kept(file, digest) or {
+            **{name: np.full((K, N, T), np.nan) for name in FIGURES},
+            "paths": np.full((K, n, samples, 2), np.nan),
+            "targets": np.full((n, self.task.waypoints, 2), np.nan),
+        }
+        parts = -(-N // self.settings.at_once)
+        for part in range(parts):
+            rows = self._rows(part)
+            for k, make in enumerate(controllers.values()):
+                if np.isnan(table["success"][k, rows]).any():
+                    episodes = self._episodes(part, make)
+                    for name, values in self._figures(episodes, rows).items():
+                        table[name][k, rows] = values.reshape(-1, T)
+                    head = rows[rows < n]
+                    path = episodes.pose[::5, : len(head) * T : T, :2]
+                    table["paths"][k, head, : len(path)] = np.moveaxis(path, 1, 0)
+                    table["targets"][head] = episodes.targets[: len(head) * T : T]
+                    if file is not None:
+                        stream = io.BytesIO()
+                        content: dict[str, Any] = {"digest": np.array(digest), **table}
+                        np.savez_compressed(stream, **content)
+                        write_whole(file, stream.getvalue())
+                progress((part * K + k + 1) / (K * parts))
+        return table
 
-    figures: Mapping[str, Array]
-    paths: Array
-    targets: Array
+    def film(
+        self, path: Path, names: Mapping[int, str], controller: Callable[[int], Controller]
+    ) -> Episodes:
+        """Film the first trial in some of the first ``settings.at_once`` realities, side by side.
 
+        They swim as they did in ``swim``, with all trials of their batch, which are returned.
+        ``names`` are those in the film, by the index of each reality.
+        """
+        robots = {self.trials * d: name for d, name in names.items()}
+        with Video(path) as video:
+            width = 2 * (video.width // 4)
+            return self._episodes(
+                0, controller, lambda world: Film(video, world, robots, width=width)
+            )
 
-def swim(
-    robot: Robot,
-    task: Task,
-    realities: Realities,
-    controllers: Mapping[str, Callable[[int], Controller]],
-    *,
-    trials: int,
-    seed: int,
-    settings: SimulationSettings,
-    residuals: Sequence[Array] = (),
-    file: Path | None = None,
-    key: str = "",
-    shown: int = 20,
-    progress: Progress = lambda share: None,
-) -> SimulatedTrials:
-    """Run all policies in all realities; starts, noise and disturbances are common to the policies.
+    def _rows(self, part: int) -> np.ndarray:
+        """Numbers of the realities of a batch."""
+        first, N = part * self.settings.at_once, len(self.realities.models)
+        return np.arange(first, min(N, first + self.settings.at_once))
 
-    Args:
-        robot: The robot.
-        task: The task.
-        realities: The realities.
-        controllers: By name, a function of the number of robots to their controller.
-        trials: Trials in each reality.
-        seed: Seed of starts, noise and disturbances.
-        settings: How they are simulated.
-        residuals: Residuals of recordings, of which the disturbances are made; without them, random
-            signals of the size that the fit leaves unexplained.
-        file: Results so far; the trials in it are not run again if its key is the same.
-        key: All that determines the results besides the policies and their number of trials.
-        shown: Number of realities whose paths are kept.
-        progress: Called with the share that is done.
-    """
-    N, K, n = len(realities.models), len(controllers), min(shown, len(realities.models))
-    samples = -(-(task.steps + 1) // 5)
-    digest = hashlib.sha256(repr((key, list(controllers), N, trials, seed)).encode()).hexdigest()
-    table = _kept(file, digest) or {
-        **{name: np.full((K, N, trials), np.nan) for name in FIGURES},
-        "paths": np.full((K, n, samples, 2), np.nan),
-        "targets": np.full((n, task.waypoints, 2), np.nan),
-    }
-    parts = range(0, N, settings.at_once)
-    for part, first in enumerate(parts):
-        rows = np.arange(first, min(N, first + settings.at_once))
-        for k, make in enumerate(controllers.values()):
-            if np.isnan(table["success"][k, rows]).any():
-                episodes = _episodes(
-                    robot, task, realities, rows, make, trials, [seed, part], settings, residuals
-                )
-                figures = measured(episodes, task)
-                more = np.repeat(realities.energy_error[rows], trials) * figures["energy"]
-                figures["energy"] = figures["energy"] + more
-                figures["reward"] = figures["reward"] - task.energy * more
-                for name, values in figures.items():
-                    table[name][k, rows] = values.reshape(-1, trials)
-                head = rows[rows < n]
-                path = episodes.pose[::5, : len(head) * trials : trials, :2]
-                table["paths"][k, head, : len(path)] = np.moveaxis(path, 1, 0)
-                table["targets"][head] = episodes.targets[: len(head) * trials : trials]
-                if file is not None:
-                    stream = io.BytesIO()
-                    content: dict[str, Any] = {"digest": np.array(digest), **table}
-                    np.savez_compressed(stream, **content)
-                    write_whole(file, stream.getvalue())
-            progress((part * K + k + 1) / (K * len(parts)))
-    return SimulatedTrials(
-        {name: table[name] for name in FIGURES}, table["paths"], table["targets"]
-    )
-
-
-def film(
-    path: Path,
-    names: Mapping[int, str],
-    robot: Robot,
-    task: Task,
-    realities: Realities,
-    controller: Callable[[int], Controller],
-    *,
-    trials: int,
-    seed: int,
-    settings: SimulationSettings,
-    residuals: Sequence[Array] = (),
-) -> Episodes:
-    """Film the first trial in some of the first ``settings.at_once`` realities, side by side.
-
-    They swim as they did in ``swim``, with all trials of their batch.
-
-    Args:
-        path: The film, .mp4, .avi or .gif.
-        names: By the index of each reality, its name in the film.
-        robot: The robot.
-        task: The task.
-        realities: The realities.
-        controller: A function of the number of robots to the controller.
-        trials: Trials in each reality.
-        seed: As for ``swim``.
-        settings: How they are simulated.
-        residuals: As for ``swim``.
-
-    Returns:
-        The trials of the batch.
-    """
-    rows = np.arange(min(settings.at_once, len(realities.models)))
-    shown = {trials * d: name for d, name in names.items()}
-    with Video(path) as video:
-        return _episodes(
-            robot, task, realities, rows, controller, trials, [seed, 0], settings, residuals,
-            lambda world: Films(video, world, shown),
+    def _episodes(
+        self,
+        part: int,
+        make: Callable[[int], Controller],
+        watched: Callable[[World], Callable[[Mask], None]] | None = None,
+    ) -> Episodes:
+        """Trials of one policy in the realities of a batch."""
+        each = np.repeat(self._rows(part), self.trials)
+        rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
+        starts = Starts(*self.task.place(rng, E, len(self.robot.joints)))
+        if self.residuals:
+            disturbance = blocks(self.residuals, steps, E, rng)
+        else:
+            disturbance = disturbances(self.realities.unexplained, steps, E, rng)
+        draws = [Draws((self.realities.models[d],), self.realities.noise) for d in each]
+        around = partial(Inexact, law=self.realities.law[each, :3], disturbance=disturbance)
+        return simulate(
+            self.robot, self.task, starts, draws, make(E), self.settings, name="forecast",
+            seed=int(rng.integers(2**31)), watched=watched, around=around,
         )  # fmt: skip
 
-
-def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
-    """The figures of episodes, shape (E,) each.
-
-    ``success`` is 1 on arrival, else 0; ``time_s`` in s and ``energy`` in rad2/s2 count trials
-    without arrival with the full time, see ``rl.experiments.evaluate.spent``; ``path_m`` is the
-    length of the path.
-    """
-    time, energy = spent(episodes, task)
-    return {
-        "success": episodes.success.astype(np.float64),
-        "time_s": time,
-        "energy": energy,
-        "reward": episodes.reward,
-        "path_m": path_length(episodes.pose[:, :, :2]),
-    }
-
-
-def _episodes(
-    robot: Robot,
-    task: Task,
-    realities: Realities,
-    rows: np.ndarray,
-    make: Callable[[int], Controller],
-    trials: int,
-    seeds: list[int],
-    settings: SimulationSettings,
-    residuals: Sequence[Array],
-    watched: Callable[[World], Callable[[Mask], None]] | None = None,
-) -> Episodes:
-    """Trials of one policy in some of the realities."""
-    rng, E = np.random.default_rng(seeds), len(rows) * trials
-    each = np.repeat(rows, trials)
-    start = task.place(rng, E, len(robot.joints))
-    if residuals:
-        disturbance = blocks(residuals, task.steps, E, rng)
-    else:
-        disturbance = disturbances(realities.unexplained, task.steps, E, rng)
-    draws = [Draws((realities.models[d],), realities.noise) for d in each]
-    error = realities.velocity_error[each]
-    with own_stream(settings.device):
-        world = make_world(
-            robot, replace(task, place=lambda *_: start), draws, n_envs=E,
-            fidelity=settings.fidelity, device=settings.device, cell_m=settings.cell_m,
-            threads=settings.threads, seed=int(rng.integers(2**31)),
-            around=lambda simulator: Inexact(simulator, error, disturbance),
-        )  # fmt: skip
-        watch = None if watched is None else watched(world)
-        return run_episodes(world, make(E), name="forecast", watch=watch)
+    def _figures(self, episodes: Episodes, rows: np.ndarray) -> dict[str, Array]:
+        """Figures of a batch, with the error of the energy of each reality."""
+        figures = measured(episodes, self.task)
+        more = np.repeat(self.realities.law[rows, 3], self.trials) * figures["energy"]
+        figures["energy"] = figures["energy"] + more
+        figures["reward"] = figures["reward"] - self.task.energy * more
+        return figures
 
 
 def _kept(file: Path | None, digest: str) -> dict[str, Array] | None:
@@ -234,3 +167,155 @@ def _kept(file: Path | None, digest: str) -> dict[str, Array] | None:
         if str(arrays.pop("digest", None)) == digest:
             return arrays
     return None
+
+
+def predict_arms(
+    forecaster: Forecaster, arms: Mapping[str, Sequence[Callable[[int], Controller]]], file: Path,
+    key: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Forecast of every arm of an ablation, the mean over its agents in each reality.
+
+    ``file`` keeps the trials, which are not run again if ``key``, a digest of the agents, is the
+    same.
+
+    Returns:
+        By arm and figure its mean with a 90 % interval; ``loses`` is the reward of the arm "all"
+        less that of the arm, in the same realities.
+    """
+    each = {f"{arm}-{k}": make for arm, of_arm in arms.items() for k, make in enumerate(of_arm)}
+    task, N = forecaster.task, len(forecaster.realities.models)
+    inputs = (key, forecaster.realities.digest(), forecaster.robot, task.name, task.energy,
+              task.steps, forecaster.settings)  # fmt: skip
+    swum = forecaster.swim(each, file=file, key=repr(inputs))
+    even, first, mean = np.full(N, 1 / N), 0, {}
+    for arm, of_arm in arms.items():
+        own = slice(first, first := first + len(of_arm))
+        mean[arm] = {figure: swum[figure][own].mean(axis=0) for figure in FIGURES}
+    out: dict[str, Any] = {
+        arm: {figure: interval(x, even) for figure, x in of_arm.items()}
+        for arm, of_arm in mean.items()
+    }
+    for arm in out.keys() - {"all"} if "all" in out else ():
+        out[arm]["loses"] = interval(mean["all"]["reward"] - mean[arm]["reward"], even)
+    return out
+
+
+class Inexact:
+    """Robots of a simulator whose motion differs from the simulated one as measured motion does.
+
+    Velocities of the body in its own frame have a relative error and a disturbance, joints a
+    disturbance of their set-points. The simulator's state is not changed: the pool is alike
+    everywhere, so that the path is integrated anew from the changed velocities.
+    """
+
+    def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
+        """Wrap a simulator of E robots that are all reset at the same time.
+
+        Args:
+            simulator: The simulator.
+            law: Relative errors of surge, sway and yaw rate, shape (E, 3).
+            disturbance: Of surge and sway in m/s, yaw rate in rad/s and set-points in rad, shape
+                (T, E, 3 + J); repeated after T periods.
+        """
+        self.simulated, self._live = simulator, simulator.live()
+        self.robot, self.n_envs = simulator.robot, simulator.n_envs
+        self._q, self._command = from_dlpack(self._live.q), from_dlpack(self._live.command)
+        device = self._q.device
+        self._factor = 1.0 + torch.as_tensor(law, dtype=torch.float64, device=device)
+        self._disturbance = torch.as_tensor(disturbance, dtype=torch.float32, device=device)
+        self._shown = self._q.clone()
+        self._period = 0
+
+    @property
+    def outside(self) -> Outside:
+        """Effects on the robots."""
+        return self.simulated.outside
+
+    def live(self) -> Live:
+        """The live state, with the changed path."""
+        shown: Any = self._shown
+        return replace(self._live, q=shown)
+
+    @property
+    def hull(self) -> Any:  # noqa: ANN401 - a Hull, of every simulator but the protocol
+        """Shape of the links."""
+        simulated: Any = self.simulated
+        return simulated.hull
+
+    def links(self, robot: int) -> Array:
+        """Front end and heading of each link of one robot on the changed path, shape (L, 3)."""
+        bodies: Any = getattr(self.simulated, "bodies", self.simulated)
+        links = front_ends(bodies.chain, bodies.motion, np.zeros(2), robot)
+        head, shown = (q[robot, :3].cpu().numpy() for q in (self._q, self._shown))
+        turn = shown[2] - head[2]
+        c, s = np.cos(turn), np.sin(turn)
+        links[:, :2] = (links[:, :2] - head[:2]) @ np.array([[c, s], [-s, c]]) + shown[:2]
+        links[:, 2] += turn
+        return links
+
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
+        """As the simulator's."""
+        self.simulated.adopt(which, models)
+
+    def reset(
+        self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
+    ) -> None:
+        """As the simulator's."""
+        self.simulated.reset(mask, pose, joint)
+        self._shown.copy_(self._q)
+        self._period = 0
+
+    def advance(self) -> None:
+        """Advance by one control period."""
+        disturbance = self._disturbance[self._period % len(self._disturbance)].double()
+        self._period += 1
+        before = self._q[:, :3].clone()
+        self._command += disturbance[:, 3:]
+        self.simulated.advance()
+        step = self._q[:, :3] - before
+        step[:, :2] = _turned(step[:, :2], -(before[:, 2] + step[:, 2] / 2))
+        step = step * self._factor + CONTROL_S * disturbance[:, :3]
+        step[:, :2] = _turned(step[:, :2], self._shown[:, 2] + step[:, 2] / 2)
+        self._shown[:, :3] += step
+        self._shown[:, 3:] = self._q[:, 3:]
+
+
+def _turned(vectors: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
+    """Vectors (E, 2) turned by angles (E,)."""
+    c, s = torch.cos(angle), torch.sin(angle)
+    x, y = vectors.unbind(1)
+    return torch.stack([c * x - s * y, s * x + c * y], dim=1)
+
+
+def disturbances(
+    sd: Array, periods: int, n: int, rng: np.random.Generator, *, correlation_s: float = 0.3
+) -> Array32:
+    """Stationary random signals, first-order autoregressive, shape (periods, n, K).
+
+    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, as
+    residuals of simulated swims change with the beat.
+    """
+    keep = float(np.exp(-CONTROL_S / correlation_s))
+    white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
+    white[1:] *= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0) * sd, dtype=np.float32)
+
+
+def blocks(
+    residuals: Sequence[Array], periods: int, n: int, rng: np.random.Generator, *, length: int = 100
+) -> Array32:
+    """Signals made of blocks of recorded residuals, shape (periods, n, K) (a block bootstrap).
+
+    Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block stay together, so that their correlation
+    is kept, too. Residuals of each recording, shape (T, K), are at every control period; a block is
+    ``length`` periods, two seconds.
+    """
+    length = min(length, *(len(one) for one in residuals))
+    starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]
+    chosen = rng.integers(len(starts), size=(-(-periods // length), n))
+    out = np.empty((len(chosen) * length, n, residuals[0].shape[1]), dtype=np.float32)
+    for b, row in enumerate(chosen):
+        for e, pick in enumerate(row):
+            r, t = starts[pick]
+            out[b * length : (b + 1) * length, e] = residuals[r][t : t + length]
+    return out[:periods]

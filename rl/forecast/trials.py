@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from rl.forecast.statistics import effective, expected, normal_scores
+from rl.experiments.statistics import effective, expected, normal_scores
 from sim2real.arrays import Array
 from sim2real.csv_columns import read_table
 from sim2real.errors import InputError
@@ -23,13 +24,7 @@ OBSERVED = ("time_s", "energy", "reward")
 
 @dataclass(frozen=True)
 class Trials:
-    """Trials of one policy.
-
-    Attributes:
-        policy: Its place in the forecast.
-        figures: Names of the F figures that were observed.
-        values: Shape (n, F).
-    """
+    """Values (n, F) of F observed figures in n trials of one policy, by its place in a forecast."""
 
     policy: int
     figures: tuple[str, ...]
@@ -38,13 +33,10 @@ class Trials:
 
 @dataclass(frozen=True)
 class Update:
-    """A forecast's weights after trials.
+    """Weights of the draws after a number of trials, shape (N,), with sum 1.
 
-    Attributes:
-        weights: Of the draws, shape (N,), with sum 1.
-        effective: Effective number of draws.
-        p_value: Probability that the forecast gives to trials at least as far from its mean.
-        trials: Number of trials.
+    ``effective`` is the effective number of draws, ``p_value`` the probability that the forecast
+    gives to trials at least as far from its mean.
     """
 
     weights: Array
@@ -61,13 +53,8 @@ class Update:
 def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Trials]:
     """Read a CSV with a row for each trial: policy, success, and of time_s, energy, reward some.
 
-    A trial without arrival (``success`` 0) counts with the full time of the task, whatever
-    ``time_s`` says; its energy is that of the full time.
-
-    Args:
-        path: The CSV.
-        policies: Names of the forecast's policies.
-        limit_s: Full time of the task.
+    A trial without arrival (``success`` 0) counts with the full time of the task, ``limit_s``,
+    whatever ``time_s`` says; its energy is that of the full time.
 
     Raises:
         InputError: If a column or a value is missing, or a policy is not of the forecast.
@@ -80,31 +67,28 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
     figures = tuple(name for name in OBSERVED if name in table)
     if not figures:
         raise InputError(path, "header", "no figure", f"one of {', '.join(OBSERVED)}")
-    values = np.empty((len(table), len(figures)))
-    won = np.empty(len(table), dtype=bool)
-    for row in range(len(table)):
-        policy = str(table["policy"][row])
-        if policy not in policies:
-            raise InputError(path, f"row {row + 2}", policy, f"one of {', '.join(policies)}")
-        flag = str(table["success"][row]).strip().lower()
-        if flag not in ("0", "1", "0.0", "1.0", "true", "false"):
-            raise InputError(path, f"row {row + 2}, success", flag, "0 or 1")
-        won[row] = flag in ("1", "1.0", "true")
-        for k, name in enumerate(figures):
-            try:
-                number = float(table[name][row])
-            except (TypeError, ValueError):
-                number = np.nan
-            if name == "time_s" and not won[row]:
-                number = limit_s
-            if not np.isfinite(number):
-                raise InputError(path, f"row {row + 2}, {name}", str(table[name][row]), "a number")
-            values[row, k] = number
-    named = np.array([str(name) for name in table["policy"]])
+    names = np.array([str(name) for name in table["policy"]])
+    flags = np.array([str(flag).strip().lower() for flag in table["success"]])
+    columns = {
+        name: pd.to_numeric(table[name], errors="coerce").to_numpy(float) for name in figures
+    }
+    won = np.isin(flags, ("1", "1.0", "true"))
+    if "time_s" in columns:
+        columns["time_s"] = np.where(won, columns["time_s"], limit_s)
+    checks = [
+        ("policy", np.isin(names, policies), f"one of {', '.join(policies)}"),
+        ("success", won | np.isin(flags, ("0", "0.0", "false")), "0 or 1"),
+        *((name, np.isfinite(column), "a number") for name, column in columns.items()),
+    ]
+    for name, valid, wanted in checks:
+        if not valid.all():
+            row = int(np.argmin(valid))
+            raise InputError(path, f"row {row + 2}, {name}", str(table[name][row]), wanted)
+    values = np.stack(list(columns.values()), axis=1)
     return [
-        Trials(k, figures, values[named == policy])
+        Trials(k, figures, values[names == policy])
         for k, policy in enumerate(policies)
-        if (named == policy).any()
+        if (names == policy).any()
     ]
 
 
@@ -117,12 +101,8 @@ def update(
     all trials. The mean of a policy's n trials is normal about the mean of a draw, with the
     covariance of simulated trials in one reality, or their own scatter where that is larger, by
     1 / n. Where few draws agree, the likelihood is flattened until ``least`` of them count:
-    intervals then are wider than they need be, and not too narrow by chance.
-
-    Args:
-        trials: Trials, by policy.
-        figures: The forecast's figures, shape (K, N, T) each.
-        least: Least effective number of draws.
+    intervals then are wider than they need be, and not too narrow by chance. Figures are those of
+    the forecast, shape (K, N, T) each.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from rl.sac.agents import Agents
 from rl.sac.plan import Plan
-from sim2real.archives import read_arrays, reason
 from sim2real.errors import InputError
 from sim2real.output import write_whole
+from sim2real.structured import read_arrays, reason
 
 COLUMNS = (
     "steps", "episodes", "mean_return", "success", "mean_length", "actor_loss", "critic_loss",

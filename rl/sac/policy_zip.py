@@ -26,11 +26,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from sim2real.archives import read_members, reason
 from sim2real.arrays import Array32
 from sim2real.errors import InputError, shown
 from sim2real.output import finite_json, write_whole
-from sim2real.structured import finite_number
+from sim2real.structured import finite_number, read_members, reason
 
 SCHEMA = "sim2real.policy_zip/1"
 LARGEST_BYTES = 64 * 2**20

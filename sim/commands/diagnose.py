@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim import verbs
-from sim2real.commands.verb import arguments_of
-from sim2real.commands.views import check_views, write_views
+from sim2real.commands.command import arguments_of
+from sim2real.commands.files import check_views, write_views
 from sim2real.diagnose.result import Diagnosis, write_diagnosis
-from sim2real.extras import if_installed
+from sim2real.errors import if_installed
 from sim2real.model import read_model, write_model
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, write_recording
@@ -21,12 +21,12 @@ from sim2real.report.diagnosis import diagnosis_section
 from sim2real.report.page import Section, write_page
 from sim2real.robot import Robot, read_robot
 from sim2real.verbs import recordings_of
-from sim2real.viewers.scenes import diagnosed
-from sim2real.viewers.signal_group import Scene
+from sim2real.viewers.scenes import Scene, diagnosed
 
 if TYPE_CHECKING:
-    from sim.inference.coordinates import SwimSimulator
-    from sim.inference.swims import Swim
+    from sim.inference.swims import Swim, SwimSimulator
+
+    Swims = tuple[list[Swim], SwimSimulator | None]
 
 
 def run(options: argparse.Namespace) -> int:
@@ -50,6 +50,24 @@ def run(options: argparse.Namespace) -> int:
             print(f"\npage: {page}")
     write_views(options, lambda: _scene(diagnosis, recordings, read, robot))
     return 0
+
+
+def _section(diagnosis: Diagnosis, read: Swims | None, robot: Robot) -> Section:
+    if read is None:
+        return diagnosis_section(diagnosis)
+    from sim.view.swim_page import swims_section
+
+    return swims_section(diagnosis, *read, robot)
+
+
+def _scene(
+    diagnosis: Diagnosis, recordings: list[Recording], read: Swims | None, robot: Robot
+) -> Scene:
+    if read is None:
+        return diagnosed(diagnosis)
+    from sim.view.swim_page import swims_scene
+
+    return swims_scene(diagnosis, recordings, *read, robot)
 
 
 def write_all(diagnosis: Diagnosis, out: Path) -> None:
@@ -80,10 +98,6 @@ def _with_commands(found: Diagnosis, out: Path) -> Diagnosis:
     return replace(found, next_experiment=replace(plan, file=path.name))
 
 
-Swims = tuple[list["Swim"], "SwimSimulator | None"]
-"""The swims, and the simulator of their diagnosis."""
-
-
 def _read_swims(
     recordings: list[Recording], robot: Robot, options: argparse.Namespace
 ) -> Swims | None:
@@ -91,28 +105,8 @@ def _read_swims(
     shown = not options.no_page or options.rerun or options.mcap
     if not (shown and recordings[0].is_swim):
         return None
-    from sim.inference.recorded_swims import simulator_of
+    from sim.inference.diagnose_swims import simulator_of
     from sim.inference.swims import swim_of
 
     swims = [swim_of(recording, robot) for recording in recordings]
     return swims, simulator_of(robot, read_model(options.model), options.in_water, options.device)
-
-
-def _section(diagnosis: Diagnosis, read: Swims | None, robot: Robot) -> Section:
-    if read is None:
-        return diagnosis_section(diagnosis)
-    from sim.view.diagnosis_page import swims_section
-
-    swims, simulate = read
-    return swims_section(diagnosis, swims, simulate, robot)
-
-
-def _scene(
-    diagnosis: Diagnosis, recordings: list[Recording], read: Swims | None, robot: Robot
-) -> Scene:
-    if read is None:
-        return diagnosed(diagnosis)
-    from sim.view.swim_scene import swims_scene
-
-    swims, simulate = read
-    return swims_scene(diagnosis, recordings, swims, simulate, robot)

@@ -3,89 +3,53 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from sim import verbs
-from sim2real.commands.command import Command, add_file, add_flag, add_former, add_views
-from sim2real.commands.verb import add_verb
+from sim2real.commands.command import VIEWS, Command, add_former, add_options, add_verb, command
+
+_SWIMS = "sim.commands.swims"
+_NO_PAGE = "--no-page: do not write the HTML page"
+_CALIBRATE = """
+--out MODEL!: model to write (MODEL.json)
+--no-plots: do not plot the fit (MODEL.RECORDING.png)
+"""
+_SIMULATE = """
+model MODEL: servos and body (MODEL.json)
+recordings CSV: recording or table of commands (t_s, J.command_rad)
+--out CSV!: recording to write
+"""
 
 
-def _simulate(command: argparse.ArgumentParser) -> None:
-    add_file(command, "model", "MODEL", "servos and body (MODEL.json)")
-    add_file(
-        command, "recordings", "COMMANDS", "recording or table of commands (t_s, J.command_rad)"
-    )
-    add_verb(command, verbs.simulate, leave_out=("recordings", "model"))
-    add_file(command, "--out", "CSV", "recording to write", required=True)
-    add_views(command)
-    add_former(command, "--picture", "plot")
-
-
-def _calibrate(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.calibrate)
-    add_file(command, "--out", "MODEL", "model to write (MODEL.json)", required=True)
-    add_flag(command, "--no-plots", "do not plot the fit (MODEL.RECORDING.png)")
-
-
-def _validate(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--device", default="cpu", help="device of the simulation, cpu (default) or cuda:0"
-    )
-    add_flag(command, "--quick", "coarse versions with wider tolerances, in seconds")
-    command.add_argument(
-        "--only", nargs="+", default=(), metavar="CASE", help="cases to run (default: all)"
-    )
-    command.add_argument(
-        "--out",
-        type=Path,
-        default=Path("reports/validation.html"),
-        metavar="PAGE",
-        help="report to write (default reports/validation.html)",
-    )
-
-
-def _diagnose(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.diagnose)
-    add_file(command, "--out", "DIAGNOSIS", "diagnosis to write (diagnosis.json)", required=True)
-    add_flag(command, "--no-page", "do not write the HTML report")
-    add_views(command)
-
-
-def _design(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.design)
-    add_file(command, "--out", "CSV", "commands to write (next.csv)", required=True)
-    add_flag(command, "--no-page", "do not write the HTML page")
+def _simulate(parser: argparse.ArgumentParser) -> None:
+    add_options(parser, _SIMULATE)
+    add_options(parser, VIEWS)
+    add_verb(parser, verbs.simulate, leave_out=("recordings", "model"))
+    add_former(parser, "--picture", "plot")
 
 
 COMMANDS = (
-    Command(
+    command(
         "design",
-        "sim.commands.design",
-        _design,
+        f"{_SWIMS}:design",
+        [verbs.design, "--out CSV!: commands to write (next.csv)", _NO_PAGE],
         "sim2real design --robot robot.toml --model model.json --out next.csv",
     ),
-    Command(
+    command(
         "diagnose",
         "sim.commands.diagnose",
-        _diagnose,
+        [verbs.diagnose, "--out FILE!: diagnosis to write (diagnosis.json)", _NO_PAGE, VIEWS],
         "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
     ),
     Command(
         "simulate",
-        "sim.commands.simulate",
+        f"{_SWIMS}:simulate",
         _simulate,
         "sim2real simulate model.json wave.csv --robot fish.toml --out swim.csv",
     ),
-    Command(
+    command(
         "calibrate",
-        "sim.commands.calibrate",
-        _calibrate,
+        f"{_SWIMS}:calibrate",
+        [verbs.calibrate, _CALIBRATE],
         "sim2real calibrate swim.csv --robot fish.toml --model model.json --out calibrated.json",
-    ),
-    Command(
-        "validate",
-        "sim.commands.validate",
-        _validate,
-        "sim2real validate --only cavity --out reports/validation.html",
     ),
 )

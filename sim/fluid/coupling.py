@@ -1,19 +1,11 @@
-"""Coupling of bodies and fluid by the solid share of each cell.
+"""Coupling of bodies and fluid by the solid share of each cell, where the water does not slip.
 
 Direct forcing of the volume: within a step the velocity of the fluid in a cell is set to the body's
-in proportion to the solid share of the cell; next to a surface with slip only the component across
-the surface. Before that, the impulses of this forcing are summed for each link;
-``multibody.advance`` solves for the velocity at which body and fluid agree, so that the exchange is
-implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput. Phys. 209
-(2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share).
-
-Where the water slips, the force on a body is the change of the momentum of the water outside it:
-that of all the forcing minus that of the water inside, summed over the cells by their solid share
-(Kempe and Froehlich, J. Comput. Phys. 231 (2012) 3663), so that the inner water does not load the
-body. But the inner water takes momentum along the surface from the water outside, which a wall with
-slip must not do. This momentum is measured by the velocity that inner water moving with the body
-has lost since the last step, and given back to the cells at the surface, uniformly over each link,
-as a mean over ``wall.MEMORY`` steps.
+in proportion to the solid share of the cell. Before that, the impulses of this forcing are summed
+for each link; ``multibody.advance`` solves for the velocity at which body and fluid agree, so that
+the exchange is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput.
+Phys. 209 (2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid
+share).
 """
 
 from functools import cache
@@ -21,9 +13,8 @@ from typing import Any
 
 import warp as wp
 
-from sim.fluid.section import along, distance, position_on, side, solid_share
-from sim.fluid.wall import Touch, friction
-from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, column_at, rigid_velocity, slot_at
+from sim.fluid.section import along, distance, position_on, solid_share
+from sim.lattice.cell import BODY, FLUID, KIND, Box, Covered, column_at, slot_at
 from sim.lattice.populations import FIXED_POINT, populations
 from sim.lattice.velocities import Lattice
 
@@ -31,10 +22,9 @@ SUMS = 26
 """Sums of one link. In a step all water receives from it the momentum (E + R) v + a, where v are
 the body's velocities, and the water inside it then has R v + b; the rest acts on the link. E and R
 are matrices (9 each, by rows), a and b vectors (x, y and the moment). By forcing, a covered cell of
-density rho, solid share c and velocity u gets the velocity N v + d: E sums (1 - c) rho N, R sums
-c rho N, a sums rho d, b sums c rho (u + d). Without slip c counts as 0. The last two are the
-momentum along the axis that the inner water is given, and the mass at the surface that it is taken
-from."""
+density rho, solid share c and velocity u gets c (v - u): E sums c rho, a sums -c rho u; the others
+are those of ghost cells (``ghost_coupling``). The last two are the mass that passes the surface in
+a step, and the weight of the links through which it passes."""
 _MOST_SHARE = 0.99999
 NEAR = 3.0
 """Distance in cells from a link's outline within which a column of cells is processed."""
@@ -86,9 +76,9 @@ def add_vector(
 
 
 @cache
-def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that marks the cells a body covers and sums over them."""
-    pop = populations(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -99,11 +89,7 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
         t: int,
         covered: Covered,
         middle: float,
-        touch: Touch,
-        rough: wp.array2d(dtype=wp.float64),
-        kept: wp.array2d(dtype=wp.float32),
         pose: wp.array2d(dtype=wp.vec4),
-        twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
         length: wp.array(dtype=wp.float32),
         half_width: wp.array(dtype=wp.vec3),
@@ -111,7 +97,7 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
-        """One column of cells; ``kept`` is the velocity that the cells at each surface get back."""
+        """One column of cells."""
         e, column = wp.tid()
         base = column_at(e, column, covered, box)
         if base[2] < 0 or stopped[e] >= 0:
@@ -134,97 +120,34 @@ def cover_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: AN
                 width = wide
                 height = along(half_height[k], at[0])
         r = wp.vec2(float(X), float(Y)) - centre[e, link]
-        body = rigid_velocity(twist[e, link], r)
-        axis = wp.vec3(pose[e, link][2], pose[e, link][3], 0.0)
         touched = bool(False)
-        outer = wp.mat22()
-        inner = wp.mat22()
+        pull = float(0.0)
         forcing = wp.vec2()
-        held_in = wp.vec2()
-        taken = float(0.0)
-        surface_mass = float(0.0)
         for layer in range(covered.tall):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z
             flag = int(flags[n])
             if (flag & wp.static(KIND)) == wp.static(FLUID):
                 share = float(0.0)
-                slips = float(0.0)
-                whole = bool(True)
-                o = wp.vec3()
                 if nearest < wp.static(NEAR):
-                    up = float(z) - middle
-                    if touch.slip != 0:
-                        gap, outline, area, facing = side(
-                            float(X),
-                            float(Y),
-                            up,
-                            pose[e, link],
-                            length[link],
-                            half_width[link],
-                            half_height[link],
-                            touch,
-                        )
-                        o = facing
-                        share = outline * wp.clamp(0.5 - gap, 0.0, 1.0)
-                        whole = gap <= -touch.deep
-                        if gap > 0.0 and gap <= 1.0:
-                            slips = outline * area
-                    else:
-                        share = solid_share(distance(off_axis, up, width, height))
-                if share > 0.0 or slips > 0.0:
+                    share = solid_share(distance(off_axis, float(z) - middle, width, height))
+                if share > 0.0:
                     held = float(link) + wp.min(share, wp.static(_MOST_SHARE))
                     share = held - float(link)
                     flags[n] = wp.uint8(flag | wp.static(BODY))
                     m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
                     rho = 1.0 + m[0]
                     u = wp.vec3(m[1], m[2], m[3]) / rho
-                    lack = body - u
-                    even = share
-                    inside = float(0.0)
-                    more = wp.vec3()
-                    if touch.slip != 0:
-                        inside = share
-                        if whole:
-                            taken += rho * share * wp.dot(lack, axis)
-                        else:
-                            even = 0.0
-                        if slips > 0.0:
-                            sliding = lack - wp.dot(lack, o) * o
-                            even = slips * friction(
-                                wp.length(sliding), float(rough[e, link]), touch
-                            )
-                            ahead = axis - wp.dot(axis, o) * o
-                            surface_mass += rho * slips * wp.dot(ahead, axis)
-                            more = -slips * kept[e, link] * ahead
                     slot = slot_at(e, column * covered.tall + layer, covered)
                     covered.share[slot] = held
-                    covered.face[slot] = wp.vec4(o[0], o[1], o[2], even)
-                    covered.more[slot] = more
-                    across = rho * (share - even)
-                    even *= rho
-                    pull = wp.mat22(
-                        even + across * o[0] * o[0],
-                        across * o[0] * o[1],
-                        across * o[0] * o[1],
-                        even + across * o[1] * o[1],
-                    )
-                    outer += (1.0 - inside) * pull
-                    inner += inside * pull
-                    gain = rho * more - even * u - across * wp.dot(o, u) * o
-                    forcing += wp.vec2(gain[0], gain[1])
-                    gain += rho * u
-                    held_in += inside * wp.vec2(gain[0], gain[1])
+                    covered.face[slot] = wp.vec4(0.0, 0.0, 0.0, share)
+                    pull += rho * share
+                    forcing -= rho * share * wp.vec2(u[0], u[1])
                     touched = bool(True)
                 elif (flag & wp.static(BODY)) != 0:
                     flags[n] = wp.uint8(flag - wp.static(BODY))
         if touched:
-            add_matrix(sums, e, link, 0, r, outer)
+            add_matrix(sums, e, link, 0, r, wp.mat22(pull, 0.0, 0.0, pull))
             add_vector(sums, e, link, 18, r, forcing)
-            if touch.slip != 0:
-                add_matrix(sums, e, link, 9, r, inner)
-                add_vector(sums, e, link, 21, r, held_in)
-                add(sums, e, link, 24, wp.float64(taken))
-                add(sums, e, link, 25, wp.float64(surface_mass))
 
     return cover

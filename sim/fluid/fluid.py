@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.lattice.cell import EDGE, FLUID, INLET, KIND, MOVING, OUTLET, SLIP, Box, Covered
+from sim.lattice.cell import EDGE, FLUID, KIND, MOVING, SLIP, SOLID, Box, Covered
 from sim.lattice.kernels import kernels
-from sim.lattice.populations import allocate, is_wide, most_cells
+from sim.lattice.populations import MOST_CELLS, allocate, is_wide
 from sim.lattice.velocities import Lattice
-from sim.lattice.walls import let_out, wall_kernels
-from sim2real.arrays import Array32, Integers
+from sim.lattice.walls import wall_kernels
+from sim2real.arrays import Array32, Integers, Picture
+from sim2real.effects import start_warp
 from sim2real.errors import InputError
-from sim2real.warp_start import start_warp
 
+WINDOW_M = (1.5, 1.0, 0.4)
+POOL_M = (3.6, 3.6, 0.4)
+"""The pool of Lin, Liu, Wang (2024): length, width, depth of the water."""
+_UP = 4
 CS2 = 1 / 3
 """Square of the lattice's speed of sound."""
 BLOCK = 128
@@ -53,7 +58,6 @@ class Fluid:
         wall_velocity: Array32 | None = None,
         magic: float = 3 / 16,
         smagorinsky: float = 0.0,
-        storage: str = "float32",
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
@@ -64,15 +68,14 @@ class Fluid:
             size: Cells of one box (nx, ny) or (nx, ny, nz), walls included.
             viscosity: Kinematic viscosity, one or one for each box.
             boxes: Number of boxes.
-            walls: Kind of each cell (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``, ``INLET``,
-                ``OUTLET``), shape ``size``; all fluid where None.
-            normals: For free-slip cells, inlets and outlets the direction out of the fluid: 0 to 5
-                for +x, -x, +y, -y, +z, -z; shape ``size``.
-            wall_velocity: Velocity of moving cells and inlets, shape (*size, 3).
+            walls: Kind of each cell (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``), shape ``size``;
+                all fluid where None.
+            normals: For free-slip cells the direction out of the fluid: 0 to 5 for +x, -x, +y, -y,
+                +z, -z; shape ``size``.
+            wall_velocity: Velocity of moving cells, shape (*size, 3).
             magic: Product of the two relaxation times, each minus a half; 3/16 puts a straight
                 no-slip wall exactly half-way between cells.
             smagorinsky: Constant of the sub-grid viscosity; 0 for none.
-            storage: ``float32``, or ``float16`` for half the memory and traffic.
             device: Warp device.
             threads: CPU threads; slabs of cells share the work.
 
@@ -88,18 +91,18 @@ class Fluid:
         viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
-        if boxes * self.cells > most_cells(storage):
+        if boxes * self.cells > MOST_CELLS:
             found = f"{boxes * self.cells} cells in {boxes} boxes"
-            expected = f"at most {most_cells(storage)} in one batch of {storage}"
+            expected = f"at most {MOST_CELLS} in one batch"
             raise InputError("fluid", "size", found, expected)
         self.wide = is_wide(lattice, boxes * self.cells)
-        self.kernels = kernels(lattice, storage, self.wide, self.device.is_cuda)
-        self._mirror, self._walls, self._openings = wall_kernels(lattice, storage, self.wide)
+        self.kernels = kernels(lattice, self.wide, self.device.is_cuda)
+        self._mirror, self._walls = wall_kernels(lattice, self.wide)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
         self.box.cells, self.box.total = self.cells, boxes * self.cells
-        self.magic, self.smagorinsky, self.storage = magic, smagorinsky, storage
-        self.f: Any = allocate(lattice, storage, self.wide, self.box.total, self.device)
+        self.magic, self.smagorinsky = magic, smagorinsky
+        self.f: Any = allocate(lattice, self.wide, self.box.total, self.device)
         above = viscous / CS2
         self.tau = self._put((above + 0.5).astype(np.float32))
         rates = np.stack([1 / (above + 0.5), above / (above / 2 + magic)], axis=1)
@@ -108,15 +111,6 @@ class Fluid:
         self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
         self.stopped: Any = wp.full(boxes, -1, dtype=wp.int32, device=self.device)
         self.covered = Covered()
-        self.covered.corner = wp.zeros(1, dtype=wp.vec4i, device=self.device)
-        self.covered.share = wp.zeros(1, dtype=wp.float32, device=self.device)
-        self.covered.face = wp.zeros(1, dtype=wp.vec4, device=self.device)
-        self.covered.more = wp.zeros(1, dtype=wp.vec3, device=self.device)
-        for name in ("back", "water", "beyond"):
-            setattr(self.covered, name, wp.zeros(1, dtype=wp.vec4, device=self.device))
-        self.covered.links = wp.zeros(1, dtype=wp.vec2i, device=self.device)
-        self.covered.count = wp.zeros(1, dtype=wp.int32, device=self.device)
-        self.covered.listed = wp.zeros((1, 1), dtype=wp.int32, device=self.device)
         self.twist: Any = wp.zeros((1, 1), dtype=wp.vec4, device=self.device)
         self.centre: Any = wp.zeros((1, 1), dtype=wp.vec2, device=self.device)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
@@ -145,23 +139,13 @@ class Fluid:
         slips = np.flatnonzero(kind == SLIP).astype(np.int32)
         before = self._before(slips, direction[slips])
         self._slips = [self._put(rows, wp.int32) for rows in (slips, direction[slips], before)]
-        active = np.flatnonzero(np.isin(kind, (MOVING, INLET, OUTLET))).astype(np.int32)
-        normal = direction[active]
+        active = np.flatnonzero(kind == MOVING).astype(np.int32)
         self.fluid_cells = int(np.count_nonzero(kind == FLUID))
         moving = np.zeros((active.size, 3), dtype=np.float32)
         if velocity is not None:
             moving = flatten(velocity.reshape(*self.size, 3))[active]
-        self.listed, self.normal = self._put(active, wp.int32), self._put(normal, wp.int32)
-        self.wall_velocity = self._put(moving, wp.vec3)
-        before = self._before(active, normal)
-        openings = np.isin(kind[active], (INLET, OUTLET))
-        self._has_openings = bool(np.any(openings))
-        self._inside = self._put(np.where(openings, before, np.int32(-1)), wp.int32)
-        shape, device = (self.boxes, active.size), self.device
-        self._through: Any = wp.zeros(shape, dtype=wp.vec4, device=device)
-        self._outlets = int(np.count_nonzero(kind == OUTLET))
-        self._excess: Any = wp.zeros(self.boxes, dtype=wp.float32, device=device)
-        self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=device)
+        self._moving = [self._put(active, wp.int32), self._put(moving, wp.vec3)]
+        self._net: Any = wp.zeros(self.boxes, dtype=wp.int64, device=self.device)
 
     def _before(self, cells: Integers, normal: Integers) -> Integers:
         """The cells before wall cells, against the direction out of the fluid; boxes wrap."""
@@ -183,7 +167,7 @@ class Fluid:
             self.collide_and_stream()
 
     def collide_and_stream(self) -> None:
-        """One step: all cells, then walls and openings, which set what arrives from them."""
+        """One step: all cells, then walls, which set what arrives from them."""
         total = self.boxes * self.cells
         if self._pool is None or total < _LEAST_SLAB:
             self._collide(0, total)
@@ -196,26 +180,10 @@ class Fluid:
             self._launch(
                 self._mirror, (self.boxes, self._slips[0].shape[0]), [*water, *self._slips]
             )
-        if self._has_openings:
-            self._flow_through()
-        if self.listed.shape[0]:
+        if self._moving[0].shape[0]:
             self._launch(
-                self._walls,
-                (self.boxes, self.listed.shape[0]),
-                [*water, self.listed, self.wall_velocity, self._through, self._excess],
+                self._walls, (self.boxes, self._moving[0].shape[0]), [*water, *self._moving]
             )
-
-    def _flow_through(self) -> None:
-        self._launch(
-            self._openings,
-            (self.boxes, self.listed.shape[0]),
-            [
-                self.f, self.flags, self.box, self.t, self.listed, self.normal, self._inside,
-                self.wall_velocity, self._through, self._net,
-            ],
-        )  # fmt: skip
-        outlets = float(max(self._outlets, 1))
-        self._launch(let_out, self.boxes, [self._net, outlets, self._excess])
 
     def _collide(self, first: int, count: int) -> None:
         self._launch(
@@ -317,3 +285,46 @@ def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs
     except Exception:
         known = ", ".join(str(device) for device in wp.get_devices())
         raise InputError("device", "name", repr(name), f"one of {known}") from None
+
+
+@dataclass(frozen=True)
+class Tank:
+    """Cells and walls of one box.
+
+    Attributes:
+        size: Cells (nx, ny, nz), walls included; nz is 1 in two dimensions.
+        walls: Kind of each cell, shape ``size``.
+        normals: Direction out of the fluid at the free surface, shape ``size``.
+        sponge: Width in cells of the absorbing layer; 0 where walls close the box.
+    """
+
+    size: tuple[int, int, int]
+    walls: Picture
+    normals: Integers
+    sponge: int
+
+
+def window(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
+    """A box that follows the robot: periodic sides, water at rest far from the robot.
+
+    Its bottom is the pool's floor (no slip), its top the surface (free slip).
+    """
+    nx, ny = (max(8, round(side / cell_m)) for side in box_m[:2])
+    return _tank(nx, ny, box_m[2], cell_m, flat, sponge=max(3, round(0.12 * min(nx, ny))))
+
+
+def pool(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
+    """The whole pool: four walls, floor and surface."""
+    nx, ny = (round(side / cell_m) + 1 for side in box_m[:2])
+    tank = _tank(nx, ny, box_m[2], cell_m, flat, sponge=0)
+    tank.walls[0] = tank.walls[:, 0] = SOLID
+    return tank
+
+
+def _tank(nx: int, ny: int, depth_m: float, cell_m: float, flat: bool, sponge: int) -> Tank:
+    """A box; one layer of wall cells closes two opposite sides, as the box is periodic."""
+    nz = 1 if flat else round(depth_m / cell_m) + 1
+    walls, normals = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.int32)
+    if not flat:
+        walls[:, :, 0], normals[:, :, 0] = SLIP, _UP  # the surface for cells below, the floor above
+    return Tank((nx, ny, nz), walls, normals, sponge)

@@ -12,7 +12,8 @@ that of the layer of cells around it; perimeters of ellipses grow as the sum of 
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -35,22 +36,6 @@ from sim.lattice.cell import (
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
-
-
-class GhostKernels(NamedTuple):
-    """Kernels for one lattice.
-
-    Attributes:
-        mark: Lists the cells inside a body and those next to it, with their distance and normal.
-        shear: Sums over the cells next to a body: friction.
-        cover: Sums over the ghost cells.
-        emit: Populations of these, in place of a collision.
-    """
-
-    mark: Any
-    shear: Any
-    cover: Any
-    emit: Any
 
 
 @wp.func
@@ -110,9 +95,9 @@ def listed_cell(
 
 
 @cache
-def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
-    """The kernels for a lattice."""
-    pop, ghost = populations(lattice, storage, wide), ghosts(lattice, storage, wide)
+def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of kernels
+    """The kernels for a lattice, by name, in the order in which a step launches them."""
+    pop, ghost = populations(lattice, wide), ghosts(lattice, wide)
     Stored, load = pop.Stored, pop.load
     neighbours, moments, store = pop.neighbours, pop.moments, pop.store
     water_at, emitted, sent = ghost.water_at, ghost.emitted, ghost.sent
@@ -236,7 +221,6 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             share = friction(faster * slip, float(rough[e, link]), touch)
             share *= faster * covered.back[slot][3]
             covered.face[slot] = wp.vec4(o[0], o[1], o[2], share)
-            covered.more[slot] = wp.vec3()
             even = share * (1.0 + m[0])
             u -= wp.dot(u, o) * o
             add_matrix(
@@ -276,7 +260,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
         pose: wp.array2d(dtype=wp.vec4),
         twist: wp.array2d(dtype=wp.vec4),
         centre: wp.array2d(dtype=wp.vec2),
-        kept: wp.array2d(dtype=wp.float32),
+        kept: wp.array(dtype=wp.float32),
         sums: wp.array3d(dtype=wp.int64),
         stopped: wp.array(dtype=wp.int32),
     ):
@@ -288,7 +272,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             place, slot, link, r, body = listed_cell(e, 0, i, covered, box, twist, centre)
             at = wp.vec3(float(place[0]), float(place[1]), float(place[2]))
             n = place[3]
-            leak = kept[e, link]
+            leak = kept[e]
             head = pose[e, link]
             lateral = wp.vec3(-head[3], head[2], 0.0)
             off = wp.dot(wp.vec3(at[0] - head[0], at[1] - head[1], 0.0), lateral)
@@ -296,7 +280,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             other = covered.back[slot][3]
             links = water_links(n, flags, box, other > 0.0, off, lateral)
             covered.links[slot] = links
-            covered.more[slot] = wp.vec3(leak, 0.0, 0.0)
+            covered.leak[slot] = leak
             face = covered.face[slot]
             o = wp.vec3(face[0], face[1], face[2])
             depth = face[3]
@@ -363,7 +347,7 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
             links = covered.links[slot]
             face = covered.face[slot]
             across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
-            leak = covered.more[slot][0]
+            leak = covered.leak[slot]
             out = emitted(p, links[0], face, covered.water[slot], across, leak)
             if links[1] != 0:
                 face = covered.back[slot]
@@ -374,4 +358,4 @@ def ghost_kernels(lattice: Lattice, storage: str, wide: bool) -> GhostKernels:
                         out[k] = beyond[k]
             store(f, n, j, t, box.total, out)
 
-    return GhostKernels(mark, shear, cover, emit)
+    return SimpleNamespace(mark=mark, shear=shear, cover=cover, emit=emit)

@@ -2,8 +2,6 @@
 
 import warp as wp
 
-from sim.fluid.wall import Touch
-
 RAMP = 1.0
 """Width in cells over which a cell's solid share falls from 1 to 0."""
 SHEET = 1.5
@@ -12,7 +10,7 @@ TIP = 1.0
 """For ghost cells, in cells: at a round end, sections with a smaller radius that are nearer to the
 end than this are not covered. Whether they contain the centre of a cell depends on the position on
 the grid: with them a spheroid four cells thick has a drag coefficient of -0.0004 to 0.0225, without
-them -0.003 to 0.001; it is 0 in ideal fluid (``sim.cases.spheroid``)."""
+them -0.003 to 0.001; it is 0 in ideal fluid (``benchmarks.validation``)."""
 
 
 @wp.func
@@ -72,70 +70,6 @@ def solid_share(signed_distance: float) -> float:
 
 
 @wp.func
-def axial_place(x: float, y: float, pose: wp.vec4, length: float):
-    """Distance back along a link's axis and to its left, that back within the link, and its share.
-
-    ``pose`` is the front end and the cosine and sine of the heading.
-    """
-    dx = x - pose[0]
-    dy = y - pose[1]
-    back = -(dx * pose[2] + dy * pose[3])
-    lateral = dy * pose[2] - dx * pose[3]
-    clamped = wp.clamp(back, 0.0, length)
-    s = float(0.0)
-    if length > 0.0:
-        s = clamped / length
-    return back, lateral, clamped, s
-
-
-@wp.func
-def side(
-    x: float,
-    y: float,
-    z: float,
-    pose: wp.vec4,
-    length: float,
-    width: wp.vec3,
-    height: wp.vec3,
-    touch: Touch,
-):
-    """Distance from a link's side, share of the cell within its outline, the side's area, normal.
-
-    The area is that over one cell of its height and one of its outline seen from above.
-
-    At each height the link extends half its thickness there to either side of its axis. Parts
-    thinner than the grid resolves are a sheet with the normals of its two sides, without the
-    pressure on a round edge, which ends where the link ends.
-    """
-    back, lateral, clamped, s = axial_place(x, y, pose, length)
-    w = along(width, s)
-    h = along(height, s)
-    up = wp.clamp(z, -wp.max(h - 0.5, 0.0), wp.max(h - 0.5, 0.0))
-    root = wp.sqrt(1.0 - up * up / (h * h))
-    blunt = wp.clamp(w - touch.thin, 0.0, 1.0)
-    over = back - clamped
-    off = wp.sqrt(lateral * lateral + blunt * over * over)
-    edge = blunt * touch.inset + (1.0 - blunt) * touch.edge
-    gap = off - wp.max(w * root - touch.inset, touch.thin)
-    within = wp.clamp(0.5 - (wp.abs(z) - h + edge), 0.0, 1.0)
-    within *= wp.clamp(0.5 - (wp.max(back - length, -back) - w + edge), 0.0, 1.0)
-    ahead = float(0.0)
-    sideways = float(1.0)
-    if off > 1.0e-4:
-        ahead = -blunt * over / off
-        sideways = lateral / off
-    if over == 0.0 and length > 0.0:
-        narrows = taper(width, s) * root + w * up * up * taper(height, s) / (h * h * h * root)
-        ahead += narrows / length
-    n = wp.vec3(
-        ahead * pose[2] - sideways * pose[3],
-        ahead * pose[3] + sideways * pose[2],
-        w * up / (h * h * root),
-    )
-    return gap, within, wp.length(n), wp.normalize(n)
-
-
-@wp.func
 def sealed(n: wp.vec3) -> float:
     """Half-thickness of a sheet with this normal through which no link of the lattice passes."""
     x = wp.abs(n[0])
@@ -174,7 +108,14 @@ def surface(
     its thickness is the least that is closed, its sides are parallel. Round ends of the chain stop
     at ``TIP``. The depth is 0 where the link is thick.
     """
-    back, lateral, clamped, s = axial_place(x, y, pose, length)
+    dx = x - pose[0]
+    dy = y - pose[1]
+    back = -(dx * pose[2] + dy * pose[3])
+    lateral = dy * pose[2] - dx * pose[3]
+    clamped = wp.clamp(back, 0.0, length)
+    s = float(0.0)
+    if length > 0.0:
+        s = clamped / length
     w = along(width, s)
     h = along(height, s)
     blunt = wp.clamp(w - wp.static(SHEET) + 2.0 * wp.clamp(1.5 - (h - w), 0.0, 1.0), 0.0, 1.0)

@@ -1,13 +1,12 @@
 """Wall models: water at a surface takes the body's velocity, or only its component across it.
 
 At the Reynolds numbers of swimming robots, 1e4 to 1e6, the boundary layer is millimetres thick,
-thinner than any affordable cell. A wall that sets the whole velocity (``NO_SLIP``) smears the layer
-over a cell: drag is then several times too large. ``SLIP`` sets only the velocity across the
-surface, by ghost cells inside the body, and adds the layer's friction as a stress along it, by a
-plate's friction line: a wall model in the sense of Malaspinas and Sagaut, J. Comput. Phys. 275
-(2014) 25. Where the layer is
-thicker than the cells, in creeping flow and the published cases at low Reynolds numbers, the water
-does not slip.
+thinner than any affordable cell. A wall that sets the whole velocity (``NO_SLIP``, ``coupling``)
+smears the layer over a cell: drag is then several times too large. ``SLIP`` sets only the velocity
+across the surface, by ghost cells inside the body (``ghost_coupling``), and adds the layer's
+friction as a stress along it, by a plate's friction line: a wall model in the sense of Malaspinas
+and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is thicker than the cells, in creeping
+flow and the published cases at low Reynolds numbers, the water does not slip.
 """
 
 from __future__ import annotations
@@ -17,26 +16,19 @@ from typing import Any
 
 import warp as wp
 
-from sim.lattice.units import WATER_M2_S, Units
+from sim.lattice.velocities import WATER_M2_S, Units
 from sim2real.errors import InputError
 
 LINES = ("none", "laminar", "turbulent")
 """Friction lines: 1.328 / sqrt(Re) is Blasius's, 0.075 / (log10 Re - 2)^2 that of ITTC 1957."""
-DEEP, INSET, THIN, EDGE = 0.5, 0.2, 0.5, 0.8
-"""In cells: depth below the surface from which the inner water moves with the body; distance by
-which thick sides are moved inwards; least half-thickness of a fin; distance by which its edges are
-moved inwards. A cell with a small solid share stops almost all flow across it: with these values a
-disc acts 0.1 cells too large, a plate 0.1 to 0.3
-(``benchmarks/wall_constants.py`` at commit b0b616a6)."""
-GHOST_EDGE = 0.5
-"""For ghost cells, in cells: distance by which the edges of a sheet are moved inwards. By its added
-mass a plate with this edge acts 0.6 to 1 cells too large at each edge
-(``reports/resolution``)."""
+EDGE = 0.5
+"""Distance in cells by which the edges of a sheet are moved inwards. By its added mass a plate with
+this edge acts 0.6 to 1 cells too large at each edge (``reports/resolution``)."""
 DAMPING = 0.015
 """Increase of the relaxation time of the cells next to ghost cells. With less a spheroid at rest in
 a stream has thrust and the flow can break down, with more it has drag in ideal fluid."""
 MEMORY = 40.0
-"""Steps over which the momentum that the inner water takes from the outer is averaged."""
+"""Steps over which the mass that passes a surface is averaged."""
 
 
 @wp.struct
@@ -44,21 +36,15 @@ class Touch:
     """Parameters of a wall model for the kernels; lengths in cells.
 
     Attributes:
-        slip: 1 where only the velocity across the surface is set, 0 where all of it is.
         line: Number of the friction line in ``LINES``.
         reynolds: Reynolds number of one cell per step over the body's length, in water.
         length: The body's length.
-        deep, inset, thin: ``DEEP``, ``INSET``, ``THIN``.
-        edge: ``EDGE``; with ghost cells ``Wall.edge``.
+        edge: ``Wall.edge``.
     """
 
-    slip: int
     line: int
     reynolds: float
     length: float
-    deep: float
-    inset: float
-    thin: float
     edge: float
 
 
@@ -67,46 +53,38 @@ class Wall:
     """Wall model of bodies.
 
     Attributes:
-        slip: Whether the water slips along the surface.
-        ghosts: Whether it slips by ghost cells (``ghost``), which exchange nothing along the
-            surface; else by forcing (``coupling``). With ghost cells added mass is right within 2 %
-            for a spheroid of 8 cells of thickness, friction is 0.84 to 0.95 of that of its line
-            with 2 to 8 cells, and both drag and friction fall with the length of the time step.
-            With forcing a slender body has thrust and too much added mass. ``reports/resolution``
-            and ``reports/real_fish.md`` show both walls.
+        slip: Whether the water slips along the surface, by ghost cells, which exchange nothing
+            along it. Added mass is then right within 2 % for a spheroid of 8 cells of thickness,
+            friction is 0.84 to 0.95 of that of its line with 2 to 8 cells, and both drag and
+            friction fall with the length of the time step (``reports/resolution``).
         line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
             ``surface_friction`` adds to it, link by link.
-        edge: Of ghost cells: distance in cells by which the edges of a sheet are moved inwards.
+        edge: Distance in cells by which the edges of a sheet are moved inwards where it slips.
 
     Raises:
-        InputError: If there is no such line, or ghost cells are asked for without slip.
+        InputError: If there is no such line.
     """
 
     slip: bool
     line: str = "none"
-    ghosts: bool = False
-    edge: float = GHOST_EDGE
+    edge: float = EDGE
 
     def __post_init__(self) -> None:
         if self.line not in LINES:
             raise InputError("wall", "line", repr(self.line), f"one of {', '.join(LINES)}")
-        if self.ghosts and not self.slip:
-            raise InputError("wall", "ghosts", "without slip", "slip=True")
 
     def touch(self, length_m: float, units: Units) -> Any:  # noqa: ANN401 - Warp has no stubs
         """The wall model for the kernels, for bodies of this length."""
         touch = Touch()
-        touch.slip, touch.line = int(self.slip), LINES.index(self.line)
+        touch.line, touch.edge = LINES.index(self.line), self.edge
         touch.reynolds = length_m * units.speed_m_s / WATER_M2_S
         touch.length = length_m / units.cell_m
-        touch.deep, touch.inset, touch.thin = DEEP, INSET, THIN
-        touch.edge = self.edge if self.ghosts else EDGE
         return touch
 
 
 NO_SLIP = Wall(slip=False)
 """Sets the whole velocity: for flows whose boundary layers the cells resolve."""
-SLIP = Wall(slip=True, line="turbulent", ghosts=True)
+SLIP = Wall(slip=True, line="turbulent")
 """For robots: the default of ``Swimmer``."""
 
 

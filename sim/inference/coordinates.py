@@ -9,30 +9,34 @@ carries the body with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sim.calibration.swim_parameters import Candidate, candidates
-from sim.inference import discrepancy
-from sim.inference.swims import Swim, with_values
+from sim.inference import signal_error
+from sim.inference.swim_parameters import (
+    Candidate,
+    candidates,
+    law_parameters,
+    servo_parameters,
+)
+from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, seen, with_values
+from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
-from sim2real.arrays import Array, Mask
-from sim2real.body import observed, values
+from sim2real.arrays import Array, Index, Mask
+from sim2real.body import values
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
-from sim2real.velocity import body_velocity
 
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
-"""Coefficients of the twin's law that are fitted to swims."""
-SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
+"""Coefficients of the twin's law that a diagnosis fits."""
 WATER = ("cells", "viscosity", "eddies", "friction", "box")
 """Variants of the fluid's settings (``in_water``)."""
 ERROR = "error"
-"""Prefix of columns that are shapes of the simulator's error (``discrepancy``)."""
+"""Prefix of columns that are shapes of the simulator's error (``signal_error``)."""
 DOUBT = "error.doubt"
 """Prefix of columns that are shapes of the error in the changes that effects make."""
 WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass", "appendage_drag")
@@ -41,8 +45,7 @@ too much drag of a law is corrected by its own coefficients. Other errors of a l
 them."""
 QUICK_S, SLOW_S = 0.12, 0.9
 """Relaxation times of the fast and the slow part of a viscoelastic skin."""
-_FOLLOWS = 1e4
-"""Gain from which a servo prescribes the joint's angle (``sim.twin.prescribed``)."""
+LATENCY, SUBSTEP_S = ".latency_s", CONTROL_S / SUBSTEPS
 _CURRENT = ("pool_current.u_m_s", "pool_current.v_m_s")
 _STIFF, _RELAX = "skin_viscoelasticity.stiffness_Nm_per_rad", "skin_viscoelasticity.relaxation_s"
 _PULL = ("tether.stiffness_N_per_m", "tether.x_m", "tether.y_m")
@@ -68,7 +71,7 @@ class Column:
 
     Attributes:
         name: Name of its parameter.
-        effect: The effect it belongs to, as ``(name, component)``; None for servos and law.
+        effect: The effect it belongs to, as ``(name, component)``; None for what every fit varies.
         nominal: Its value without missing effects.
         low, high: Its bounds.
         step: Step of derivatives.
@@ -81,7 +84,7 @@ class Column:
     low: float
     high: float
     step: float
-    prior_sd: float
+    prior_sd: float = np.inf
 
     @property
     def shown(self) -> bool:
@@ -106,58 +109,54 @@ class Coordinates:
         model: The servos, and the law where the model has one.
         columns: F of them.
         effects: Effects that may be missing.
-        place: Index of each column by name.
         seems: Apparent values in reference swims in which nothing is missing, shape (F,): the
             simulator's error (``learned``), which is added in simulations.
+        place: Index of each column by name.
     """
 
     model: Model
     columns: tuple[Column, ...]
-    effects: tuple[Candidate, ...]
-    place: Mapping[str, int] = field(default_factory=dict)
+    effects: tuple[Candidate, ...] = ()
     seems: Array | float = 0.0
+    place: Mapping[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Index the columns."""
+        object.__setattr__(self, "place", {c.name: k for k, c in enumerate(self.columns)})
 
     @classmethod
     def of(cls, robot: Robot, model: Model) -> Coordinates:
-        """The columns of a robot with these servos."""
-        columns = []
-        for joint in robot.joints:
-            servo = model.joints[joint.name]
-            for name in SERVO if servo.kp_Nm_per_rad < _FOLLOWS else ():
-                value = float(getattr(servo, name))
-                size = max(abs(value), 1e-3)
-                columns.append(
-                    Column(f"{joint.name}.{name}", None, value, 0.1 * size, 5 * size, 0.05 * size,
-                           np.inf)
-                )  # fmt: skip
-        law = Coefficients.of(model.body)
-        for name in LAW:
-            value = float(getattr(law, name))
-            size = max(abs(value), 0.1)
-            columns.append(
-                Column(f"twin.{name}", None, value, 0.0, 3 * size + 3, 0.1 * size, np.inf)
-            )
-        for name in WATER:
-            if name in model.body.get("water", {}):
-                columns.append(Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5, np.inf))
+        """The columns of a diagnosis of a robot with these servos."""
+        law = law_parameters(Coefficients.of(model.body), LAW)
+        columns = _base([*servo_parameters(model, robot, gains=True), *law])
+        columns += [
+            Column(f"water.{name}", None, 0.0, -4.0, 4.0, 0.5)
+            for name in WATER
+            if name in model.body.get("water", {})
+        ]
         listed = tuple(candidates(robot))
-        for effect in listed:
-            for p in effect.free:
-                limits = _limits(effect, p)
-                columns.append(Column(p.name, (effect.name, effect.component), 0.0, *limits))
-        for name in discrepancy.names(len(robot.joints)):
-            columns.append(Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0))
-        place = {column.name: k for k, column in enumerate(columns)}
-        return cls(model, tuple(columns), listed, place)
+        columns += [
+            Column(p.name, (effect.name, effect.component), 0.0, *_limits(effect, p))
+            for effect in listed
+            for p in effect.free
+        ]
+        columns += [
+            Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
+            for name in signal_error.names(len(robot.joints))
+        ]
+        return cls(model, tuple(columns), listed)
+
+    @classmethod
+    def of_parameters(cls, model: Model, free: Sequence[Parameter]) -> Coordinates:
+        """The columns of a calibration, which varies all of them."""
+        return cls(model, tuple(_base(free)))
 
     def doubting(self) -> Coordinates:
         """With columns for the error of the changes that effects make, which need no simulation."""
-        sizes = discrepancy.of_changes(len(self.model.joints))
+        sizes = signal_error.of_changes(len(self.model.joints))
         added = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in sizes]
-        columns = (*self.columns, *added)
         seems = np.append(np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(added)))
-        place = {column.name: k for k, column in enumerate(columns)}
-        return replace(self, columns=columns, place=place, seems=seems)
+        return replace(self, columns=(*self.columns, *added), seems=seems)
 
     def of_effect(self, effect: Candidate) -> list[int]:
         """Columns of an effect."""
@@ -165,34 +164,41 @@ class Coordinates:
 
     @property
     def base(self) -> list[int]:
-        """Columns of servos and law."""
-        return [k for k, column in enumerate(self.columns) if column.effect is None]
+        """Columns that every fit varies: servos and law."""
+        return [k for k, c in enumerate(self.columns) if c.effect is None]
+
+    def each(self, field: str) -> Array:
+        """One field of each column, shape (F,)."""
+        return np.array([getattr(c, field) for c in self.columns], dtype=np.float64)
 
     @property
     def nominal(self) -> Array:
         """Nominal values, shape (F,)."""
-        return np.array([column.nominal for column in self.columns])
+        return self.each("nominal")
+
+    def in_fit(self, members: frozenset[Candidate]) -> Mask:
+        """Whether a fit with these effects varies each column, shape (F,)."""
+        on = {(e.name, e.component) for e in members}
+        return np.array([c.effect is None or c.effect in on for c in self.columns])
 
     def clipped(self, x: Array) -> Array:
         """Points (..., F) within the bounds."""
-        low = np.array([column.low for column in self.columns])
-        return np.clip(x, low, [column.high for column in self.columns])
+        return np.clip(x, self.each("low"), self.each("high"))
 
     def room(self, x: Array) -> Array:
         """Distances from a point (F,) to the lower and upper bounds, shape (2, F)."""
-        low, high = (np.array([getattr(c, end) for c in self.columns]) for end in ("low", "high"))
-        return np.stack([low - x, high - x])
+        return np.stack([self.each("low") - x, self.each("high") - x])
 
     def parameters(self, x: Array) -> dict[str, float]:
         """Parameters by name at a point (F,), without those of effects whose columns are all 0."""
         out = {c.name: float(v) for c, v in zip(self.columns, x, strict=True)}
-        if _STIFF in out:
+        if _STIFF in out and _RELAX in self.place and self.effects:
             quick, slow = max(out[_STIFF], 0.0), max(out[_RELAX], 0.0)
             out[_STIFF] = quick + slow
             share = slow / (quick + slow) if quick + slow > 0 else 0.5
             out[_RELAX] = float(np.exp((1 - share) * np.log(QUICK_S) + share * np.log(SLOW_S)))
         for (size, *places), products in _PLACED.items():
-            for name in places if size in out else ():
+            for name in places if size in out and self.effects else ():
                 place = out[name] / out[size] if out[size] > products.least_size else 0.0
                 out[name] = float(np.clip(place, -10.0, 10.0))
         off = {
@@ -215,11 +221,10 @@ class Coordinates:
 
     def steps(self, x: Array) -> Array:
         """Steps of one-sided derivatives about a point (F,), within the bounds."""
-        step = np.array([column.step for column in self.columns])
-        high = np.array([column.high for column in self.columns])
-        return np.where(x + step > high, -step, step)
+        step = self.each("step")
+        return np.where(x + step > self.each("high"), -step, step)
 
-    def about(self, x: Array) -> tuple[Array, Array]:
+    def about(self, x: Array) -> tuple[Array, Index]:
         """Points (F + 1, F) for one-sided derivatives about x, and the base row of each, (F,).
 
         Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The place of an
@@ -235,7 +240,21 @@ class Coordinates:
                 for k in (self.place[place] for place in places):
                     points[k + 1, size] = points[size + 1, size]
                     base[k] = size + 1
-        return points, np.asarray(base, dtype=np.float64)
+        return points, base
+
+
+def _base(free: Sequence[Parameter]) -> list[Column]:
+    """Columns of what every fit varies.
+
+    Derivatives by a latency span a sub-step of the twin, at whose multiples errors have kinks.
+    """
+    return [
+        Column(
+            p.name, None, p.nominal, p.low, p.high,
+            max(p.typical / 4, SUBSTEP_S if p.name.endswith(LATENCY) else 0.0), p.prior_sd,
+        )
+        for p in free
+    ]  # fmt: skip
 
 
 def _limits(effect: Candidate, p: Parameter) -> tuple[float, float, float, float]:
@@ -252,10 +271,6 @@ def _limits(effect: Candidate, p: Parameter) -> tuple[float, float, float, float
     return low, p.high, 0.5 * p.typical, p.prior_sd
 
 
-SwimSimulator = Callable[[Sequence[Model], Swim], Array]
-"""From models (E) and a swim to tracks (E, T, 3 + J)."""
-
-
 def signals_at(
     coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator
 ) -> Array:
@@ -263,14 +278,16 @@ def signals_at(
 
     Points that differ only in camera effects and the current share a simulation.
     """
-    outer = [k for k, c in enumerate(coordinates.columns) if c.shown]
+    own = values(coordinates.model)
+    shown = [k for k, c in enumerate(coordinates.columns) if c.shown]
     points = points + coordinates.seems
     inner = points.copy()
-    inner[:, outer] = 0.0
+    inner[:, shown] = 0.0
     unique, inverse = np.unique(inner, axis=0, return_inverse=True)
-    models = [with_values(coordinates.model, coordinates.parameters(x)) for x in unique]
+    still = {name: 0.0 for name in _CURRENT if name in own}
+    models = [with_values(coordinates.model, coordinates.parameters(x) | still) for x in unique]
     track = simulate(models, swim)[inverse.reshape(-1)]
-    return _signals(track, [coordinates.parameters(x) for x in points], swim)
+    return _signals(track, [own | coordinates.parameters(x) for x in points], swim)
 
 
 def signals_of(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> Array:
@@ -292,26 +309,15 @@ def signals_of(models: Sequence[Model], swim: Swim, simulate: SwimSimulator) -> 
 
 def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim) -> Array:
     """Signals of tracks (E, T, 3 + J) simulated in still water: with current, camera and error."""
-    out = np.full((len(track), swim.t.size, track.shape[2]), np.nan)
-    heading = swim.heading
-    c, s = np.cos(heading), np.sin(heading)
-    finite = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
-    shown = np.array([observed(swim.t, track[e, :, :3], parameters[int(e)]) for e in finite])
-    out[finite, :, :3] = body_velocity(swim.t, shown.reshape(-1, swim.t.size, 3))
-    out[finite, :, 3:] = track[finite, :, 3:]
+    out = seen(swim.t, track, parameters)
     for e, by_name in enumerate(parameters):
         error_sizes = {n: v for n, v in by_name.items() if n.startswith(ERROR)}
         if error_sizes:
-            shapes = discrepancy.shapes(out[e])
+            shapes = signal_error.shapes(out[e])
             out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
     current = [[by_name.get(name, 0.0) for by_name in parameters] for name in _CURRENT]
     u, v = np.array(current)[..., None]
+    c, s = np.cos(swim.heading), np.sin(swim.heading)
     out[..., 0] += c * u + s * v
     out[..., 1] += c * v - s * u
     return out
-
-
-def in_fit(columns: Sequence[Column], members: frozenset[Candidate]) -> Mask:
-    """Whether a fit with these effects varies each column, shape (F,)."""
-    on = {(e.name, e.component) for e in members}
-    return np.array([c.effect is None or c.effect in on for c in columns])

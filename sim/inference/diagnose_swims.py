@@ -4,49 +4,107 @@ The search (``searched``) fits every effect of the catalogue together with servo
 the error of the twin counts as noise. An effect is reported if it predicts the end of each swim
 better when fitted to the beginning. Effects that imitate one another form a group. Where an unnamed
 shape (``unlisted``) fits better than all effects, the diagnosis abstains. Thresholds are in
-``law_error.json``. Where the search names nothing, without references, the mean speeds alone may
-state the drag area (``resistance``).
+``law_error.json``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from sim.calibration.swim_parameters import Candidate
-from sim.inference import poses
-from sim.inference.coordinates import SwimSimulator, signals_at, signals_of
-from sim.inference.law_error import LAW_ERROR, LawError
-from sim.inference.resistance import resistance, with_resistance
+from sim.inference.coordinates import signals_at
+from sim.inference.in_water import THREADS, resimulation, robot_in_water, water_of
+from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
-from sim.inference.swim_decision import decide
-from sim.inference.swim_findings import findings
-from sim.inference.swim_sets import rival_sets
-from sim.inference.swims import Swim
-from sim.inference.twin_search import Fit, TwinSwims
+from sim.inference.swim_decision import Decided, Name, Named, Names, Numbers, decide
+from sim.inference.swim_problem import Fit, repeated
+from sim.inference.swims import SIGNALS, Swim, SwimSimulator, swim_of
+from sim.inference.unlisted import SHAPES
+from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
-from sim2real.diagnose.result import Diagnosis, Estimate, NamedEffect, Rival, to_design
+from sim2real.diagnose.result import (
+    Diagnosis,
+    Estimate,
+    Mismatch,
+    NamedEffect,
+    Rival,
+    to_design,
+)
+from sim2real.diagnose.rival_sets import design_of, separations
+from sim2real.diagnose.swim_rivals import SwimRivals, SwimSet
 from sim2real.inference.selection import Hypothesis
 from sim2real.model import Model
-from sim2real.progress import Progress
+from sim2real.output import provenance
+from sim2real.progress import Progress, progress_bar
+from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 
+Resimulate = Callable[[Model], tuple[SwimSimulator, Model] | None]
+"""A function from a fitted model to a simulator corrected with it, ``in_water.resimulation``."""
 _SAMPLES = 400
 _REPEATED = 0.005
 _OUT_OF_PLANE = 3.0
 """Least misfit of surge or sway at the beat frequency that suggests motion out of the plane."""
-SHAPES = {
-    "wave": "an oscillating flow in the pool's frame, e.g. waves",
-    "gust": "a disturbance of the head for a few seconds, e.g. the wake of another swimmer",
-    "bend": "poses that follow a joint, e.g. a marker that is not on the head",
-    "mount": "a heading that drifts, e.g. a camera that turns",
-    "change": "a change of the robot during the swim",
-}
-"""Possible causes of each unnamed shape."""
+_IMPROVED = 0.8
+"""Ratio of errors after and before, below which a signal shows the mismatch."""
+
+
+def diagnose_recorded_swims(
+    recordings: Sequence[Recording],
+    model: Model,
+    robot: Robot,
+    *,
+    references: Sequence[Recording] = (),
+    in_water: Path | None = None,
+    device: str = "cpu",
+) -> Diagnosis:
+    """Diagnose swims in the twin or, with ``in_water``, relative to the fluid.
+
+    Other arguments are those of ``diagnose_swims``. ``in_water`` is the file of the fluid's
+    simulations, which are made where it does not exist; on a GPU as ``device`` the fluid simulates
+    the swims again with the effects that the first search found.
+
+    Raises:
+        InputError: If the file holds the simulations of other swims.
+    """
+    swims = [swim_of(recording, robot) for recording in recordings]
+    earlier = [swim_of(recording, robot) for recording in references]
+    law_error, again = LAW_ERROR, None
+    if in_water is not None:
+        water = water_of(in_water, robot, model, [*swims, *earlier], device)
+        law_error = read_law_error(IN_WATER)
+        if device != "cpu":
+            again = resimulation(
+                robot, water.of(model), swims, water, device=device, threads=THREADS
+            )
+    start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
+    with progress_bar("diagnose") as progress:
+        diagnosis = diagnose_swims(
+            swims, start, robot, simulate, references=earlier, law_error=law_error,
+            resimulate=again, progress=progress,
+        )  # fmt: skip
+    # what designed recordings were expected to tell, and what they showed
+    rivals = diagnosis.swim_rivals
+    assert rivals is not None
+    found = {one.effects: one.probability for one in rivals.sets}
+    told = separations(rivals.component, design_of(recordings, rivals.component), found)
+    # the search draws nothing at random, so that there is no seed
+    origin = provenance([*recordings, *references, in_water, robot, model], None)
+    return replace(diagnosis, separations=told, provenance=origin)
+
+
+def simulator_of(
+    robot: Robot, model: Model, in_water: Path | None = None, device: str = "cpu"
+) -> SwimSimulator | None:
+    """The simulator of a diagnosis, for plots; None where the fluid was simulated again."""
+    if in_water is not None and device != "cpu":
+        return None
+    return robot_in_water(robot, model, [in_water] if in_water else [])[1]
 
 
 def diagnose_swims(
@@ -57,7 +115,7 @@ def diagnose_swims(
     *,
     references: Sequence[Swim] = (),
     law_error: LawError = LAW_ERROR,
-    resimulate: Callable[[Model], tuple[SwimSimulator, Model] | None] = lambda result: None,
+    resimulate: Resimulate | None = None,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """Find the effects of body and camera that the simulator leaves out.
@@ -66,11 +124,11 @@ def diagnose_swims(
         swims: Pool recordings of one robot in one pool.
         model: The servos.
         robot: The robot.
-        simulate: The twin (``sim.inference.followed.by_followed_twin``).
+        simulate: The twin (``swims.by_followed_twin``).
         references: Swims of the same robot in which nothing is known to be missing.
         law_error: The twin's error and the thresholds.
         resimulate: Function from the likely model of the first search to a simulator for a second
-            one and the model that it is exact for, or None (``in_water.resimulation``).
+            one and the model that it is exact for, or None.
         progress: Called with the share that is done.
 
     Returns:
@@ -78,35 +136,23 @@ def diagnose_swims(
     """
     prior = learned(references, model, robot, simulate, law_error)
     result = searched(swims, model, robot, simulate, prior, progress)
-    resimulated = resimulate(likely_model(result, law_error, referred=bool(references)))
-    if resimulated is not None:
-        result = searched(swims, model, robot, resimulated[0], prior, simulated=resimulated[1])
-    diagnosis = diagnosis_of(result, robot, law_error, referred=bool(references))
-    if references or any(e.probability >= law_error.decisions["likely"] for e in diagnosis.effects):
-        return diagnosis
-    lacking = resistance(
-        swims, model, robot, lambda models, swim: signals_of(models, swim, simulate)
-    )
-    return with_resistance(diagnosis, lacking, law_error.decisions)
+    again = None
+    if resimulate is not None:
+        again = resimulate(likely_model(result, law_error, referred=bool(references)))
+    if again is not None:
+        result = searched(swims, model, robot, again[0], prior, simulated=again[1])
+    return diagnosis_of(result, robot, law_error, referred=bool(references))
 
 
 def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Model:
     """The fitted model with the likely effects, for another simulation in the fluid.
 
-    Args:
-        result: The result of the search.
-        law_error: The twin's error and the thresholds.
-        referred: Whether there were reference swims.
+    ``referred`` is whether there were reference swims.
     """
-    decided = decide(raw(result, referred=referred), law_error.decisions)
-    likely = {
-        effect.name
-        for effect in decided.named
-        if effect.probability >= law_error.decisions["likely"]
-    }
-    fit = next(
-        hypothesis.fit for hypothesis in result.found if set(names_of(hypothesis.members)) == likely
-    )
+    numbers = law_error.decisions
+    named = decide(raw(result, referred=referred), numbers).named
+    likely = {effect.name for effect in named if effect.probability >= numbers["likely"]}
+    fit = next(h.fit for h in result.found if set(names_of(h.members)) == likely)
     return result.problem.coordinates.model_at(fit.x)
 
 
@@ -115,135 +161,205 @@ def diagnosis_of(
 ) -> Diagnosis:
     """The diagnosis from the result of a search: probabilities, verdict and statements.
 
-    Args:
-        result: The result of the search.
-        robot: The robot.
-        law_error: The twin's error and the thresholds.
-        referred: Whether there were reference swims.
+    ``referred`` is whether there were reference swims.
     """
-    decided = decide(raw(result, referred=referred), law_error.decisions)
-    problem, c = result.problem, result.problem.coordinates
+    numbers = law_error.decisions
+    decided = decide(raw(result, referred=referred), numbers)
+    c = result.problem.coordinates
     chosen = next(h for h in result.found if frozenset(names_of(h.members)) == decided.offered)
-    fitted = next(
-        h for h in result.found
-        if frozenset(names_of(h.members)) >= {entry.name for entry in decided.named}
-    )  # fmt: skip
     pair = (result.plain, chosen)
     held_out = [result.held[entry.members] for entry in pair]
-    errors = [_errors(problem, entry.fit) for entry in held_out]
-    before, after = (entry.speed for entry in held_out)
-    named = []
-    for entry in decided.named:
-        effect = next(e for e in c.effects if (e.name, e.component) == entry.name)
-        parameters = _estimates(result, fitted, effect, law_error.decisions["relative"])
-        sizes = ", ".join(
-            f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
-        )
-        described = body_effect(effect.name)
-        where = material_note(effect.name, effect.component)
-        others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
-        or_else = f" These swims do not distinguish it from {others}." if others else ""
-        title = f"{described.title[0].upper()}{described.title[1:]}"
-        named.append(
-            NamedEffect(
-                effect=effect.name,
-                component=effect.component,
-                probability=entry.probability,
-                group=tuple(dict.fromkeys(name for name, _ in entry.group)),
-                parameters=parameters,
-                heldout={
-                    "rmse_before": before, "rmse_after": after, "recoverable_removed": None,
-                },
-                baseline_shift={
-                    c.columns[k].name: float(chosen.fit.x[k] - result.plain.fit.x[k])
-                    for k in c.base
-                },
-                statement=f"{title}{where}: {sizes}.{or_else}",
-            )
-        )  # fmt: skip
-    rivals = [Rival(name, of, p) for (name, of), p in decided.rivals[:5]]
-    corrected = "" if "water" not in c.model.body else ", corrected by simulations in the fluid"
-    gate = [
-        f"The swims were simulated in the reduced-order twin{corrected}; the error of the twin "
-        "counts as noise (reports/pool_diagnosis)."
+    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    train, held = np.stack([_errors(result, entry.fit) for entry in held_out], axis=1)
+    noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)
+    shift = {c.columns[k].name: float(chosen.fit.x[k] - result.plain.fit.x[k]) for k in c.base}
+    speed = {"rmse_before": held_out[0].speed, "rmse_after": held_out[1].speed}
+    parts = [np.stack(both, axis=1).tolist() for both in zip(train, held, strict=True)]
+    figures = [
+        {n: {"train": a, "heldout": b} for n, (a, b) in zip(names, part, strict=True)}
+        for part in parts
     ]
-    if not referred:
-        gate.append(
-            "There are no reference swims in which nothing is missing. Drag, friction and added "
-            "mass that this robot always has, and errors of the twin for its shape, cannot be "
-            "distinguished from missing effects."
-        )
-    likely = law_error.decisions["likely"]
-    if decided.unlisted >= likely:
-        gate.append(
-            f"An effect is likely that the catalogue lacks: {SHAPES[decided.shape.split()[0]]}."
-        )
-    sideways, turn = float(result.misfit[:2, 1].max()), float(result.misfit[2, 1])
-    if decided.unlisted >= likely and sideways > _OUT_OF_PLANE and sideways > 1.5 * turn:
-        gate.append(
-            f"The residual is mainly the head's sideways motion at the tail beat ({sideways:.0f} "
-            f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
-            "heaves looks like this to an overhead camera; a planar model cannot follow it."
-        )
-    repeated = poses.repeated(problem.swims)
-    if repeated > _REPEATED:
-        gate.append(
-            f"{100 * repeated:.0f} % of the poses equal the one before: the camera lost frames."
-        )
-    train, held = (np.stack([part[k] for part in errors]) for k in (0, 1))
-    noise = np.mean([np.broadcast_to(s.noise, s.signals.shape[1]) for s in problem.swims], axis=0)
-    plain_model, model = (c.model_at(entry.fit.x) for entry in pair)
-    diagnosis = findings(
-        robot, decided.verdict, named, rivals, train, held, noise, gate[0], model, plain_model
-    )
-    return replace(
-        diagnosis,
-        gate=tuple(gate),
+    shares = 1 - (held[1] / held[0]) ** 2
+    return Diagnosis(
+        verdict=decided.verdict,
+        mismatch=tuple(
+            Mismatch(
+                names[k], "body", float(held[0, k]), float(noise[k]), float(shares[k]), {}, where=""
+            )
+            for k in range(len(SIGNALS))
+            if decided.named and held[1, k] < _IMPROVED * held[0, k]
+        ),
+        effects=tuple(
+            _named(result, decided, entry, numbers, speed, shift) for entry in decided.named
+        ),
+        rivals=tuple(Rival(name, of, p) for (name, of), p in decided.rivals[:5]),
         unknown={"body": decided.unlisted},
+        baseline_fit=figures[0],
+        enriched_fit=figures[1],
+        model=c.model_at(chosen.fit.x),
+        baseline=c.model_at(result.plain.fit.x),
         next_experiment=to_design(
             ("body", [name for name, _ in entry.group])
             for entry in decided.named
-            if entry.probability >= likely
+            if entry.probability >= numbers["likely"]
         ),
-        swim_rivals=rival_sets(result, decided.sets, law_error.decisions),
+        gate=tuple(_remarks(result, decided, numbers["likely"], referred=referred)),
+        swim_rivals=_rival_sets(result, decided.sets, numbers),
     )
 
 
-def _errors(problem: TwinSwims, fit: Fit) -> tuple[Array, Array]:
+def _errors(result: Searched, fit: Fit) -> tuple[Array, Array]:
     """Root mean square errors of each signal in the first and the last part of the swims."""
     parts: tuple[list[Array], list[Array]] = ([], [])
+    problem = result.problem
     for swim in problem.swims:
         (signals,) = signals_at(problem.coordinates, swim, fit.x[None], problem.simulate)
         cut = round(swim.t.size * (1 - HELD_OUT))
-        error = signals - swim.signals
-        parts[0].append(error[:cut])
-        parts[1].append(error[cut:])
+        for part, error in zip(parts, np.split(signals - swim.signals, [cut]), strict=True):
+            part.append(error)
     train, held = (np.sqrt(np.nanmean(np.concatenate(p) ** 2, axis=0)) for p in parts)
     return train, held
 
 
+def _named(
+    result: Searched,
+    decided: Decided,
+    entry: Named,
+    numbers: Numbers,
+    speed: dict[str, float],
+    shift: dict[str, float],
+) -> NamedEffect:
+    """A reported effect with its estimates, which are those of all reported effects together."""
+    all_names = {named.name for named in decided.named}
+    fitted = next(h for h in result.found if frozenset(names_of(h.members)) >= all_names)
+    parameters = _estimates(result, fitted, entry.name, numbers["relative"])
+    sizes = ", ".join(
+        f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
+    )
+    effect, component = entry.name
+    where = material_note(effect, component)
+    others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
+    or_else = f" These swims do not distinguish it from {others}." if others else ""
+    title = body_effect(effect).title
+    return NamedEffect(
+        effect=effect,
+        component=component,
+        probability=entry.probability,
+        group=tuple(dict.fromkeys(name for name, _ in entry.group)),
+        parameters=parameters,
+        heldout={**speed, "recoverable_removed": None},
+        baseline_shift=shift,
+        statement=f"{title[0].upper()}{title[1:]}{where}: {sizes}.{or_else}",
+    )
+
+
 def _estimates(
-    result: Searched, chosen: Hypothesis[Fit], effect: Candidate, relative: float
+    result: Searched, fitted: Hypothesis[Fit], name: Name, relative: float
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, by sampling: they are nonlinear in the coordinates.
 
     ``relative`` is the relative standard deviation of an effect's size due to the twin's error.
     """
-    problem, c = result.problem, result.problem.coordinates
+    problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
+    effect = next(e for e in c.effects if (e.name, e.component) == name)
     columns = c.of_effect(effect)
-    covariance = problem.covariance(chosen.members, chosen.fit.near)[np.ix_(columns, columns)]
-    covariance = covariance + np.diag(np.square(problem.prior.imitation[columns]))
-    covariance = covariance + np.diag(np.square(relative * chosen.fit.x[columns]))
+    covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(columns, columns)]
+    spread = np.square(problem.prior.imitation[columns]) + np.square(relative * x[columns])
     rng = np.random.default_rng(0)
-    samples = np.tile(chosen.fit.x, (_SAMPLES, 1))
-    samples[:, columns] = rng.multivariate_normal(chosen.fit.x[columns], covariance, _SAMPLES)
+    samples = np.tile(x, (_SAMPLES, 1))
+    drawn = rng.multivariate_normal(x[columns], covariance + np.diag(spread), _SAMPLES)
+    samples[:, columns] = drawn
     samples = c.clipped(samples)
-    samples[0] = chosen.fit.x
-    parameters = [c.parameters(x) for x in samples]
+    samples[0] = x
+    parameters = [c.parameters(sample) for sample in samples]
     out = {}
     for p in effect.free:
         values = np.array([by_name.get(p.name, 0.0) for by_name in parameters])
         low, high = np.quantile(values, (0.05, 0.95))
-        mean, sd = float(values[0]), float(values.std())
-        out[p.name.rpartition(".")[2]] = Estimate(mean, sd, float(low), float(high))
+        out[p.name.rpartition(".")[2]] = Estimate(
+            float(values[0]), float(values.std()), float(low), float(high)
+        )
     return out
+
+
+def _remarks(result: Searched, decided: Decided, likely: float, *, referred: bool) -> Iterator[str]:
+    """Sentences on the simulator, the references, what is unlisted, and the camera."""
+    water = "water" in result.problem.coordinates.model.body
+    corrected = ", corrected by simulations in the fluid" if water else ""
+    yield (
+        f"The swims were simulated in the reduced-order twin{corrected}; the error of the twin "
+        "counts as noise (reports/pool_diagnosis)."
+    )
+    if not referred:
+        yield (
+            "There are no reference swims in which nothing is missing. Drag, friction and added "
+            "mass that this robot always has, and errors of the twin for its shape, cannot be "
+            "distinguished from missing effects."
+        )
+    if decided.unlisted >= likely:
+        cause = SHAPES[decided.shape.split()[0]]
+        yield f"An effect is likely that the catalogue lacks: {cause}."
+    sideways, turn = float(result.misfit[:2, 1].max()), float(result.misfit[2, 1])
+    if decided.unlisted >= likely and sideways > _OUT_OF_PLANE and sideways > 1.5 * turn:
+        yield (
+            f"The residual is mainly the head's sideways motion at the tail beat ({sideways:.0f} "
+            f"times the usual one), more than its turning ({turn:.0f}). A body that rolls or "
+            "heaves looks like this to an overhead camera; a planar model cannot follow it."
+        )
+    lost = repeated(result.problem.swims)
+    if lost > _REPEATED:
+        yield f"{100 * lost:.0f} % of the poses equal the one before: the camera lost frames."
+
+
+def _rival_sets(
+    result: Searched, probability: Mapping[Names, float], numbers: Numbers
+) -> SwimRivals:
+    """The sets of effects that may be present, given the swims."""
+    problem = result.problem
+    fits = {frozenset(names_of(h.members)): h for h in result.found}
+    chosen = _representatives(probability)
+    total = sum(probability[names] for names in chosen)
+    noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
+    columns = problem.coordinates.columns
+    imitation = zip(columns, problem.prior.imitation.tolist(), strict=True)
+    return SwimRivals(
+        component="body",
+        period_s=CONTROL_S,
+        pose_sd=np.mean([n.sd for n in noises], axis=0) if noises else np.zeros(3),
+        pose_lag_s=noises[0].lag_s if noises else 0.0,
+        joint_sd_rad=np.mean([swim.noise_sd[3:] for swim in problem.swims], axis=0),
+        shares=problem.prior.shares,
+        imitation={c.name: sd for c, sd in imitation},
+        relative=numbers["relative"],
+        temperature=numbers["temperature"],
+        sets=tuple(_set(result, fits[names], probability[names] / total) for names in chosen),
+    )
+
+
+def _representatives(
+    probability: Mapping[Names, float], *, most: int = 10, least: float = 0.02
+) -> list[Names]:
+    """The most probable sets, then those that have an effect that no earlier one has."""
+    ranked = sorted(probability, key=lambda names: -probability[names])
+    out = [names for names in ranked if probability[names] > least][:most]
+    for names in ranked:
+        if len(out) < most and names not in out and not frozenset().union(*out).issuperset(names):
+            out.append(names)
+    return out
+
+
+def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> SwimSet:
+    """A set with its parameters and their precision."""
+    c = result.problem.coordinates
+    free = np.flatnonzero(c.in_fit(hypothesis.members))
+    covariance = result.problem.covariance(hypothesis.members, hypothesis.fit)
+    return SwimSet(
+        effects=tuple(
+            f"{effect}.{component}" if body_effect(effect).by_material else effect
+            for effect, component in names_of(hypothesis.members)
+        ),
+        probability=float(probability),
+        coordinates={c.columns[k].name: float(hypothesis.fit.x[k]) for k in free},
+        information=np.asarray(np.linalg.inv(covariance[np.ix_(free, free)])),
+    )

@@ -19,22 +19,27 @@ from typing import Any
 
 import numpy as np
 
-from sim.calibration.emulator import path_of, steps_of
 from sim.fluid.wall import SLIP
-from sim.inference.coordinates import WATER, Coordinates, SwimSimulator
-from sim.inference.followed import by_followed_twin
+from sim.inference.coordinates import WATER, Coordinates
 from sim.inference.searched import learned
-from sim.inference.swims import Swim, with_values
-from sim.inference.twin_search import TwinSwims
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import (
+    Swim,
+    SwimSimulator,
+    by_followed_twin,
+    path_of,
+    steps_of,
+    with_values,
+)
 from sim.robot.swimmer import CONTROL_S, SMAGORINSKY, Swimmer
 from sim.twin.law import Coefficients
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.model import Model
-from sim2real.output import write_whole
+from sim2real.output import check_writable, write_whole
 from sim2real.robot import Robot
+from sim2real.structured import read_arrays
 from sim2real.velocity import body_velocity
 
 CELL_M = 0.012
@@ -45,16 +50,14 @@ VISCOSITY_M2_S = 5e-5
 """Viscosity away from the wall: about the smallest that is stable in the cells of the variants."""
 COARSE = 1.25
 """Side of a cell in the variants, relative to that of the first simulation."""
-VARIANTS: Mapping[str, Mapping[str, Any]] = dict(
-    zip(
-        WATER,
-        ({}, {"viscosity": 2.5}, {"smagorinsky": 0.75}, {"line": "laminar"}, {"box": 0.85}),
-        strict=True,
-    )
-)
+_SETTINGS: tuple[dict[str, Any], ...] = (
+    {}, {"viscosity": 2.5}, {"smagorinsky": 0.75}, {"line": "laminar"}, {"box": 0.85},
+)  # fmt: skip
+VARIANTS: Mapping[str, Mapping[str, Any]] = dict(zip(WATER, _SETTINGS, strict=True))
 """Variants of the fluid, in larger cells: viscosity, sub-grid constant and box relative to those of
 the first, and the friction line of a laminar boundary layer: the place of transition is unknown."""
-
+THREADS = 2
+"""CPU threads of the fluid in a diagnosis."""
 RESIMULATED = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
     "trim_asymmetry", "appendage_",
@@ -99,37 +102,27 @@ def simulate_in_water(
     cell_m: float = CELL_M,
     device: str = "cpu",
     variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
-    box_m: tuple[float, float, float] = BOX_M,
     threads: int = 1,
 ) -> InWater:
     """Simulate the commands of swims in the fluid, in one batch.
 
-    Args:
-        robot: The robot.
-        model: Its servos, identified on a bench; one model for all swims, or one for each.
-        swims: Recordings whose commands and initial poses are used: speed in a box of cells depends
-            on the heading by some percent. Their measurements are not used.
-        cell_m: Side of a cell.
-        device: Warp device.
-        variants: Variants of the fluid.
-        box_m: Size of a box.
-        threads: CPU threads.
+    Of the swims commands and initial poses are used: speed in a box of cells depends on the heading
+    by some percent. ``model`` is one for all swims, or one for each.
     """
-    longest = max((swim.command for swim in swims), key=len)
-    rows = [np.pad(s.command, ((0, len(longest) - len(s.command)), (0, 0)), "edge") for s in swims]
-    commands = np.stack(rows, axis=1)
+    longest = max(len(swim.command) for swim in swims)
+    padded = [np.pad(s.command, ((0, longest - len(s.command)), (0, 0)), "edge") for s in swims]
     waters = []
     for side, settings in ((1.0, {}), *((COARSE, variant) for variant in variants.values())):
         swimmer = Swimmer(
             robot, model, n_envs=len(swims), cell_m=side * cell_m, device=device,
-            box_m=tuple(settings.get("box", 1.0) * side_m for side_m in box_m),
+            box_m=tuple(settings.get("box", 1.0) * side_m for side_m in BOX_M),
             viscosity_m2_s=VISCOSITY_M2_S * settings.get("viscosity", 1.0),
             smagorinsky=SMAGORINSKY * settings.get("smagorinsky", 1.0), threads=threads,
             wall=replace(SLIP, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
         swimmer.reset(pose=np.array([swim.start for swim in swims]))
         track = []
-        for row in [None, *commands[:-1]]:
+        for row in [None, *np.stack(padded, axis=1)[:-1]]:
             if row is not None:
                 swimmer.step(row)
             state = swimmer.state()
@@ -156,14 +149,10 @@ def simulate_again(
     water: InWater,
     **options: Any,  # noqa: ANN401
 ) -> InWater:
-    """Simulate swims again, with the effects that were found in each.
+    """Simulate swims again, with the effects that were found in each (``with_fluid_effects``).
 
-    Args:
-        robot: The robot.
-        models: One for each swim, from ``with_fluid_effects``.
-        swims: Recordings whose commands are used.
-        water: Earlier simulations; their differences between variants are kept.
-        options: Options of ``simulate_in_water``.
+    The differences between variants are those of the earlier simulations, ``water``; ``options``
+    are those of ``simulate_in_water``.
     """
     again = simulate_in_water(robot, models, swims, variants={}, **options).steps
     steps = {k: np.concatenate([first[:1], water.steps[k][1:]]) for k, first in again.items()}
@@ -180,14 +169,8 @@ def resimulation(
     """A function that simulates swims in the fluid again, with the effects of a fitted model.
 
     It returns the simulator corrected by these simulations and the model that they used; None where
-    no effect of the fitted model can be simulated.
-
-    Args:
-        robot: The robot.
-        model: The model from ``InWater.of``.
-        swims: Recordings whose commands are used.
-        water: Earlier simulations.
-        options: Options of ``simulate_in_water``.
+    no effect of the fitted model can be simulated. ``model`` is that from ``InWater.of``, other
+    arguments are those of ``simulate_again``.
     """
 
     def simulate(fitted: Model) -> tuple[SwimSimulator, Model] | None:
@@ -200,28 +183,18 @@ def resimulation(
     return simulate
 
 
-def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any) -> InWater:  # noqa: ANN401, D417
-    """The simulations with coefficients of the twin's law fitted to them.
-
-    Args:
-        robot: The robot.
-        model: The servos of these simulations.
-        water: The simulations; the first two swims are used.
-    """
-    swims = []
+def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any) -> InWater:  # noqa: ANN401
+    """The simulations with coefficients of the law of a twin (with ``options``) fitted to two."""
+    swims, joints = [], len(robot.joints)
     for number, (identifier, steps) in enumerate(list(water.steps.items())[:2]):
-        rows = np.frombuffer(identifier, np.float32)[:-1].reshape(-1, len(robot.joints))
-        command = rows.astype(np.float64)
-        ways = steps[:1].copy()
-        ways[..., :3] *= CONTROL_S
-        track = path_of(ways, np.zeros(3), np.zeros(len(robot.joints)))[0]
+        command = np.frombuffer(identifier, np.float32)[:-1].reshape(-1, joints).astype(np.float64)
+        (track,) = path_of(_displacements(steps[:1]), np.zeros(3), np.zeros(joints))
         t: Array = CONTROL_S * np.arange(len(command), dtype=np.float64)
         signals = np.concatenate([body_velocity(t, track[:, :3]), track[:, 3:]], axis=1)
         swims.append(Swim(f"water {number}", t, command, np.zeros(3), signals, pose=track[:, :3]))
-    problem = TwinSwims(
-        Coordinates.of(robot, model), swims, by_followed_twin(robot, **options),
-        learned([], model, robot, by_followed_twin(robot)),
-    )  # fmt: skip
+    twin = by_followed_twin(robot, **options)
+    prior = learned([], model, robot, twin)
+    problem = SwimProblem(Coordinates.of(robot, model), swims, twin, prior)
     parameters = problem.coordinates.parameters(problem.plain().fit.x)
     law = vars(Coefficients.of(model.body)) | {
         name.removeprefix("twin."): v for name, v in parameters.items() if name.startswith("twin.")
@@ -229,13 +202,15 @@ def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any)
     return replace(water, law=law)
 
 
-def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any) -> SwimSimulator:  # noqa: ANN401, D417
-    """The twin (with ``options``), corrected by simulations in the fluid.
+def _displacements(velocities: Array) -> Array:
+    """``InWater.steps`` as ``steps_of``."""
+    return np.concatenate([velocities[..., :3] * CONTROL_S, velocities[..., 3:]], axis=-1)
 
-    Args:
-        robot: The robot.
-        model: The model of these simulations, with ``body.twin`` fitted to them.
-        water: The simulations.
+
+def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any) -> SwimSimulator:  # noqa: ANN401
+    """The twin (with ``options``), corrected by simulations in the fluid of a model.
+
+    The law of the model, ``body.twin``, is that fitted to these simulations.
     """
     twin = by_followed_twin(robot, **options)
     of_twin: dict[bytes, Array] = {}
@@ -254,8 +229,7 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
         start = key(swim) + swim.start.tobytes()
         if start not in of_twin:
             of_twin[start] = steps_of(twin([model], swim))[0]
-        fluid = simulated.copy()
-        fluid[..., :3] *= CONTROL_S
+        fluid = _displacements(simulated)
         waters = [candidate.body.get("water", {}) for candidate in models]
         share = np.array([[shares.get(name, 0.0) for name in water.names] for shares in waters])
         steps = steps_of(track) + (fluid[0] - of_twin[start])
@@ -273,17 +247,32 @@ def robot_in_water(
 ) -> tuple[Model, SwimSimulator]:
     """A model and a simulator corrected by simulations in the fluid; without files, the twin alone.
 
-    Args:
-        robot: The robot.
-        model: The servos of these simulations.
-        files: Files by ``write_water``; the law is taken from the first.
-        options: Options of the twin.
+    The files are by ``write_water``; the law is taken from the first. ``options`` are the twin's.
     """
     if not files:
         return model, by_followed_twin(robot, **options)
     water = read_water_swims(*files)
     model = water.of(model)
     return model, by_twin_in_water(robot, model, water, **options)
+
+
+def water_of(path: Path, robot: Robot, model: Model, swims: Sequence[Swim], device: str) -> InWater:
+    """The fluid's simulations of these swims in a file, made where there is none.
+
+    Raises:
+        InputError: If the file holds the simulations of other swims.
+    """
+    if not path.exists():
+        check_writable(path)
+        print(f"the fluid simulates {len(swims)} swims with {1 + len(VARIANTS)} sets of settings")
+        simulations = simulate_in_water(robot, model, swims, device=device, threads=THREADS)
+        write_water(path, with_nearest_law(robot, model, simulations))
+    water = read_water_swims(path)
+    for swim in swims:
+        if key(swim) not in water.steps:
+            found = f"no simulation of the commands of {swim.name}"
+            raise InputError(path, "commands", found, "one of every swim")
+    return water
 
 
 def write_water(path: Path, water: InWater) -> None:

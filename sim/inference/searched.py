@@ -1,29 +1,25 @@
 """Search for the effects that are missing in swims, before probabilities are computed.
 
-The search is ``sim2real.inference.selection`` on the problem of ``twin_search``: every effect of
-the catalogue is fitted together with servos and force law, and the error of the twin counts as
-noise. An effect is reported if it predicts the end of each swim better when fitted to the
-beginning. Effects that imitate one another form a group. Where an unnamed shape (``unlisted``) fits
-better than all effects, the diagnosis abstains. Thresholds are in ``law_error.json``.
+The search is ``sim2real.inference.selection``: every effect of the catalogue is fitted together
+with servos and force law. One batch of rollouts predicts the gain of every effect near a fit
+(``SwimSearch.look``), and the most promising are fitted. Thresholds are in ``law_error.json``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.calibration.swim_parameters import Candidate
-from sim.inference import poses
-from sim.inference.coordinates import Coordinates, SwimSimulator, signals_of
-from sim.inference.discrepancy import SHARE
+from sim.inference.coordinates import Coordinates, signals_of
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
-from sim.inference.linear_fit import together
-from sim.inference.swims import Swim
-from sim.inference.twin_search import Fit, SwimPrior, TwinSwims
+from sim.inference.signal_error import SHARE
+from sim.inference.swim_parameters import Candidate
+from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem, repeated
+from sim.inference.swims import Swim, SwimSimulator
 from sim.inference.unlisted import gains
 from sim2real.arrays import Array
 from sim2real.body import listed, values
@@ -32,18 +28,22 @@ from sim2real.model import Model
 from sim2real.progress import Progress
 from sim2real.robot import Robot
 
+FIRST = 8
+"""Number of single effects that are refitted, those with the largest predicted evidence."""
 MOST = 2
 """Largest number of effects of a set, lost frames not counted."""
 COST = 3.422
 """Log-evidence that an effect must gain in the search; probabilities are computed later."""
 HELD_OUT = 0.3
 """Share of each swim, at its end, on which predictions are compared."""
+_JUMPS = (-2.0, 2.0, 6.0)
+"""Sizes of an effect that a fit may start from, in steps of its derivative."""
+_CONVERGED = 0.7
+"""Change of the loss by new derivatives below which a fit has converged."""
 _ERROR_LIMITS = (0.5, 6.0)
 """Limits of the mean square error of the twin for one robot, relative to the usual one."""
 _SCALES = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 """Scales of the variation between swims of a robot that are compared."""
-_ROUNDS = 1
-"""Times that the common part of the error is estimated again, linearised anew."""
 _RIVALS = 4
 _DOUBTFUL = 3.0
 """Log-evidence above which an error of a strong effect counts as noise."""
@@ -51,28 +51,100 @@ _CLOSE = 10.0
 """Log-evidence within which a rival is fitted to convergence, as the best set is."""
 
 
-@dataclass(frozen=True)
-class TriedSet:
-    """Result of one set of effects, as decisions use it.
+class SwimSearch(SwimProblem):
+    """Swims of one robot as a problem of ``sim2real.inference.selection``."""
 
-    Attributes:
-        names: Effects as ``(name, component)``.
-        evidence: Log-evidence relative to that without effects, before any cost.
-        settled: Whether its fit converged.
-    """
+    def look(self, places: Sequence[tuple[Ledger[Fit], Members]]) -> None:
+        """Linearise the fits of these sets, and continue them."""
+        for ledger, members in places:
+            hypothesis = ledger.tried[members]
+            if not hypothesis.fit.local:
+                refined = self.refined(members, hypothesis.fit)
+                ledger.tried[members] = replace(refined, fit=replace(refined.fit, local=True))
 
-    names: tuple[tuple[str, str], ...]
-    evidence: float
-    settled: bool
+    def additions(
+        self, ledger: Ledger[Fit], members: Members, most: int | None
+    ) -> Sequence[tuple[Hashable, Fit]]:
+        """Effects with the largest predicted evidence when added to a set, by its linear model."""
+        fits = [ledger.tried[members].fit, *([] if members else self._first_fits)]
+        promise: dict[Candidate, float] = {}
+        for effect in self.coordinates.effects:
+            if effect not in members:
+                more = members | {effect}
+                promise[effect] = max(self.evidence(more, self.linear(more, fit)) for fit in fits)
+        order = sorted(promise, key=lambda effect: -promise[effect])
+        return [(effect, fits[0]) for effect in order[: most or FIRST]]
+
+    @property
+    def _first_fits(self) -> list[Fit]:
+        """Another start of single effects: a law adapted to swims that have it is a bad one."""
+        return [] if self.first_fit is None else [self.first_fit]
+
+    def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
+        """The best fit, with the columns of effects outside ``members`` reset."""
+        best = ledger.best
+        keep = self.coordinates.in_fit(members)
+        x = np.where(keep, best.fit.x, self.coordinates.nominal)
+        return replace(best.fit, x=x, rows=self.rows(x[None])[0])
+
+    def refit(self, jobs: Sequence[tuple[Ledger[Fit], Members, Fit]]) -> list[Hypothesis[Fit]]:
+        """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
+        initial = [(members, fit) for _, members, fit in jobs]
+        singles = [members for _, members, _ in jobs if len(members) == 1]
+        initial += [(members, fit) for members in singles for fit in self._first_fits]
+        initial = self._with_other_sizes(initial)
+        best: dict[Members, Fit] = {}
+        for (members, _), fit in zip(initial, self.fitted(initial), strict=True):
+            if members not in best or fit.loss < best[members].loss:
+                best[members] = fit
+        return [
+            Hypothesis(members, best[members], self.evidence(members, best[members]))
+            for _, members, _ in jobs
+        ]
+
+    def _with_other_sizes(
+        self, initial: Sequence[tuple[Members, Fit]]
+    ) -> list[tuple[Members, Fit]]:
+        """Starts with another size of an effect of one parameter, where that predicts less loss."""
+        c = self.coordinates
+        trials, of = [], []
+        for k, (members, fit) in enumerate(initial):
+            singles = [c.of_effect(effect) for effect in members]
+            for column in (own[0] for own in singles if len(own) == 1 and fit.x[own[0]] == 0.0):
+                for size in _JUMPS:
+                    x = fit.x.copy()
+                    x[column] = size * c.columns[column].step
+                    trials.append(c.clipped(x))
+                    of.append(k)
+        out = list(initial)
+        best = [self.linear(members, fit).loss for members, fit in initial]
+        tried = self.rows(np.array(trials)) if trials else ()
+        for x, rows, k in zip(trials, tried, of, strict=True):
+            members, fit = initial[k]
+            start = replace(fit, x=x, rows=rows)
+            predicted = self.linear(members, start).loss
+            if predicted < best[k]:
+                best[k], out[k] = predicted, (members, start)
+        return out
+
+    def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
+        """Whether the best set has effects, so that the search continues."""
+        return bool(ledger.best.members)
+
+    def converged(self, hypothesis: Hypothesis[Fit], rounds: int = 3) -> Hypothesis[Fit]:
+        """The hypothesis, linearised and refitted until its loss no longer changes."""
+        for _ in range(rounds):
+            loss = hypothesis.fit.loss
+            hypothesis = self.refined(hypothesis.members, hypothesis.fit, hypothesis.fit.near)
+            if abs(loss - hypothesis.fit.loss) < _CONVERGED:
+                break
+        return replace(hypothesis, fit=replace(hypothesis.fit, local=True))
 
 
 class HeldOutErrors(NamedTuple):
     """Errors on the end of the swims of a fit to their beginning.
 
-    Attributes:
-        fit: The fit to the beginning.
-        loss: Loss on the end.
-        speed: Error of the speed over ground on the end, m/s.
+    ``loss`` is that on the end, ``speed`` the error of the speed over ground there, m/s.
     """
 
     fit: Fit
@@ -91,24 +163,17 @@ class Searched:
         best: The best set with an effect, likely or not.
         nameless: Evidence that unnamed shapes add to the plain fit and to the best.
         held: Held-out errors of each set.
-        misfit: Mean square of the best fit's weighted errors by signal and band, shape (4, 3).
+        misfit: Mean square of the best fit's weighted errors by signal and band, less the estimated
+            error of the twin, shape (4, 3).
     """
 
-    problem: TwinSwims
+    problem: SwimSearch
     plain: Hypothesis[Fit]
     found: list[Hypothesis[Fit]]
     best: Hypothesis[Fit]
     nameless: dict[str, dict[str, float]]
     held: dict[Members, HeldOutErrors]
     misfit: Array
-
-    def table(self) -> list[TriedSet]:
-        """The results of all sets."""
-        zero = self.plain.evidence
-        return [
-            TriedSet(names_of(hypothesis.members), hypothesis.evidence - zero, hypothesis.fit.local)
-            for hypothesis in self.found
-        ]
 
 
 def names_of(members: Members) -> tuple[tuple[str, str], ...]:
@@ -129,25 +194,22 @@ def learned(
     Without reference swims it is the prior of all robots, with a larger error of the twin.
     """
     coordinates = Coordinates.of(robot, model)
-    mean, covariance = law_error.prior(coordinates)
-    imitation = law_error.imitation(coordinates)
-    usual = SwimPrior(mean, covariance, imitation, law_error.shares)
+    usual = law_error.prior(coordinates)
     if not references:
         return replace(usual, shares=law_error.decisions["unreferred"] * law_error.shares)
-    problem = TwinSwims(coordinates, references, simulate, usual)
+    problem = SwimProblem(coordinates, references, simulate, usual)
     plain = problem.plain()
     relative_error = np.sqrt(np.clip(_misfit(problem, plain), *_ERROR_LIMITS))
-    common, spread, scale = _common(problem, plain.fit, usual)
-    for _ in range(_ROUNDS):
-        problem = TwinSwims(coordinates, references, simulate, replace(usual, mean=common))
-        common, spread, scale = _common(problem, problem.at(problem.centre(frozenset())), usual)
-    imitation = scale * imitation
+    common, _, _ = _common(problem, plain.fit, usual)
+    problem = SwimProblem(coordinates, references, simulate, replace(usual, mean=common))
+    common, spread, scale = _common(problem, problem.at(problem.centre(frozenset())), usual)
+    imitation = scale * usual.imitation
     return SwimPrior(
         common, spread + np.diag(imitation**2), imitation, law_error.shares * relative_error
     )
 
 
-def _common(problem: TwinSwims, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
+def _common(problem: SwimProblem, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
     """Parameters common to the swims of a robot (F,), their covariance, and the scale of the rest.
 
     A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963): the parameters of
@@ -156,14 +218,12 @@ def _common(problem: TwinSwims, fit: Fit, usual: SwimPrior) -> tuple[Array, Arra
     """
     variance = np.square(usual.imitation)
     common = usual.covariance - np.diag(variance)
-    least = np.square(NEVER * np.array([c.step for c in problem.coordinates.columns]))
+    least = np.square(NEVER * problem.coordinates.each("step"))
     precision = np.linalg.inv(common + np.diag(np.maximum(least - np.diag(common), 0.0)))
     point = fit.x + problem.coordinates.seems
-    parts, row = [], 0
-    for weight in problem.weights:
-        part = fit.near.slope[row : row + weight.size]
-        parts.append((part.T @ part, part.T @ fit.rows[row : row + weight.size]))
-        row += weight.size
+    slopes, rows = problem.of_swims(fit.near.slope), problem.of_swims(fit.rows)
+    flat = [(s.reshape(-1, point.size), r.ravel()) for s, r in zip(slopes, rows, strict=True)]
+    parts = [(slope.T @ slope, slope.T @ row) for slope, row in flat]
     largest = -np.inf
     estimate: tuple[Array, Array, float] = (point, common, 1.0)
     for scale in _SCALES:
@@ -174,12 +234,27 @@ def _common(problem: TwinSwims, fit: Fit, usual: SwimPrior) -> tuple[Array, Arra
             size = np.log(scale**2 * variance).sum() - np.linalg.slogdet(of_swim)[1]
             evidence += 0.5 * float(swim_gradient @ of_swim @ swim_gradient) - 0.5 * float(size)
         posterior: Array = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
-        evidence += 0.5 * float(gradient @ posterior @ gradient) - 0.5 * float(
-            np.linalg.slogdet(curvature)[1]
-        )
+        evidence += 0.5 * float(gradient @ posterior @ gradient)
+        evidence -= 0.5 * float(np.linalg.slogdet(curvature)[1])
         if evidence > largest:
             largest, estimate = evidence, (point + posterior @ gradient, posterior, scale)
     return estimate
+
+
+def together(
+    parts: Sequence[tuple[Array, Array]], variance: Array
+) -> tuple[Array, Array, list[Array]]:
+    """Combine swims whose parameters vary about common ones (a linear mixed model).
+
+    From curvature (F, F) and gradient (F,) of each swim's loss at one point, and the variance (F,)
+    of a swim's parameters, to those of the sum of losses with respect to the common parameters, and
+    the covariance of each swim's deviations given these.
+    """
+    covariances = [np.asarray(np.linalg.inv(normal + np.diag(1 / variance))) for normal, _ in parts]
+    pairs = list(zip(parts, covariances, strict=True))
+    curvature = sum(n - n @ covariance @ n for (n, _), covariance in pairs)
+    gradient = sum(g - n @ covariance @ g for (n, g), covariance in pairs)
+    return np.asarray(curvature), np.asarray(gradient), covariances
 
 
 def searched(
@@ -197,44 +272,35 @@ def searched(
     makes. Where the fluid was simulated and the best set changes much, a second search counts this
     error as noise. It is not used with the twin alone, where it has not been graded.
 
-    Args:
-        swims: The recordings.
-        model: The servos, and the twin's law where the fluid was simulated.
-        robot: The robot.
-        simulate: The twin, alone or corrected by the fluid.
-        prior: Prior of servos, force law and effects, see ``learned``.
-        progress: Called with the share that is done.
-        simulated: Model that the fluid simulated; its effects have no such error.
+    ``prior`` is from ``learned``; effects of ``simulated``, the model that the fluid simulated,
+    have no such error.
     """
-    problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, prior)
-    tried, order, best = _search(problem, lambda share: progress(0.5 * share))
+    problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
+    order, best = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
         doubted = changed(problem, best.fit.x, simulated)
         parts = zip(doubted, problem.blocks, problem.weights, strict=True)
         size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
         if 0.5 * SHARE**2 * size > _DOUBTFUL:
-            problem = TwinSwims(Coordinates.of(robot, model), swims, simulate, prior,
-                                doubted=doubted)  # fmt: skip
-            tried, order, best = _search(problem, lambda share: progress(0.5 + 0.4 * share))
+            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior, doubted)
+            order, best = _search(problem, lambda share: progress(0.5 + 0.4 * share))
+    tried = {hypothesis.members: hypothesis for hypothesis in order}
     plain = tried[frozenset()]
-    held = {}
-    for members in _subsets(best.members):
-        if members in tried:
-            held[members] = _held_out(problem, tried[members])
-    nameless = {"plain": gains(problem, plain.members, plain.fit)}
-    nameless["best"] = gains(problem, best.members, best.fit)
+    held = {s: _held_out(problem, tried[s]) for s in _subsets(best.members) if s in tried}
+    nameless = {
+        name: gains(problem, h.members, h.fit) for name, h in (("plain", plain), ("best", best))
+    }
     progress(1.0)
     return Searched(problem, plain, order, best, nameless, held, _misfit(problem, best))
 
 
 def _search(
-    problem: TwinSwims, progress: Progress
-) -> tuple[dict[Members, Hypothesis[Fit]], list[Hypothesis[Fit]], Hypothesis[Fit]]:
-    """Every set that was tried by its members, sorted by evidence, and the best with an effect."""
-    plain = problem.plain()
-    progress(0.1)
+    problem: SwimSearch, progress: Progress
+) -> tuple[list[Hypothesis[Fit]], Hypothesis[Fit]]:
+    """Every set that was tried, sorted by evidence, and the best with an effect."""
     ledger: Ledger[Fit] = Ledger(0)
-    ledger.keep(plain)
+    ledger.keep(problem.plain())
+    progress(0.1)
     most = MOST + any(problem.counted(frozenset({e})) > 0 for e in problem.coordinates.effects)
     breadth = Breadth(most=most, added=5, rivals=3, within=np.inf)
     problem.cost = COST
@@ -256,24 +322,19 @@ def _search(
     finished: set[Members] = set()
     for _ in range(2):
         order = sorted((h for h in tried.values() if h.members), key=worth, reverse=True)
-        rivals = [
-            hypothesis
-            for hypothesis in order[: _RIVALS + 1]
-            if worth(hypothesis) > worth(order[0]) - _CLOSE
-        ]
-        subsets = [tried[smaller] for smaller in _without_one(order[0].members) if smaller in tried]
-        for hypothesis in {h.members: h for h in [*rivals, *subsets] if h.members}.values():
-            if hypothesis.members not in finished:
-                tried[hypothesis.members] = _marked(
-                    problem.converged(hypothesis, 1 if hypothesis.fit.local else 2)
-                )
-                finished.add(hypothesis.members)
+        close = [h for h in order[: _RIVALS + 1] if worth(h) > worth(order[0]) - _CLOSE]
+        smaller = [order[0].members - {effect} for effect in order[0].members]
+        close += [tried[members] for members in smaller if members and members in tried]
+        for members in {h.members: None for h in close}:
+            if members not in finished:
+                tried[members] = problem.converged(tried[members])
+                finished.add(members)
     progress(1.0)
     order = sorted(tried.values(), key=worth, reverse=True)
-    return tried, order, next(hypothesis for hypothesis in order if hypothesis.members)
+    return order, next(hypothesis for hypothesis in order if hypothesis.members)
 
 
-def changed(problem: TwinSwims, x: Array, simulated: Model | None = None) -> list[Array]:
+def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:
     """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J).
 
     Without camera effects and the current, which are exact. Effects of the model that the fluid
@@ -289,58 +350,37 @@ def changed(problem: TwinSwims, x: Array, simulated: Model | None = None) -> lis
     return [pair[0] - pair[1] for pair in signals]
 
 
-def _marked(hypothesis: Hypothesis[Fit]) -> Hypothesis[Fit]:
-    return replace(hypothesis, fit=replace(hypothesis.fit, local=True))
-
-
 def _subsets(members: Members) -> list[Members]:
-    """Every subset of a set, with the empty set and the set itself."""
+    """Every subset of a set, the empty set first, the set itself last."""
     effects = sorted(members, key=str)
     return [frozenset(s) for n in range(len(effects) + 1) for s in combinations(effects, n)]
 
 
-def _without_one(members: Members) -> list[Members]:
-    """The set without one of its members, for each member."""
-    return [members - {effect} for effect in sorted(members, key=str)]
-
-
-def _held_out(problem: TwinSwims, hypothesis: Hypothesis[Fit]) -> HeldOutErrors:
+def _held_out(problem: SwimProblem, hypothesis: Hypothesis[Fit]) -> HeldOutErrors:
     """Held-out errors of a set on the end of the swims, fitted to their beginning."""
     fit, held_out = problem.held(hypothesis.members, hypothesis.fit, HELD_OUT)
-    rows = fit.rows
-    loss = 0.5 * float(np.sum(rows[held_out] ** 2))
-    square, count, row = 0.0, 0, 0
-    for weight in problem.weights:
-        n = weight.size
-        error = (rows[row : row + n] * held_out[row : row + n]).reshape(weight.shape)
+    rows = np.where(held_out, fit.rows, 0.0)
+    square = 0.0
+    for error, weight in zip(problem.of_swims(rows), problem.weights, strict=True):
         square += float(np.sum((error[:, :2] / weight[:, :2]) ** 2))
-        count += int(held_out[row : row + n].reshape(weight.shape)[:, 0].sum())
-        row += n
-    return HeldOutErrors(fit, loss, float(np.sqrt(square / max(count, 1))))
+    count = sum(part[:, 0].sum() for part in problem.of_swims(held_out.astype(np.float64)))
+    return HeldOutErrors(fit, 0.5 * float(rows @ rows), float(np.sqrt(square / max(count, 1.0))))
 
 
-def _misfit(problem: TwinSwims, hypothesis: Hypothesis[Fit]) -> Array:
+def _misfit(problem: SwimProblem, hypothesis: Hypothesis[Fit]) -> Array:
     """Mean square of the residuals, less the estimated error of the twin, shape (4, 3)."""
-    rows = hypothesis.fit.rows + hypothesis.fit.near.slope @ problem.seems(
-        hypothesis.members, hypothesis.fit
-    )
-    sums, counts, row = np.zeros((4, 3)), np.zeros((4, 3)), 0
-    for blocks, weight in zip(problem.blocks, problem.weights, strict=True):
-        squares = rows[row : row + weight.size].reshape(weight.shape) ** 2
-        row += weight.size
-        for k in range(weight.shape[1]):
-            np.add.at(sums[min(k, 3)], blocks.band, squares[:, k])
-            np.add.at(counts[min(k, 3)], blocks.band, 1.0)
-    return sums / np.maximum(counts, 1.0)
+    error = problem.seems(hypothesis.members, hypothesis.fit)
+    return problem.misfit(hypothesis.fit.rows + hypothesis.fit.near.slope @ error)
 
 
 def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
     """The input of ``swim_decision.decide``, in types of JSON, from which thresholds are fitted."""
+    zero = found.plain.evidence
     return {
         "sets": [
-            {"names": [list(n) for n in result.names], "evidence": result.evidence,
-             "settled": result.settled}
-            for result in found.table()
+            {"names": [list(n) for n in names_of(h.members)], "evidence": h.evidence - zero,
+             "settled": h.fit.local}
+            for h in found.found
         ],
         "nameless": found.nameless,
         "held": [
@@ -349,6 +389,6 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
         ],
         "misfit": found.misfit.tolist(),
         "referred": referred,
-        "repeated": poses.repeated(found.problem.swims),
+        "repeated": repeated(found.problem.swims),
         "rollouts": found.problem.rollouts,
     }  # fmt: skip

@@ -1,9 +1,4 @@
-"""Pool recordings prepared for a fit, the noise of their poses, and their simulation.
-
-At 9 Hz and above the poses hold only noise, as a robot does not move that fast. White noise is
-equal at all frequencies; a filter of the poses smooths their noise too, so its time constant is
-estimated from these frequencies (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
-"""
+"""Pool recordings prepared for a fit, and their simulation in the twin and in the fluid."""
 
 from __future__ import annotations
 
@@ -12,10 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter, savgol_filter
+import warp as wp
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_filter
 from tqdm import tqdm
 
+from sim.inference.pose_noise import PoseNoise, pose_noise
 from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.kernel import start_twin
 from sim.twin.twin import Coefficients, Twin
 from sim2real.arrays import Array
 from sim2real.body import listed, observed, values
@@ -29,58 +28,23 @@ from sim2real.velocity import body_velocity
 
 SIGNALS = ("surge", "sway", "yaw rate")
 UNITS = ("m/s", "m/s", "rad/s")
-_MEDIAN = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-_REST = 10
-"""Samples at the start whose mean is the first pose."""
+POSES = ("body.x_m", "body.y_m", "body.yaw_rad")
+HELD_OUT_SHARE = 1 / 3
+"""Share of a swim, at its end, that a calibration does not use."""
+SUBSTEPS = 4
+"""Sub-steps of a control period in a fit, half the twin's default: this changes a swim by 1 %, far
+less than its error."""
 SHORTEST_S = 1.0
 """Shortest swim that is fitted: a quarter is held out, and velocities take a fifth of a second."""
-
-ABOVE_HZ = 9.0
-LAGS_S: Array = np.concatenate([[0.0], np.geomspace(0.004, 0.4, 60)])
-"""Time constants of the filter that are compared."""
-_LONGEST_S = 0.05
-"""Longest time constant that is reported: high frequencies do not distinguish longer ones."""
-_SURE, _MOST = 5.0, 60.0
-"""Log-likelihood ratio from which noise counts as smoothed, and its largest value."""
-_LEAST = 64
-"""Least number of frequencies for an estimate."""
+BLOCK_S = 2.5
+_REST = 10
+"""Samples at the start whose mean is the first pose."""
 
 Simulator = Callable[[Sequence[Model], Array, Array], Array]
 """From models (E), commands (T, J) and a first pose to tracks (E, T, 3 + J)."""
 
 
-@dataclass(frozen=True)
-class PoseNoise:
-    """Noise of x, y and heading.
-
-    Attributes:
-        sd: Standard deviation before the filter, shape (3,).
-        lag_s: Time constant of the filter; 0 without a filter.
-        colour: Log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were
-            resampled or lost, which smooths them too.
-    """
-
-    sd: Array
-    lag_s: float = 0.0
-    colour: Array | None = None
-
-    def log_ratio(self, lag_s: float) -> float:
-        """Log-likelihood ratio of a filter with this time constant to white noise."""
-        return 0.0 if self.colour is None else float(np.interp(lag_s, LAGS_S, self.colour))
-
-    def drawn(self, rng: np.random.Generator, shape: tuple[int, ...], period_s: float) -> Array:
-        """Random samples of this noise, shape (..., T, 3)."""
-        white = rng.standard_normal((*shape, 3)) * self.sd
-        weight = _filter_weight(self.lag_s, period_s)
-        if weight == 0.0:
-            return np.asarray(white)
-        state = np.take(white, [0], axis=-2) * weight
-        out, _ = lfilter([1 - weight], [1, -weight], white, axis=-2, zi=state)
-        return np.asarray(out)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Swim:
     """One pool recording on the grid of control periods.
 
@@ -115,6 +79,23 @@ class Swim:
             return np.asarray(self.start[2] + turned - turned[0])
         return np.asarray(savgol_filter(self.pose[:, 2], min(11, self.t.size), 2))
 
+    @property
+    def noise_sd(self) -> Array:
+        """``noise`` of each signal, shape (3 + J,)."""
+        return np.broadcast_to(self.noise, self.signals.shape[1])
+
+    def first(self, share: float) -> Swim:
+        """The first part of the swim."""
+        n = round(self.t.size * share)
+        pose = None if self.pose is None else self.pose[:n]
+        return replace(
+            self, t=self.t[:n], command=self.command[:n], signals=self.signals[:n], pose=pose
+        )
+
+
+SwimSimulator = Callable[[Sequence[Model], Swim], Array]
+"""From models (E) and a swim to tracks (E, T, 3 + J)."""
+
 
 def swim_of(recording: Recording, robot: Robot) -> Swim:
     """A recording, resampled to the control period where its sampling is irregular.
@@ -122,20 +103,7 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
     Raises:
         InputError: If it is no pool recording of this robot, has no poses or no commands.
     """
-    validate_recording(recording, robot)
-    for joint in robot.joints:
-        if joint.name not in recording.joints:
-            found, expected = ", ".join(recording.joints), f"the robot's joint {joint.name} too"
-            raise InputError(recording.file, "joints", found, expected)
-    names = ("body.x_m", "body.y_m", "body.yaw_rad")
-    for name in names:
-        if name not in recording.columns:
-            where = recording.path or recording.name
-            raise InputError(where, name, "no such column", "poses of the body, in a pool")
-    if np.isnan(recording.command).all():
-        where = recording.path or recording.name
-        raise InputError(where, "header", "no J.command_rad column", "the set-points sent")
-    _check_poses(recording, names)
+    _check(recording, robot)
     t = np.arange(recording.t[0], recording.t[-1] + CONTROL_S / 2, CONTROL_S)
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
     order = [recording.joints.index(joint.name) for joint in robot.joints]
@@ -146,36 +114,51 @@ def swim_of(recording: Recording, robot: Robot) -> Swim:
             return np.full(t.size, np.nan)
         return np.interp(t, recording.t[finite] + delay_s, column[finite])
 
-    pose = np.stack([recording.columns[name] for name in names], axis=1)
+    pose = np.stack([recording.columns[name] for name in POSES], axis=1)
     pose[:, 2] = np.where(np.isfinite(pose[:, 2]), np.unwrap(np.nan_to_num(pose[:, 2])), np.nan)
     grid = np.stack([resampled(column) for column in pose.T], axis=1)
     same = np.all(np.diff(pose[np.isfinite(pose).all(axis=1)], axis=0) == 0, axis=1)
     late_s = context_of(recording)["sample_delay_s"]
     joints = np.stack([resampled(recording.position[:, k], late_s) for k in order], axis=1)
-    command = np.nan_to_num(recording.command[row][:, order])
     repeated = float(same.mean()) if same.size else 0.0
-    whole = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
-    whole = whole and bool(np.isfinite(pose).all()) and repeated == 0.0
-    noise = _noise_of_poses(grid, whole)
+    regular = len(recording.t) == t.size and np.allclose(recording.t, t, atol=1e-4)
+    # the spectrum of the noise is known only where no pose was resampled or lost
+    noise = None
+    if regular and np.isfinite(pose).all() and repeated == 0.0:
+        noise = pose_noise(grid, CONTROL_S)
+    if noise is None or noise.lag_s == 0:
+        noise = PoseNoise(_noise_sd(grid), 0.0, None if noise is None else noise.colour)
+    samples = noise.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
     return Swim(
         name=recording.name,
         t=t - t[0],
-        command=command,
+        command=np.nan_to_num(recording.command[row][:, order]),
         start=grid[:_REST].mean(axis=0),
         signals=np.concatenate([body_velocity(t, grid), joints], axis=1),
-        noise=_noise(t, noise, joints),
+        noise=np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)]),
         pose=grid,
         repeated=repeated,
         pose_noise=noise,
     )
 
 
-def _check_poses(recording: Recording, names: Sequence[str]) -> None:
-    """Check that a swim is long enough, and has enough poses, for velocities."""
+def _check(recording: Recording, robot: Robot) -> None:
+    """Check that a recording is a swim of the robot, long enough for velocities."""
+    validate_recording(recording, robot)
+    where = recording.path or recording.name
+    for joint in robot.joints:
+        if joint.name not in recording.joints:
+            found, expected = ", ".join(recording.joints), f"the robot's joint {joint.name} too"
+            raise InputError(recording.file, "joints", found, expected)
+    for name in POSES:
+        if name not in recording.columns:
+            raise InputError(where, name, "no such column", "poses of the body, in a pool")
+    if np.isnan(recording.command).all():
+        raise InputError(where, "header", "no J.command_rad column", "the set-points sent")
     if recording.duration_s < SHORTEST_S:
         found, expected = f"{recording.duration_s:.3g} s", f"a swim of at least {SHORTEST_S:g} s"
         raise InputError(recording.file, "t_s", found, expected)
-    for name in names:
+    for name in POSES:
         count = int(np.isfinite(recording.columns[name]).sum())
         if count < _REST:
             raise InputError(recording.file, name, f"{count} values", f"at least {_REST}")
@@ -185,27 +168,10 @@ def _noise_sd(signals: Array) -> Array:
     """Standard deviation of the noise of smooth signals (T, K), shape (K,).
 
     From third differences, to which the motion of a robot contributes little: those of white noise
-    have 20 times its variance.
+    have 20 times its variance. The median of the absolute value is 0.6745 standard deviations.
     """
     third = np.abs(np.diff(signals, 3, axis=0))
-    return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / _MEDIAN / np.sqrt(20)))
-
-
-def _noise_of_poses(grid: Array, whole: bool) -> PoseNoise:
-    """Noise of poses (T, 3); its spectrum only where no pose was resampled or lost (``whole``)."""
-    noise = pose_noise(grid, CONTROL_S) if whole else None
-    if noise is None:
-        return PoseNoise(_noise_sd(grid))
-    return noise if noise.lag_s > 0 else replace(noise, sd=_noise_sd(grid))
-
-
-def _noise(t: Array, noise: PoseNoise, joints: Array) -> Array:
-    """Noise of surge, sway, yaw rate and joints (T, J).
-
-    That of the velocities is the output of their estimator for random samples of the poses' noise.
-    """
-    samples = noise.drawn(np.random.default_rng(0), (t.size,), CONTROL_S)
-    return np.concatenate([body_velocity(t, samples).std(axis=0), _noise_sd(joints)])
+    return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / 0.6745 / np.sqrt(20)))
 
 
 def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:
@@ -214,11 +180,16 @@ def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Arra
     Signals of a robot that was stopped are NaN.
     """
     track = simulator(models, swim.command, swim.start)
-    out = np.full((len(models), swim.t.size, track.shape[2]), np.nan)
+    return seen(swim.t, track, [values(model) for model in models])
+
+
+def seen(t: Array, track: Array, parameters: Sequence[Mapping[str, float]]) -> Array:
+    """Signals of tracks (E, T, 3 + J) by a camera with these effects; NaN of a stopped robot."""
+    out = np.full((len(track), t.size, track.shape[2]), np.nan)
     swam = np.flatnonzero(np.isfinite(track).all(axis=(1, 2)))
     if swam.size:
-        poses = [observed(swim.t, track[e, :, :3], values(models[int(e)])) for e in swam]
-        out[swam, :, :3] = body_velocity(swim.t, np.array(poses))
+        poses = [observed(t, track[e, :, :3], parameters[int(e)]) for e in swam]
+        out[swam, :, :3] = body_velocity(t, np.array(poses))
         out[swam, :, 3:] = track[swam, :, 3:]
     return out
 
@@ -229,7 +200,7 @@ def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
         twin.reset(pose=np.tile(start, (len(models), 1)))
-        first = _signals_of(twin)
+        first = _track_of(twin)
         return np.concatenate([first[:, None], twin.swim(command[:-1])], axis=1)
 
     return run
@@ -241,21 +212,100 @@ def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         swimmer = Swimmer(robot, models, n_envs=len(models), **options)
         swimmer.reset(pose=np.tile(start, (len(models), 1)))
-        track = [_signals_of(swimmer)]
+        track = [_track_of(swimmer)]
         for sent in tqdm(command[:-1], desc="fluid", unit="step", disable=None, leave=False):
             swimmer.step(sent)
-            track.append(_signals_of(swimmer))
+            track.append(_track_of(swimmer))
         return np.moveaxis(np.array(track), 0, 1)
 
     return run
 
 
-def _signals_of(swimmer: Twin | Swimmer) -> Array:
+def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: ANN401 - options of Twin
+    """The twin, moved to the measured pose every few seconds, with its velocity in the body frame.
+
+    Forces of the water do not depend on position or heading, but those of a cable and a wall do,
+    and the path of a free simulation soon differs from the measured one. The track is integrated
+    from the displacements of all periods and has no jumps.
+    """
+    options = {"substeps": SUBSTEPS, **settings}
+
+    def run(models: Sequence[Model], swim: Swim) -> Array:
+        twin = Twin(robot, models, n_envs=len(models), **options)
+        twin.reset(pose=np.tile(swim.start, (len(models), 1)))
+        measured = swim.start[None] if swim.pose is None else uniform_filter1d(swim.pose, 5, axis=0)
+        last = _track_of(twin)
+        angles, displacements = last[:, 3:], []
+        commands = swim.command[:-1]
+        for a, b in block_bounds(len(commands), CONTROL_S):
+            if a and swim.pose is not None:
+                _carry(twin, measured[a])
+                last = np.hstack([np.tile(measured[a], (len(models), 1)), last[:, 3:]])
+            track = np.concatenate([last[:, None], twin.swim(commands[a:b])], axis=1)
+            displacements.append(steps_of(track))
+            last = track[:, -1]
+        return path_of(np.concatenate(displacements, axis=1), swim.start, angles)
+
+    return run
+
+
+def block_bounds(samples: int, period_s: float) -> list[tuple[int, int]]:
+    """First sample and end of each block of about ``BLOCK_S``."""
+    count = max(1, round(samples * period_s / BLOCK_S))
+    edges = np.linspace(0, samples, count + 1).round().astype(int)
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _track_of(swimmer: Twin | Swimmer) -> Array:
+    """Poses and measured angles, shape (E, 3 + J); NaN of a stopped robot."""
     state = swimmer.state()
-    stopped = state.stopped >= 0
-    signals = np.concatenate([state.pose, state.measured], axis=1)
-    signals[stopped] = np.nan
-    return signals
+    track = np.concatenate([state.pose, state.measured], axis=1)
+    track[state.stopped >= 0] = np.nan
+    return track
+
+
+def _carry(twin: Twin, pose: Array) -> None:
+    """Move robots and their wake to a pose in the pool; velocities in the body frame are kept."""
+    clock = np.array(twin.motion.clock.numpy())
+    q, v = np.array(twin.motion.q.numpy()), np.array(twin.motion.v.numpy())
+    turn = pose[2] - q[:, 2]
+    c, s = np.cos(turn), np.sin(turn)
+    v[:, 0], v[:, 1] = c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]
+    q[:, :2] = pose[:2] - twin.outside.current * clock[:, None]
+    q[:, 2] = pose[2]
+    twin.motion.q.assign(q)
+    twin.motion.v.assign(v)
+    moved = np.array(twin.water.moved.numpy())
+    x, y = moved[..., 0], moved[..., 1]
+    rotated = np.stack([c[:, None] * x - s[:, None] * y, s[:, None] * x + c[:, None] * y], axis=-1)
+    twin.water.moved.assign(rotated)
+    everyone: Any = wp.ones(twin.n_envs, dtype=wp.int32, device=twin.device)
+    inputs = [twin.chain, twin.motion, twin.water, everyone]
+    wp.launch(start_twin, dim=twin.n_envs, inputs=inputs, device=twin.device)
+
+
+def steps_of(track: Array) -> Array:
+    """Displacements forward, to the left, of the heading, and joint angles: (E, T - 1, 3 + J)."""
+    change = np.diff(track[..., :3], axis=1)
+    heading = track[:, :-1, 2]
+    c, s = np.cos(heading), np.sin(heading)
+    forward = c * change[..., 0] + s * change[..., 1]
+    aside = c * change[..., 1] - s * change[..., 0]
+    moved = np.stack([forward, aside, change[..., 2]], axis=2)
+    return np.concatenate([moved, track[:, 1:, 3:]], axis=2)
+
+
+def path_of(steps: Array, start: Array, joint: Array) -> Array:
+    """The path from a first pose, the inverse of ``steps_of``."""
+    zero = np.zeros((len(steps), 1))
+    heading = start[2] + np.concatenate([zero, np.cumsum(steps[..., 2], axis=1)], axis=1)
+    c, s = np.cos(heading[:, :-1]), np.sin(heading[:, :-1])
+    x = np.cumsum(c * steps[..., 0] - s * steps[..., 1], axis=1)
+    y = np.cumsum(s * steps[..., 0] + c * steps[..., 1], axis=1)
+    x, y = (a + np.concatenate([zero, b], axis=1) for a, b in zip(start[:2], (x, y), strict=True))
+    first = np.broadcast_to(joint, (len(steps), joint.shape[-1]))[:, None]
+    angles = np.concatenate([first, steps[..., 3:]], axis=1)
+    return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)
 
 
 def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
@@ -303,45 +353,4 @@ def values_of(model: Model, names: Sequence[str]) -> Array:
     return np.array(out)
 
 
-def _filter_weight(lag_s: float, period_s: float) -> float:
-    """Weight of the previous output in a first-order filter."""
-    return float(np.exp(-period_s / lag_s)) if lag_s > 0 else 0.0
-
-
-def pose_noise(poses: Array, period_s: float) -> PoseNoise | None:
-    """Noise of poses (T, 3) recorded at regular intervals; None where they are too few.
-
-    Third differences remove slow motion, so that it does not leak into high frequencies.
-    """
-    third = np.diff(poses, 3, axis=0)
-    third = third * np.hanning(len(third))[:, None]
-    hertz = np.fft.rfftfreq(len(third), period_s)
-    high = hertz > ABOVE_HZ
-    if high.sum() < _LEAST:
-        return None
-    angle = 2 * np.pi * period_s * hertz[high]
-    power = np.abs(np.fft.rfft(third, axis=0)[high]) ** 2 / np.sum(np.hanning(len(third)) ** 2)
-    flat = power / (2 * np.sin(angle / 2))[:, None] ** 6
-    # the window correlates neighbouring frequencies: about two thirds are independent
-    independent = 2 / 3
-    likelihood, sizes = [], []
-    for lag in LAGS_S:
-        weight = _filter_weight(lag, period_s)
-        response = (1 - weight) ** 2 / (1 + weight**2 - 2 * weight * np.cos(angle))
-        square = np.mean(flat / response[:, None], axis=0)
-        sizes.append(np.sqrt(square))
-        log_power = np.log(square) * len(angle) + np.log(response).sum()
-        likelihood.append(-independent * float(log_power.sum()))
-    log_ratio = np.array(likelihood) - likelihood[0]
-    best = int(np.argmax(log_ratio))
-    if log_ratio[best] < _SURE:
-        best = 0
-    while LAGS_S[best] > _LONGEST_S:  # longer time constants differ in the size of the noise only
-        best -= 1
-    return PoseNoise(sizes[best], float(LAGS_S[best]), np.clip(log_ratio, -_MOST, _MOST))
-
-
-__all__ = [
-    "Coefficients", "PoseNoise", "Simulator", "Swim", "by_fluid", "by_twin", "pose_noise",
-    "simulated", "swim_of", "values_of",
-]  # fmt: skip
+__all__ = ["Coefficients", "PoseNoise", "Simulator", "Swim", "SwimSimulator"]

@@ -8,95 +8,90 @@ leak, a loose part). They are not findings, but effects of the catalogue must fi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from sim.inference.blocks import Blocks, spectrum
+from sim.inference.swim_problem import Fit, SwimProblem
 from sim.inference.swims import Swim
-from sim.inference.twin_search import Fit, TwinSwims
-from sim2real.arrays import Array
+from sim2real.arrays import Array, Index
 from sim2real.inference.selection import Members
 
+SHAPES = {
+    "wave": "an oscillating flow in the pool's frame, e.g. waves",
+    "gust": "a disturbance of the head for a few seconds, e.g. the wake of another swimmer",
+    "bend": "poses that follow a joint, e.g. a marker that is not on the head",
+    "mount": "a heading that drifts, e.g. a camera that turns",
+    "change": "a change of the robot during the swim",
+}
+"""Families, and their possible causes."""
 _WAVES_HZ = tuple(float(f) for f in np.arange(0.1, 0.84, 0.04))
 _WAVE_M_S = 0.03
 _GUSTS = tuple(float(x) for x in np.arange(0.1, 1.0, 0.1))
-_GUST_S, _GUST_M_S, _GUST_RAD_S = 1.5, 0.02, 0.15
+_GUST_S, _GUST_SIZES = 1.5, (0.02, 0.02, 0.15)
 _SHAKEN_HZ = (0.5, 0.8, 1.1, 1.4)
 _BEND_RAD, _BEND_M = 0.2, 0.04
 _MOUNT_RAD_S, _MOUNT_M_S = 0.02, 0.02
 _CHANGED = ("twin.thrust", "twin.across", "twin.added_mass", "twin.along", "twin.linear")
-_CHANGES = (1.0, 4.0)
-"""Sizes of the change of a robot's parameters, in steps of each column."""
+_CHANGED_AT, _CHANGES = (0.1, 0.35, 0.5, 0.65), (1.0, 4.0)
+"""Begin of the change of a robot's parameters, and its sizes in steps of each column."""
 
 
-def gains(problem: TwinSwims, members: Members, fit: Fit) -> dict[str, float]:
-    """Log-evidence that each family adds to a fit, by name."""
-    rows, slope = problem.part(fit)
+def gains(problem: SwimProblem, members: Members, fit: Fit) -> dict[str, float]:
+    """Log-evidence that each shape adds to a fit, by name."""
     prior = problem.precision(members)
-    inner = np.linalg.inv(slope.T @ slope + prior)
+    slope = fit.near.slope
+    inner = np.linalg.inv(fit.near.normal + prior)
     deviation = fit.x - problem.centre(members)
-    residual = rows - slope @ (inner @ (slope.T @ rows + prior @ deviation))
+    residual = fit.rows - slope @ (inner @ (slope.T @ fit.rows + prior @ deviation))
     out = {}
-    for name, columns in _families(problem, fit):
-        used = columns if problem.kept is None else columns[problem.kept]
-        coupling = slope.T @ used
-        curvature = used.T @ used - coupling.T @ inner @ coupling
-        gradient = used.T @ residual
-        matrix = np.eye(used.shape[1]) + curvature
+    for name, columns in _shapes(problem, fit):
+        coupling = slope.T @ columns
+        gradient = columns.T @ residual
+        matrix = np.eye(columns.shape[1]) + columns.T @ columns - coupling.T @ inner @ coupling
         gain = 0.5 * float(gradient @ np.linalg.solve(matrix, gradient))
         out[name] = gain - 0.5 * float(np.linalg.slogdet(matrix)[1])
     return out
 
 
-def _families(problem: TwinSwims, fit: Fit) -> Iterator[tuple[str, Array]]:
-    """Columns of each family, in prior standard deviations, weighted, shape (n, m)."""
-    swims = list(zip(problem.swims, problem.blocks, problem.weights, strict=True))
+def _shapes(problem: SwimProblem, fit: Fit) -> Iterator[tuple[str, Array]]:
+    """Columns of each shape, in prior standard deviations, weighted, shape (n, m).
+
+    Each swim has its own sizes, but for poses that follow a joint.
+    """
+
+    def weighted(shape: Callable[[Swim], Array]) -> list[Array]:
+        parts = zip(problem.swims, problem.blocks, problem.weights, strict=True)
+        return [blocks.weighted(shape(swim), weights) for swim, blocks, weights in parts]
+
     for hertz in _WAVES_HZ:
-        yield f"wave {hertz:.2f}", _stacked([_weighted(_wave(s, hertz), b, w) for s, b, w in swims])
+        yield f"wave {hertz:.2f}", block_diag(*weighted(lambda s, f=hertz: _wave(s, f)))  # type: ignore[misc]
     for share in _GUSTS:
-        yield f"gust {share:.1f}", _stacked([_weighted(_gust(s, share), b, w) for s, b, w in swims])
-    yield "bend", _stacked([_weighted(_bend(s), b, w) for s, b, w in swims], shared=True)
-    yield "mount", _stacked([_weighted(_mount(s), b, w) for s, b, w in swims])
+        yield f"gust {share:.1f}", block_diag(*weighted(lambda s, x=share: _gust(s, x)))  # type: ignore[misc]
+    yield "bend", np.concatenate(weighted(_bend))
+    yield "mount", block_diag(*weighted(_mount))
     c = problem.coordinates
-    chosen = [c.place[name] for name in _CHANGED] + [
-        k for k, column in enumerate(c.columns) if column.kind == "servo.kp_Nm_per_rad"
-    ]
-    size = np.array([c.columns[k].step for k in chosen])
-    for share in (0.1, 0.35, 0.5, 0.65):
-        for slowly in (False, True):
-            share_after = np.concatenate([
-                np.repeat(_progress(b, share, slowly=slowly), w.shape[1]) for _, b, w in swims
-            ])  # fmt: skip
-            for factor in _CHANGES:
-                name = f"change {'since' if slowly else 'at'} {share:g} by {factor:g}"
-                yield name, fit.near.slope[:, chosen] * factor * size * share_after[:, None]
+    gains = [k for k, column in enumerate(c.columns) if column.kind == "servo.kp_Nm_per_rad"]
+    chosen = [c.place[name] for name in _CHANGED] + gains
+    steps = fit.near.slope[:, chosen] * c.each("step")[chosen]
+    for share, slowly, factor in product(_CHANGED_AT, (False, True), _CHANGES):
+        after = [
+            np.repeat(_progress(b.block, share, slowly=slowly), w.shape[1])
+            for b, w in zip(problem.blocks, problem.weights, strict=True)
+        ]
+        name = f"change {'since' if slowly else 'at'} {share:g} by {factor:g}"
+        yield name, steps * factor * np.concatenate(after)[:, None]
 
 
-def _progress(blocks: Blocks, share: float, *, slowly: bool) -> Array:
+def _progress(block: Index, share: float, *, slowly: bool) -> Array:
     """Share of the change that has happened at each coefficient's block, 0 to 1, shape (T,)."""
-    count = len(blocks.edges)
+    count = int(block[-1]) + 1
     begun = round(share * count)
     if not slowly:
-        return np.asarray(blocks.block >= begun, dtype=np.float64)
-    return np.clip((blocks.block + 0.5 - begun) / max(count - begun, 1), 0.0, 1.0)
-
-
-def _stacked(parts: list[Array], *, shared: bool = False) -> Array:
-    """Columns of several swims: separate for each swim, or shared by all."""
-    if shared or len(parts) == 1:
-        return np.concatenate(parts)
-    out = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
-    row = column = 0
-    for part in parts:
-        out[row : row + len(part), column : column + part.shape[1]] = part
-        row, column = row + len(part), column + part.shape[1]
-    return out
-
-
-def _weighted(signals: Array, blocks: Blocks, weights: Array) -> Array:
-    """Columns (m, T, K) of signals, transformed and weighted as in a fit, shape (T K, m)."""
-    return np.asarray((spectrum(signals, blocks.edges) * weights).reshape(len(signals), -1).T)
+        return np.asarray(block >= begun, dtype=np.float64)
+    return np.clip((block + 0.5 - begun) / max(count - begun, 1), 0.0, 1.0)
 
 
 def _wave(swim: Swim, hertz: float) -> Array:
@@ -114,28 +109,23 @@ def _gust(swim: Swim, share: float) -> Array:
     """Oscillations of the head's velocities for a few seconds."""
     t = swim.t - share * swim.t[-1]
     envelope = np.exp(-0.5 * (t / _GUST_S) ** 2)
-    out = np.zeros((6 * len(_SHAKEN_HZ), *swim.signals.shape))
-    for n, hertz in enumerate(_SHAKEN_HZ):
-        for m, wave in enumerate((np.cos, np.sin)):
-            oscillation = envelope * wave(2 * np.pi * hertz * t)
-            for k, size in enumerate((_GUST_M_S, _GUST_M_S, _GUST_RAD_S)):
-                out[6 * n + 3 * m + k, :, k] = size * oscillation
-    return out
+    out = []
+    for hertz, wave, k in product(_SHAKEN_HZ, (np.cos, np.sin), range(3)):
+        out.append(np.zeros(swim.signals.shape))
+        out[-1][:, k] = _GUST_SIZES[k] * envelope * wave(2 * np.pi * hertz * t)
+    return np.array(out)
 
 
 def _bend(swim: Swim) -> Array:
+    """Poses that turn, or move aside, with the angle of each joint."""
     T, K = swim.signals.shape
     signals = np.nan_to_num(swim.signals)
     surge, sway = signals[:, 0], signals[:, 1]
     out = np.zeros((2 * (K - 3), T, K))
-    for j in range(K - 3):
-        angle = signals[:, 3 + j]
+    for j, angle in enumerate(signals[:, 3:].T):
         rate = np.gradient(angle, swim.t)
-        rotation, displacement = out[2 * j], out[2 * j + 1]
-        rotation[:, 0], rotation[:, 1], rotation[:, 2] = angle * sway, -angle * surge, rate
-        displacement[:, 1] = rate
-        out[2 * j] *= _BEND_RAD
-        out[2 * j + 1] *= _BEND_M
+        out[2 * j, :, :3] = _BEND_RAD * np.stack([angle * sway, -angle * surge, rate], axis=1)
+        out[2 * j + 1, :, 1] = _BEND_M * rate
     return out
 
 

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-FLUID, SOLID, MOVING, SLIP, OUTLET, INLET = range(6)
+FLUID, SOLID, MOVING, SLIP = range(4)
 """Kinds of cells. A wall lies half-way between a wall cell and the fluid."""
 KIND, GHOST, BODY, EDGE = 7, 32, 64, 128
 """Bits of a cell's flag: its kind; a ghost cell; pushed by a body; at the edge of its box, where
@@ -31,11 +31,11 @@ class Covered:
         lanes: Threads that share the listed cells of a body.
         corner: First cell of each body's square in the plane, and its extent, (E,).
         share: Number of the link of a cell plus the cell's solid share, (E side side tall,).
-        face: Normal of the surface there, and the share of the velocity along it that the body
-            takes away in a step, (E side side tall,); of ghost cells the density of the water
-            outside in place of that share.
-        more: Additional change of the cell's velocity; of ghost cells first the density that they
-            lack so that no mass passes, (E side side tall,).
+        face: Normal of the surface there, 0 where the water does not slip, and the share of the
+            velocity along it (without slip, of all) that the body takes away in a step, (E side
+            side tall,); of ghost cells the density of the water outside in place of that share.
+        leak: Density that the links of a ghost cell lack so that no mass passes, (E side side
+            tall,).
         water: Of ghost cells, the velocity along the surface of the water outside, and the
             velocity across it that the body had before, (E side side tall,).
         beyond: Density and velocity likewise at the other side of a thin part.
@@ -55,7 +55,7 @@ class Covered:
     corner: wp.array(dtype=wp.vec4i)
     share: wp.array(dtype=wp.float32)
     face: wp.array(dtype=wp.vec4)
-    more: wp.array(dtype=wp.vec3)
+    leak: wp.array(dtype=wp.float32)
     water: wp.array(dtype=wp.vec4)
     back: wp.array(dtype=wp.vec4)
     beyond: wp.array(dtype=wp.vec4)

@@ -9,7 +9,6 @@ Symbols: rest density minus 1, m momentum, inv one over the density, plus and mi
 rates of the even and the odd part.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -19,27 +18,12 @@ from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
 
 
-@dataclass(frozen=True)
-class Collision:
-    """Warp functions for one lattice.
-
-    Attributes:
-        rates: Relaxation rates with the sub-grid viscosity.
-        relaxed: Populations after the collision.
-        pushed: Populations after a change of velocity.
-    """
-
-    rates: Any
-    relaxed: Any
-    pushed: Any
-
-
 @cache
-def collision(lattice: Lattice, storage: str, wide: bool) -> Collision:
-    """The functions for a lattice."""
+def collision(lattice: Lattice, wide: bool) -> tuple[Any, Any, Any]:
+    """Relaxation rates with sub-grid viscosity; populations after a collision; after a push."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
     solid = lattice.dimensions == 3
-    Vector = populations(lattice, storage, wide).Vector
+    Vector = populations(lattice, wide).Vector
 
     @wp.func
     def along(m: wp.vec3, x: float, y: float, z: float) -> float:
@@ -134,4 +118,4 @@ def collision(lattice: Lattice, storage: str, wide: bool) -> Collision:
             out[2 * k + 2] += even - odd
         return out
 
-    return Collision(rates, relaxed, pushed)
+    return rates, relaxed, pushed

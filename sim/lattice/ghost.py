@@ -13,7 +13,8 @@ displaces).
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -29,31 +30,11 @@ do not determine the water's velocity in it; on a plane it is 1/3. With less a s
 ideal fluid; with more it exchanges momentum with the water along its surface in every time step."""
 
 
-class Ghosts(NamedTuple):
-    """Warp functions for one lattice.
-
-    Attributes:
-        water_at: Density minus 1 and velocity of the water at a point.
-        emitted: Populations that a ghost cell sends out.
-        sent: Momentum of these populations, and its derivative by the velocity across.
-        slipping: Velocity along the surface with which nothing is exchanged along it.
-        passing: Mass that a cell's links bring into the water.
-        positive: Density for which no population that a cell sends to the water is negative.
-    """
-
-    water_at: Any
-    emitted: Any
-    sent: Any
-    slipping: Any
-    passing: Any
-    positive: Any
-
-
 @cache
-def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
-    """The functions for a lattice."""
+def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of Warp functions
+    """The functions for a lattice, by name."""
     c, w, Q = lattice.velocities, lattice.weights, lattice.Q
-    pop = populations(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     neighbours, moments = pop.neighbours, pop.moments
 
@@ -268,4 +249,7 @@ def ghosts(lattice: Lattice, storage: str, wide: bool) -> Ghosts:
             through += wp.vec4(rest * mean[0], rest * mean[1], rate * mean[0], rate * mean[1])
         return through, among
 
-    return Ghosts(water_at, emitted, sent, slipping, passing, positive)
+    return SimpleNamespace(
+        water_at=water_at, emitted=emitted, sent=sent, slipping=slipping, passing=passing,
+        positive=positive,
+    )  # fmt: skip

@@ -1,7 +1,7 @@
-"""The fluid's Warp kernels: one source for every lattice, storage type and device."""
+"""The fluid's Warp kernels: one source for every lattice and device."""
 
-from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -28,35 +28,14 @@ FAST = (1 - SUPERSONIC**0.5) ** 2
 """Square of the speed beyond which sound passes more than a cell in a step: cells relax wholly."""
 
 
-@dataclass(frozen=True)
-class Kernels:
-    """Kernels for one lattice, storage type and width of memory.
-
-    Attributes:
-        step: Collide and stream.
-        fields: Density and velocity of all cells.
-        initialise: Set populations from density, velocity and strain rate.
-        damp: Damp the flow far from the robot.
-        weigh: Mass of each box beyond that of water at rest.
-        level: Take that mass out again, alike from each cell.
-    """
-
-    step: Any
-    fields: Any
-    initialise: Any
-    damp: Any
-    weigh: Any
-    level: Any
-
-
 @cache
-def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
-    """Compile the kernels for a lattice; on CUDA with its fast divisions and roots."""
+def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - a namespace of kernels
+    """The kernels for a lattice, by name; on CUDA with its fast divisions and roots."""
     c, w, pairs = lattice.velocities, lattice.weights, lattice.pairs
-    pop, collide = populations(lattice, storage, wide), collision(lattice, storage, wide)
+    pop = populations(lattice, wide)
     Stored, Vector, read, write = pop.Stored, pop.Vector, pop.read, pop.write
     neighbours, load, store, moments = pop.neighbours, pop.load, pop.store, pop.moments
-    subgrid_rates, relaxed, pushed = collide.rates, collide.relaxed, collide.pushed
+    subgrid_rates, relaxed, pushed = collision(lattice, wide)
 
     @wp.func
     def slot_of(n: int, e: int, box: Box, covered: Covered) -> wp.vec3i:
@@ -86,9 +65,7 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
         """Change of velocity by the body where the water lacks this velocity."""
         face = covered.face[slot]
         o = wp.vec3(face[0], face[1], face[2])
-        held = covered.share[slot]
-        across = held - wp.floor(held) - face[3]
-        return face[3] * lack + across * wp.dot(o, lack) * o + covered.more[slot]
+        return face[3] * lack - face[3] * wp.dot(o, lack) * o
 
     @wp.kernel(
         enable_backward=False,
@@ -280,4 +257,6 @@ def kernels(lattice: Lattice, storage: str, wide: bool, cuda: bool) -> Kernels:
             share = float(mass / wp.float64(cells))
             write(f, 0, cell, box.total, read(f, 0, cell, box.total) - share)
 
-    return Kernels(step, fields, initialise, damp, weigh, level)
+    return SimpleNamespace(
+        step=step, fields=fields, initialise=initialise, damp=damp, weigh=weigh, level=level
+    )

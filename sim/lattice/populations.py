@@ -13,28 +13,22 @@ Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t 
 c velocity of a direction.
 """
 
-from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from sim.lattice.cell import EDGE, Box, place
 from sim.lattice.velocities import Lattice
 
-STORAGE = {"float32": (wp.float32, 1.0), "float16": (wp.float16, 512.0)}
-"""Types of stored numbers, and their scale factors.
-
-With this factor half precision covers the deviations of flow at a tenth of the speed of sound.
-Source: Lehmann et al., Phys. Rev. E 106 (2022) 015308.
-"""
 WIDE_FROM = 2**31
 """Number of slots from which on memory is wide."""
 FIXED_POINT = float(2**32)
 """Scale of sums over cells, which are integers so that their order makes no difference."""
-_LONGEST_ROW = 2**31 - 1
-"""Largest number of bytes in a row of wide memory: Warp's strides have 32 bits."""
+MOST_CELLS = (2**31 - 1) // 4
+"""Largest number of cells of a batch: Warp's strides have 32 bits, a row of wide memory 4 bytes for
+each cell."""
 
 
 def is_wide(lattice: Lattice, cells: int) -> bool:
@@ -42,63 +36,38 @@ def is_wide(lattice: Lattice, cells: int) -> bool:
     return lattice.Q * cells >= WIDE_FROM
 
 
-def most_cells(storage: str) -> int:
-    """Largest number of cells of a batch: 2^29 - 1 in single precision, 2^30 - 1 in half."""
-    return _LONGEST_ROW // np.dtype(storage).itemsize
-
-
-def allocate(lattice: Lattice, storage: str, wide: bool, cells: int, device: Any) -> Any:  # noqa: ANN401
+def allocate(lattice: Lattice, wide: bool, cells: int, device: Any) -> Any:  # noqa: ANN401
     """Memory for the populations of a number of cells, filled with water at rest."""
     shape = (lattice.Q, cells) if wide else lattice.Q * cells
-    return wp.zeros(shape, dtype=STORAGE[storage][0], device=device)
-
-
-@dataclass(frozen=True)
-class Populations:
-    """Types and Warp functions for one lattice, storage type and width of memory.
-
-    Attributes:
-        Stored: Type of the array in memory: Q rows of all cells, one after the other.
-        Vector: Type of one cell's populations, in single precision.
-        neighbours: Neighbouring cells in the odd directions.
-        load: Populations that arrive at a cell.
-        store: Populations that leave a cell.
-        moments: Density minus 1, and momentum.
-        read, write: Get or set the value of one slot.
-    """
-
-    Stored: Any
-    Vector: Any
-    neighbours: Any
-    load: Any
-    store: Any
-    moments: Any
-    read: Any
-    write: Any
+    return wp.zeros(shape, dtype=wp.float32, device=device)
 
 
 @cache
-def populations(lattice: Lattice, storage: str, wide: bool) -> Populations:
-    """The functions for a lattice; populations stored as ``float32`` or ``float16``."""
+def populations(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of Warp's types and functions
+    """``Stored``, the type of the memory, ``Vector`` of a cell's populations, and functions.
+
+    ``neighbours`` are the cells in the odd directions, ``load`` gives the populations that arrive
+    at a cell, ``store`` takes those that leave it, ``moments`` are density minus 1 and momentum,
+    ``read`` and ``write`` get and set one slot.
+    """
     c, pairs = lattice.velocities, lattice.pairs
-    kind, scale = STORAGE[storage]
-    Stored = wp.array2d(dtype=kind) if wide else wp.array(dtype=kind)
+    Stored = wp.array2d(dtype=wp.float32) if wide else wp.array(dtype=wp.float32)
     Vector = wp.types.vector(length=lattice.Q, dtype=wp.float32)
     Cells = wp.types.vector(length=pairs, dtype=wp.int32)
 
     @wp.func
     def read(f: Stored, row: int, n: int, total: int) -> float:
         if wp.static(wide):
-            return float(f[row, n]) * wp.static(1.0 / scale)
+            return f[row, n]
         else:
-            return float(f[row * total + n]) * wp.static(1.0 / scale)
+            return f[row * total + n]
 
     @wp.func
     def write(f: Stored, row: int, n: int, total: int, x: float):
         if wp.static(wide):
-            f[row, n] = kind(x * wp.static(scale))
+            f[row, n] = x
         else:
-            f[row * total + n] = kind(x * wp.static(scale))
+            f[row * total + n] = x
 
     @wp.func
     def neighbours(n: int, flag: int, box: Box) -> Cells:
@@ -174,4 +143,7 @@ def populations(lattice: Lattice, storage: str, wide: bool) -> Populations:
                 mz += wp.static(float(c[2 * k + 1][2])) * d
         return wp.vec4(rho, mx, my, mz)
 
-    return Populations(Stored, Vector, neighbours, load, store, moments, read, write)
+    return SimpleNamespace(
+        Stored=Stored, Vector=Vector, neighbours=neighbours, load=load, store=store,
+        moments=moments, read=read, write=write,
+    )  # fmt: skip

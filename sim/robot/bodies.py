@@ -14,14 +14,14 @@ from sim.fluid.ghost_coupling import ghost_kernels
 from sim.fluid.wall import DAMPING, MEMORY, NO_SLIP, Wall
 from sim.lattice.cell import Covered
 from sim.lattice.populations import FIXED_POINT
-from sim.lattice.units import Units
-from sim.robot.chain import RING, Chain, Motion, OnGrid
+from sim.lattice.velocities import Units
+from sim.robot.chain import OnGrid
 from sim.robot.effects import OFF, Outside, surface_drag
 from sim.robot.multibody import FREE, HELD, KINEMATIC, advance, move, start
-from sim.robot.rows import Masses, chain_rows, change_rows, make_rows
+from sim.robot.rows import Masses, chain_rows, change_rows, make_chain, make_motion
 from sim.robot.shape import Hull, displaced
 from sim2real.arrays import Array, Index, Mask
-from sim2real.servo.parameters import CELLS, COLUMNS
+from sim2real.servo.parameters import COLUMNS
 
 VIRTUAL_MASS = 0.25
 """Share of the displaced water that is added to both sides of the equations of motion."""
@@ -116,34 +116,16 @@ class Bodies:
         self.displaced = water
         self.wall, self._virtual = wall, virtual_mass
 
-        def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
-            return wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
-
-        def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
+        def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
             return wp.zeros(shape, dtype=kind, device=device)
 
         rows = np.zeros((E, J, len(COLUMNS)))
         if servos is not None:
             rows[:] = servos
-        chain = self.chain = Chain()
-        make_rows(chain, self._rows(masses, rows, outside), device)
-        chain.length = put(hull.length, wp.float64)
         ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
-        chain.limits = put(np.asarray(ends, dtype=np.float64).reshape(J, 2), wp.vec2d)
-        chain.memory = room((E, J, CELLS), wp.float64)
-        chain.push = room((E, N), wp.float64)
+        chain = make_chain(self._rows(masses, rows, outside), hull.length, ends, device)
         chain.widest = wp.float64(hull.half_width.max())
-        s = self.motion = Motion()
-        s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
-        s.link, s.twist, s.before, s.force, s.inner = (room((E, L), wp.vec3d) for _ in range(5))
-        s.held, s.joint = room((E, L), wp.vec3d), room((E, J), wp.vec2d)
-        s.fresh = room((E,), wp.int32)
-        s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
-        s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
-        s.clock = room((E,), wp.float64)
-        s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
-        s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
-        s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
+        self.chain, self.motion = chain, make_motion(E, L, device)
         grid = self.grid = OnGrid()
         grid.cell, grid.step = wp.float64(units.cell_m), wp.float64(units.step_s)
         grid.mass = wp.float64(units.mass_kg)
@@ -152,8 +134,8 @@ class Bodies:
         grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
         grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
         grid.sums = room((E, L, SUMS), wp.int64)
-        grid.kept = room((E, L), wp.float32)
-        grid.memory, grid.whole = wp.float32(MEMORY), int(wall.ghosts)
+        grid.kept = room((E,), wp.float32)
+        grid.memory = wp.float32(MEMORY)
         fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target = room((E, N), wp.float64)
         self.friction = room((E, J), wp.float64)
@@ -162,10 +144,11 @@ class Bodies:
         half_height = on_grid.half_height / units.cell_m - set_in
         if flat:
             half_height = np.full_like(half_height, _NO_LIMIT)
-        self._shape = (
-            put((hull.length / units.cell_m).astype(np.float32), wp.float32),
-            put(half_width.astype(np.float32), wp.vec3),
-            put(half_height.astype(np.float32), wp.vec3),
+        kinds = wp.float32, wp.vec3, wp.vec3
+        lengths = hull.length / units.cell_m, half_width, half_height
+        self._shape: tuple[Any, ...] = tuple(
+            wp.array(values.astype(np.float32), dtype=kind, device=device)
+            for values, kind in zip(lengths, kinds, strict=True)
         )
         reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
         self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
@@ -181,16 +164,17 @@ class Bodies:
         cells = E * square
         covered.corner = grid.corner = room((E,), wp.vec4i)
         covered.share = room((cells,), wp.float32)
-        covered.face, covered.more = room((cells,), wp.vec4), room((cells,), wp.vec3)
-        ghosts = cells if wall.ghosts else 1
+        covered.face = room((cells,), wp.vec4)
+        ghosts = cells if wall.slip else 1
+        covered.leak = room((ghosts,), wp.float32)
         covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
         covered.links = room((ghosts,), wp.vec2i)
         covered.count = room((2 * E,), wp.int32)
         covered.listed = room((2 * E, ghosts // E), wp.int32)
-        covered.damping = DAMPING if wall.ghosts else 0.0
+        covered.damping = DAMPING if wall.slip else 0.0
         self._touch = wall.touch(hull.body_length, units)
-        made = ghost_kernels if wall.ghosts else cover_kernel
-        self._cover = made(fluid.lattice, fluid.storage, fluid.wide)
+        made = ghost_kernels if wall.slip else cover_kernel
+        self._cover = made(fluid.lattice, fluid.wide)
         self.place(np.zeros((E, N)))
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:
@@ -241,7 +225,7 @@ class Bodies:
         self._sum_over_covered(water)
         moved = [*robots, self.target, self.friction, fluid.stopped]
         self._launch(advance, fluid.boxes, moved)
-        if self.wall.ghosts:
+        if self.wall.slip:
             sent = [*water, self.grid.twist, self.grid.centre, fluid.stopped]
             self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), sent)
         fluid.collide_and_stream()
@@ -251,10 +235,9 @@ class Bodies:
         """The fluid's sums over each link (``coupling.SUMS``)."""
         fluid, grid, covered = self.fluid, self.grid, self.fluid.covered
         place, sums = [grid.pose, grid.twist, grid.centre], [grid.sums, fluid.stopped]
-        surface = [self._touch, self.chain.rough]
         columns = self._side**2
-        if not self.wall.ghosts:
-            inputs = [*water, self.middle, *surface, grid.kept, *place, *self._shape, *sums]
+        if not self.wall.slip:
+            inputs = [*water, self.middle, grid.pose, grid.centre, *self._shape, *sums]
             self._launch(self._cover, (fluid.boxes, columns), inputs, BLOCK)
             return
         covered.count.zero_()
@@ -262,7 +245,8 @@ class Bodies:
         parts = (fluid.boxes, -(-covered.tall // covered.layers), columns)
         self._launch(self._cover.mark, parts, [*inputs, self._touch, fluid.stopped], BLOCK)
         listed = (fluid.boxes, covered.lanes)
-        self._launch(self._cover.shear, listed, [*water, *surface, *place[1:], *sums])
+        rough = [self._touch, self.chain.rough]
+        self._launch(self._cover.shear, listed, [*water, *rough, *place[1:], *sums])
         self._launch(self._cover.cover, listed, [*water, *place, grid.kept, *sums])
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401

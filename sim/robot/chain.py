@@ -114,9 +114,8 @@ class Motion:
 class OnGrid:
     """The robots in lattice units, for the fluid, and the fluid's sums over them.
 
-    ``kept`` is the velocity along each link's axis that is given back to the cells at its surface
-    in a step (``coupling``), a mean over ``memory`` steps, (E, L). Where ``whole`` is not 0, it is
-    the density that the surface of all links lacks, alike for each (``ghost_coupling``).
+    ``kept`` is the density that the surface of all links lacks so that no mass passes, a mean over
+    ``memory`` steps, (E,), see ``ghost_coupling``.
     """
 
     cell: wp.float64
@@ -130,7 +129,6 @@ class OnGrid:
     twist: wp.array2d(dtype=wp.vec4)
     position: wp.array(dtype=wp.vec2)
     sums: wp.array3d(dtype=wp.int64)
-    kept: wp.array2d(dtype=wp.float32)
-    whole: int
+    kept: wp.array(dtype=wp.float32)
     memory: wp.float32
     scale: wp.float64

@@ -1,10 +1,16 @@
-"""Torques and impulses at a joint: the servo, dry friction, the joint's limits."""
+"""Joints: set-points, torques, impulses (dry friction, limits), solution of the equations."""
+
+from functools import cache
+from typing import Any
 
 import warp as wp
 
+from sim.lattice.cell import BODY, GHOST, Box
+from sim.lattice.populations import populations
+from sim.lattice.velocities import Lattice
 from sim.robot.chain import RING, Chain, Motion
-from sim.robot.linear import response
 from sim2real.servo.effect_chain import (
+    arrival_time,
     command_in_force,
     error_seen,
     friction_bound,
@@ -17,13 +23,64 @@ from sim2real.servo.motor import (
     Push,
     gear_friction,
     motor_push,
+    pd_torque,
     read_motor,
     resistance,
 )
-from sim2real.servo.torques import pd_torque
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))
 """Largest number of sweeps, and the change of a joint's rate in rad/s below which they end."""
+
+
+@wp.func
+def factorise(e: int, first: int, size: int, s: Motion) -> int:
+    """Cholesky factor of rows ``first`` to ``size``, in place, below the diagonal."""
+    for i in range(first, size):
+        for j in range(first, i + 1):
+            x = s.A[e, i, j]
+            for k in range(first, j):
+                x -= s.A[e, i, k] * s.A[e, j, k]
+            if i == j:
+                s.A[e, i, i] = wp.sqrt(x)
+            else:
+                s.A[e, i, j] = x / s.A[e, j, j]
+    return 0
+
+
+@wp.func
+def solve(e: int, size: int, s: Motion) -> int:
+    """Replace b by the solution."""
+    for i in range(size):
+        x = s.b[e, i]
+        for k in range(i):
+            x -= s.A[e, i, k] * s.b[e, k]
+        s.b[e, i] = x / s.A[e, i, i]
+    for r in range(size):
+        i = size - 1 - r
+        x = s.b[e, i]
+        for k in range(i + 1, size):
+            x -= s.A[e, k, i] * s.b[e, k]
+        s.b[e, i] = x / s.A[e, i, i]
+    return 0
+
+
+@wp.func
+def response(e: int, column: int, size: int, s: Motion) -> int:
+    """Column of the inverse, into ``inverse``."""
+    for i in range(size):
+        x = wp.float64(0.0)
+        if i == column:
+            x = wp.float64(1.0)
+        for k in range(i):
+            x -= s.A[e, i, k] * s.inverse[e, column, k]
+        s.inverse[e, column, i] = x / s.A[e, i, i]
+    for r in range(size):
+        i = size - 1 - r
+        x = s.inverse[e, column, i]
+        for k in range(i + 1, size):
+            x -= s.A[e, k, i] * s.inverse[e, column, k]
+        s.inverse[e, column, i] = x / s.A[e, i, i]
+    return 0
 
 
 @wp.func
@@ -147,3 +204,81 @@ def stop_joints(
             for i in range(size):
                 s.b[e, i] += s.inverse[e, 3 + k, i] * change
     return 0
+
+
+@wp.func
+def send_to(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
+    """Send a set-point to joint k of robot e, which receives it after the latency."""
+    number = s.newest[e, k] + 1
+    slot = number % wp.static(RING)
+    zero = wp.float64(0.0)
+    p = chain.servo[e, k]
+    now = s.clock[e]
+    arrives = now + p[2]
+    if chain.active[e, k] != wp.int64(0):
+        arrives = arrival_time(
+            arrives, wp.float64(number), zero, zero, now, zero, p, chain.memory[e, k],
+            chain.active[e, k],
+        )  # fmt: skip
+    s.sent[e, k, slot] = u + chain.trim[e, k]
+    s.arrival[e, k, slot] = arrives
+    s.newest[e, k] = number
+    return 0
+
+
+@wp.kernel(enable_backward=False)
+def send(
+    command: wp.array2d(dtype=wp.float64),
+    chain: Chain,
+    s: Motion,
+    stopped: wp.array(dtype=wp.int32),
+):
+    """Send a set-point to joint k of robot e."""
+    e, k = wp.tid()
+    if stopped[e] < 0:
+        send_to(e, k, command[e, k], chain, s)
+
+
+@wp.kernel(enable_backward=False)
+def remember(mask: wp.array(dtype=wp.int32), chain: Chain, s: Motion):
+    """Reset the clock of robot e, with its angles as the set-points in force."""
+    e = wp.tid()
+    if mask[e] == 0:
+        return
+    s.clock[e] = wp.float64(0.0)
+    for k in range(s.newest.shape[1]):
+        s.newest[e, k] = 0
+        s.sent[e, k, 0] = s.q[e, 3 + k]
+        s.arrival[e, k, 0] = wp.float64(-1.0)
+        s.torque[e, k] = wp.float64(0.0)
+        s.measured[e, k] = s.q[e, 3 + k] - chain.trim[e, k]
+        s.strain[e, k] = s.q[e, 3 + k]
+        for i in range(chain.memory.shape[2]):
+            chain.memory[e, k, i] = wp.float64(0.0)
+
+
+@cache
+def calm(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel that brings boxes to rest."""
+    pop = populations(lattice, wide)
+    Stored, write = pop.Stored, pop.write
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def calm(
+        mask: wp.array(dtype=wp.int32),
+        f: Stored,
+        flags: wp.array(dtype=wp.uint8),
+        box: Box,
+        stopped: wp.array(dtype=wp.int32),
+    ):
+        e, n = wp.tid()
+        if mask[e] == 0:
+            return
+        cell = e * box.cells + n
+        for d in range(wp.static(lattice.Q)):
+            write(f, d, cell, box.total, 0.0)
+        flags[cell] = wp.uint8(int(flags[cell]) & wp.static(~(BODY | GHOST) & 255))
+        if n == 0:
+            stopped[e] = -1
+
+    return calm

@@ -23,8 +23,7 @@ import warp as wp
 
 from sim.fluid.coupling import SUMS
 from sim.robot.chain import Chain, Motion, OnGrid
-from sim.robot.joints import drive, stop_joints
-from sim.robot.linear import factorise, solve
+from sim.robot.joints import drive, factorise, solve, stop_joints
 from sim.robot.outside import appendages, carried, held, hold, pull, resist, skin
 from sim2real.effects import SIGNATURE
 from sim2real.servo.effect_chain import SENSOR_BITS, measured_angle
@@ -162,8 +161,8 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     pose_links(e, chain, s)
     move_links(e, s)
     s.fresh[e] = 1
+    grid.kept[e] = 0.0
     for k in range(chain.length.shape[0]):
-        grid.kept[e, k] = 0.0
         s.before[e, k] = s.twist[e, k]
         hold(e, k, chain, s)
         s.inner[e, k] = wp.vec3d()
@@ -264,7 +263,7 @@ def advance(
     for k in range(L):
         passed += wp.float64(grid.sums[e, k, 24])
         weight += wp.float64(grid.sums[e, k, 25])
-    leak = float(passed / weight)
+    grid.kept[e] = grid.kept[e] + (float(passed / weight) - grid.kept[e]) / grid.memory
     for k in range(L):
         V = s.twist[e, k]
         hold(e, k, chain, s)
@@ -274,14 +273,6 @@ def advance(
         inner = vector(e, k, 21, unit, grid) + matrix(e, k, 9, unit, grid) * V
         inner += (full - K) * (V - s.before[e, k])
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
-        share = float(0.0)
-        if (
-            grid.sums[e, k, 25] > wp.int64(0) and s.fresh[e] == 0
-        ):  # inner cells that moved with the body
-            share = float(wp.float64(grid.sums[e, k, 24]) / wp.float64(grid.sums[e, k, 25]))
-        if grid.whole != 0:
-            share = leak
-        grid.kept[e, k] = grid.kept[e, k] + (share - grid.kept[e, k]) / grid.memory
         v = V * h
         grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
         for i in range(wp.static(SUMS)):
@@ -300,6 +291,20 @@ def middle(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
         at += chain.weight[e, k] * wp.vec2d(x[0], x[1])
         total += chain.weight[e, k]
     return at / total
+
+
+@wp.func
+def measure(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+    """Angles that the joints' sensors read."""
+    for k in range(s.q.shape[1] - 3):
+        angle = s.q[e, 3 + k]
+        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
+            angle = measured_angle(
+                angle, angle, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
+                chain.memory[e, k], chain.active[e, k],
+            )  # fmt: skip
+        s.measured[e, k] = angle - chain.trim[e, k]
+    return 0
 
 
 @wp.kernel(enable_backward=False)
@@ -325,13 +330,5 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
         s.q[e, 0] = s.q[e, 0] + off[0]
         s.q[e, 1] = s.q[e, 1] + off[1]
         pose_links(e, chain, s)
-    for k in range(s.q.shape[1] - 3):
-        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
-            s.measured[e, k] = measured_angle(
-                s.q[e, 3 + k], s.q[e, 3 + k], s.v[e, 3 + k], s.torque[e, k], s.clock[e],
-                grid.step, chain.servo[e, k], chain.memory[e, k], chain.active[e, k],
-            )  # fmt: skip
-        else:
-            s.measured[e, k] = s.q[e, 3 + k]
-        s.measured[e, k] = s.measured[e, k] - chain.trim[e, k]
+    measure(e, grid.step, chain, s)
     show(e, chain, s, grid)

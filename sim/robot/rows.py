@@ -10,14 +10,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.robot.appended import about
-from sim.robot.effects import Outside
+from sim.robot.chain import RING, Chain, Motion
+from sim.robot.effects import Outside, about
 from sim.robot.shape import Hull
 from sim2real.arrays import Array, Index
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
-from sim2real.servo.parameters import COLUMNS, TRAIN_ROTORS, beyond_load, joint_row
+from sim2real.servo.parameters import CELLS, COLUMNS, TRAIN_ROTORS, beyond_load, joint_row
 from sim2real.servo.rollout import active_effects
 
 
@@ -90,6 +90,43 @@ def make_rows(struct: Any, rows: Mapping[str, NDArray[Any]], device: Any) -> Non
         kind = _KINDS.get(name, wp.float64)
         array: Any = wp.array(np.ascontiguousarray(values), dtype=kind, device=device)
         setattr(struct, name, array)
+
+
+def make_chain(
+    rows: Mapping[str, NDArray[Any]],
+    length: Array,
+    limits: Array,
+    device: Any,  # noqa: ANN401
+) -> Chain:
+    """Parameters of robots on a device, from their rows, the links' lengths and joints' limits."""
+    chain = Chain()
+    make_rows(chain, rows, device)
+    make_rows(chain, {"length": length}, device)
+    E, J = rows["active"].shape
+    ends = np.ascontiguousarray(limits, dtype=np.float64).reshape(J, 2)
+    chain.limits = wp.array(ends, dtype=wp.vec2d, device=device)
+    chain.memory = wp.zeros((E, J, CELLS), dtype=wp.float64, device=device)
+    chain.push = wp.zeros((E, 3 + J), dtype=wp.float64, device=device)
+    return chain
+
+
+def make_motion(E: int, L: int, device: Any) -> Motion:  # noqa: ANN401 - Warp has no stubs
+    """The state of E robots with L links on a device, all 0 and without set-points."""
+
+    def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
+        return wp.zeros(shape, dtype=kind, device=device)
+
+    s, J, N = Motion(), L - 1, L + 2
+    s.q, s.v, s.b = (room((E, N), wp.float64) for _ in range(3))
+    s.link, s.twist, s.before, s.force, s.inner = (room((E, L), wp.vec3d) for _ in range(5))
+    s.held, s.joint = room((E, L), wp.vec3d), room((E, J), wp.vec2d)
+    s.fresh, s.clock = room((E,), wp.int32), room((E,), wp.float64)
+    s.torque, s.impulse, s.stop = (room((E, J), wp.float64) for _ in range(3))
+    s.measured, s.strain = (room((E, J), wp.float64) for _ in range(2))
+    s.sent, s.arrival = (room((E, J, RING), wp.float64) for _ in range(2))
+    s.newest = wp.full((E, J), -1, dtype=wp.int32, device=device)
+    s.A, s.inverse = (room((E, N, N), wp.float64) for _ in range(2))
+    return s
 
 
 def change_rows(

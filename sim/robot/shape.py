@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from sim.fluid.section import RAMP
-from sim.lattice.units import WATER_KG_M3
+from sim.lattice.velocities import WATER_KG_M3
 from sim2real.appendages import Appendage
 from sim2real.arrays import Array
 from sim2real.errors import InputError

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from sim.fluid.fluid import Fluid
-from sim.fluid.tank import WINDOW_M, Tank, pool, window
+from sim.fluid.fluid import WINDOW_M, Fluid, Tank, pool, window
 from sim.fluid.wall import SLIP, Wall
-from sim.lattice.units import WATER_M2_S, Units
-from sim.lattice.velocities import D2Q9, D3Q19
-from sim.robot.bodies import FREE, KINEMATIC, Bodies
-from sim.robot.control import HISTORY, calm, remember, send
+from sim.lattice.velocities import D2Q9, D3Q19, WATER_M2_S, Units
+from sim.robot.bodies import FREE, Bodies
 from sim.robot.effects import outside
-from sim.robot.live import Live
+from sim.robot.joints import calm, remember, send
+from sim.robot.live import Live, State, at_rest, models_of, set_points, state_of
 from sim.robot.rows import changed, masses, servo_rows
 from sim.robot.shape import Hull, afloat, draught, hull_of
-from sim2real.arrays import Array, Index, Integers, Mask
+from sim2real.arrays import Array, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
@@ -49,34 +45,6 @@ def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
     return max(WATER_M2_S, LEAST_VISCOSITY * cell_m**2 / step_s)
 
 
-@dataclass(frozen=True)
-class State:
-    """State of the robots, copied from the device; world frame, SI units.
-
-    Attributes:
-        pose: x, y of the head's centre of mass and its heading, shape (E, 3).
-        velocity: Surge, sway and yaw rate of the head, in its body frame, shape (E, 3).
-        joint: Joint angles, shape (E, J).
-        rate: Joint rates, shape (E, J).
-        measured: Angles measured by the joints' sensors, shape (E, J).
-        torque: Torques of the servos in N m, shape (E, J).
-        force: Force of the fluid on each link in N and torque about its centre of mass in N m,
-            world frame, shape (E, L, 3).
-        time: Seconds since the start, shape (E,).
-        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,).
-    """
-
-    pose: Array
-    velocity: Array
-    joint: Array
-    rate: Array
-    measured: Array
-    torque: Array
-    force: Array
-    time: Array
-    stopped: Integers
-
-
 class Swimmer:
     """A batch of robots in the fluid: one robot file, separate parameters for each.
 
@@ -102,12 +70,9 @@ class Swimmer:
         box_m: tuple[float, float, float] = WINDOW_M,
         walls: bool = False,
         wall: Wall = SLIP,
-        depth_m: float | None = None,
         viscosity_m2_s: float | Array | None = None,
         smagorinsky: float = SMAGORINSKY,
         substeps: int | None = None,
-        hull: Hull | None = None,
-        storage: str = "float32",
         threads: int = 1,
     ) -> None:
         """Create the boxes, with the robots straight, at rest, at the origin, heading along x.
@@ -124,28 +89,21 @@ class Swimmer:
             walls: Whether the box has walls; otherwise it moves with the robot.
             wall: Wall model: by default slip along the surface with skin friction as a stress, for
                 robots of decimetres; ``NO_SLIP`` if cells resolve the boundary layer.
-            depth_m: Depth of the robot's centre below the surface, with its heights scaled for
-                neutral buoyancy. By default it floats at the draught of its mass; a robot that
-                would sink swims at half depth.
             viscosity_m2_s: Viscosity of the fluid away from the wall, one or one for each box, at
                 least that of water, 1e-6; by default the model's or ``least_viscosity``.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Time steps per control period, even; by default from ``TOP_SPEED_M_S``.
-            hull: Shape of the links; by default from the robot's file.
-            storage: ``float32`` or ``float16`` for the populations.
             threads: CPU threads.
 
         Raises:
             InputError: If robot, model and box do not agree.
         """
         self.robot, self.n_envs = robot, n_envs
-        models = [model] * n_envs if isinstance(model, Model) else list(model)
-        if len(models) != n_envs:
-            raise InputError("swimmer", "model", f"{len(models)} models", f"{n_envs}, one a box")
+        models = models_of(model, n_envs, "swimmer")
         flat = dimensions == 2
-        self.hull = hull if hull is not None else hull_of(robot)
+        self.hull = hull_of(robot)
         _check(robot, self.hull, box_m, cell_m)
-        self.hull, depth, self.surface_m = _submerged(robot, self.hull, flat, depth_m, box_m[2])
+        self.hull, depth, self.surface_m = _submerged(robot, self.hull, flat, box_m[2])
         if substeps is None:
             substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:
@@ -166,7 +124,6 @@ class Swimmer:
             walls=self.tank.walls,
             normals=self.tank.normals,
             smagorinsky=smagorinsky,
-            storage=storage,
             device=device,
             threads=threads,
         )
@@ -191,9 +148,6 @@ class Swimmer:
         self.step_count = 0
         J = len(robot.joints)
         self._command: Any = wp.zeros((n_envs, J), dtype=wp.float64, device=self.fluid.device)
-        self.history: Any = wp.zeros(
-            (n_envs, HISTORY, 2 * (3 + J)), dtype=wp.float64, device=self.fluid.device
-        )
         self._graphs: dict[int, Any] = {}
         self.reset()
 
@@ -211,19 +165,14 @@ class Swimmer:
                 body's middle at the origin where None.
             joint: Joint angles, shape (E, J) or (J,); straight where None.
         """
-        E, J = self.n_envs, len(self.robot.joints)
+        E = self.n_envs
         chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        q = np.zeros((E, 3 + J))
-        if pose is None:
-            com = self.bodies.chain.com.numpy()[:, 0]
-            q[:, 0] = self.hull.length.sum() / 2 - com
-        else:
-            q[:, :3] = pose
-        q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
+        com = self.bodies.chain.com.numpy()[:, 0]
+        q = at_rest(self.hull, com, self.outside.trim, pose, joint)
         on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.fluid.device)
         fluid, motion = self.fluid, self.bodies.motion
         self._launch(
-            calm(fluid.lattice, fluid.storage, fluid.wide),
+            calm(fluid.lattice, fluid.wide),
             (E, fluid.cells),
             [on_device, fluid.f, fluid.flags, fluid.box, fluid.stopped],
         )
@@ -257,13 +206,8 @@ class Swimmer:
         if isinstance(command, wp.array):
             wp.copy(self._command, command)
         else:
-            values = np.broadcast_to(np.asarray(command, dtype=np.float64), self._command.shape)
-            if not np.all(np.isfinite(values)):
-                row = int(np.argwhere(~np.isfinite(values))[0, 0])
-                found = f"{values[row].tolist()} in environment {row}"
-                raise InputError("swimmer", "command", found, "finite angles")
-            self._command.assign(np.ascontiguousarray(values))
-        self._run(FREE)
+            self._command.assign(set_points(command, self._command.shape, "swimmer"))
+        self.advance()
 
     def live(self) -> Live:
         """The live state, on the device."""
@@ -272,64 +216,33 @@ class Swimmer:
 
     def advance(self) -> None:
         """Advance by one control period with the set-points in ``live().command``."""
-        self._run(FREE)
-
-    def follow(self, joint: Array, rate: Array | None = None) -> None:
-        """Advance by one control period with prescribed joints; the body stays free.
-
-        Args:
-            joint: Angles at the period's end, shape (E, J) or (J,).
-            rate: Rates at its end, likewise, for a cubic through angles and rates at both ends;
-                at constant rates where None.
-        """
-        motion = self.bodies.motion
-        q, v = motion.q.numpy()[:, 3:], motion.v.numpy()[:, 3:]
-        end = np.broadcast_to(joint, q.shape)
-        time = np.arange(self.substeps + 1) / self.substeps
-        if rate is None:
-            path = q + (end - q) * time[:, None, None]
-        else:
-            s = time[:, None, None]
-            path = (
-                q * (1 + 2 * s) * (1 - s) ** 2
-                + CONTROL_S * v * s * (1 - s) ** 2
-                + end * s * s * (3 - 2 * s)
-                + CONTROL_S * np.broadcast_to(rate, q.shape) * s * s * (s - 1)
-            )
-        for rates in np.diff(path, axis=0) / self.units.step_s:
-            self.bodies.prescribe(np.concatenate([np.zeros((self.n_envs, 3)), rates], axis=1))
-            self.bodies.step(KINEMATIC)
-        self._sponge()
-        self.step_count += 1
-
-    def _run(self, mode: int) -> None:
         device = self.fluid.device
         if not device.is_cuda:
-            self._period(mode)
+            self._period()
         elif self.fluid.t in self._graphs:
             wp.capture_launch(self._graphs[self.fluid.t])
         else:
-            self._period(mode)  # compiles every kernel, which a capture must not
+            self._period()  # compiles every kernel, which a capture must not
             with wp.ScopedCapture(device=device) as capture:
-                self._period(mode)
+                self._period()
             self._graphs[self.fluid.t] = capture.graph
         self.step_count += 1
 
-    def _period(self, mode: int) -> None:
+    def _period(self) -> None:
         bodies = self.bodies
         self._launch(
             send,
             (self.n_envs, len(self.robot.joints)),
-            [self._command, bodies.chain, bodies.motion, self.history, self.fluid.stopped],
+            [self._command, bodies.chain, bodies.motion, self.fluid.stopped],
         )
         for _ in range(self.substeps):
-            bodies.step(mode)
+            bodies.step(FREE)
         self._sponge()
 
     def _sponge(self) -> None:
         tank, fluid = self.tank, self.fluid
         if not tank.sponge:
-            if self.bodies.wall.ghosts:
+            if self.bodies.wall.slip:
                 fluid.level()
             return
         reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
@@ -344,41 +257,20 @@ class Swimmer:
 
     def state(self) -> State:
         """The state of the robots, copied from the device."""
-        s = self.bodies.motion
-        q, v, clock = _copied(s.q), _copied(s.v), _copied(s.clock)
-        q[:, :2] += self.outside.current * clock[:, None]
-        v[:, :2] += self.outside.current
-        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
-        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
-        return State(
-            pose=q[:, :3],
-            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
-            joint=q[:, 3:],
-            rate=v[:, 3:],
-            measured=_copied(s.measured),
-            torque=_copied(s.torque),
-            force=_copied(s.force),
-            time=clock,
-            stopped=_copied(self.fluid.stopped),
-        )
+        stopped = self.fluid.stopped.numpy()
+        return state_of(self.bodies.motion, self.outside.current, stopped)
 
 
-def _copied(array: Any) -> NDArray[Any]:  # noqa: ANN401 - Warp has no stubs
-    """A copy of a Warp array: on a CPU its ``numpy`` is a view of memory that changes."""
-    return np.array(array.numpy())
+def _submerged(robot: Robot, hull: Hull, flat: bool, water_m: float) -> tuple[Hull, float, float]:
+    """The hull, the depth that replaces its heights in 2D, and the depth of its middle.
 
-
-def _submerged(
-    robot: Robot, hull: Hull, flat: bool, depth_m: float | None, water_m: float
-) -> tuple[Hull, float, float]:
-    """The hull, the depth that replaces its heights in 2D, and the depth of its middle."""
+    A robot floats at the draught of its mass; one that would sink swims at half depth.
+    """
     mass = sum(link.mass_kg for link in robot.links)
-    if depth_m is None and not flat:
-        depth_m = draught(hull, mass, robot.appendages)
-        if depth_m is not None:
-            return hull, 0.0, depth_m
-    hull, depth = afloat(hull, mass, flat, robot.appendages)
-    return hull, depth, water_m / 2 if depth_m is None else depth_m
+    depth_m = None if flat else draught(hull, mass, robot.appendages)
+    if depth_m is not None:
+        return hull, 0.0, depth_m
+    return *afloat(hull, mass, flat, robot.appendages), water_m / 2
 
 
 def _check(robot: Robot, hull: Hull, box_m: tuple[float, float, float], cell_m: float) -> None:

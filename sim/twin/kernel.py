@@ -16,14 +16,12 @@ of ``sim.robot.multibody``.
 
 import warp as wp
 
-from sim.robot.chain import RING, Chain, Motion
-from sim.robot.joints import drive, stop_joints
-from sim.robot.linear import factorise, solve
-from sim.robot.multibody import column, move_links, pose_links
+from sim.robot.chain import Chain, Motion
+from sim.robot.joints import drive, factorise, send_to, solve, stop_joints
+from sim.robot.multibody import column, measure, middle, move_links, pose_links
 from sim.robot.outside import appendages, held, hold, pull, resist, skin
 from sim.twin import law as twin_law
 from sim2real.effects import SIGNATURE
-from sim2real.servo.effect_chain import SENSOR_BITS, arrival_time, measured_angle
 
 POINTS = wp.constant(twin_law.POINTS)
 
@@ -218,25 +216,13 @@ def advance_twin(
 
 
 @wp.func
-def centre(e: int, ahead: wp.float64, chain: Chain, s: Motion) -> wp.vec2d:
-    """Centre of the links' mass after ``ahead`` seconds at the links' velocities."""
-    at = wp.vec2d()
-    total = wp.float64(0.0)
-    for k in range(chain.length.shape[0]):
-        x = s.link[e, k] + ahead * s.twist[e, k]
-        at += chain.mass[e, k][0] * wp.vec2d(x[0], x[1])
-        total += chain.mass[e, k][0]
-    return at / total
-
-
-@wp.func
 def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
     """Advance the coordinates, so that the centre of mass moves with its velocity."""
-    target = centre(e, h, chain, s)
+    target = middle(e, h, chain, s)
     for i in range(s.q.shape[1]):
         s.q[e, i] = s.q[e, i] + h * s.v[e, i]
     pose_links(e, chain, s)
-    off = target - centre(e, wp.float64(0.0), chain, s)
+    off = target - middle(e, wp.float64(0.0), chain, s)
     s.q[e, 0] = s.q[e, 0] + off[0]
     s.q[e, 1] = s.q[e, 1] + off[1]
     for k in range(chain.length.shape[0]):
@@ -244,33 +230,7 @@ def move_twin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
         s.link[e, k] = wp.vec3d(at[0] + off[0], at[1] + off[1], at[2])
         if k > 0:
             s.joint[e, k - 1] = s.joint[e, k - 1] + off
-    for k in range(s.q.shape[1] - 3):
-        angle = s.q[e, 3 + k]
-        if (chain.active[e, k] & wp.static(wp.int64(SENSOR_BITS))) != wp.int64(0):
-            angle = measured_angle(
-                angle, angle, s.v[e, 3 + k], s.torque[e, k], s.clock[e], h, chain.servo[e, k],
-                chain.memory[e, k], chain.active[e, k],
-            )  # fmt: skip
-        s.measured[e, k] = angle - chain.trim[e, k]
-    return 0
-
-
-@wp.func
-def send_twin(e: int, k: int, u: wp.float64, chain: Chain, s: Motion) -> int:
-    """Send a set-point to joint k, which receives it after the latency."""
-    number = s.newest[e, k] + 1
-    slot = number % wp.static(RING)
-    zero = wp.float64(0.0)
-    p = chain.servo[e, k]
-    arrives = s.clock[e] + p[2]
-    if chain.active[e, k] != wp.int64(0):
-        arrives = arrival_time(
-            arrives, wp.float64(number), zero, zero, s.clock[e], zero, p, chain.memory[e, k],
-            chain.active[e, k],
-        )  # fmt: skip
-    s.sent[e, k, slot] = u + chain.trim[e, k]
-    s.arrival[e, k, slot] = arrives
-    s.newest[e, k] = number
+    measure(e, h, chain, s)
     return 0
 
 
@@ -311,7 +271,7 @@ def swim_twin(
     J = s.newest.shape[1]
     for n in range(count):
         for k in range(J):
-            send_twin(e, k, command[which[e], n, k], chain, s)
+            send_to(e, k, command[which[e], n, k], chain, s)
         for _i in range(substeps):
             advance_twin(e, h, chain, s, water, friction)
             move_twin(e, h, chain, s)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.lattice.units import WATER_KG_M3
+from sim.lattice.velocities import WATER_KG_M3
 from sim.robot.shape import Hull, afloat, draught
 from sim2real.arrays import Array
 from sim2real.errors import InputError, one_of

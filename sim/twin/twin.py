@@ -15,21 +15,27 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fluid.tank import POOL_M
-from sim.robot.chain import RING, Chain, Motion
-from sim.robot.control import remember
+from sim.fluid.fluid import POOL_M
 from sim.robot.effects import Outside, outside, surface_drag
-from sim.robot.live import Live
-from sim.robot.rows import chain_rows, change_rows, changed, make_rows, masses, servo_rows
-from sim.robot.shape import Hull, hull_of
-from sim.robot.swimmer import CONTROL_S, State
+from sim.robot.joints import remember
+from sim.robot.live import Live, State, at_rest, models_of, set_points, state_of
+from sim.robot.rows import (
+    chain_rows,
+    change_rows,
+    changed,
+    make_chain,
+    make_motion,
+    make_rows,
+    masses,
+    servo_rows,
+)
+from sim.robot.shape import hull_of
+from sim.robot.swimmer import CONTROL_S
 from sim.twin.kernel import Water, start_twin, swim_twin
 from sim.twin.law import FITTED, POINTS, Coefficients, hull_in_water, law_rows, sections
 from sim2real.arrays import Array, Index, Mask
-from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
-from sim2real.servo.parameters import CELLS
 
 SUBSTEPS = 8
 """Sub-steps per control period: doubling them changes a path of 10 s by less than 1 %."""
@@ -58,7 +64,6 @@ class Twin:
         coefficients: Coefficients | Sequence[Coefficients] | None = None,
         substeps: int = SUBSTEPS,
         threads: int = 2,
-        hull: Hull | None = None,
         period_s: float = CONTROL_S,
     ) -> None:
         """Create the robots, straight, at rest, at the origin, heading along x.
@@ -72,7 +77,6 @@ class Twin:
                 those fitted to the fluid.
             substeps: Sub-steps per control period.
             threads: CPU threads.
-            hull: Shape of the links; by default from the robot's file.
             period_s: Control period in s.
 
         Raises:
@@ -80,12 +84,9 @@ class Twin:
         """
         self.robot, self.n_envs, self.substeps, self.threads = robot, n_envs, substeps, threads
         self.period_s = period_s
-        models = [model] * n_envs if isinstance(model, Model) else list(model)
-        if len(models) != n_envs:
-            raise InputError("twin", "model", f"{len(models)} models", f"{n_envs}, one a robot")
+        models = models_of(model, n_envs, "twin")
         self.device: Any = wp.get_device(device)
-        shape = hull if hull is not None else hull_of(robot)
-        self.hull, self.surface_m = hull_in_water(robot, shape)
+        self.hull, self.surface_m = hull_in_water(robot, hull_of(robot))
         self._sections = sections(self.hull, self.surface_m)
         self.outside = outside(robot, models, self.hull, self.surface_m)
         if coefficients is None:
@@ -106,7 +107,7 @@ class Twin:
         inertial = masses(self.robot, models, self.hull)
         chain = chain_rows(inertial, servo_rows(self.robot, models), effects, E)
         chain["mass"] = np.stack([inertial.mass, inertial.inertia], axis=-1)
-        chain["water"] = np.zeros((E, L, 2))
+        chain["water"], chain["weight"] = np.zeros((E, L, 2)), np.array(inertial.mass)
         resist = np.array(np.broadcast_to(effects.resist, (E, L, 4)))
         water = law_rows(self._sections, self.hull, chain["com"], laws, resist[:, 0, 2])
         resist[:, :, 2:] = 0.0  # added mass is a part of the force law
@@ -116,41 +117,24 @@ class Twin:
 
     def _build(self, models: list[Model], laws: list[Coefficients]) -> None:
         E, L = self.n_envs, len(self.robot.links)
-        J, N = L - 1, L + 2
+        J, device = L - 1, self.device
 
-        def put(values: NDArray[Any], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
-            return wp.array(np.ascontiguousarray(values), dtype=kind, device=self.device)
-
-        def zeros(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401
-            return wp.zeros(shape, dtype=kind, device=self.device)
+        def zeros(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
+            return wp.zeros(shape, dtype=kind, device=device)
 
         rows, law_rows = self._rows(models, laws, self.outside)
-        chain, law = Chain(), Water()
-        self.chain, self.water = chain, law
-        make_rows(chain, rows, self.device)
-        make_rows(law, law_rows, self.device)
-        chain.length = put(self.hull.length, wp.float64)
-        chain.push = zeros((E, N), wp.float64)
+        law = self.water = Water()
+        make_rows(law, law_rows, device)
         limits = np.array([joint.limits_rad for joint in self.robot.joints])
-        chain.limits = put(limits.reshape(J, 2), wp.vec2d)
-        chain.memory = zeros((E, J, CELLS), wp.float64)
-        s = self.motion = Motion()
-        s.q, s.v, s.b = (zeros((E, N), wp.float64) for _ in range(3))
-        s.link, s.twist, s.before, s.force = (zeros((E, L), wp.vec3d) for _ in range(4))
-        s.held, s.joint = zeros((E, L), wp.vec3d), zeros((E, J), wp.vec2d)
-        s.torque, s.impulse, s.stop = (zeros((E, J), wp.float64) for _ in range(3))
-        s.measured, s.strain = (zeros((E, J), wp.float64) for _ in range(2))
-        s.clock = zeros((E,), wp.float64)
-        s.sent, s.arrival = (zeros((E, J, RING), wp.float64) for _ in range(2))
-        s.newest = wp.full((E, J), -1, dtype=wp.int32, device=self.device)
-        s.A, s.inverse = (zeros((E, N, N), wp.float64) for _ in range(2))
+        self.chain = make_chain(rows, self.hull.length, limits, device)
+        self.motion = make_motion(E, L, device)
         law.pool = wp.vec3d(POOL_M[0] / 2, POOL_M[1] / 2, self.hull.body_length)
         law.late = zeros((E, L, POINTS), wp.float64)
         law.carried, law.moved = zeros((E, L), wp.vec3d), zeros((E, L), wp.vec2d)
         self._friction = zeros((E, J), wp.float64)
         self._signal = zeros((E, 1, J), wp.float64)
         self._command = self._signal.reshape((E, J))
-        self._own = put(np.arange(E), wp.int32)
+        self._own: Any = wp.array(np.arange(E), dtype=wp.int32, device=device)
         self._no_track = zeros((E, 0, 3 + J), wp.float64)
         self._stopped = wp.full(E, -1, dtype=wp.int32, device=self.device)
 
@@ -169,18 +153,14 @@ class Twin:
         """Put robots at rest; as ``Swimmer.reset``."""
         E, J = self.n_envs, len(self.robot.joints)
         chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        q, v = np.zeros((E, 3 + J)), np.zeros((E, 3 + J))
-        if pose is None:
-            q[:, 0] = self.hull.length.sum() / 2 - self.chain.com.numpy()[:, 0]
-        else:
-            q[:, :3] = pose
-        q[:, 3:] = (0.0 if joint is None else joint) + self.outside.trim
-        at_rest = np.zeros((E, J + 1, POINTS))
+        com = self.chain.com.numpy()[:, 0]
+        q = at_rest(self.hull, com, self.outside.trim, pose, joint)
+        still = np.zeros((E, J + 1, POINTS))
         for array, values in (
             (self.motion.q, q),
-            (self.motion.v, v),
-            (self.water.moved, at_rest[..., :2]),
-            (self.water.late, at_rest),
+            (self.motion.v, np.zeros_like(q)),
+            (self.water.moved, still[..., :2]),
+            (self.water.late, still),
         ):
             content = array.numpy()
             content[chosen] = values[chosen]
@@ -198,13 +178,7 @@ class Twin:
         Raises:
             InputError: If a set-point is not finite.
         """
-        E, J = self.n_envs, len(self.robot.joints)
-        values = np.broadcast_to(np.asarray(command, dtype=np.float64), (E, J))
-        if not np.all(np.isfinite(values)):
-            row = int(np.argwhere(~np.isfinite(values))[0, 0])
-            found = f"{values[row].tolist()} in environment {row}"
-            raise InputError("twin", "command", found, "finite angles")
-        self._command.assign(np.ascontiguousarray(values))
+        self._command.assign(set_points(command, self._command.shape, "twin"))
         self.advance()
 
     def live(self) -> Live:
@@ -272,24 +246,7 @@ class Twin:
 
     def state(self) -> State:
         """The state of the robots; forces of the water are not stored in the twin."""
-        s = self.motion
-        q, v, clock = (np.array(x.numpy()) for x in (s.q, s.v, s.clock))
-        q[:, :2] += self.outside.current * clock[:, None]
-        v[:, :2] += self.outside.current
-        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
-        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
-        finite = np.isfinite(q).all(axis=1)
-        return State(
-            pose=q[:, :3],
-            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
-            joint=q[:, 3:],
-            rate=v[:, 3:],
-            measured=np.array(s.measured.numpy()),
-            torque=np.array(s.torque.numpy()),
-            force=np.array(s.force.numpy()),
-            time=clock,
-            stopped=np.where(finite, -1, 0).astype(np.int32),
-        )
+        return state_of(self.motion, self.outside.current)
 
 
 __all__ = ["FITTED", "SUBSTEPS", "Coefficients", "Twin"]

@@ -120,7 +120,7 @@ def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
     nx, ny, _ = fluid.size
     velocity: Any = wp.empty((nx, ny), dtype=wp.vec2, device=fluid.device)
     wp.launch(
-        slice_kernel(fluid.lattice, fluid.storage, fluid.wide),
+        slice_kernel(fluid.lattice, fluid.wide),
         dim=(nx, ny),
         inputs=[fluid.f, fluid.flags, fluid.box, fluid.t, environment, z, velocity],
         device=fluid.device,

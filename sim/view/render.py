@@ -13,8 +13,7 @@ from sim.view.canvas import blend, draw_robot, grid_lines, places, zoomed
 from sim.view.legend import RULE, colours, lettered
 from sim.view.plane import plane_of
 from sim2real.arrays import Picture
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 from sim2real.output import check_writable, write_whole
 
 VORTICITY = 10.0

@@ -11,9 +11,9 @@ from sim.lattice.velocities import Lattice
 
 
 @cache
-def slice_kernel(lattice: Lattice, storage: str, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """The kernel for a lattice, storage type and width of memory."""
-    pop = populations(lattice, storage, wide)
+def slice_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
+    """The kernel for a lattice and width of memory."""
+    pop = populations(lattice, wide)
     Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")

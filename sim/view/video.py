@@ -6,19 +6,14 @@ import contextlib
 import os
 import tempfile
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
-from sim.view.legend import BODY, INK, colours
 from sim2real.arrays import Picture
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 from sim2real.output import check_writable, is_stream, write_whole
 
 FRAMES_PER_S = 25
@@ -131,29 +126,14 @@ def _in_all(image: Picture) -> Any:  # noqa: ANN401 - PyAV is optional
 
 
 def _in_few_colours(image: Picture) -> Any:  # noqa: ANN401
-    """A GIF has 256 colours, from one fixed palette, as later frames are not known."""
+    """A GIF has 256 colours, which each frame chooses for itself."""
     from av import VideoFrame
+    from PIL import Image as Pillow
 
-    red, green, blue = image.transpose(2, 0, 1) >> 2
-    opaque = np.full((256, 1), 255, dtype=np.uint8)
-    indexed: Any = _nearest()[red, green, blue], np.hstack([opaque, _palette()])
+    few = Pillow.fromarray(image).quantize(256, Pillow.Quantize.FASTOCTREE)
+    palette = np.zeros((256, 4), dtype=np.uint8)
+    chosen = np.array(few.getpalette("RGB"), dtype=np.uint8).reshape(-1, 3)
+    palette[:, 0] = 255  # opaque
+    palette[: len(chosen), 1:] = chosen
+    indexed: Any = np.asarray(few), palette
     return VideoFrame.from_ndarray(indexed, format="pal8")
-
-
-@cache
-def _palette() -> Picture:
-    """Colours of the water, and mixtures at edges of the robot and of text, shape (256, 3)."""
-    share = np.linspace(0, 1, 28)[:, None]
-    edges = [
-        np.array(INK) * share + np.array(background) * (1 - share)
-        for background in (BODY, (255, 255, 255))
-    ]
-    return np.rint(np.vstack([colours(np.linspace(-1, 1, 200)), *edges])).astype(np.uint8)
-
-
-@cache
-def _nearest() -> NDArray[np.uint8]:
-    """Index of the palette's nearest colour to each of 6 bits a channel, shape (64, 64, 64)."""
-    levels = np.linspace(0, 255, 64)
-    all_colours = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
-    return np.asarray(KDTree(_palette()).query(all_colours)[1], dtype=np.uint8)

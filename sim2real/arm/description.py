@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from sim2real.errors import InputError, one_of
 from sim2real.output import protect
-from sim2real.structured import Fields, finite_number, read_text
+from sim2real.structured import Fields, read_text
 
 _PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit")}
 """Elements of a URDF that determine its dynamics."""
@@ -59,9 +59,7 @@ class Arm:
 def read_arm(fields: Fields, names: Sequence[str]) -> Arm:
     """The arm of the table ``[arm]`` of a robot file.
 
-    Args:
-        fields: The table: ``urdf`` is a file relative to the folder of the robot file.
-        names: Joints of the robot.
+    ``urdf`` is a file relative to the folder of the robot file; ``names`` are the robot's joints.
 
     Raises:
         InputError: If the URDF cannot be read, or a joint is not one of its hinges.
@@ -122,12 +120,8 @@ def _joints(fields: Fields, names: Sequence[str]) -> tuple[ArmJoint, ...]:
 def _gravity(fields: Fields) -> tuple[float, float, float]:
     if "gravity_m_s2" not in fields:
         return Arm.gravity_m_s2
-    value = fields.content["gravity_m_s2"]
-    parts = [finite_number(part) for part in value] if isinstance(value, list) else []
-    numbers = [part for part in parts if part is not None]
-    if len(parts) != 3 or len(numbers) != 3:
-        raise fields.error("gravity_m_s2", "three numbers in m/s2")
-    return numbers[0], numbers[1], numbers[2]
+    x, y, z = fields.numbers("gravity_m_s2", "three numbers in m/s2", 3)
+    return x, y, z
 
 
 def _dynamics_only(text: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from sim2real.arm.arm_loads import predicted_arm, with_arm_loads
-from sim2real.arm.description import Arm
+from sim2real.arm.multibody import Multibody
 from sim2real.identification.identify import identify
 from sim2real.inference.least_squares import rms
 from sim2real.model import Model
@@ -31,13 +31,7 @@ def identify_arm(
     the motion of all joints. In the first round that motion is the smoothed measured one, in later
     rounds what the fitted arm does, corrected by its slow error (``arm_loads``).
 
-    Args:
-        recordings: Recordings of joints that move together.
-        robot: The robot, with an arm.
-        rounds: Number of fits.
-        held_out: As of ``identify``.
-        progress: As of ``identify``, called in every round.
-        options: Further arguments of ``identify``.
+    ``progress`` is called in every round; ``options`` are those of ``identify``.
 
     Returns:
         The model. The held-out errors are those of a coupled simulation, which uses no measured
@@ -46,28 +40,29 @@ def identify_arm(
     Raises:
         InputError: As ``identify``; also if the URDF is not usable.
     """
-    arm = robot.arm
-    assert arm is not None
+    assert robot.arm is not None
     model: Model | None = None
     for k in range(rounds + 1):
         loaded = with_arm_loads(recordings, robot, model)
         settings = {**options, "held_out": held_out, "refit": k == rounds}
         if k == rounds and model is not None:  # scored, and then fitted to all
-            figures = _coupled_figures(model, arm, recordings, held_out)
+            figures = _coupled_figures(model, recordings, held_out)
         fitted = identify(loaded, robot, progress=progress, **settings)
-        model = replace(fitted, arm=arm)
+        model = replace(fitted, arm=robot.arm)
     assert model is not None
     return replace(model, fit=figures)
 
 
 def _coupled_figures(
-    model: Model, arm: Arm, recordings: Sequence[Recording], held_out: str | None
+    model: Model, recordings: Sequence[Recording], held_out: str | None
 ) -> dict[str, Mapping[str, float | None]]:
     """The errors of the fit, those on held-out data from a coupled simulation."""
     scored = {joint: split(traces(recordings, joint), held_out)[1] for joint in model.joints}
     files = {trace.file for held in scored.values() for trace in held}
+    assert model.arm is not None
+    multibody = Multibody(model.arm)
     predicted = {
-        recording.file: predicted_arm(arm, model.joints, recording.t, recording.commands)[1]
+        recording.file: predicted_arm(multibody, model.joints, recording.t, recording.commands)[1]
         for recording in recordings
         if recording.file in files
     }

@@ -12,15 +12,11 @@ import numpy as np
 
 from sim2real.arm.description import Arm
 from sim2real.arrays import Array
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 
 
 class Multibody:
-    """Inertias and torques of an arm in motion, with angles as recorded.
-
-    Args:
-        arm: The arm, with J joints.
+    """Inertias and torques of an arm of J joints in motion, with angles as recorded.
 
     Raises:
         InputError: If Pinocchio is not installed, or it does not accept the URDF.
@@ -44,13 +40,8 @@ class Multibody:
         servo j sees M_jj q_j'' = T_j + load_j, so that load_j = M_jj q_j'' - T_j: gravity, Coriolis
         and centrifugal torques, and what the other joints' accelerations exert.
 
-        Args:
-            angle: Angles in rad, shape (T, J).
-            velocity: Speeds in rad/s, shape (T, J).
-            acceleration: Accelerations in rad/s2, shape (T, J).
-
-        Returns:
-            Inertia M_jj in kg m2 and torque on the shaft in N m, shape (T, J) each.
+        Angles in rad, speeds in rad/s and accelerations in rad/s2 are of shape (T, J), as are the
+        inertias M_jj in kg m2 and the torques on the shafts in N m.
         """
         q, v, a = (np.zeros((len(angle), self._model.nv)) for _ in range(3))
         q[:, self._place] = self._direction * (angle - self._zero)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 import numpy as np
 
 from sim2real import verbs
 from sim2real.check import check
-from sim2real.errors import InputError
-from sim2real.extras import if_installed
+from sim2real.commands.command import numbers
+from sim2real.commands.record import check_temperature, sidecar
+from sim2real.errors import InputError, if_installed
 from sim2real.hardware.bench import Weight, loads, robot_text, scan, table
 from sim2real.hardware.buses import Connection, bus_class, connection
 from sim2real.hardware.mounting import Wiring, check_ids
@@ -21,14 +21,12 @@ from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
 from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted
 from sim2real.model import Model, write_model
 from sim2real.output import check_writable, provenance, write_whole
-from sim2real.recording import SCHEMA, Recording, read_recording
+from sim2real.recording import Recording, read_recording
 from sim2real.robot import Robot, read_robot
 from sim2real.servo.prediction import replay
 from sim2real.signals import excitation
 
-N = TypeVar("N", int, float)
 FILES = ("robot.toml", "steps.csv", "steps.json", "model.json", "index.html")
-HOTTEST_POSSIBLE_C = 85.0
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     Returns:
         0 if all of it is done, 1 if the recording stopped early; then nothing is identified.
     """
-    ids = _numbers("--ids", options.ids, int)
+    ids = numbers("--ids", options.ids, int, "numbers, as 1,2,3")
     check_ids(ids, bus_class(options.bus).protocol.largest_id)
     _check(options)
     folder = options.out
@@ -84,19 +82,17 @@ def _record(
     rng = np.random.default_rng(options.seed)
     signal = excitation("steps", robot.joints, seconds=options.seconds, rate_hz=RATE_HZ, rng=rng)
     mountings = mounted(link, robot, wiring)
-    sidecar = {
-        "schema": SCHEMA,
-        "kind": "servo",
-        "joints": list(signal.joints),
-        "loads": loads(signal.joints, given, hangs=options.shaft == "horizontal"),
-        "medium": "air",
-        "source": "Recorded by 'sim2real bench'.",
-        "signal": {"name": "steps", "notes": list(signal.notes)},
-        "bus": bus_settings(link, options.port, mountings),
-        "provenance": provenance([robot], options.seed),
-    }
+    sent = sidecar(
+        signal,
+        {"loads": loads(signal.joints, given, hangs=options.shaft == "horizontal")},
+        name="steps",
+        medium="air",
+        source="Recorded by 'sim2real bench'.",
+        bus=bus_settings(link, options.port, mountings),
+        provenance=provenance([robot], options.seed),
+    )
     out = options.out / "steps.csv"
-    result = drive(link, mountings, signal, out, sidecar, hottest_C=options.max_temperature)
+    result = drive(link, mountings, signal, out, sent, hottest_C=options.max_temperature)
     problem = f"{result.stopped}; " if result.stopped else ""
     line = f"{problem}{result.written(out)}; {result.torque}"
     if problem or result.unreleased:
@@ -139,9 +135,7 @@ def _found(link: Connection, ids: Sequence[int]) -> list[Found]:
 
 
 def _check(options: argparse.Namespace) -> None:
-    if not 0 < options.max_temperature <= HOTTEST_POSSIBLE_C:
-        found, most = f"{options.max_temperature:g} C", f"at most {HOTTEST_POSSIBLE_C:g} C"
-        raise InputError("--max-temperature", "", found, most)
+    check_temperature(options.max_temperature)
     for name in FILES[options.robot is not None :]:
         path = check_writable(options.out / name)
         if path.exists() and not options.overwrite:
@@ -195,14 +189,5 @@ def _answer(question: str) -> float | None:
 def _positive(option: str, text: str | None, count: int) -> list[float]:
     if text is None:
         raise InputError(option, "", "nothing", f"{count} numbers above 0")
-    numbers = _numbers(option, text, float)
-    if len(numbers) != count or not all(0 < x < np.inf for x in numbers):
-        raise InputError(option, "", repr(text), f"{count} numbers above 0, one for each servo")
-    return numbers
-
-
-def _numbers(option: str, text: str, kind: Callable[[str], N]) -> list[N]:
-    try:
-        return [kind(number) for number in text.split(",")]
-    except ValueError:
-        raise InputError(option, "", repr(text), "numbers, as 1,2,3") from None
+    expected = f"{count} numbers above 0, one for each servo"
+    return numbers(option, text, float, expected, count=count, positive=True)

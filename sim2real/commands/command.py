@@ -1,11 +1,45 @@
-"""One command of the command line."""
+"""One command of the command line, and its options, from the signatures of functions."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import ast
+import inspect
+import math
+import re
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from textwrap import dedent
+from typing import Any, NamedTuple, TypeVar
+
+from sim2real.errors import InputError
+
+N = TypeVar("N", int, float)
+Verb = Callable[..., Any]
+
+_COMMON = ("seed",)
+"""Arguments that every command has (``sim2real.cli``)."""
+_FILES = {"Recorded": "RECORDING", "Robot": "TOML", "Model": "MODEL", "File": "FILE"}
+_NUMBERS: dict[str, type] = {"int": int, "float": float}
+_PATHS = ("FILE", "FOLDER", "CSV", "TOML", "MODEL", "PNG", "RECORDING", "PICTURE")
+_TYPES: dict[str, type] = {"N": int, "X": float, **dict.fromkeys(_PATHS, Path)}
+"""Type of an option by the name of its value; text by default."""
+_LINE = re.compile(r"(?P<name>\S+?)(?: (?P<value>\S+?)(?P<count>[?+]|\*\d)?)?(?P<needed>!?)"
+                   r"(?: = (?P<default>\S+))?: (?P<help>.*)")  # fmt: skip
+
+
+VIEWS = """
+--rerun FILE: file of all signals to write, for Rerun (FILE.rrd)
+--mcap FILE: file of all signals to write, for Foxglove (FILE.mcap)
+"""
+
+
+_EXECUTOR = """
+--executor local|ray: one process per run, on this machine or on a Ray cluster (default: {})
+--jobs N: runs at the same time (default: one per GPU)
+--address ADDRESS: address of the Ray cluster, HOST:PORT (default: a local one)
+--retries N = 2: times that a failed run is repeated
+"""
 
 
 class Command(NamedTuple):
@@ -13,8 +47,9 @@ class Command(NamedTuple):
 
     Attributes:
         name: Name on the command line.
-        module: Imported when it runs; its ``run(options)`` returns the exit status, and may set
-            ``options.result``, which ``--json`` prints if no JSON file is written.
+        module: Imported when it runs; its ``run(options)``, or the function after a colon, returns
+            the exit status, and may set ``options.result``, which ``--json`` prints if no JSON
+            file is written.
         add: Adds its options to a parser.
         example: An example call.
         resumes: Whether the same call resumes after an interrupt.
@@ -25,6 +60,134 @@ class Command(NamedTuple):
     add: Callable[[argparse.ArgumentParser], None]
     example: str
     resumes: bool = False
+
+
+def command(
+    name: str,
+    module: str,
+    options: Sequence[str | Verb],
+    example: str,
+    *,
+    resumes: bool = False,
+    leave_out: Collection[str] = (),
+) -> Command:
+    """A command with the options of texts (``add_options``) and of verbs (``add_verb``)."""
+
+    def add(parser: argparse.ArgumentParser) -> None:
+        for some in options:
+            if isinstance(some, str):
+                add_options(parser, some)
+            else:
+                add_verb(parser, some, leave_out=leave_out)
+
+    return Command(name, module, add, example, resumes)
+
+
+def add_options(command: argparse.ArgumentParser, text: str) -> None:
+    """Add an option for each line of a text, ``--name VALUE = default: help``.
+
+    ``VALUE`` says the type (``FILE``, ``N`` or ``X`` for whole and other numbers, ``a|b`` for
+    choices); without one the option is a flag. ``VALUE!`` is required, ``VALUE+`` takes one or
+    more, ``VALUE*4`` four, ``VALUE?`` an optional argument. A name without dashes is an argument.
+    Indented lines continue the one above.
+    """
+    for line in re.sub(r"\n +", " ", text.strip()).splitlines():
+        found = _LINE.fullmatch(line)
+        assert found is not None, line
+        name, value, count = found["name"], found["value"], found["count"]
+        if value is None:
+            command.add_argument(name, action="store_true", help=found["help"])
+            continue
+        kind, default = _TYPES.get(value, str), found["default"]
+        options: dict[str, Any] = {"help": found["help"], "type": kind}
+        options |= {"choices": value.split("|")} if "|" in value else {"metavar": value}
+        options |= {"nargs": int(count[1:]) if count[0] == "*" else count} if count else {}
+        options |= {"required": True} if found["needed"] else {}
+        if default is not None:
+            options["default"] = [*map(kind, default.split(","))] if count else kind(default)
+            options["help"] += f" (default {default.replace(',', ' ') if count else default})"
+        command.add_argument(name, **options)
+
+
+def add_verb(
+    command: argparse.ArgumentParser,
+    verb: Verb,
+    *,
+    positional: Collection[str] = ("recordings",),
+    leave_out: Collection[str] = (),
+) -> None:
+    """Add an option for each argument of a verb.
+
+    The annotation determines the type of an option, the default whether it is required, and the
+    entry under ``Args`` of the docstring is its help.
+
+    Args:
+        command: The parser to add to.
+        verb: A function whose annotations are strings (``from __future__ import annotations``).
+        positional: Arguments without an option name.
+        leave_out: Arguments that the command sets itself.
+    """
+    described = described_arguments(verb)
+    for name, parameter in inspect.signature(verb).parameters.items():
+        if name in _COMMON or name in leave_out:
+            continue
+        options = _options(str(parameter.annotation), parameter.default)
+        options["help"] = _help(described[name], parameter.default)
+        if name in positional:
+            options.pop("required", None)
+            command.add_argument(name, **options)
+        else:
+            command.add_argument(f"--{name.replace('_', '-')}", **options)
+
+
+def arguments_of(verb: Verb, options: argparse.Namespace, **other: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Arguments of a verb from the parsed options; ``other`` overrides or completes them."""
+    parsed = vars(options)
+    names = inspect.signature(verb).parameters
+    return {name: parsed[name] for name in names if name in parsed} | other
+
+
+def described_arguments(verb: Verb) -> dict[str, str]:
+    """The text of each argument in a docstring in Google's style, on one line."""
+    text = inspect.getdoc(verb) or _docstring(verb)
+    _, _, block = text.partition("Args:\n")
+    block = re.split(r"\n\n?\S", block, maxsplit=1)[0]
+    entries = re.split(r"^ {4}(\w+): ", block, flags=re.M)[1:]
+    return {
+        name: " ".join(entry.split()).replace("``", "")
+        for name, entry in zip(entries[::2], entries[1::2], strict=True)
+    }
+
+
+def _docstring(verb: Verb) -> str:
+    """The docstring in the source, which ``python -OO`` leaves out of the function."""
+    (definition,) = ast.parse(dedent(inspect.getsource(verb))).body
+    return ast.get_docstring(definition) or "" if isinstance(definition, ast.FunctionDef) else ""
+
+
+def _options(annotation: str, default: object) -> dict[str, Any]:
+    """Keyword arguments of ``add_argument`` for an annotation."""
+    required = {"required": True} if default is inspect.Parameter.empty else {"default": default}
+    kind = annotation.removesuffix(" | None").split(" | ")[0]
+    if kind == "bool":
+        return {"action": "store_true"}
+    if kind in _FILES:
+        several = {"nargs": "+"} if kind == "Recorded" else {}
+        return {"type": Path, "metavar": _FILES[kind], **several, **required}
+    if kind == "Sequence[str]":
+        return {"nargs": "+", "metavar": "NAME", **required}
+    if kind.startswith("Literal["):
+        return {"choices": tuple(re.findall(r"['\"](\w+)['\"]", kind)), **required}
+    return {"type": _NUMBERS.get(kind, str), **required}
+
+
+def _help(text: str, default: object) -> str:
+    """The entry of the docstring, with the default if it is informative."""
+    acronym = text[1:2].isupper()
+    lowered = (text[:1] if acronym else text[:1].lower()) + text[1:].removesuffix(".")
+    stated = default not in (None, False, (), inspect.Parameter.empty)
+    shown = f"{default:g}" if isinstance(default, float) else str(default)
+    return (lowered + (f" (default {shown})" if stated else "")).replace("%", "%%")
 
 
 def add_file(
@@ -47,25 +210,65 @@ def add_flag(command: argparse.ArgumentParser, name: str, text: str) -> None:
     command.add_argument(name, action="store_true", help=text)
 
 
-def add_recordings(command: argparse.ArgumentParser) -> None:
-    """The recordings that a command reads."""
-    command.add_argument(
-        "recordings",
-        nargs="+",
-        type=Path,
-        metavar="RECORDING",
-        help="recordings (NAME.csv with NAME.json in the same folder)",
-    )
-
-
-def add_views(command: argparse.ArgumentParser) -> None:
-    """The files for viewers of time series that a command writes if asked to."""
-    add_file(command, "--rerun", "RRD", "file of all signals for Rerun (FILE.rrd)")
-    add_file(command, "--mcap", "MCAP", "file of all signals for Foxglove (FILE.mcap)")
-
-
 def add_former(command: argparse.ArgumentParser, name: str, stands_for: str) -> None:
     """Add a former name of an option, which still works and is not shown in help."""
     command.add_argument(
         name, dest=stands_for, type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS
     )
+
+
+def add_executor(
+    command: argparse.ArgumentParser, *, default: str | None = None, otherwise: str = ""
+) -> None:
+    """Add ``--executor``, ``--jobs``, ``--address`` and ``--retries``.
+
+    Args:
+        command: The parser to add to.
+        default: The executor without the option; None for no jobs.
+        otherwise: What happens without the option.
+    """
+    add_options(command, _EXECUTOR.format(otherwise or default))
+    command.set_defaults(executor=default)
+
+
+def where_jobs_run(options: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of ``run_jobs`` from these options; a job on a device other than cpu has a GPU."""
+    return {
+        "executor": options.executor,
+        "at_once": options.jobs,
+        "address": options.address,
+        "gpus": 0 if getattr(options, "device", "cpu") == "cpu" else 1,
+        "retries": options.retries,
+    }
+
+
+def numbers(
+    option: str,
+    text: str,
+    kind: Callable[[str], N],
+    expected: str,
+    *,
+    count: int | None = None,
+    positive: bool = False,
+) -> list[N]:
+    """Finite numbers in a text, commas between.
+
+    Args:
+        option: Name of the option, for the message.
+        text: The text.
+        kind: ``int`` or ``float``.
+        expected: What was expected, for the message.
+        count: How many there must be; None for any number.
+        positive: Whether all must be above 0.
+
+    Raises:
+        InputError: If they are not as expected.
+    """
+    try:
+        found = [kind(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    right = len(found) == (count or len(found)) and all(map(math.isfinite, found))
+    if not found or not right or (positive and min(found) <= 0):
+        raise InputError(option, "", repr(text), expected)
+    return found

@@ -1,19 +1,25 @@
-"""The files that a command reads and writes, from its options."""
+"""The files that a command reads and writes, from its options; those for viewers."""
 
 from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sim2real.errors import InputError
-from sim2real.output import Results, check_not_read, is_stream
+from sim2real.errors import InputError, library
+from sim2real.output import Results, check_not_read, check_writable, is_stream
+
+if TYPE_CHECKING:
+    from sim2real.viewers.scenes import Scene
 
 WRITTEN = ("out", "plot", "video", "film", "rerun", "mcap")
 """Options whose file a command writes."""
 _READ = {"track": ("video",)}
 """Of these, what a command reads."""
+_VIEWS = {"rerun": (".rrd", "rerun"), "mcap": (".mcap", "mcap.writer")}
+"""Ending and library of the files for viewers."""
 
 
 def check_files(options: argparse.Namespace, files: Results) -> None:
@@ -58,3 +64,33 @@ def _real(path: Path) -> str:
         return os.path.realpath(path)
     except OSError:
         return str(path)
+
+
+def check_views(options: argparse.Namespace) -> None:
+    """Check, before any computation, that the files for viewers that are asked for can be written.
+
+    Raises:
+        InputError: If a name has another ending, a folder cannot be written, or a library is
+            missing.
+    """
+    for name, (ending, module) in _VIEWS.items():
+        path = getattr(options, name)
+        if path is None:
+            continue
+        if path.suffix != ending:
+            raise InputError(path, f"--{name}", f"the ending {path.suffix!r}", ending)
+        check_writable(path)
+        library(module, f"--{name}")
+
+
+def write_views(options: argparse.Namespace, scene: Callable[[], Scene]) -> None:
+    """Write the files for viewers; ``scene`` is called only if there is one."""
+    wanted = [name for name in _VIEWS if getattr(options, name) is not None]
+    if not wanted:
+        return
+    from sim2real.viewers.files import write_mcap, write_rerun
+
+    shown = scene()
+    for name in wanted:
+        write = {"rerun": write_rerun, "mcap": write_mcap}[name]
+        print(f"{name}: {write(shown, getattr(options, name))}")

@@ -1,8 +1,13 @@
-"""``sim2real import``: conversion of a log to a recording, of BAM's parameters to a model."""
+"""``sim2real import``: a log becomes a recording, BAM's parameters a model.
+
+Also ``sim2real robot``: a URDF becomes a robot.
+"""
 
 from __future__ import annotations
 
 import argparse
+import sys
+import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +29,12 @@ from sim2real.importers.options import (
     loads_of,
     refuse,
 )
+from sim2real.importers.robots import robot_toml
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
+from sim2real.importers.urdf import read_urdf
 from sim2real.model import write_model
-from sim2real.output import check_writable
+from sim2real.output import check_writable, write_whole
 from sim2real.recording import Recording, write_recording
 from sim2real.structured import read_json
 
@@ -46,22 +53,15 @@ OPTIONS = {
 }
 """Options of each kind of log."""
 STATE_TOPIC = "/joint_states"
+_UNKNOWN_LOAD = (
+    "load unknown of {joints}: identify will fit kp and kd per unit of inertia (1/s2, 1/s), not in "
+    "N m; to state the load, import again with --inertia {joint}=KGM2 (the load without the "
+    "servo's rotor) or --pendulum {joint}=MASS_KG,LENGTH_M"
+)
 
 
 def run(args: argparse.Namespace) -> int:
     """Import one log; print a summary, and a remark on joints with unknown loads.
-
-    Args:
-        args: ``source``: the log. ``out``: the CSV to write, with its JSON in the same folder. For
-            bags ``state_topic``: str, None for ``/joint_states``; ``command_topic``: list of one
-            topic for all joints or one for each; ``joints``: list of names in the order of the
-            set-points, or None. For LeRobot datasets ``units``, ``calibration``,
-            ``counts_per_turn``, ``zero_count``, ``episode`` and ``joints``; for tables
-            ``columns``, ``time_unit`` and the units. ``inertia``, ``pendulum``: lists of loads by
-            joint, see ``loads_of``.
-
-    Returns:
-        0, the exit status.
 
     Raises:
         InputError: If the log or an argument is not as expected, or does not apply to such a log.
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         if finding.severity != "note":
             print(f"! {finding.severity}: {finding.text}")
     if unknown := [joint for joint in recording.joints if joint not in recording.loads]:
-        print(_without_loads(unknown))
+        print(_UNKNOWN_LOAD.format(joints=", ".join(unknown), joint=unknown[0]))
     return 0
 
 
@@ -151,17 +151,6 @@ def _units(source: Path, args: argparse.Namespace, lacking: Sequence[str] = ()) 
     return conversion(*values, source=source, lacking=lacking)
 
 
-def _without_loads(joints: Sequence[str]) -> str:
-    """Remark on ``identify`` without loads, and on how to state them."""
-    names = ", ".join(joints)
-    return (
-        f"load unknown of {names}: identify will fit kp and kd per unit of inertia (1/s2, 1/s), "
-        f"not in N m; to state the load, import again with --inertia "
-        f"{joints[0]}=KGM2 (the load without the servo's rotor) or --pendulum "
-        f"{joints[0]}=MASS_KG,LENGTH_M"
-    )
-
-
 def _summary(recording: Recording) -> str:
     loaded = [joint for joint in recording.joints if joint in recording.loads]
     loads = f"load known on {', '.join(loaded)}" if loaded else "loads unknown"
@@ -179,3 +168,26 @@ def _summary(recording: Recording) -> str:
             f"{omitted['rows']} rows omitted from {omitted['from_s']:g} s: {omitted['why']}"
         )
     return "; ".join(parts)
+
+
+def robot(options: argparse.Namespace) -> int:
+    """Write a robot file; print the fields to be filled in, which the file lists too."""
+    out = check_writable(options.out)
+    text, notes = robot_toml(read_urdf(options.source), options.joints)
+    head = f"# From {' '.join(options.source.name.splitlines())}."
+    lines = [" ".join(note.splitlines()) for note in notes]
+    text = "\n".join([head, *(f"# not here: {line}" for line in lines), text])
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        expected = "names without control characters"
+        raise InputError(
+            options.source, "", f"names that TOML can't hold ({error})", expected
+        ) from None
+    write_whole(out, text)
+    options.result = {"file": str(out), "not_in_it": lines}
+    print(out)
+    if lines:
+        print("not in it, to be filled in where a command asks for it:")
+        sys.stdout.writelines(f"  {line}\n" for line in lines)
+    return 0

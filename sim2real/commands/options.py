@@ -1,162 +1,159 @@
-"""Command-line options for recordings, identification and ranges of servos."""
+"""Command-line options for recordings, identification, ranges, exports and imports."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from sim2real import verbs
 from sim2real.commands.command import (
+    VIEWS,
     Command,
-    add_file,
-    add_flag,
     add_former,
-    add_recordings,
-    add_views,
+    add_options,
+    add_verb,
+    command,
 )
-from sim2real.commands.verb import add_verb
+
+_RUNS, _EXPORTS = "sim2real.commands.recordings", "sim2real.commands.exports"
 
 
-def _example(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--out",
-        type=Path,
-        default=Path("example"),
-        metavar="FOLDER",
-        help="folder to write (default example)",
-    )
+_CHECK = """
+recordings RECORDING+: recordings (NAME.csv with NAME.json in the same folder)
+--robot TOML: the robot, to check limits and names as well (robot.toml)
+"""
+_IDENTIFY = """
+--out MODEL!: model to write (MODEL.json)
+--no-plots: do not plot the fits (MODEL.JOINT.png)
+"""
+_RANGES = """
+--out FILE!: ranges to write (ranges.json)
+--no-page: do not write the HTML report
+"""
+_PREDICT = """
+model MODEL: model (MODEL.json)
+commands CSV: commands: a CSV with t_s and J.command_rad
+--out CSV!: prediction to write (predicted.csv)
+"""
+_EXPORT_SERVO = """
+model MODEL: identified servos (MODEL.json)
+--to mujoco|mjlab|isaaclab|newton|genesis|urdf|json!: simulator or format to write for
+--out FILE!: file to write
+--robot TOML: the robot, for joint limits and data sheets (robot.toml)
+--recordings RECORDING+: recordings to refit to if the simulator lacks an effect of the model, and
+    to compare with; the last is held out (default: the model's own predictions)
+--which nearest|effects|plain = nearest: export the effects of the model, a plain servo without
+    them, or whichever of both is nearer to the recordings
+"""
+_EXPORT_RANGES = """
+ranges FILE: randomization ranges (ranges.json)
+--to isaaclab|mjlab|newton|mujoco-playground!: simulator to write for
+--out FILE!: Python file to write
+"""
+_ROBOT = """
+action from-urdf: format to read
+source FILE: description of the robot (URDF)
+--out TOML!: robot to write (robot.toml)
+--joints JOINT+: joints to take, in order (default: all)
+"""
+_SERVOS = """
+name NAME?: servo to show or to write; 'add' to prepare an entry
+model MODEL?: add: identified servo (MODEL.json)
+--out MODEL: model to write (add: entry, NAME.json)
+--joints JOINT+: joints that have this servo (default j1)
+--firmware-gain X: write the model for this gain of the firmware; add: that of the recordings
+--supply X: write the model for this supply voltage, V; add: that of the recordings
+--plot PNG: plot of stall torque and no-load speed to write
+--joint JOINT: add: joint of a model that has several
+--as NAME: add: name of the entry
+--type TEXT: add: make and type of the servo
+--source TEXT: add: where the recordings come from
+--licence TEXT: add: licence of the recordings
+--date DAY: add: day of the recordings (2026-01-31)
+"""
+_DENSITY = """
+--model MODEL: model to add the densities to (MODEL.json)
+--out MODEL: model to write (MODEL.json)
+--plot PNG: plot of the mass distribution to write
+"""
+_IMPORT = """
+source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table
+    (.csv, .tsv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)
+--out CSV!: recording to write (of parameters: model)
+--state-topic TOPIC: bag: measured joint states
+--joints JOINT+: bag, dataset: joints, in order
+--units UNIT+: dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or
+    range_0_100; JOINT=UNIT for one joint, JOINT.command=UNIT or JOINT.position=UNIT for one of
+    its columns
+--calibration FILE: calibration file of LeRobot
+--counts-per-turn N: encoder counts per turn
+--zero-count X: encoder count at angle 0
+--episode N: dataset: number of the episode, from 0
+--columns OURS=THEIRS+: table: names of the columns, t=COLUMN J.command=COLUMN
+    J.position=COLUMN ...; of arrays 'qpos[0]'
+--time-unit s|ms|us|ns: table: unit of t
+--inertia J=KGM2+: load of a joint: its inertia without the servo's rotor, kg m2
+--pendulum J=KG,M+: load of a joint: mass that hangs straight down at angle 0, and its distance
+    from the shaft
+"""
 
 
-def _check(command: argparse.ArgumentParser) -> None:
-    add_recordings(command)
-    add_file(
-        command, "--robot", "ROBOT", "the robot, to check limits and names as well (robot.toml)"
-    )
+def _density(parser: argparse.ArgumentParser) -> None:
+    add_verb(parser, verbs.density, positional=("robot",))
+    add_options(parser, _DENSITY)
+    add_former(parser, "--png", "plot")
 
 
-def _identify(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.identify)
-    add_file(command, "--out", "MODEL", "model to write (MODEL.json)", required=True)
-    add_flag(command, "--no-plots", "do not plot the fits (MODEL.JOINT.png)")
-    add_views(command)
-
-
-def _density(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.density, positional=("robot",))
-    add_file(command, "--model", "MODEL", "model to add the densities to (MODEL.json)")
-    add_file(command, "--out", "MODEL", "model to write (MODEL.json)")
-    add_file(command, "--plot", "PNG", "plot of the mass distribution to write")
-    add_former(command, "--png", "plot")
-
-
-def _ranges(command: argparse.ArgumentParser) -> None:
-    add_verb(command, verbs.ranges, leave_out=("chains",))
-    add_file(command, "--out", "RANGES", "ranges to write (ranges.json)", required=True)
-    add_flag(command, "--no-page", "do not write the HTML report")
-
-
-def _predict(command: argparse.ArgumentParser) -> None:
-    add_file(command, "model", "MODEL", "model (MODEL.json)")
-    add_file(command, "commands", "COMMANDS", "commands: a CSV with t_s and J.command_rad")
-    add_file(command, "--out", "CSV", "prediction to write (predicted.csv)", required=True)
-    add_views(command)
-
-
-def _import(command: argparse.ArgumentParser) -> None:
-    add_file(
-        command,
-        "source",
-        "source",
-        "a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table "
-        "(.csv, .tsv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)",
-    )
-    add_file(command, "--out", "CSV", "recording to write (of parameters: model)", required=True)
-    command.add_argument("--state-topic", metavar="TOPIC", help="bag: measured joint states")
-    command.add_argument(
-        "--command-topic",
-        metavar="TOPIC",
-        action="append",
-        help="bag: commanded positions; once, or once for each joint",
-    )
-    command.add_argument(
-        "--joints", nargs="+", metavar="JOINT", help="bag, dataset: joints, in order"
-    )
-    command.add_argument(
-        "--units",
-        nargs="+",
-        metavar="UNIT",
-        help="dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or"
-        " range_0_100; JOINT=UNIT for one joint, JOINT.command=UNIT or JOINT.position=UNIT for one"
-        " of its columns",
-    )
-    add_file(command, "--calibration", "JSON", "calibration file of LeRobot")
-    command.add_argument("--counts-per-turn", type=int, metavar="N", help="encoder counts per turn")
-    command.add_argument("--zero-count", type=float, metavar="N", help="encoder count at angle 0")
-    command.add_argument(
-        "--episode", type=int, metavar="K", help="dataset: number of the episode, from 0"
-    )
-    command.add_argument(
-        "--columns",
-        nargs="+",
-        metavar="OURS=THEIRS",
-        help="table: names of the columns, t=COLUMN J.command=COLUMN J.position=COLUMN ...; "
-        "of arrays 'qpos[0]'",
-    )
-    command.add_argument("--time-unit", choices=("s", "ms", "us", "ns"), help="table: unit of t")
-    command.add_argument(
-        "--inertia",
-        nargs="+",
-        metavar="J=KGM2",
-        help="load of a joint: its inertia without the servo's rotor, kg m2",
-    )
-    command.add_argument(
-        "--pendulum",
-        nargs="+",
-        metavar="J=KG,M",
-        help="load of a joint: mass that hangs straight down at angle 0, and its distance from "
-        "the shaft",
-    )
-
-
-def _completion(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "shell", choices=("bash", "zsh", "tcsh"), help="shell to write the script for"
-    )
+def _import(parser: argparse.ArgumentParser) -> None:
+    add_options(parser, _IMPORT)
+    text = "bag: commanded positions; once, or once for each joint"
+    parser.add_argument("--command-topic", metavar="TOPIC", action="append", help=text)
 
 
 COMMANDS = (
-    Command("example", "sim2real.commands.example", _example, "sim2real example --out example"),
-    Command(
+    command(
+        "example",
+        f"{_RUNS}:example",
+        ["--out FOLDER = example: folder to write"],
+        "sim2real example --out example",
+    ),
+    command(
         "check",
-        "sim2real.commands.check",
-        _check,
+        f"{_RUNS}:check",
+        [_CHECK],
         "sim2real check steps.csv sine.csv --robot robot.toml",
     ),
-    Command(
+    command(
         "identify",
-        "sim2real.commands.identify",
-        _identify,
+        f"{_RUNS}:identify",
+        [verbs.identify, _IDENTIFY, VIEWS],
         "sim2real identify steps.csv sine.csv square.csv --robot robot.toml --out model.json",
     ),
     Command(
         "density",
-        "sim2real.commands.density",
+        f"{_RUNS}:density",
         _density,
         "sim2real density robot.toml --model model.json --out weighed.json",
     ),
-    Command(
+    command(
         "ranges",
-        "sim2real.commands.ranges",
-        _ranges,
+        f"{_RUNS}:ranges",
+        [verbs.ranges, _RANGES],
         "sim2real ranges steps.csv square.csv --robot robot.toml --model model.json "
         "--out ranges.json",
         resumes=True,
+        leave_out=("chains",),
     ),
-    Command(
+    command(
         "predict",
-        "sim2real.commands.predict",
-        _predict,
+        f"{_RUNS}:predict",
+        [_PREDICT, VIEWS],
         "sim2real predict model.json chirp.csv --out predicted.csv",
+    ),
+    command(
+        "completion",
+        f"{_RUNS}:completion",
+        ["shell bash|zsh|tcsh: shell to write the script for"],
+        "sim2real completion bash > ~/.local/share/bash-completion/completions/sim2real",
     ),
     Command(
         "import",
@@ -164,10 +161,29 @@ COMMANDS = (
         _import,
         "sim2real import run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
     ),
-    Command(
-        "completion",
-        "sim2real.commands.completion",
-        _completion,
-        "sim2real completion bash > ~/.local/share/bash-completion/completions/sim2real",
+    command(
+        "robot",
+        "sim2real.commands.import_logs:robot",
+        [_ROBOT],
+        "sim2real robot from-urdf arm.urdf --out robot.toml",
+    ),
+    command(
+        "export-servo",
+        f"{_EXPORTS}:export_servo",
+        [_EXPORT_SERVO],
+        "sim2real export-servo diagnosis.enriched.json --to mujoco --out servos.xml "
+        "--recordings steps.csv chirp.csv",
+    ),
+    command(
+        "export-ranges",
+        f"{_EXPORTS}:export_ranges",
+        [_EXPORT_RANGES],
+        "sim2real export-ranges ranges.json --to isaaclab --out randomization.py",
+    ),
+    command(
+        "servos",
+        "sim2real.commands.servos",
+        [_SERVOS],
+        "sim2real servos xl330_gain800 --joints pan tilt --out model.json",
     ),
 )

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.buses import bus_class, connection
 from sim2real.hardware.mounting import Wiring
@@ -41,7 +42,16 @@ def run(options: argparse.Namespace) -> int:
         _plot(options.plot, signal, joints)
         return 0
     wiring = _wiring(options, robot)
-    sidecar = _sidecar(options, robot, signal)
+    sent = sidecar(
+        signal,
+        _planned(options.signal),
+        medium=options.medium,
+        source=options.source or f"Recorded by 'sim2real record' on {robot.name}.",
+        name=str(options.signal),
+        provenance=provenance([options.robot], options.seed),
+    )
+    if options.inertia:
+        sent["loads"] = _loads(options.inertia, signal.joints)
     _check_out(options)
     _plot(options.plot, signal, joints)
     for note in signal.notes:
@@ -49,27 +59,45 @@ def run(options: argparse.Namespace) -> int:
     with priority(), connection(options.bus, options.port, options.baud) as link:
         try:
             mountings = mounted(link, robot, wiring)
-            sidecar["bus"] = bus_settings(link, options.port, mountings)
+            sent["bus"] = bus_settings(link, options.port, mountings)
         except (Stopped, OSError) as error:
             print(f"sim2real record: {error}; nothing written", file=sys.stderr)
             return 1
         limit = options.max_temperature
-        run = drive(link, mountings, signal, options.out, sidecar, hottest_C=limit)
+        run = drive(link, mountings, signal, options.out, sent, hottest_C=limit)
     return _report(options.out, run)
 
 
-def _sidecar(options: argparse.Namespace, robot: Robot, signal: Excitation) -> dict[str, object]:
+def sidecar(
+    signal: Excitation, planned: dict[str, Any], *, name: str, **more: object
+) -> dict[str, object]:
+    """The JSON of a recording of a signal.
+
+    Args:
+        signal: The signal.
+        planned: Loads, and what else is stated of a designed recording.
+        name: Name of the signal.
+        more: Medium, source and provenance.
+    """
     return {
         "schema": SCHEMA,
         "kind": "servo",
         "joints": list(signal.joints),
-        **_planned(options.signal),
-        **({"loads": _loads(options.inertia, signal.joints)} if options.inertia else {}),
-        "medium": options.medium,
-        "source": options.source or f"Recorded by 'sim2real record' on {robot.name}.",
-        "signal": {"name": str(options.signal), "notes": list(signal.notes)},
-        "provenance": provenance([options.robot], options.seed),
+        "signal": {"name": name, "notes": list(signal.notes)},
+        **planned,
+        **more,
     }
+
+
+def check_temperature(limit_C: float) -> None:
+    """Check a limit of temperature.
+
+    Raises:
+        InputError: If servos would switch themselves off below it.
+    """
+    if not 0 < limit_C <= HOTTEST_POSSIBLE_C:
+        expected = f"at most {HOTTEST_POSSIBLE_C:g} C"
+        raise InputError("--max-temperature", "", f"{limit_C:g} C", expected)
 
 
 def _report(out: Path, run: Run) -> int:
@@ -117,14 +145,12 @@ def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
     for option, value in (("--port", options.port), ("--ids", options.ids)):
         if value is None:
             raise InputError(option, "", "nothing", "it, unless with --dry-run")
-    if not 0 < options.max_temperature <= HOTTEST_POSSIBLE_C:
-        found = f"{options.max_temperature:g} C"
-        expected = f"at most {HOTTEST_POSSIBLE_C:g} C"
-        raise InputError("--max-temperature", "", found, expected)
+    check_temperature(options.max_temperature)
+    whole = "whole numbers, as 1,2,3"
     wiring = Wiring(
-        ids=_integers("--ids", options.ids),
+        ids=numbers("--ids", options.ids, int, whole),
         joints=[joint.name for joint in _joints(robot, options.joints)],
-        trim_ticks=_integers("--trim", options.trim) if options.trim else None,
+        trim_ticks=numbers("--trim", options.trim, int, whole) if options.trim else None,
         reverse=options.reverse,
     )
     wiring.check(robot, bus_class(options.bus).protocol.largest_id)
@@ -132,32 +158,19 @@ def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
 
 
 def _loads(text: str, joints: Sequence[str]) -> dict[str, dict[str, float]]:
-    try:
-        inertias = [float(number) for number in text.split(",")]
-    except ValueError:
-        inertias = []
-    if len(inertias) != len(joints) or not all(0 < x < np.inf for x in inertias):
-        expected = f"{len(joints)} numbers above 0 in kg m2, for {', '.join(joints)}"
-        raise InputError("--inertia", "", repr(text), expected)
-    return {
-        joint: {"inertia_kgm2": inertia} for joint, inertia in zip(joints, inertias, strict=True)
-    }
+    count = len(joints)
+    expected = f"{count} numbers above 0 in kg m2, for {', '.join(joints)}"
+    inertias = numbers("--inertia", text, float, expected, count=count, positive=True)
+    return {joint: {"inertia_kgm2": x} for joint, x in zip(joints, inertias, strict=True)}
 
 
 def _planned(signal: str) -> dict[str, Any]:
     """Loads, context and rivals of a design, from the JSON in the folder of its commands."""
-    sidecar = Path(signal).with_suffix(".json")
-    if signal in UNIT or not sidecar.exists():
+    path = Path(signal).with_suffix(".json")
+    if signal in UNIT or not path.exists():
         return {"loads": {}}
-    content = read_json(sidecar, SCHEMA)
+    content = read_json(path, SCHEMA)
     return {"loads": {}} | {name: content[name] for name in _PLANNED if name in content}
-
-
-def _integers(option: str, text: str) -> list[int]:
-    try:
-        return [int(number) for number in text.split(",")]
-    except ValueError:
-        raise InputError(option, "", repr(text), "whole numbers, as 1,2,3") from None
 
 
 def _check_out(options: argparse.Namespace) -> None:

@@ -11,7 +11,7 @@ from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
 
 ADD = "add"
-_OF_ADD = ("joint", "entry", "type", "source", "licence", "date")
+_OF_ADD = ("joint", "as", "type", "source", "licence", "date")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,8 +23,8 @@ def run(options: argparse.Namespace) -> int:
         return _add(options)
     for option in _OF_ADD:
         if getattr(options, option) is not None:
-            shown = "--as" if option == "entry" else f"--{option}"
-            raise InputError(shown, "", options.name or "no servo", "servos add MODEL")
+            shown = option
+            raise InputError(f"--{shown}", "", options.name or "no servo", "servos add MODEL")
     if options.model is not None:
         raise InputError("servos", "", f"{options.name} {options.model}", "servos add MODEL")
     return _list(options) if options.name is None else _one(options)
@@ -66,7 +66,7 @@ def _add(options: argparse.Namespace) -> int:
     if options.model is None:
         raise InputError("servos add", "MODEL", "nothing", "an identified servo (MODEL.json)")
     about = {
-        "name": options.entry,
+        "name": vars(options)["as"],
         "type": options.type,
         "source": options.source,
         "licence": options.licence,

@@ -1,11 +1,20 @@
-"""Standard output and error that never stop a command: a failure is reported when it ends."""
+"""Standard output and error: failures are reported when a command ends; ``--json``."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import dataclasses
+import json
 import os
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, TextIO
+
+from sim2real.output import finite_json, place_of
+
+Run = Callable[[argparse.Namespace], int]
 
 
 class Lenient:
@@ -19,19 +28,17 @@ class Lenient:
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
-        self.error: OSError | None = None
+        self.error = OSError(0, "closed") if stream is None else None
 
     def write(self, text: str) -> int:
         """Write ``text``; return its length."""
-        if self._stream is None and self.error is None:
-            self.error = OSError(0, "closed")
-        if self._stream is not None and self.error is None:
-            with self._caught():
+        with self._caught() as stream:
+            if stream is not None:
                 try:
-                    self._stream.write(text)
+                    stream.write(text)
                 except UnicodeEncodeError as error:
                     code = error.encoding
-                    self._stream.write(text.encode(code, "backslashreplace").decode(code))
+                    stream.write(text.encode(code, "backslashreplace").decode(code))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
@@ -41,9 +48,9 @@ class Lenient:
 
     def flush(self) -> None:
         """Flush the stream."""
-        if self._stream is not None and self.error is None:
-            with self._caught():
-                self._stream.flush()
+        with self._caught() as stream:
+            if stream is not None:
+                stream.flush()
 
     def isatty(self) -> bool:
         """Whether it is a terminal."""
@@ -53,9 +60,10 @@ class Lenient:
         return getattr(self._stream, name)
 
     @contextlib.contextmanager
-    def _caught(self) -> Iterator[None]:
+    def _caught(self) -> Iterator[TextIO | None]:
+        """The stream, or None after a failure, which is kept."""
         try:
-            yield
+            yield None if self.error else self._stream
         except (OSError, ValueError) as error:  # of a closed stream, a ValueError
             self.error = error if isinstance(error, OSError) else OSError(0, str(error))
             with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -73,3 +81,37 @@ def occupy_standard_descriptors() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
+
+
+def run_as_json(run: Run, options: argparse.Namespace) -> int:
+    """Run a command; print its output to standard error, its result to standard output.
+
+    The result is ``options.result`` if set, else the JSON file that the command wrote, else the
+    name of the file.
+    """
+    with contextlib.redirect_stdout(sys.stderr):
+        status = run(options)
+    result, out = options.result, getattr(options, "out", None)
+    if status == 0 and result is None and isinstance(out, Path):
+        place = place_of(out)
+        result = {"out": str(place)}
+        if out.suffix == ".json" and place is not None:
+            result = json.loads(place.read_text(encoding="utf-8"))
+    if status == 0 or result is not None:  # such as the findings of a refused recording
+        print(json.dumps(plain(result), allow_nan=False))
+    return status
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
+    """A value as JSON: dataclasses as objects, arrays as lists, numbers finite or null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return finite_json(value)
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -24,9 +24,8 @@ from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
 from sim2real.identification.priors import motor_prior
 from sim2real.identification.problem import ServoProblem, plain_row
-from sim2real.inference.low_discrepancy import kronecker
 from sim2real.inference.normal import Z90
-from sim2real.inference.parameters import Parameter, column
+from sim2real.inference.parameters import Parameter, column, kronecker
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Robot, Servo

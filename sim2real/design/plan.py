@@ -112,12 +112,8 @@ class Design(NotebookDisplay):
             name, self.t, commands, loads, {"design": design, "provenance": dict(self.provenance)}
         )
 
-    def __str__(self) -> str:
-        """Expected intervals of each joint, one line per parameter."""
-        return str(from_report("design_plot.design_report")(self))
-
     def plot(self, joint: str | None = None) -> Figure:
-        """Command, intervals over time, and where the information comes from, of one joint."""
+        """Command, and intervals over time, of one joint."""
         name = next(iter(self.joints)) if joint is None else joint
         figure: Figure = from_report("design_plot.design_figure")(self.t, name, self.joints[name])
         return figure

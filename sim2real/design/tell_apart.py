@@ -128,7 +128,7 @@ class RivalDesign(NotebookDisplay):
         """Commands of one joint."""
         by_name = {one.rivals.component: one for one in self.joints}
         chosen = self.joints[0] if joint is None else by_name[joint]
-        figure: Figure = from_report("rival_plots.rivals_figure")(chosen)
+        figure: Figure = from_report("design_plot.rivals_figure")(chosen)
         return figure
 
     @property

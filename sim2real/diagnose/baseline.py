@@ -19,7 +19,7 @@ from sim2real.identification.servo_problem import (
     plain_servos,
     stacked,
 )
-from sim2real.inference.low_discrepancy import kronecker
+from sim2real.inference.parameters import kronecker
 from sim2real.model import JointModel
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import BASE, COLUMNS, FIRST_EFFECT_COLUMN, joint_row

@@ -168,7 +168,7 @@ def _simulated(trace: Trace, theta: Array) -> Array:
     inertia += float(theta[INERTIA_LEFT_OUT])
     fastest = max(float(np.sqrt(max(kp, 0.0) / inertia)), 0.5 * kd / inertia, 1e-9)
     step = min(LONGEST_SUBSTEP_S, 1 / (STEPS_PER_RADIAN * fastest))
-    return np.asarray(rollout_on(trace, theta[None], substep_s=step, threads=2)[0])
+    return np.asarray(rollout_on(trace, theta[None], substep_s=step)[0])
 
 
 def _known(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,9 +24,11 @@ from sim2real.diagnose.servo_search import ServoSearch, plain_sets
 from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lines
 from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
+from sim2real.identification.identify import fitted_joint
 from sim2real.identification.plain_fit import refitted
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
-from sim2real.model import Model
+from sim2real.model import JointModel, Model
+from sim2real.output import sha256_of
 from sim2real.plausible import admitted
 from sim2real.progress import Progress
 from sim2real.recording import Recording
@@ -128,7 +130,7 @@ def examined(
     kept, warnings = admitted((*case.recordings, *case.references), case.robot)
     count, rng = len(case.recordings), np.random.default_rng(seed)
     case = replace(case, recordings=kept[:count], references=kept[count:], warnings=warnings)
-    case = on_their_lines(with_known_servos(case, rng), rng)
+    case = on_their_lines(with_known_servos(_with_laws_open(case), rng), rng)
     recorded = prepared(case)
     joints, first = _first_look(recorded, rng, device)
     if not any(joint.references for joint in joints):
@@ -143,11 +145,34 @@ def examined(
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
     after = residual_angles(batch, joined([one.offered.fit for one in found]))
-    fitted = [_least_squares(*pair) for pair in zip(recorded, plain, strict=True)]
     return case, [
-        replace(one, before=before[j], after=after[j], least_squares=fitted[j])
+        replace(
+            one,
+            before=before[j],
+            after=after[j],
+            least_squares=_least_squares(recorded[j], plain[j]),
+            robust=_least_squares(recorded[j], one.offered),
+            identified=_identified(recorded[j], one, seed),
+        )
         for j, one in enumerate(found)
     ]
+
+
+def _with_laws_open(case: Case) -> Case:
+    """The case without the laws of servos that were identified from these same recordings.
+
+    They tell nothing that the recordings do not, so that the answer is that without a model.
+    Effects of a given servo remain part of it, as does what other recordings told of it.
+    """
+    if case.model is None or case.references:
+        return case
+    files = [recording.path for recording in case.recordings if recording.path]
+    known = case.model.provenance.get("inputs")
+    told = set(known.values()) if isinstance(known, Mapping) else set()
+    if len(files) < len(case.recordings) or not told.issuperset(map(sha256_of, files)):
+        return case
+    joints = {name: joint for name, joint in case.model.joints.items() if joint.effects}
+    return replace(case, model=replace(case.model, joints=joints))
 
 
 def _first_look(
@@ -175,8 +200,18 @@ def _looked(batch: Batch, joints: Sequence[JointCase], rng: np.random.Generator)
     return tried
 
 
-def _least_squares(joint: JointCase, plain: Hypothesis) -> Array:
-    """The plain servo as ``identify`` fits it, without what every servo has a little of, (P,)."""
-    effects = [named(effect) for effect in sorted(plain.members)]
-    theta = plain.fit.servos.theta[0]
-    return refitted(joint.traces, theta, [e for e in effects if not e.everywhere]).row
+def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
+    """A servo as ``identify`` fits it: robustly, with what every servo has a little of fixed, (P,).
+
+    A fit with a free noise model takes what is missing for noise, and predicts worse.
+    """
+    effects = [named(effect) for effect in sorted(servo.members)]
+    theta = servo.fit.servos.theta[0]
+    return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
+
+
+def _identified(joint: JointCase, found: JointFindings, seed: int) -> JointModel | None:
+    """The servo as ``identify`` fits it, with the losses of its motor, where nothing is named."""
+    if found.offered.members != found.finding.tried.base or joint.references or joint.base:
+        return None
+    return fitted_joint(joint.traces, joint.servo, seed)

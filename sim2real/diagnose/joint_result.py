@@ -56,6 +56,9 @@ class JointFindings:
     after: Array = field(default_factory=lambda: np.zeros((0, 0)))  # those of the offered one
     # parameters of the plain servo as ``identify`` fits them, shape (P,)
     least_squares: Array = field(default_factory=lambda: np.zeros(0))
+    robust: Array = field(default_factory=lambda: np.zeros(0))  # those of the offered one
+    # the servo with its motor as ``identify`` fits it, where nothing is named
+    identified: JointModel | None = None
 
     @property
     def name(self) -> str:
@@ -116,13 +119,19 @@ class JointFindings:
         return max(self.finding.excess, unseen) > DECISION.structured_excess
 
     def model(self, *, enriched: bool) -> JointModel:
-        """The offered servo, or the plain one as ``identify`` fits it, on the stated line."""
+        """The offered servo, or the plain one, as ``identify`` fits them, on the stated line."""
+        coarse = self.joint.step_rad
+        rounding = () if coarse is None else (FittedEffect(ROUNDING, {"step_rad": coarse}),)
+        if enriched and self.identified is not None:
+            effects = (*self.identified.effects, *rounding)
+            return replace(self.identified, effects=effects, notes=self.model(enriched=False).notes)
         servo, theta = self.finding.tried.plain, self.least_squares
         if enriched and self.offered.members != self.finding.tried.base:
-            servo, theta = self.offered, self.offered.fit.servos.theta[0]
+            servo, theta = self.offered, self.robust
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)
         members, notes = servo.members, list[str]()
+        values = dict(zip(COLUMNS, theta.tolist(), strict=True))
         rotor = float(theta[INERTIA_LEFT_OUT])
         in_base = UNMODELLED_INERTIA in self.finding.tried.base - self.joint.base
         if in_base and rotor > 0 and not theta[list(TRAIN_ROTORS)].any():
@@ -130,16 +139,13 @@ class JointFindings:
             theta[[ROTOR_INERTIA, INERTIA_LEFT_OUT]] = rotor, 0.0
             members = members - {UNMODELLED_INERTIA}
             notes.append(_ROTOR_NOTE.format(rotor))
-        values = dict(zip(COLUMNS, servo.fit.servos.theta[0].tolist(), strict=True))
-        effects = [
+        stated_effects = [
             FittedEffect(name, {p.name: values[f"{name}.{p.name}"] for p in named(name).parameters})
             for name in sorted(members)
         ]
-        if self.joint.step_rad is not None:
-            effects.append(FittedEffect(ROUNDING, {"step_rad": self.joint.step_rad}))
         given = self.joint.model.law if self.joint.model else "pd"
         law = given if motor_of(theta) and given != "pd" else None
-        model = stated(theta, self.joint.traces[0].load, tuple(effects), law)
+        model = stated(theta, self.joint.traces[0].load, (*stated_effects, *rounding), law)
         return replace(model, notes=tuple(notes))
 
     def estimates(self, effect: str) -> dict[str, Estimate]:

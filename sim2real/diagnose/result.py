@@ -235,7 +235,7 @@ class Diagnosis(NotebookDisplay):
 
     def plot(self) -> Figure:
         """Probabilities of the reported effects and of their rivals."""
-        figure: Figure = from_report("diagnosis_what.candidate_figure")(self)
+        figure: Figure = from_report("diagnosis_plots.candidate_figure")(self)
         return figure
 
 

@@ -44,24 +44,25 @@ class SwimRivals(OpenSets):
 
     def content(self) -> dict[str, Any]:
         """The field ``swim_rivals`` of ``diagnosis.json``."""
-        return {
-            "component": self.component,
-            "period_s": self.period_s,
-            "noise": {
-                "pose_sd": self.pose_sd.tolist(),
-                "pose_lag_s": self.pose_lag_s,
-                "joint_sd_rad": self.joint_sd_rad.tolist(),
-            },
-            "simulator_error": {
-                "shares": self.shares.tolist(),
-                "imitation": dict(self.imitation),
-                "relative": self.relative,
-                "temperature": self.temperature,
-            },
-            "sets": [
-                one.content() | {"information": one.information.tolist()} for one in self.sets
-            ],
+        groups = {
+            group: {name: _plain(getattr(self, name)) for name in names}
+            for group, names in _GROUPS.items()
         }
+        sets = [one.content() | {"information": one.information.tolist()} for one in self.sets]
+        return {"component": self.component, "period_s": self.period_s, **groups, "sets": sets}
+
+
+_GROUPS = {
+    "noise": ("pose_sd", "pose_lag_s", "joint_sd_rad"),
+    "simulator_error": ("shares", "imitation", "relative", "temperature"),
+}
+"""Fields that files group."""
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - of JSON
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def swim_rivals_of_file(path: str | os.PathLike[str]) -> tuple[SwimRivals, str] | None:
@@ -77,22 +78,14 @@ def swim_rivals_of_file(path: str | os.PathLike[str]) -> tuple[SwimRivals, str] 
     top = Fields(path, "", read_json(path, SCHEMA))
     if top.content.get("swim_rivals") is None:
         return None
-    return read_swim_rivals(top.table("swim_rivals")), top.text("model")
-
-
-def read_swim_rivals(entry: Fields) -> SwimRivals:
-    """The field ``swim_rivals`` of ``diagnosis.json``.
-
-    Raises:
-        InputError: If a field is missing or of another form.
-    """
+    entry = top.table("swim_rivals")
     noise, error = entry.table("noise"), entry.table("simulator_error")
     shares, pose_sd = numbers(error, "shares"), numbers(noise, "pose_sd")
     if shares.shape != (4, 3):
         raise error.error("shares", "4 rows of 3 numbers")
     if pose_sd.shape != (3,):
         raise noise.error("pose_sd", "3 numbers")
-    return SwimRivals(
+    rivals = SwimRivals(
         component=entry.text("component"),
         period_s=entry.number("period_s", above=0.0),
         pose_sd=pose_sd,
@@ -104,6 +97,7 @@ def read_swim_rivals(entry: Fields) -> SwimRivals:
         temperature=error.number("temperature", above=0.0),
         sets=tuple(_set(one) for one in entry.tables("sets")),
     )
+    return rivals, top.text("model")
 
 
 def _set(entry: Fields) -> SwimSet:

@@ -14,7 +14,7 @@ from sim2real.diagnose.smooth_function import JointMotion, ServoMotion, Smooth, 
 from sim2real.identification.servo_problem import Fits, minimise, residual_angles
 from sim2real.inference.correlated_noise import RESIDUAL_WANDER
 from sim2real.inference.segments import Window, inside, robust_sd, windows
-from sim2real.processes import shared
+from sim2real.progress import shared
 from sim2real.servo.batch import Batch
 from sim2real.servo.trace import FINEST_NOISE_RAD, Trace
 

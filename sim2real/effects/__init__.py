@@ -9,16 +9,35 @@ simulators, diagnoses and pages then support it.
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
+import sys
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import warp
+
 from sim2real.effects.body_effect import BodyEffect, CameraEffect, SwimEffect
 from sim2real.effects.effect import Effect as Effect
 from sim2real.errors import InputError
-from sim2real.warp_start import start_warp
+
+warp.config.log_level = max(warp.config.log_level, warp.LOG_ERROR)
+
+
+def start_warp() -> None:
+    """Initialize Warp, discarding what its native code prints to standard error."""
+    sys.stderr.flush()
+    stderr_copy, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        warp.init()  # type: ignore[no-untyped-call]
+    finally:
+        os.dup2(stderr_copy, 2)
+        os.close(stderr_copy)
+        os.close(null)
+
 
 start_warp()
 

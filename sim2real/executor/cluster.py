@@ -10,9 +10,8 @@ from collections.abc import Generator, Iterator, Mapping
 from itertools import islice
 from typing import Any
 
-from sim2real.errors import InputError
+from sim2real.errors import InputError, library
 from sim2real.executor.job import Died, Job, JobOutcome, stop, write_job
-from sim2real.extras import library
 
 _LOOK_EVERY_S = 1.0
 

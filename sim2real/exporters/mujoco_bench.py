@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.errors import InputError
+from sim2real.errors import InputError, library
 from sim2real.exporters.actuator import SATURATION, Export
 from sim2real.exporters.mujoco import INTEGRATOR, TIMESTEP_S, expressed, mujoco
 from sim2real.exporters.nearest import Nearest, Which, nearest, rollout_error
 from sim2real.exporters.refit import FittingData, fitting_data
-from sim2real.extras import library
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording

@@ -15,8 +15,7 @@ from threading import Thread
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from sim2real.errors import InputError
-from sim2real.extras import optional
+from sim2real.errors import InputError, optional
 from sim2real.hardware.datagram import (
     HALF,
     LARGEST,

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.problem import plain_row
-from sim2real.inference.low_discrepancy import kronecker
+from sim2real.inference.parameters import kronecker
 from sim2real.servo.parameters import COLUMNS, INERTIA_LEFT_OUT
 from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace

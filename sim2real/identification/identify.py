@@ -9,8 +9,9 @@ from itertools import combinations
 
 import numpy as np
 
-from sim2real.effects import Effect, named
-from sim2real.errors import InputError, check_choice, check_whole, names_of
+from sim2real.effects import named
+from sim2real.effects.effect import Effect
+from sim2real.errors import InputError, check_choice, check_level, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.motor_choice import choose_motor, fitted_again
 from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
@@ -102,6 +103,7 @@ def identify(
     if law is not None:
         check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
+    check_level("identify", interval)
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
     recordings, warnings = admitted(at_one_gain(recordings), robot)
@@ -120,7 +122,7 @@ def identify(
         notes = []
         if law is None and not extra and servos[joint] is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        fitter = _Joint(servos[joint], extra, effort, seed + moving.index(joint))
+        fitter = _JointSettings(servos[joint], extra, effort, seed + moving.index(joint))
         return _identify_joint(data, held_out, fitter, notes, options)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
@@ -137,7 +139,21 @@ def identify(
         + advice.on_play(recordings),
         provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
+        interval_level=interval,
     )
+
+
+def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
+    """The model of one joint from all its recordings, without intervals and notes.
+
+    Args:
+        data: The recordings.
+        servo: Its data sheet.
+        seed: Seed of the search.
+    """
+    sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
+    found = _JointSettings(sheet, [], 1.0, seed).fit(data)
+    return _joint_model(found.best, {}, None, data[0].load, (), found.motor)
 
 
 def _servo(robot: Robot, joint: str, law: Law | None) -> Servo | None:
@@ -178,7 +194,7 @@ class _Options:
 
 
 @dataclass(frozen=True)
-class _Joint:
+class _JointSettings:
     """What is fitted to one joint."""
 
     servo: Servo | None
@@ -186,7 +202,7 @@ class _Joint:
     effort: float
     seed: int
 
-    def fit(self, fitted: list[Trace]) -> _Fits:
+    def fit(self, fitted: list[Trace]) -> _JointFits:
         """The fits to some recordings."""
         rng, noise = np.random.default_rng(self.seed), sensor_noise(fitted)
         plain, without_influence = fit_plain(fitted, noise, rng, self.servo, self.effort)
@@ -196,11 +212,11 @@ class _Joint:
             motor = choose_motor(fitted, plain, self.servo, noise, rng, losses=losses)
         base = motor if motor is not None and BASE[0] in motor.names else plain
         best = fit_effects(fitted, base, self.effects, rng) if self.effects else base
-        return _Fits(plain, motor, base, best, without_influence)
+        return _JointFits(plain, motor, base, best, without_influence)
 
 
 @dataclass(frozen=True)
-class _Fits:
+class _JointFits:
     """Fits of one joint: the linear servo, a motor, without effects (one of the two) and with."""
 
     plain: Fit
@@ -214,19 +230,23 @@ class _Fits:
         """Root mean square errors in rad, without effects and with."""
         return rms([self.base.error]), rms([self.best.error])
 
-    def again(self, traces: list[Trace], rng: np.random.Generator) -> _Fits:
+    def again(self, traces: list[Trace], rng: np.random.Generator, effort: float) -> _JointFits:
         """The same fits to more recordings."""
         if self.motor is not None and self.best is self.motor:
             best = fitted_again(self.motor, traces, self.plain, rng)
             return replace(self, motor=best, best=best)
-        best, motor = continued(self.best, traces), self.motor
+        best, motor = continued(self.best, traces, effort=effort), self.motor
         if motor is not None:
             motor = fitted_again(motor, traces, best, rng)
         return replace(self, motor=motor, best=best)
 
 
 def _identify_joint(
-    data: list[Trace], held_out: str | None, joint: _Joint, notes: list[str], options: _Options
+    data: list[Trace],
+    held_out: str | None,
+    joint: _JointSettings,
+    notes: list[str],
+    options: _Options,
 ) -> JointFit:
     fitted, scored, held_out_name = split(data, held_out)
     load, servo = data[0].load, joint.servo
@@ -243,7 +263,7 @@ def _identify_joint(
     if found.best is found.plain and known:
         notes += advice.on_inertia(found.best, with_inertia(found.best), scored, load)
     if scored and options.refit:  # now that it has been scored
-        found = found.again(data, np.random.default_rng(joint.seed))
+        found = found.again(data, np.random.default_rng(joint.seed), joint.effort)
     best, motor = found.best, found.motor
     spread = uncertainty(best, level=options.interval)
     ends = intervals(best, spread)
@@ -293,7 +313,7 @@ def _figures(best: Fit, noise: float) -> dict[str, float | None]:
 def _joint_model(
     best: Fit,
     ends: dict[str, tuple[float, float]],
-    spread: Uncertainty,
+    spread: Uncertainty | None,
     load: Load,
     notes: tuple[str, ...],
     motor: Fit | None,
@@ -305,15 +325,17 @@ def _joint_model(
         if effect and effect != "motor":
             effects.setdefault(effect, {})[parameter] = float(value)
     model = stated(best.row, load, [FittedEffect(*entry) for entry in effects.items()])
-    pairs = combinations(range(len(best.names)), 2)
+    correlation = {}
+    if spread is not None:
+        for i, j in combinations(range(len(best.names)), 2):
+            pair = f"{best.names[i]}, {best.names[j]}"
+            correlation[pair] = float(spread.correlation[i, j])
     fitted = motor is None or any(name.startswith("motor.") for name in best.names)
     return replace(
         model,
         law="pd" if motor is None else motor.law,
         motor=motor_of(best.row if fitted or motor is None else motor.row),
         interval=ends,
-        correlation={
-            f"{best.names[i]}, {best.names[j]}": float(spread.correlation[i, j]) for i, j in pairs
-        },
+        correlation=correlation,
         notes=notes,
     )

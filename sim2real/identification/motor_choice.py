@@ -141,7 +141,7 @@ def fitted_again(motor: Fit, traces: Sequence[Trace], plain: Fit, rng: np.random
         return continued(motor, traces)
     candidates = _candidates(motor.parameters, plain, rng, 512, motor.row)
     problem = replace(motor.problem, traces=traces)
-    return continued(motor, traces, further=shortlist(problem, candidates, 12), rng=rng)
+    return continued(motor, traces, further=shortlist(problem, candidates, 6), rng=rng)
 
 
 def fit_limit(
@@ -162,7 +162,7 @@ def fit_limit(
     the no-load speed follows from the damping instead of the data sheet (``MotorPrior.flat``). Both
     at once are a line and a current limit below its stall torque. The flat limit is tried where a
     line contradicts the no-load speed of the data sheet, both where one limit leaves a residual;
-    the larger evidence decides.
+    the larger evidence decides. A limit of which only the prior tells is none.
 
     Args:
         traces: The joint's recordings.
@@ -193,7 +193,8 @@ def fit_limit(
         stall = np.exp(prior[LINE[0]].nominal)
         starts[:, COLUMNS.index(CURRENT_LIMIT)] = stall * np.array(current_limits)
         both = fit_motor(traces, plain, prior, (*names, CURRENT_LIMIT), rng, starts)
-        best = _likeliest([best, both])
+        if both.told(CURRENT_LIMIT):
+            best = _likeliest([best, both])
     return best
 
 

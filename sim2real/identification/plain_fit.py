@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.effects import Effect
+from sim2real.effects.effect import Effect
 from sim2real.errors import InputError
 from sim2real.identification.first_guess import first_guess
 from sim2real.identification.priors import (
@@ -22,7 +22,7 @@ from sim2real.identification.priors import (
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit, point_fit
 from sim2real.inference.least_squares import OUTLIER_SD, robust_loss
-from sim2real.inference.low_discrepancy import kronecker
+from sim2real.inference.parameters import kronecker
 from sim2real.robot import Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.effects import Effect
-from sim2real.effects.effect import scaled
+from sim2real.effects.effect import Effect, scaled
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import Parameter
 from sim2real.recording import PER_INERTIA
@@ -26,8 +25,7 @@ from sim2real.servo.parameters import (
     ROTOR_INERTIA,
     beyond_load,
 )
-from sim2real.servo.reported_drive import ReportedDrive
-from sim2real.servo.trace import Trace
+from sim2real.servo.trace import ReportedDrive, Trace
 
 MOTOR_TIME_S = 0.03
 """Time constant of small geared motors: rotor inertia times no-load speed over stall torque."""

@@ -100,6 +100,7 @@ class ServoProblem:
         """Whether longer sub-steps are stable: damping by an effect may not be with them."""
         free = self.row.copy()[None]
         free[0, self.columns] = 1.0
+        free[0, COLUMNS.index(CURRENT_LIMIT)] = 0.0  # only limits the torque
         return not np.any(active_effects(free) & ~MOTOR_BIT)
 
     def values(self, x: Array) -> Array:
@@ -117,7 +118,7 @@ class ServoProblem:
         rows[:, self.columns] = self.values(x)
         if self.row[_PERIOD] > 0:
             shift = rows[:, _LATENCY] - self.row[_LATENCY]
-            rows[:, _PHASE] = (self.row[_PHASE] + shift) % rows[:, _PERIOD]
+            rows[:, _PHASE] = (self.row[_PHASE] + shift) % np.maximum(rows[:, _PERIOD], 1e-9)
         return rows
 
     def searched(self, rows: Array) -> Array:
@@ -145,8 +146,9 @@ class ServoProblem:
             rows: The servos.
             rough: Whether for derivatives, or far from a minimum (``rollout.coarse_substep``).
         """
-        fine = self.simulator.substeps(rows, exact=self.exact)
-        return coarse_substep(fine) if rough and self.smooth and not self.exact else fine
+        exact = self.exact and self.simulator.is_linear(rows)
+        fine = self.simulator.substeps(rows, exact=exact)
+        return coarse_substep(fine) if rough and self.smooth and not exact else fine
 
     def _errors(self, rows: Array, substeps: Array) -> Array:
         angles = self.simulator.angles(rows, substeps)
@@ -326,6 +328,18 @@ class Fit:
     def as_good(self, least: float) -> Array:
         """Other minima with a loss larger by less than ``least``, shape (M, F)."""
         return self.others[self.behind < least]
+
+    def told(self, name: str, *, share: float = 0.7) -> bool:
+        """Whether the recordings, and not only the prior, determine a parameter.
+
+        Its standard deviation is then less than this ``share`` of that of the prior.
+        """
+        k, problem = self.names.index(name), self.problem
+        weight = 1 / (self.scale_rad**2 * self.inflation)
+        information = weight * self.slopes.T @ self.slopes + self.prior
+        variance = float(np.linalg.pinv(information, hermitian=True)[k, k])
+        sd = variance**0.5 * problem.unit[k]
+        return bool(sd < share * problem.parameters[k].prior_sd)
 
     def evidence(self, scale_rad: float, inflation: float) -> float:
         """Logarithm of the marginal likelihood by Laplace's method, up to a constant.

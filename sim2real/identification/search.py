@@ -29,6 +29,7 @@ def fit(
     behind: float = 30.0,
     least_gain: float = 0.0,
     rng: np.random.Generator | None = None,
+    most: int = 8,
 ) -> Fit:
     """Fit the free parameters of a servo from several starts.
 
@@ -48,6 +49,7 @@ def fit(
             all searches are enough.
         rng: Generator for the neighbours by which minima are ordered (``robust_order``) where a
             servo may stick or just not; None for the order of their losses.
+        most: Largest number of minima to order so.
     """
     x = problem.searched(starts)
     error = problem.residuals(x)
@@ -73,9 +75,10 @@ def fit(
         if number and abs(scale / before - 1) < _SAME_SCALE:
             break
     noise = robust_scale(error), problem.inflation(error)
+    x = x[_distinct(x)]
     if rng is not None and len(x) > 1:
-        x = x[robust_order(problem, x, noise, rng)]
-    best, _, _, converged = search(problem, x[:1], noise, last)
+        x = x[robust_order(problem, x[:most], noise, rng)]
+    best, _, _, converged = search(problem, x[:1], noise, last, settled=1e-6)
     x = np.concatenate([best, x[1:]])
     loss = problem.loss(x, problem.residuals(x), *noise)
     return _result(problem, x, loss, noise, converged=converged)
@@ -91,6 +94,7 @@ def search(
     behind: float = 30.0,
     least_gain: float = 0.0,
     patience: int = 8,
+    settled: float = 1e-3,
 ) -> tuple[Array, Array, float, bool]:
     """Search from points (S, F) with a given scale and inflation of the residual (``noise``).
 
@@ -104,6 +108,7 @@ def search(
         least_gain: Decrease of half the loss from the first start without which all searches end
             after ``patience`` evaluations.
         patience: See ``least_gain``.
+        settled: Expected decrease of half the loss below which a search ends.
 
     Returns:
         The points in ascending order of their losses, the losses (S,), the decrease of half the
@@ -136,7 +141,7 @@ def search(
         x,
         *(np.tile(end, (len(x), 1)) for end in problem.box),
         evaluations=evaluations,
-        settled=1e-3,
+        settled=settled,
         hopeless=hopeless,
         losses=losses,
         look_every=1,
@@ -145,6 +150,15 @@ def search(
     gain = first[0] - float(loss.min()) if first else 0.0
     order = np.argsort(loss)
     return minimum.x[order], 2 * loss[order], gain, bool(minimum.converged[order[0]])
+
+
+def _distinct(x: Array, *, same: float = 0.1) -> Index:
+    """Indices of the minima (M, F) that differ from all before them."""
+    kept = [0]
+    for k in range(1, len(x)):
+        if (np.abs(x[kept] - x[k]).max(axis=1) > same).all():
+            kept.append(k)
+    return np.array(kept)
 
 
 def shortlist(problem: ServoProblem, starts: Array, count: int) -> Array:
@@ -205,6 +219,7 @@ def continued(
     row: Array | None = None,
     further: Array | None = None,
     rng: np.random.Generator | None = None,
+    effort: float = 1.0,
 ) -> Fit:
     """Fit the same parameters to more recordings of the joint, from all minima of a fit.
 
@@ -214,14 +229,17 @@ def continued(
         row: Values of the parameters that are not fitted, shape (P,); by default as before.
         further: Further servos from which to start, shape (S, P).
         rng: As of ``fit``.
+        effort: Multiple of the largest number of evaluations.
     """
     problem = replace(best.problem, traces=traces)
-    rows = best.problem.rows(np.vstack([best.x[None], best.others]))
+    rows = best.problem.rows(np.vstack([best.x[None], best.others[:5]]))
     if row is not None:
         problem = replace(problem, row=row)
     if further is not None:
         rows = np.vstack([rows, further])
-    return fit(problem, rows, rounds=3, first=10 if further is None else 25, rng=rng)
+    sizes = (10 if further is None else 20, 10, 40)
+    first, later, last = (round(effort * size) for size in sizes)
+    return fit(problem, rows, rounds=3, first=first, later=later, last=last, rng=rng)
 
 
 def point_fit(problem: ServoProblem, row: Array) -> Fit:

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from sim2real.arrays import Array
-from sim2real.errors import InputError
-from sim2real.extras import optional
+from sim2real.errors import InputError, optional
 from sim2real.importers.options import Conversion, check_increasing, import_warnings
 from sim2real.recording import Recording
 from sim2real.structured import Fields, read_json

@@ -14,8 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
-from sim2real.errors import InputError
-from sim2real.extras import optional
+from sim2real.errors import InputError, optional
 from sim2real.structured import LARGEST_STREAM_BYTES, check_size
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -17,14 +17,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
 from sim2real.csv_columns import LARGEST_FILE_BYTES
 from sim2real.errors import InputError, shown
 from sim2real.importers.options import ANGLES, MAP, SECONDS_PER, Conversion, check_increasing
 from sim2real.recording import Recording
-from sim2real.structured import check_size
+from sim2real.structured import check_size, read_arrays
 
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}

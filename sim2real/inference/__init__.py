@@ -2,7 +2,8 @@
 
 Modules::
 
-    parameters        Parameter (name, bounds, unit, nominal value, prior), Priors, Gaussian
+    parameters        Parameter (name, bounds, unit, nominal value, prior), Gaussian, kronecker
+                      (points that fill a cube evenly)
     correlated_noise  usable samples, whitening, autocorrelation times, slow drift (Wander)
     segments          intervals in which a residual exceeds the noise
     least_squares     minimise(expand, start, low, high): N problems at once; expand returns loss,
@@ -11,7 +12,6 @@ Modules::
     evidence          profile likelihood, Laplace approximation, probabilities of models
     selection         select(problem, ledgers): the candidates that a problem needs, refitting
                       every set
-    low_discrepancy   points that fill a cube evenly
 
 Example, a straight line through points::
 

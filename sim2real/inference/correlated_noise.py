@@ -31,9 +31,7 @@ _WINDOW_TIMES = 5.0
 class Wander:
     """Slow drift of a sensor: an Ornstein-Uhlenbeck process in addition to white noise.
 
-    Attributes:
-        time_s: Its time constant.
-        share: Its standard deviation, relative to that of the white part.
+    ``share``: its standard deviation, relative to that of the white part.
     """
 
     time_s: float
@@ -48,9 +46,6 @@ class Wander:
 
     def filter(self, period_s: float) -> tuple[list[float], list[float], float]:
         """The steady-state Kalman filter that whitens it (Anderson and Moore (1979), ch. 4).
-
-        Args:
-            period_s: Time between samples.
 
         Returns:
             Numerator and denominator for ``scipy.signal.lfilter``, and the variance of the
@@ -91,15 +86,12 @@ def lag_products(residual: Array, counts: Mask, order: int) -> Array:
 
 
 def autoregression(products: Array, least_gain: float = 0.0) -> Array:
-    """Least-squares autoregression coefficients of N residuals.
+    """Least-squares autoregression coefficients (N, p) of N residuals.
 
     Args:
         products: Lag products of each, shape (N, p + 1, p + 1).
         least_gain: Smallest gain of the whitening filter at frequency 0, which is 1 minus the sum
             of the coefficients; no limit if it is 0 or less.
-
-    Returns:
-        Shape (N, p).
     """
     past, present = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     size = np.einsum("nii->n", past) / past.shape[1]
@@ -123,13 +115,8 @@ def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
 def autocorrelation_times(series: Array) -> Array:
     """Integrated autocorrelation times in samples, at least 1; undefined ones are the length.
 
-    As in emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window.
-
-    Args:
-        series: Shape (T,), or (T, walkers, F).
-
-    Returns:
-        Shape (F,).
+    As in emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window. Of a
+    series (T,) or (T, walkers, F), shape (F,).
     """
     series = np.asarray(series)
     walkers = series.reshape(len(series), -1, series.shape[2] if series.ndim == 3 else 1)

@@ -42,13 +42,10 @@ def chance_gain(parameters: int, count: float) -> float:
 
 
 def student(score2: ArrayLike, references: float) -> Array:
-    """Log odds of a change of unknown size against none, without the prior.
+    """Log odds of a change of unknown size against none, without the prior, by squared scores.
 
-    The score follows Student's t without a change; the size is integrated by Laplace's method.
-
-    Args:
-        score2: Squared scores, of any shape.
-        references: Number of unchanged recordings that the scores are relative to.
+    Relative to that number of unchanged recordings the score follows Student's t without a change;
+    the size is integrated by Laplace's method.
     """
     gain = 0.5 * (references + 1) * np.log1p(np.asarray(score2) / references)
     return np.asarray(gain - 0.5 * np.log1p(score2))

@@ -217,9 +217,6 @@ def cannot_win(
         same: Distance in units below which two searches approach the same minimum.
         behind: Largest difference to the best loss at which a search continues.
         optimism: Assumed remaining decrease of a loss as a multiple of ``promised``.
-
-    Returns:
-        Mask of the active searches to stop, shape (M,).
     """
     rank = np.empty(losses.size, dtype=np.intp)
     rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
@@ -232,14 +229,10 @@ def cannot_win(
 def central(
     simulate: Callable[[Array], Array], x: Array, size: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """Simulated values at a point and their derivatives by central differences, in one batch.
+    """Simulated values at a point (F,) and their derivatives by central differences, in one batch.
 
-    Args:
-        simulate: Function from points (M, F) to rows (M, n).
-        x: The point, shape (F,).
-        size: Steps, shape (F,), shortened at the bounds.
-        low: Smallest values, shape (F,).
-        high: Largest values, shape (F,).
+    ``simulate`` goes from points (M, F) to rows (M, n). Steps of ``size`` (F,) are shortened at the
+    bounds.
 
     Returns:
         The row (n,) and its derivatives (n, F), 0 where a neighbouring point has no finite value.

@@ -1,4 +1,4 @@
-"""Parameters of servos, effects, bodies, fluids and cameras, and their priors."""
+"""Parameters of servos, effects, bodies, fluids and cameras, their priors, points among them."""
 
 from __future__ import annotations
 
@@ -83,3 +83,17 @@ class Gaussian:
     def root(self) -> Array:
         """A matrix W (F, F) with W.T @ W the inverse of the covariance."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
+
+
+def kronecker(count: int, dimensions: int, rng: np.random.Generator) -> Array:
+    """The first N points of a randomly shifted Kronecker sequence in the unit cube, shape (N, D).
+
+    They fill it evenly, without the 0.2 s that importing ``scipy.stats`` takes. Source:
+    Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods (SIAM, 1992), ch. 3. The
+    slopes are powers of the inverse of the root of x^(D + 1) = x + 1, for D = 1 the golden ratio.
+    """
+    root = 1.5
+    for _ in range(64):
+        root = (1 + root) ** (1 / (dimensions + 1))
+    slopes = root ** -np.arange(1.0, dimensions + 1)
+    return np.asarray((rng.random(dimensions) + np.arange(count)[:, None] * slopes) % 1.0)

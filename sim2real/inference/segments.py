@@ -25,18 +25,10 @@ def robust_sd(residual: Array, inside: Mask) -> float:
 
 
 def windows(t: Array, residual: Array, sd: float) -> tuple[Window, ...]:
-    """Windows in which the residual exceeds the noise.
+    """Beginning and end in s of windows in which the residual (T,) exceeds its noise ``sd``.
 
     The most likely path of a hidden Markov model with a quiet and a loud state (Viterbi, IEEE
-    Transactions on Information Theory 13 (1967) 260-269).
-
-    Args:
-        t: Times in s, shape (T,).
-        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
-        sd: Standard deviation of the noise in rad.
-
-    Returns:
-        Beginning and end of each window, s.
+    Transactions on Information Theory 13 (1967) 260-269). A residual is NaN where none is known.
     """
     z2 = np.where(np.isfinite(residual), (residual / sd) ** 2, 0.0)
     score = 0.5 * z2 * (1 - LARGER**-2) - np.log(LARGER)

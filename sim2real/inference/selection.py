@@ -22,10 +22,7 @@ Members = frozenset[Any]
 class Hypothesis(Generic[Fit]):
     """One set of candidates, fitted to one case.
 
-    Attributes:
-        members: The candidates.
-        fit: Their best fit.
-        evidence: Logarithm of the marginal likelihood and prior, up to a constant of the case.
+    ``evidence``: logarithm of the marginal likelihood and prior, up to a constant of the case.
     """
 
     members: Members
@@ -35,13 +32,7 @@ class Hypothesis(Generic[Fit]):
 
 @dataclass
 class Ledger(Generic[Fit]):
-    """All sets that were tried in one case.
-
-    Attributes:
-        case: Index of the case.
-        base: Members that all sets have.
-        tried: The best hypothesis of each set.
-    """
+    """The best hypothesis of each set that was tried in one case; all have the ``base``."""
 
     case: int
     base: Members = frozenset()
@@ -110,14 +101,12 @@ class Breadth:
         added: Number of additions tried for each set after the first round; None for all.
         rivals: Number of sets of the best size that are extended.
         within: Largest difference of their evidence to the best one.
-        swaps: Whether members are also replaced by other candidates.
     """
 
     most: int = 4
     added: int | None = 6
     rivals: int = 3
     within: float = 12.0
-    swaps: bool = True
 
 
 def select(
@@ -129,12 +118,8 @@ def select(
 ) -> None:
     """Try sets of candidates in every case until none is better, and record them in the ledgers.
 
-    Args:
-        problem: The problem.
-        ledgers: One per case, with the fit of its base.
-        breadth: Breadth of the search.
-        progress: Called with the completed share.
-        exhausted: Whether a case has spent its budget and is not searched for larger sets.
+    Each ledger has the fit of its base. ``exhausted``: whether a case has spent its budget and is
+    not searched for larger sets.
     """
     problem.look([(ledger, ledger.base) for ledger in ledgers])
     _refit(problem, [job for x in ledgers for job in _enlarged(problem, x, x.base, None)])
@@ -155,19 +140,14 @@ def widen(
 ) -> None:
     """Try every candidate with the best set of each case, until none makes a better one.
 
-    Args:
-        problem: The problem.
-        ledgers: One per case.
-        most: Largest number of candidates in a set, without the base.
+    Sets have at most ``most`` candidates, without the base.
     """
     active = list(ledgers)
     while active:
         before = {ledger.case: ledger.best.members for ledger in active}
         problem.look([(ledger, ledger.best.members) for ledger in active])
-        _refit(
-            problem,
-            [job for x in active for job in _enlarged(problem, x, x.best.members, None)],
-        )
+        jobs = [job for x in active for job in _enlarged(problem, x, x.best.members, None)]
+        _refit(problem, jobs)
         active = [
             ledger
             for ledger in active
@@ -186,7 +166,7 @@ def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadt
     smaller = [
         (ledger, ledger.best.members - set(out))
         for ledger in ledgers
-        for count in ((1, 2) if breadth.swaps else ())
+        for count in (1, 2)
         for out in combinations(sorted(ledger.best.members - ledger.base, key=str), count)
     ]
     missing = [(x, s, problem.start(x, s)) for x, s in smaller if s not in x.tried]
@@ -198,11 +178,7 @@ def _extend(problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], breadt
         if len(members - ledger.base) < breadth.most and problem.remains(ledger, members)
         for job in _enlarged(problem, ledger, members, breadth.added)
     ]
-    jobs += [
-        job
-        for ledger, members in smaller
-        for job in _enlarged(problem, ledger, members, breadth.added)
-    ]
+    jobs += [job for x, s in smaller for job in _enlarged(problem, x, s, breadth.added)]
     _refit(problem, [job for job in jobs if job[1] not in job[0].tried])
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import autocorrelation_times
 from sim2real.output import beside, is_stream, write_whole
+from sim2real.structured import read_arrays
 
 LogDensity = Callable[[Array], Array]
 

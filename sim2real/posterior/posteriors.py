@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim2real.archives import read_arrays
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
-from sim2real.errors import InputError
-from sim2real.extras import library
+from sim2real.errors import InputError, library
 from sim2real.output import write_whole
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
+from sim2real.structured import read_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,18 +86,6 @@ class Posteriors(NotebookDisplay):
             data.posterior[name].attrs["units"] = unit
         return data
 
-    def __str__(self) -> str:
-        """Median and 90 % interval of each parameter."""
-        lines = []
-        for joint, sampled in self.joints.items():
-            rows = zip(sampled.parameters, sampled.quantiles(0.05, 0.5, 0.95).T, strict=True)
-            lines += [
-                f"{joint}.{prior.name:30s} {median:10.4g} {prior.unit:12s} "
-                f"90 % {low:.4g} to {high:.4g}"
-                for prior, (low, median, high) in rows
-            ]
-        return "\n".join(lines) or "no joint moved on the bench"
-
     def plot(self, joint: str | None = None) -> Figure:
         """Marginals of one joint (the first by default), and of every pair of parameters.
 
@@ -108,7 +95,7 @@ class Posteriors(NotebookDisplay):
         name = next(iter(self.joints), "") if joint is None else joint
         if name not in self.joints:
             raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
-        figure: Figure = from_report("corner_plot.corner_figure")(self.joints[name], name)
+        figure: Figure = from_report("ranges.corner_figure")(self.joints[name], name)
         return figure
 
 

@@ -112,17 +112,6 @@ class Ranges(NotebookDisplay):
         """The range of a parameter, or None."""
         return next((entry for entry in self.entries if entry.parameter == parameter), None)
 
-    def __str__(self) -> str:
-        """One line per range, and notes."""
-        width = max((len(entry.parameter) for entry in self.entries), default=0)
-        lines = []
-        for entry in self.entries:
-            numbers = f"{entry.numbers(4)} {entry.unit}".rstrip()
-            shape = "fixed" if entry.constant else entry.distribution
-            kind = f"{shape:<7}  {entry.period:<7}"
-            lines.append(f"{entry.parameter:<{width}}  {kind}  {numbers}")
-        return "\n".join([*lines, *(f"  ! {note}" for note in self.notes)])
-
 
 def write_ranges(ranges: Ranges, path: str | os.PathLike[str]) -> None:
     """Write ``ranges.json``.

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim2real.density import Density, normalised_density
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -34,7 +33,7 @@ from sim2real.ranges.sources import (
     shared_ranges,
 )
 from sim2real.recording import Recording
-from sim2real.robot import Robot, match_recordings
+from sim2real.robot import Density, Robot, match_recordings, normalised_density
 from sim2real.servo.trace import at_one_gain, check_samples, split, traces
 
 if TYPE_CHECKING:
@@ -64,10 +63,6 @@ class Gathered(NotebookDisplay):
     spread: Spread | None
     density: Density | None
 
-    def __str__(self) -> str:
-        """One line per range, and notes."""
-        return str(self.ranges)
-
     def plot(self) -> Figure:
         """Latencies and their range, or else the normalised densities.
 
@@ -75,7 +70,7 @@ class Gathered(NotebookDisplay):
             InputError: If there is neither.
         """
         if self.latencies is not None and self.spread is not None:
-            figure: Figure = from_report("range_plots.latency_figure")(self.latencies, self.spread)
+            figure: Figure = from_report("ranges.latency_figure")(self.latencies, self.spread)
             return figure
         if self.density is None:
             raise InputError("ranges", "plot", "no latencies and no masses", "one of them")

@@ -9,12 +9,12 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.body import body_effect, values
-from sim2real.density import Density
 from sim2real.model import JointModel, Model
 from sim2real.noise import difference_noise, noise_floor
 from sim2real.posterior.servo import ServoPosterior
 from sim2real.ranges.entry import Range, normal, uniform
 from sim2real.recording import Recording
+from sim2real.robot import Density
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
 

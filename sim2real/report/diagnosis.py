@@ -1,4 +1,4 @@
-"""Diagnosis section of a report: missing effects, where the model differs, next experiment."""
+"""Diagnosis section of a report: where the model differs, missing effects, next experiment."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim2real.diagnose.result import Diagnosis, Experiment, JointSeries, Mismatch, NamedEffect
+from sim2real.diagnose.result import Diagnosis, JointSeries, Mismatch, NamedEffect, percent
 from sim2real.diagnose.rival_sets import SEPARATED
-from sim2real.report.diagnosis_bars import Bar, bar_figure
+from sim2real.model import JointModel
 from sim2real.report.diagnosis_plots import (
-    command_figure,
-    mean_figure,
-    residual_figure,
-    residual_live,
+    candidate_figure,
+    listed,
+    plain,
+    residual_panels,
+    sure,
     torque_figure,
 )
-from sim2real.report.diagnosis_what import figure, what_blocks
-from sim2real.report.diagnosis_words import how_sure, listed, per_inertia, plain, sure
-from sim2real.report.page import Block, Note, Section, Table, Text
-from sim2real.report.quantity import milliradians
-from sim2real.units import readable
+from sim2real.report.drawing import svg
+from sim2real.report.page import Block, Figure, Note, Section, Table, Text
+from sim2real.report.quantity import change_text, milliradians, printable, quantities
+from sim2real.report.series import Panel, series_block
+from sim2real.units import readable, readable_name
+from sim2real.viewers.scenes import COMMAND, SignalGroup
 
 _LEAD = (
     "Does the simulated servo lack physics that the real one has? Where simulation and recording "
@@ -43,8 +45,6 @@ _VERDICTS = {
     "unexplained": ("warn", "There is a mismatch that no effect in the catalogue explains."),
 }
 _STATES = {
-    "position": "position",
-    "speed": "speed",
     "error": "distance from the command",
     "time": "time since the start",
     "sensor": "position, through the angle sensor",
@@ -52,11 +52,11 @@ _STATES = {
     "shaking": "vibration at one frequency",
     "jump": "a change at one instant",
 }
-_DRAWN_AGAINST = {"sensor": "position", "other_joint": "time", "shaking": "time", "jump": "time"}
 _STRIPS = 5
+_WORTH_A_ROW = 0.05
 _RESIDUAL = (
     "Residual of {joint} over time: measured minus simulated angle{which}. "
-    "Dashed lines: ±\u00a02 standard deviations of the noise{shade}."
+    "Band: ±\u00a02 standard deviations of the noise{shade}."
 )
 _TORQUE = (
     "Torque missing from the plain servo of {joint}, against speed and position. A pattern "
@@ -67,37 +67,48 @@ _DEPENDENCE = (
     "Share of the missing torque of {joint} that each state explains by itself. Shares overlap, as "
     "the states are correlated."
 )
-_MEAN = (
-    "Mean of the torque missing from the plain servo of {joint}, with two standard errors, against "
-    "the state that it depends on most among those that can be plotted. Grey band: noise of a "
-    "single sample."
+_LADDER = (
+    "Error (root mean square) on held-out recordings or parts of recordings. No simulation can be "
+    "below the sensor noise."
+)
+_NEGLIGIBLE = (
+    "Detectable but negligible: these effects are present as well and hardly change the held-out "
+    "error."
+)
+_SHIFTS = (
+    "Bias of the plain fit: without the missing effect, its stiffness (kp), damping (kd) and "
+    "latency compensate for it in part. Change of each with the effect, with the values before and "
+    "after below."
 )
 _LIMITS = (
     "Smallest size of an effect that these recordings could have shown at best; reliable detection "
     "needs several times as much. For limits on torque, speed or acceleration, values below the "
     "number would have been detected. Dash: not detectable at any size tested."
 )
-_WORTH_A_BAR = 0.05
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """Text, tables and figures of a diagnosis."""
-    blocks: list[Block] = [_verdict(diagnosis)]
+    kind, sentence = _VERDICTS[diagnosis.verdict]
+    remains = [_remains(diagnosis, mismatch) for mismatch in diagnosis.mismatch]
+    blocks: list[Block] = [_note(kind, " ".join(filter(None, [sentence, *remains])))]
     blocks += [Note("warn", sentence) for sentence in diagnosis.warnings]
     if diagnosis.unfinished:
         blocks.append(Note("warn", diagnosis.search_ended))
-    blocks += [_effect(effect) for effect in diagnosis.effects]
+    blocks += [Note("info", _told(effect)) for effect in diagnosis.effects]
     for mismatch in diagnosis.mismatch:
         blocks += _where(diagnosis, mismatch)
     blocks += _sound(diagnosis)
     if diagnosis.mismatch:
-        blocks += what_blocks(diagnosis)
-        for mismatch in diagnosis.mismatch:
-            blocks += _unexplained(diagnosis, mismatch)
-    blocks += _separations(diagnosis)
-    if diagnosis.next_experiment is not None:
-        blocks += _next(diagnosis.next_experiment)
-    blocks += _limits(diagnosis)
+        blocks += _what(diagnosis)
+    if diagnosis.separations:
+        text = "What recordings were designed to separate, and what they have separated."
+        blocks.append(Text(text, heading="Expected and found"))
+        blocks += [
+            _note("good" if (pair.found or 0.0) >= SEPARATED else "info", str(pair))
+            for pair in diagnosis.separations
+        ]
+    blocks += [*_next(diagnosis), *_limits(diagnosis)]
     remarks = [sentence for sentence in diagnosis.gate if sentence not in diagnosis.warnings]
     if remarks:
         text = "Remarks of the check of the recordings; they may affect the diagnosis."
@@ -106,24 +117,15 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     return Section("Diagnosis", _LEAD, blocks)
 
 
-def _separations(diagnosis: Diagnosis) -> list[Block]:
-    """Which effects designed recordings were expected to separate, and whether they did."""
-    if not diagnosis.separations:
-        return []
-    text = "What recordings were designed to separate, and what they have separated."
-    separated = [(pair.found or 0.0) >= SEPARATED for pair in diagnosis.separations]
-    notes = [
-        Note("good" if found else "info", str(pair))
-        for pair, found in zip(diagnosis.separations, separated, strict=True)
-    ]
-    return [Text(text, heading="Expected and found"), *notes]
-
-
-def _verdict(diagnosis: Diagnosis) -> Note:
-    kind, sentence = _VERDICTS[diagnosis.verdict]
-    remains = [text for mismatch in diagnosis.mismatch if (text := _remains(diagnosis, mismatch))]
-    text = " ".join([sentence, *remains])
+def _note(kind: str, text: str) -> Note:
     return Note("warn" if kind == "warn" else "good" if kind == "good" else "info", text)
+
+
+def _per_inertia(diagnosis: Diagnosis, component: str) -> bool:
+    """Whether the torques of a component are per unit of inertia."""
+    joints = diagnosis.model.joints
+    selected = [joints[component]] if component in joints else list(joints.values())
+    return any(joint.per_inertia for joint in selected)
 
 
 def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
@@ -138,15 +140,15 @@ def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
     return f"{change}, {times} ({noise})."
 
 
-def _effect(effect: NamedEffect) -> Note:
+def _told(effect: NamedEffect) -> str:
+    chance = sure(effect.probability).capitalize()
     if len(effect.group) < 2:
-        return Note("info", f"{effect.statement} {how_sure(effect.probability)}")
+        return f"{effect.statement} {chance} sure."
     sentences = [effect.statement]
     if "cannot tell" not in effect.statement:
         name, *alternatives = map(plain, effect.group)
         sentences.append(f"These recordings cannot tell {name} from {listed(alternatives, 'or')}.")
-    sentences.append(how_sure(effect.probability, of="that it is one of them"))
-    return Note("info", " ".join(sentences))
+    return " ".join([*sentences, f"{chance} sure that it is one of them."])
 
 
 def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
@@ -158,109 +160,169 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
         f"Where the error occurs: {mismatch.where or 'not known'}."
     )
     blocks: list[Block] = [Text(sentence, heading=f"Where {joint} differs")]
-    evidence = _evidence(diagnosis, joint)
+    evidence = [x for x in diagnosis.evidence if x.joint == joint and np.isfinite(x.position).any()]
     if evidence:
-        blocks.append(_residuals(diagnosis, mismatch, joint, evidence))
-        drawing = torque_figure(evidence, _unit(diagnosis, joint))
-        blocks.append(figure(drawing, _TORQUE.format(joint=joint)))
-    if mismatch.dependence:
-        ranked = sorted(mismatch.dependence.items(), key=lambda entry: -entry[1])
-        bars = [
-            Bar(_STATES.get(name, name), x, f"{100 * x:.0f} %", strong=k == 0)
-            for k, (name, x) in enumerate(ranked)
-            if k == 0 or x >= _WORTH_A_BAR
-        ]
-        drawing = bar_figure({"": bars}, f"{joint}: what the missing torque depends on", full=0.2)
-        blocks.append(figure(drawing, _DEPENDENCE.format(joint=joint)))
+        blocks.append(_residuals(mismatch, joint, evidence))
+        unit = "missing torque, N m" + ("/(kg m²)" if _per_inertia(diagnosis, joint) else "")
+        drawing = torque_figure(evidence, unit)
+        blocks.append(Figure(svg(drawing), _TORQUE.format(joint=joint)))
+    ranked = sorted(mismatch.dependence.items(), key=lambda entry: -entry[1])
+    shares = [
+        (_STATES.get(name, name), f"{100 * x:.0f} %")
+        for k, (name, x) in enumerate(ranked)
+        if k == 0 or x >= _WORTH_A_ROW
+    ]
+    if shares:
+        blocks.append(Table(("state", "share"), shares, _DEPENDENCE.format(joint=joint)))
     return blocks
 
 
-def _residuals(
-    diagnosis: Diagnosis, mismatch: Mismatch, joint: str, evidence: Sequence[JointSeries]
-) -> Block:
-    has_findings = any(not np.array_equal(series.baseline, series.enriched) for series in evidence)
-    shown = sorted(evidence, key=lambda series: -_error(series))[:_STRIPS]
-    details = ", of the plain servo and with the named effects" if has_findings else ""
+def _residuals(mismatch: Mismatch, joint: str, evidence: Sequence[JointSeries]) -> Block:
+    enriched = any(not np.array_equal(series.baseline, series.enriched) for series in evidence)
+    shown = sorted(evidence, key=lambda x: -float(np.nanmean((x.position - x.baseline) ** 2)))
+    shown = shown[:_STRIPS]
+    details = ", of the plain servo and with the named effects" if enriched else ""
     if len(shown) < len(evidence):
         details += f", in the {len(shown)} of {len(evidence)} recordings with the largest errors"
     shade = "; shaded: times with large residuals" if any(mismatch.windows_s.values()) else ""
-    drawing = residual_figure(shown, mismatch.noise, mismatch.windows_s, enriched=has_findings)
-    live = residual_live(shown, mismatch.noise, mismatch.windows_s, enriched=has_findings)
-    return figure(drawing, _RESIDUAL.format(joint=joint, which=details, shade=shade), live)
-
-
-def _error(series: JointSeries) -> float:
-    residual = series.position - series.baseline
-    finite = residual[np.isfinite(residual)]
-    return float(np.mean(finite**2)) if finite.size else 0.0
-
-
-def _evidence(diagnosis: Diagnosis, joint: str) -> list[JointSeries]:
-    return [x for x in diagnosis.evidence if x.joint == joint and np.isfinite(x.position).any()]
-
-
-def _unit(diagnosis: Diagnosis, joint: str) -> str:
-    return "missing torque, N m" + ("/(kg m²)" if per_inertia(diagnosis, joint) else "")
+    panels = residual_panels(shown, mismatch.noise, mismatch.windows_s, enriched=enriched)
+    caption = _RESIDUAL.format(joint=joint, which=details, shade=shade)
+    return series_block(panels, f"{joint}: measured minus simulated, over time", caption)
 
 
 def _sound(diagnosis: Diagnosis) -> list[Block]:
+    """Joints that follow the plain servo down to the noise."""
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
     above = diagnosis.above_noise
     sound = [name for name in diagnosis.model.joints if name not in {*differing, *above}]
     warnings: list[Block] = [Note("warn", sentence) for sentence in above.values()]
     if not sound:
         return warnings
+    errors = []
+    for joint in sound:
+        fit = diagnosis.baseline_fit.get(f"{joint}.position_rad", {})
+        rmse = fit.get("train") if (heldout := fit.get("heldout")) is None else heldout
+        if rmse is not None:
+            noise = fit.get("noise")
+            with_noise = "" if noise is None else f", with {milliradians(noise)} of noise"
+            errors.append(f"{joint} has an error of {milliradians(rmse)}{with_noise}")
     follow = "follow" if len(sound) > 1 else "follows"
     sentence = f"{listed(sound)} {follow} the plain servo down to the noise"
-    errors = [text for name in sound if (text := _error_and_noise(diagnosis, name))]
-    text = f"{sentence}: {'; '.join(errors)}." if errors else f"{sentence}."
-    return [*warnings, Note("good", text)]
+    text = ": ".join(filter(None, [sentence, "; ".join(errors)]))
+    return [*warnings, Note("good", f"{text}.")]
 
 
-def _error_and_noise(diagnosis: Diagnosis, joint: str) -> str:
-    """``"j1 has an error of 1.6 mrad, with 1.5 mrad of noise"``; empty without an error."""
-    fit = diagnosis.baseline_fit.get(f"{joint}.position_rad", {})
-    rmse = fit.get("train") if fit.get("heldout") is None else fit["heldout"]
-    if rmse is None:
-        return ""
-    noise = fit.get("noise")
-    with_noise = "" if noise is None else f", with {milliradians(noise)} of noise"
-    return f"{joint} has an error of {milliradians(rmse)}{with_noise}"
-
-
-def _unexplained(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
-    joint = mismatch.component
-    unknown = diagnosis.unknown.get(joint, 0.0)
-    if unknown <= 0.5 and diagnosis.verdict != "unexplained":
-        return []
-    text = f"No effect in the catalogue explains the residual of {joint}."
-    text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
-    blocks: list[Block] = [Text(text, heading=f"Unexplained residual of {joint}")]
-    evidence = _evidence(diagnosis, joint)
-    if evidence:
-        states = {
-            _DRAWN_AGAINST.get(k, k): v for k, v in reversed(list(mismatch.dependence.items()))
-        }
-        state = max(states, key=lambda name: states[name], default="position")
-        drawing = mean_figure(evidence, state, _unit(diagnosis, joint))
-        blocks.append(figure(drawing, _MEAN.format(joint=joint)))
+def _what(diagnosis: Diagnosis) -> list[Block]:
+    """Probabilities, held-out errors, sizes, the bias of the plain fit, what is unexplained."""
+    blocks: list[Block] = []
+    if diagnosis.effects or diagnosis.rivals:
+        introduction = "Every effect of the catalogue was fitted, alone and in combination."
+        text = " ".join([introduction, *_written(diagnosis)])
+        coloured = " Coloured: effects named above." if diagnosis.effects else ""
+        caption = f"Probability of each candidate.{coloured}"
+        drawing = svg(candidate_figure(diagnosis))
+        blocks += [Text(text, heading="What is missing"), Figure(drawing, caption)]
+    blocks += [*_ladders(diagnosis), *effect_tables(diagnosis), *_shifts(diagnosis)]
+    for joint in (mismatch.component for mismatch in diagnosis.mismatch):
+        unknown = diagnosis.unknown.get(joint, 0.0)
+        if unknown > 0.5 or diagnosis.verdict == "unexplained":
+            text = f"No effect in the catalogue explains the residual of {joint}."
+            text += f" The probability of that is {sure(unknown)}." if unknown > 0.5 else ""
+            blocks.append(Text(text, heading=f"Unexplained residual of {joint}"))
     return blocks
 
 
-def _next(experiment: Experiment) -> list[Block]:
+def _written(diagnosis: Diagnosis) -> list[str]:
+    """Sentence on effects of the written model, chosen for prediction, that are not named."""
+    named = {name for effect in diagnosis.effects for name in (effect.group or (effect.effect,))}
+    fitted = {e.effect for joint in diagnosis.model.joints.values() for e in joint.effects}
+    kinds = [plain(name) for name in sorted(fitted - named)]
+    return [
+        f"The written model was selected for prediction and also contains {listed(kinds)}; this "
+        "does not imply that they are present."
+    ] * bool(kinds)
+
+
+def _ladders(diagnosis: Diagnosis) -> list[Block]:
+    differing = {mismatch.signal for mismatch in diagnosis.mismatch}
+    rows = []
+    for signal, fit in diagnosis.baseline_fit.items():
+        joint, before, noise = signal.rpartition(".")[0], fit.get("heldout"), fit.get("noise")
+        after = diagnosis.enriched_fit.get(signal, {}).get("heldout")
+        if signal not in differing or before is None or after is None or noise is None:
+            continue
+        named = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
+        with_effects = milliradians(after) if named else "–"
+        rows.append((joint, milliradians(before), with_effects, milliradians(noise)))
+    header = ("error of", "plain servo", "with the named effects", "sensor noise")
+    return [Table(header, rows, _LADDER)] if rows else []
+
+
+def effect_tables(diagnosis: Diagnosis) -> list[Block]:
+    """Probability and size of each effect, with 90 % intervals."""
+    blocks: list[Block] = []
+    for effects, caption in (
+        (diagnosis.effects, "Size of each effect, with its 90 % interval below."),
+        (diagnosis.negligible, _NEGLIGIBLE),
+    ):
+        rows = [row for effect in effects for row in _effect_rows(diagnosis, effect)]
+        if rows:
+            header = ("effect", "of", "probability", "number", "estimate")
+            blocks.append(Table(header, rows, caption))
+    return blocks
+
+
+def _effect_rows(diagnosis: Diagnosis, effect: NamedEffect) -> list[tuple[str, ...]]:
+    bare = _per_inertia(diagnosis, effect.component)
+    what = (plain(effect.effect), printable(effect.component), percent(effect.probability))
+    rows: list[tuple[str, ...]] = []
+    for name, x in effect.parameters.items():
+        value, low, high = (readable(name, end, per_inertia=bare) for end in (x.mean, x.q05, x.q95))
+        estimate = value if low == high else f"{value}\n{low} – {high}"
+        rows.append((*what, printable(readable_name(name)), estimate))
+    return rows or [(*what, "", "")]
+
+
+def _shifts(diagnosis: Diagnosis) -> list[Block]:
+    joints = diagnosis.model.joints
+    rows: dict[str, tuple[str, ...]] = {}
+    for effect in diagnosis.effects:
+        holders = (n for n, j in joints.items() if effect.effect in {e.effect for e in j.effects})
+        name = effect.component if effect.component in joints else next(holders, "")
+        if name and name not in rows:  # of effects that joints share, the first
+            rows[name] = _moves(joints[name], effect)
+    moved = [(name, *cells) for name, cells in rows.items() if any(x[:4] != "0 %\n" for x in cells)]
+    return [Table(("servo", "kp", "kd", "latency"), moved, _SHIFTS)] if moved else []
+
+
+def _moves(joint: JointModel, effect: NamedEffect) -> tuple[str, ...]:
+    """A cell for each parameter of the servo: change in percent, values before and after."""
+    cells = []
+    names = (("kp_Nm_per_rad", 1.0), ("kd_Nms_per_rad", 1.0), ("latency_s", 1e3))
+    for (name, scale), shown in zip(names, quantities(joint), strict=False):
+        before = shown.value - scale * effect.baseline_shift.get(name, 0.0)
+        change = change_text(before, shown.value).replace("-", "−")
+        cells.append(f"{change}\n{before:.3g} to {shown.value:.3g} {shown.unit}")
+    return tuple(cells)
+
+
+def _next(diagnosis: Diagnosis) -> list[Block]:
+    experiment = diagnosis.next_experiment
+    if experiment is None:
+        return []
     where = f" The command to play is in {experiment.file}." if experiment.file else ""
     blocks: list[Block] = [Text(experiment.statement + where, heading="What to record next")]
-    t, signal = experiment.t, experiment.signal
-    if t is not None and signal is not None and t.size and t.size == signal.size:
+    if experiment.t is not None and experiment.signal is not None:
+        group = SignalGroup(("next", COMMAND), "rad", experiment.t, {COMMAND: experiment.signal})
         caption = f"The command to play on {experiment.component}: {experiment.command}."
-        blocks.append(figure(command_figure(experiment), caption))
+        blocks.append(series_block([Panel(group, "command, rad")], "next command", caption))
     return blocks
 
 
 def _limits(diagnosis: Diagnosis) -> list[Block]:
     cells: dict[str, dict[str, str]] = {}
     for limit in diagnosis.detection_limits:
-        bare = per_inertia(diagnosis, limit.component)
+        bare = _per_inertia(diagnosis, limit.component)
         texts = [
             readable(n, x, per_inertia=bare) for n, x in limit.smallest.items() if x is not None
         ]

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 from sim2real.output import write_whole
-from sim2real.report.style import POINTS_PER_INCH, VARIABLES, WIDE, house_style
+from sim2real.report.style import VARIABLES, house_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,97 +43,57 @@ def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
     return write_whole(path, stream.getvalue())
 
 
-def svg(figure: Figure, *, width: float = WIDE) -> str:
-    """``figure`` as an ``<svg>`` element for a page.
+def svg(figure: Figure) -> str:
+    """``figure``, which is not changed, as an ``<svg>`` element for a page.
 
     It has no fixed size, so it fills its column; text is kept as text; colours are CSS variables
     with a fallback; ids are unique to the figure, so that a page can have several.
-
-    Args:
-        figure: The figure; it is not changed.
-        width: Width of the layout in points; ``NARROW`` keeps text legible on a phone.
     """
     stream = io.StringIO()
     with _unchanged(figure), house_style():
-        figure.set_size_inches(width / POINTS_PER_INCH, figure.get_size_inches()[1])
         figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
-    return _inline(stream.getvalue(), figure.get_label())
+    return _inline(stream.getvalue(), str(figure.get_label()))
 
 
 @contextmanager
 def _unchanged(figure: Figure) -> Iterator[None]:
-    """Restore the size of a figure and the positions of its panels at the end.
+    """Restore the positions of a figure's panels at the end.
 
     Drawing moves the panels slightly, which would change the next drawing.
     """
-    size = figure.get_size_inches()
     places = [
         (panel, panel.get_position(original=True), panel.get_position()) for panel in figure.axes
     ]
     yield
-    figure.set_size_inches(*size)
     for panel, original, active in places:
         panel._set_position(original, which="original")  # type: ignore[attr-defined]
         panel._set_position(active, which="active")  # type: ignore[attr-defined]
 
 
-def _inline(document: str, label: object) -> str:
-    root = ElementTree.fromstring(document)
-    root.attrib = {
-        "xmlns": "http://www.w3.org/2000/svg",
-        "viewBox": root.attrib["viewBox"],
-        "role": "img",
-        "aria-label": str(label),
-        "font-family": "sans-serif",
-        "stroke-linejoin": "round",
-    }
+def _inline(document: str, label: str) -> str:
+    """The drawing of Matplotlib's SVG file: without its size, style sheet, fonts and comments."""
+    view = re.search(r'viewBox="[^"]*"', document)
+    assert view is not None
+    body = document[document.index(">", document.index("<svg")) + 1 :]
+    body = re.sub(r"(?s)<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", "", body)
+    used = dict.fromkeys(re.findall(r'(?:url\(|href=")#([\w-]+)', body))
     digest = sha256(document.encode()).hexdigest()[:8]
-    used = dict.fromkeys(re.findall(r'(?:url\(|href=")#([\w-]+)', document))
     ids = {name: f"f{digest}-{number}" for number, name in enumerate(used)}
-    for element in root.iter():
-        for child in [child for child in element if child.tag.endswith("}style")]:
-            element.remove(child)  # it would style the whole page
-        element.tag = element.tag.partition("}")[2]
-        element.tail = None
-        if element.tag != "text":
-            element.text = None
-        if element is not root:
-            element.attrib = dict(_attributes(element.attrib, ids))
-    for group in root.iter("g"):
-        _hoist_style(group)
-    return ElementTree.tostring(root, encoding="unicode")
+    for pattern, replaced in (
+        (r' id="([^"]*)"', lambda m: f' id="{ids[m[1]]}"' if m[1] in ids else ""),
+        (r'(url\(|href=")#([\w-]+)', lambda m: f"{m[1]}#{ids[m[2]]}"),
+        (r"xlink:href", lambda _: "href"),
+        (r"font-family: [^;\"]*; ", lambda _: ""),
+        (r"(?<=: )#[0-9a-f]{6}", _variable),
+        (r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0])),
+        (r"\s*\n\s*", lambda _: " "),
+    ):
+        body = re.sub(pattern, replaced, body)
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {view[0]} role="img"'
+    look = 'font-family="sans-serif" stroke-linejoin="round"'
+    return f"{head} aria-label={quoteattr(label)} {look}>{body.strip()}"
 
 
-def _attributes(attributes: dict[str, str], ids: dict[str, str]) -> Iterator[tuple[str, str]]:
-    for name, value in attributes.items():
-        if name == "id":
-            if value in ids:
-                yield name, ids[value]
-        elif name.endswith("href"):
-            yield "href", f"#{ids[value[1:]]}"
-        elif name == "clip-path":
-            yield name, f"url(#{ids[value[5:-1]]})"
-        elif name == "style":
-            yield name, _style(value)
-        elif name in ("d", "x", "y"):
-            yield name, re.sub(r"(\.\d\d)\d+", r"\1", value.replace("\n", "").strip())
-        elif not value.startswith("rotate(-0 "):
-            yield name, value
-
-
-def _style(declarations: str) -> str:
-    declared = [d for d in declarations.split("; ") if not d.startswith("font-family")]
-    return re.sub(
-        r"#[0-9a-f]{6}",
-        lambda c: f"var(--{VARIABLES[c[0]]}, {c[0]})" if c[0] in VARIABLES else c[0],
-        "; ".join(declared),
-    )
-
-
-def _hoist_style(group: ElementTree.Element) -> None:
-    """Move the style of many equal markers to their group, which reduces the size of the file."""
-    styles = {child.get("style") for child in group}
-    if {child.tag for child in group} == {"use"} and len(styles) == 1 and None not in styles:
-        group.set("style", group[0].attrib["style"])
-        for child in group:
-            del child.attrib["style"]
+def _variable(colour: re.Match[str]) -> str:
+    name = VARIABLES.get(colour[0])
+    return f"var(--{name}, {colour[0]})" if name else colour[0]

@@ -1,19 +1,32 @@
-"""Identification section of a report: parameters, their intervals and errors of the fit."""
+"""Identification section of a report: parameters, their intervals, the response to a step."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from sim2real.arrays import Array, Mask
+from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report.drawing import svg
-from sim2real.report.fit_plot import fit_figure, fit_live
-from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.parameter_plot import parameter_figure
-from sim2real.report.quantity import Quantity, effect_text, milliradians, quantities
-from sim2real.report.response import describe_response
-from sim2real.report.style import NARROW
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import (
+    Quantity,
+    effect_text,
+    milliradians,
+    printable,
+    quantities,
+    quantity_table,
+)
+from sim2real.report.series import fit_panels, series_block
+from sim2real.report.style import ACCENT, INK, house_style, new_figure
+from sim2real.units import readable_name
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
 
 Fit = tuple[Recording, str, Array, Mask | None]
 
@@ -22,128 +35,176 @@ _LEAD = (
     "kp\u00a0(command\u00a0− position) − kd\u00a0velocity, where the command is "
     "delayed by the latency."
 )
-_TABLE = (
-    "Estimates with 90 % intervals below. RMSE is the root mean square error on held-out samples."
-)
-_MOTOR = "The motor of each servo: estimates with 90 % intervals below."
-_GAINS = 4
-"""The first quantities of a joint are kp, kd, latency and inertia; those of its motor follow."""
-_PARAMETERS = "Estimates and 90 % intervals. Arrow: the interval exceeds the axis or is unbounded."
-_FIT = (
-    "{joint} in {recording}. Top: the whole recording{shaded}. Middle: residual. Bottom: the "
-    "largest movement, marked by the bar at the top."
-)
+_WHITE = 0.1
+"""Lag-1 autocorrelation below which a residual counts as white."""
+_CORRELATED, _MOST_PAIRS = 0.3, 4
+_SETTLED = 0.005
+"""Overshoot of a step, as a share of it, below which there is hardly one."""
 
 
 def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
-    """Text, tables and figures of an identification.
+    """Text, tables and plots of an identification.
 
     Args:
         model: The fitted simulator.
-        fits: For each figure the recording, the joint, its predicted position in rad, shape (T,),
+        fits: For each plot the recording, the joint, its predicted position in rad, shape (T,),
             and a mask of held-out samples, shape (T,).
     """
-    blocks: list[Block] = [_parameter_table(model)]
-    if any(joint.motor for joint in model.joints.values()):
-        blocks.append(_motor_table(model))
-    blocks += [Note("warn", note) for note in model.notes]
-    drawing = parameter_figure(model)
-    blocks.append(Figure(svg(drawing), _PARAMETERS, svg(drawing, width=NARROW)))
+    blocks = model_blocks(model)
     for name, joint in model.joints.items():
-        blocks += _joint_blocks(model, name, joint)
-        blocks += [_fit_block(model, fit) for fit in fits if fit[1] == name]
+        figures = model.fit.get(f"{name}.position_rad", {})
+        sentences = [describe_response(name, joint)]
+        if joint.effects:
+            sentences.append("This does not include the effects of the model.")
+        noise = figures.get("noise")
+        error = figures.get("train") if (held := figures.get("heldout")) is None else held
+        if error is not None and noise:
+            sentences.append(f"The error is {error / noise:.1f} times the noise.")
+        blocks.append(Text(" ".join(sentences), heading=name))
+        for recording, _, predicted, heldout in (fit for fit in fits if fit[1] == name):
+            panels, close_up = fit_panels(
+                recording, name, predicted, heldout=heldout, noise_rad=noise
+            )
+            label = f"{name} in {recording.name}"
+            shaded = ", held-out samples shaded" if panels[0].shaded_s else ""
+            caption = f"{label}{shaded}, and the residual below."
+            blocks.append(series_block(panels, label, caption, close_up=close_up))
     return Section("Identification", _LEAD, blocks)
 
 
-def _parameter_table(model: Model) -> Table:
-    table = {name: quantities(joint)[:_GAINS] for name, joint in model.joints.items()}
-    columns = list(zip(*table.values(), strict=True))
-    # A unit that all joints share is put into the header, to save width.
-    shared = [len({quantity.unit for quantity in column}) == 1 for column in columns]
-    header = ["joint"]
-    for column, one_unit in zip(columns, shared, strict=True):
-        header.append(column[0].name + (f"\n{column[0].unit}" if one_unit else ""))
-    rows = [
+def model_blocks(model: Model) -> list[Block]:
+    """Parameters, errors, correlations and effects of a model, and its notes."""
+    rows = [(name, q) for name, joint in model.joints.items() for q in quantities(joint)]
+    level = getattr(model, "interval_level", LEVEL)
+    blocks: list[Block] = [quantity_table(rows, level=level)] if rows else []
+    errors = [
         (
-            name,
-            *(_cell(q, with_unit=not same) for q, same in zip(row, shared, strict=True)),
-            _error_cell(model.fit.get(f"{name}.position_rad", {})),
+            printable(signal.removesuffix(".position_rad")),
+            *(_error(signal, figures.get(key)) for key in ("train", "heldout", "noise")),
+            _residual(figures),
         )
-        for name, row in table.items()
+        for signal, figures in model.fit.items()
     ]
-    return Table((*header, "RMSE\nmrad"), rows, _TABLE)
+    if errors:
+        blocks.append(Table(("RMSE", "train", "held out", "noise", "residual"), errors))
+    remarks = [(name, _remarks(joint)) for name, joint in model.joints.items()]
+    remarks.append(("supply and link", [effect_text(effect) for effect in model.effects]))
+    infos = [f"{name}: {'; '.join(sentences)}" for name, sentences in remarks if sentences]
+    notes = [f"{name}: {note}" for name, joint in model.joints.items() for note in joint.notes]
+    blocks += [Note("info", printable(info)) for info in infos]
+    return [*blocks, *(Note("warn", printable(note)) for note in (*notes, *model.notes))]
 
 
-def _motor_table(model: Model) -> Table:
-    """One row per parameter and one column per joint."""
-    motors = [
-        {quantity.name: quantity for quantity in quantities(joint)[_GAINS:]}
-        for joint in model.joints.values()
-    ]
-    units = {name: quantity.unit for motor in motors for name, quantity in motor.items()}
-    rows = [
-        (
-            f"{name}\n{unit}" if unit else name,
-            *(_cell(motor[name], with_unit=False) if name in motor else "–" for motor in motors),
+def _error(signal: str, value: float | None) -> str:
+    if value is None or not math.isfinite(value):
+        return "-"
+    return milliradians(value) if signal.endswith("position_rad") else f"{value:.4g}"
+
+
+def _residual(figures: Mapping[str, float | None]) -> str:
+    """Whether the residual is white, the share of outliers, the error without effects."""
+    time, lag, outliers, plain = (
+        figures.get(name)
+        for name in (
+            "correlation_time_s",
+            "whiteness",
+            "robust_outliers",
+            "heldout_without_effects",
         )
-        for name, unit in units.items()
+    )
+    texts = []
+    if lag is not None and abs(lag) < _WHITE:
+        texts.append("white")
+    elif time is not None:
+        texts.append(f"correlated over {1e3 * time:.0f} ms")
+    if outliers:
+        texts.append(f"{100 * outliers:.2g} % outliers")
+    if plain is not None:
+        texts.append(f"plain PD: {milliradians(plain)} held out")
+    return ", ".join(texts)
+
+
+def _remarks(joint: JointModel) -> list[str]:
+    """The strongest correlations of estimates, and effects."""
+    strong = sorted(joint.correlation.items(), key=lambda pair: -abs(pair[1]))[:_MOST_PAIRS]
+    pairs = [
+        f"{' and '.join(map(readable_name, pair.split(', ')))} {r:+.2f}"
+        for pair, r in strong
+        if abs(r) > _CORRELATED
     ]
-    return Table(("motor", *model.joints), rows, _MOTOR)
+    correlated = [f"correlated {', '.join(pairs)}"] if pairs else []
+    return [*correlated, *(effect_text(effect, joint.interval) for effect in joint.effects)]
 
 
-def _cell(quantity: Quantity, *, with_unit: bool) -> str:
-    value, low, high = quantity.texts
-    if quantity.interval is None:
-        below = quantity.origin
-    elif quantity.unbounded == "unbounded":
-        below = "no bound"
-    elif quantity.unbounded:
-        below = f"above {low}" if quantity.unbounded == "unbounded above" else f"below {high}"
-    else:
-        below = f"{low} – {high}"
-    return f"{value} {quantity.unit}\n{below}" if with_unit else f"{value}\n{below}"
+def parameter_figure(model: Model) -> Drawing:
+    """Plot kp, kd and latency: one panel each, one row per joint, with intervals."""
+    rows = [quantities(joint)[:3] for joint in model.joints.values()]
+    with house_style():
+        figure = new_figure(62 + 34 * max(1, len(rows)), "kp, kd and latency of each joint")
+        panels = figure.subplots(1, 3, sharey=True)
+        for number, axes in enumerate(panels):
+            for row, quantity in enumerate(each[number] for each in rows):
+                axes.plot(_shown(quantity), [row, row], color=INK, linewidth=1.2)
+                axes.plot(quantity.value, row, "o", color=ACCENT, markersize=5)
+                axes.set_title(f"{quantity.name}, {quantity.unit}")
+            axes.margins(x=0.1)
+        panels[0].set_yticks(range(len(rows)), [printable(name)[:14] for name in model.joints])
+        panels[0].set_ylim(len(rows) - 0.4, -0.6)
+    return figure
 
 
-def _error_cell(figures: Mapping[str, float | None]) -> str:
-    train, heldout = figures.get("train"), figures.get("heldout")
-    number = milliradians(train if heldout is None else heldout).removesuffix(" mrad")
-    return number + ("\ntrain" if heldout is None and train is not None else "")
+def _shown(quantity: Quantity) -> Array:
+    """The interval, cut off at twice the value to either side."""
+    low, high = (quantity.value + side * abs(quantity.value) for side in (-2, 2))
+    return np.clip(quantity.interval or [quantity.value] * 2, low, high)
 
 
-def _joint_blocks(model: Model, name: str, joint: JointModel) -> list[Block]:
-    figures = model.fit.get(f"{name}.position_rad", {})
-    sentences = [describe_response(name, joint)]
-    sentences += [
-        f"The recordings do not bound {quantity.name} ({quantity.unbounded})."
-        for quantity in quantities(joint)
-        if quantity.unbounded
-    ]
-    if joint.effects:
-        effects = ", ".join(effect_text(effect, joint.interval) for effect in joint.effects)
-        sentences.append(f"This does not include the effects of the model: {effects}.")
-    sentences.append(_error_sentence(figures))
-    notes = [Note("warn", note) for note in joint.notes]
-    return [Text(" ".join(filter(None, sentences)), heading=name), *notes]
+def step_response(joint: JointModel) -> Mapping[str, float]:
+    """Response of the PD servo, without further effects, to a small step; empty without stiffness.
+
+    With inertia I and the torque m g l of a horizontal pendulum, w^2 = (kp + m g l) / I and
+    zeta = kd / (2 I w), for small angles about the vertical; overshoot is
+    exp(-pi zeta / sqrt(1 - zeta^2)) (K. Ogata, Modern Control Engineering, section 5-3).
+
+    Returns:
+        ``natural_frequency_rad_s``, ``damping_ratio``, ``half_time_s`` (from sending the step to
+        half of it, latency included) and ``overshoot`` (a share of the step).
+    """
+    gravity = joint.load.gravity_Nm if joint.load and not joint.per_inertia else 0.0
+    stiffness = joint.kp_Nm_per_rad + gravity
+    if stiffness <= 0:
+        return {}
+    from scipy.signal import step  # slow to load; tables of fits do not need it
+
+    frequency = math.sqrt(stiffness / joint.inertia_kgm2)
+    damping = joint.kd_Nms_per_rad / (2 * joint.inertia_kgm2 * frequency)
+    swing = math.sqrt(max(1 - damping**2, 0.0))
+    time = np.linspace(0.0, 4 + 4 * damping, 4001)  # in units of one over the frequency
+    _, rise = step(([1.0], [1.0, 2 * damping, 1.0]), T=time)
+    first = int(np.argmax(rise >= 0.5))
+    half = np.interp(0.5, rise[first - 1 : first + 1], time[first - 1 : first + 1])
+    return {
+        "natural_frequency_rad_s": frequency,
+        "damping_ratio": damping,
+        "half_time_s": joint.latency_s + float(half) / frequency,
+        "overshoot": math.exp(-math.pi * damping / swing) if swing else 0.0,
+    }
 
 
-def _error_sentence(figures: Mapping[str, float | None]) -> str:
-    train, heldout, noise = (figures.get(name) for name in ("train", "heldout", "noise"))
-    error, which = (train, "the fitted") if heldout is None else (heldout, "held-out")
-    if error is None:
-        return ""
-    sentence = f"The error on {which} samples is {milliradians(error)} (root mean square)"
-    if noise:
-        sentence += f", {error / noise:.1f} times the noise of {milliradians(noise)}"
-    if heldout is not None and train and heldout > 1.5 * train:
-        sentence += f" and {heldout / train:.1f} times the error on the samples of the fit"
-    return sentence + "."
-
-
-def _fit_block(model: Model, fit: Fit) -> Figure:
-    recording, joint, predicted, heldout = fit
-    noise = model.fit.get(f"{joint}.position_rad", {}).get("noise")
-    figure = fit_figure(recording, joint, predicted, heldout=heldout, noise_rad=noise)
-    live = fit_live(recording, joint, predicted, heldout=heldout, noise_rad=noise)
-    shaded = ", held-out samples shaded" if heldout is not None and heldout.any() else ""
-    caption = _FIT.format(joint=joint, recording=recording.name, shaded=shaded)
-    return Figure(svg(figure), caption, svg(figure, width=NARROW), live)
+def describe_response(name: str, joint: JointModel) -> str:
+    """One or two sentences on the response time and settling of ``name``."""
+    response = step_response(joint)
+    if not response:
+        return f"With kp at 0, {name} does not follow its command."
+    frequency, damping, half, overshoot = response.values()
+    settling = f"it overshoots a step by {100 * overshoot:.0f} %"
+    if damping == 0:
+        settling = "it oscillates and does not settle"
+    elif overshoot < _SETTLED:
+        settling = "it hardly overshoots" if overshoot else "it does not overshoot"
+    return (
+        f"{name} reaches half of a small step {1e3 * half:.0f} ms after it is sent, of which "
+        f"{1e3 * joint.latency_s:.0f} ms is latency. Its natural frequency is {frequency:.3g} "
+        f"rad/s ({frequency / (2 * math.pi):.2g} Hz) and its damping ratio {damping:.2f}: "
+        f"{settling}."
+    )

@@ -74,7 +74,7 @@
 
   const draw = (figure, number) => {
     const panels = JSON.parse(figure.querySelector("script.panels").textContent);
-    const place = figure.querySelector(".live > div");
+    const place = figure.querySelector(".live");
     let plots = [];
     let busy = false;
     const together = (plot, key) => {
@@ -96,7 +96,7 @@
         title: panel.title,
         width: place.clientWidth,
         height: 190,
-        scales: { x: { time: false } },
+        scales: { x: { time: false }, y: panel.log ? { distr: 3 } : {} },
         cursor: { sync: { key: `${number}-${panel.recording}` }, drag: { x: true, y: false }, y: false },
         axes: [axis({ size: 28 }), axis({ size: 52 })],
         series: [{ label: "time, s", value: (_, x) => shown(x) }, ...panel.curves.map(series)],

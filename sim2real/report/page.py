@@ -1,29 +1,31 @@
 """A report as one self-contained HTML file, without network access or fonts.
 
-The only script is that of plots of time series (``live_plot``), in pages that have some.
+The only script is that of plots of time series (``series``), in pages that have some.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import os
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.extras import optional
+from sim2real.errors import optional
 from sim2real.output import write_whole
-from sim2real.report.cell import breakable, is_number, letters, prose
-from sim2real.report.live_plot import Live, live_script, live_style, script_hash
 
 if TYPE_CHECKING:
     from jinja2 import Template
+    from markupsafe import Markup
 
 _FOLDER = Path(__file__).parent
 _HASH_LETTERS = 12
-_PHONE_LETTERS = 50
-"""Width of a table, in letters including gaps between columns, that fits on a phone."""
+_NUMBER = re.compile(r"[<>≥≤±]?\s?[+\-−]?(\d[\d.,]*(e[+\-]?\d+)?|∞)(?![\w\-:])")
+_DASHES = ("", "-", "–", "−")
+_PART = re.compile(r"(?<=[_/.])(?=[A-Za-z])")
 
 
 @dataclass(frozen=True)
@@ -64,42 +66,26 @@ class Table:
 
         The first column names its row: it is numeric only if its cells contain nothing else.
         """
+        columns = [[row[k] for row in self.rows] for k in range(len(self.header))]
         return tuple(
-            any(column) and all(is_number(cell, alone=k == 0) for cell in column)
-            for k, column in enumerate(self._columns)
+            any(column) and all(_is_number(cell, alone=k == 0) for cell in column)
+            for k, column in enumerate(columns)
         )
-
-    @property
-    def stacked(self) -> bool:
-        """Whether the table is too wide for a phone.
-
-        A phone then shows each row as a list, with the title of the column before each cell.
-        """
-        columns = zip(self.header, self._columns, self.numeric, strict=True)
-        needed = sum(letters(title, cells, numeric=numeric) for title, cells, numeric in columns)
-        return needed > _PHONE_LETTERS
-
-    @property
-    def _columns(self) -> list[list[str]]:
-        return [[row[k] for row in self.rows] for k in range(len(self.header))]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: ``<svg>`` elements of ``sim2real.report.svg``, inserted into the page unchanged.
+    """A figure: an ``<svg>`` element of ``sim2real.report.drawing.svg``, inserted unchanged.
 
     Attributes:
         svg: The figure.
         caption: Caption.
-        narrow: The same figure in a layout for phones; without it, a phone scrolls the figure
-            horizontally.
-        live: The same content to zoom into, which replaces both where scripts run.
+        live: The same as JSON to be drawn by uPlot and zoomed into, where scripts run.
     """
 
     svg: str
     caption: str = ""
-    narrow: str = ""
-    live: Live | None = field(default=None, compare=False)
+    live: str = ""
 
 
 @dataclass(frozen=True)
@@ -140,8 +126,6 @@ def write_page(
     subtitle: str,
     sections: Sequence[Section],
     provenance: Mapping[str, Any],
-    *,
-    stages: Sequence[tuple[str, bool]] = (),
 ) -> Path:
     """Write a report atomically.
 
@@ -151,13 +135,12 @@ def write_page(
         subtitle: One line below it.
         sections: Sections.
         provenance: Result of ``sim2real.output.provenance``, for the footer.
-        stages: Stages of the work in order, each with whether it is done.
 
     Raises:
         InputError: If the file cannot be written.
         MissingLibrary: If Jinja is not installed.
     """
-    return write_whole(path, render_page(title, subtitle, sections, provenance, stages=stages))
+    return write_whole(path, render_page(title, subtitle, sections, provenance))
 
 
 def render_page(
@@ -165,21 +148,19 @@ def render_page(
     subtitle: str,
     sections: Sequence[Section],
     provenance: Mapping[str, Any],
-    *,
-    stages: Sequence[tuple[str, bool]] = (),
 ) -> str:
     """The report as text; arguments as for ``write_page``."""
     live = any(isinstance(b, Figure) and b.live for s in sections for b in s.blocks)
-    script = live_script() if live else ""
+    script = _texts("uplot/uPlot.iife.min.js", "live_plot.js") if live else ""
+    style = ("page.css", *(("uplot/uPlot.min.css", "live_plot.css") if live else ()))
     return _template().render(
         title=title,
         subtitle=subtitle,
         sections=sections,
-        stages=stages,
         origin=_origin(provenance),
-        css=(_FOLDER / "page.css").read_text(encoding="utf-8") + (live_style() if live else ""),
+        css=_texts(*style),
         script=script,
-        script_source=script_hash(script),
+        script_source=_script_source(script),
     )
 
 
@@ -191,8 +172,17 @@ def render_fragment(sections: Sequence[Section]) -> str:
     """
     template = _template()
     blocks = template.blocks["sections"](template.new_context({"sections": sections, "script": ""}))
-    style = (_FOLDER / "notebook.css").read_text(encoding="utf-8")
+    style = _texts("notebook.css")
     return f'<div class="sim2real">\n<style>\n{style}</style>\n{"".join(blocks)}</div>\n'
+
+
+def _texts(*names: str) -> str:
+    return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
+
+
+def _script_source(script: str) -> str:
+    """A source for ``script-src`` of a content security policy, which allows this script alone."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 def _template() -> Template:
@@ -206,7 +196,7 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     environment.globals.update(
-        kind=lambda block: type(block).__name__, prose=prose, breakable=breakable
+        kind=lambda block: type(block).__name__, prose=_prose, breakable=_breakable
     )
     return environment.get_template("page.html")
 
@@ -227,3 +217,23 @@ def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
         ),
     ]
     return [(label, lines) for label, lines in parts if any(lines)]
+
+
+def _is_number(cell: str, *, alone: bool = False) -> bool:
+    """Whether the first line is a number, as ``2.1 N m``; if it is alone, without words after."""
+    line = cell.partition("\n")[0].strip()
+    match = _NUMBER.match(line)
+    return line in _DASHES or (match is not None and not (alone and match.end() < len(line)))
+
+
+def _prose(text: str) -> str:
+    """``text`` with no-break spaces between numbers and percent signs."""
+    return re.sub(r"(?<=\d) (?=%)", "\N{NO-BREAK SPACE}", text)
+
+
+def _breakable(text: str) -> Markup:
+    """``text`` as HTML in which long names, unlike units, may break between their parts."""
+    with optional("plots and pages"):
+        from markupsafe import Markup, escape
+    html = str(escape(_prose(text)))
+    return Markup(re.sub(r"\S{11,}", lambda word: _PART.sub("<wbr>", word[0]), html))

@@ -1,24 +1,26 @@
-"""The fitted parameters of a joint for display: scaled and rounded, with unit and interval."""
+"""Values for display, scaled and rounded, with unit and interval; rows of them as a table."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from sim2real.inference.normal import LEVEL
 from sim2real.model import FittedEffect, JointModel
+from sim2real.report.page import Table
 from sim2real.units import readable_name, unit_of
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One parameter of a joint, in the unit of the display.
+    """One value with its interval, in the unit of the display.
 
     Attributes:
-        name: ``"kp"``, ``"kd"``, ``"latency"``, ``"inertia"``, or a parameter of the motor.
+        name: Its name, such as ``"kp"``.
         unit: Unit, such as ``"N m/rad"``.
         value: The estimate.
-        interval: 90 % interval, with an infinite end where the data do not constrain the value;
+        interval: Interval, with an infinite end where the data do not constrain the value;
             None if it was not estimated.
         origin: Origin of a value without an interval.
     """
@@ -38,13 +40,6 @@ class Quantity:
         return "unbounded above" if above else "unbounded below" if below else ""
 
     @property
-    def percent(self) -> float | None:
-        """Half the width of the interval in percent of the value; None if it is not defined."""
-        if self.interval is None or self.unbounded or not self.value:
-            return None
-        return 50 * (self.interval[1] - self.interval[0]) / abs(self.value)
-
-    @property
     def texts(self) -> tuple[str, str, str]:
         """Value, lower and upper end with the same rounding; empty ends without an interval."""
         if self.interval is None:
@@ -55,52 +50,75 @@ class Quantity:
         )
         return value, low, high
 
+    @property
+    def between(self) -> str:
+        """The interval; an empty string where there is none."""
+        _, low, high = self.texts
+        if self.interval is None:
+            return ""
+        open_ended = {
+            "unbounded": "no bound",
+            "unbounded above": f"above {low}",
+            "unbounded below": f"below {high}",
+        }
+        return open_ended.get(self.unbounded, f"{low} to {high}")
+
+    @property
+    def remark(self) -> str:
+        """Half the width of the interval in percent of the value, or where the value is from."""
+        if self.interval is None or self.unbounded or not self.value:
+            return self.origin
+        percent = 50 * (self.interval[1] - self.interval[0]) / abs(self.value)
+        if percent >= 1000:
+            return "over ± 1000 %"
+        return f"± {percent:.2g} %" if percent < 100 else f"± {percent:.0f} %"
+
+
+def quantity_table(
+    rows: Iterable[tuple[str, Quantity]],
+    place: str = "joint",
+    caption: str = "",
+    *,
+    level: float = LEVEL,
+) -> Table:
+    """A table of quantities, each with the name of the joint or the effect that it belongs to.
+
+    Args:
+        rows: Name and quantity.
+        place: Title of the column of names.
+        caption: Caption of the table.
+        level: Probability of the intervals.
+    """
+    cells = [
+        (printable(where), printable(q.name), q.texts[0], q.unit, q.between, q.remark)
+        for where, q in rows
+    ]
+    header = (place, "parameter", "value", "unit", f"{100 * level:g} % interval", "")
+    return Table(header, cells, caption)
+
 
 def quantities(joint: JointModel) -> tuple[Quantity, ...]:
     """kp, kd, latency and inertia of ``joint`` and the parameters of its motor."""
     per = joint.per_inertia
 
-    def fitted(key: str, unit: str, scale: float = 1.0) -> Quantity:
+    def fitted(key: str, value: float, unit: str = "", scale: float = 1.0) -> Quantity:
         ends = joint.interval.get(key)
         interval = None if ends is None else (scale * ends[0], scale * ends[1])
-        value = scale * getattr(joint, key)
-        return Quantity(
-            readable_name(key), unit, value, interval, "" if interval else "no interval"
-        )
+        unit = unit or unit_of(key.removeprefix("motor."), per_inertia=per)
+        origin = "" if interval else "no interval"
+        return Quantity(readable_name(key), unit, scale * value, interval, origin)
 
-    inertia = fitted("inertia_kgm2", "kg m²")
+    inertia = fitted("inertia_kgm2", joint.inertia_kgm2, "kg m²")
     if inertia.interval is None:
         origin = "per unit of inertia" if per else "stated" if joint.load else "given"
         inertia = Quantity("inertia", "kg m²", joint.inertia_kgm2, None, origin)
     return (
-        *(
-            fitted(key, unit_of(key, per_inertia=per))
-            for key in ("kp_Nm_per_rad", "kd_Nms_per_rad")
-        ),
-        fitted("latency_s", "ms", 1e3),
+        fitted("kp_Nm_per_rad", joint.kp_Nm_per_rad),
+        fitted("kd_Nms_per_rad", joint.kd_Nms_per_rad),
+        fitted("latency_s", joint.latency_s, "ms", 1e3),
         inertia,
-        *_of_motor(joint),
+        *(fitted(f"motor.{key}", value) for key, value in joint.motor.items()),
     )
-
-
-def _of_motor(joint: JointModel) -> Iterator[Quantity]:
-    for key, value in joint.motor.items():
-        ends = joint.interval.get(f"motor.{key}")
-        unit = unit_of(key, per_inertia=joint.per_inertia)
-        origin = "" if ends else "no interval"
-        yield Quantity(readable_name(f"motor.{key}"), unit, value, ends, origin)
-
-
-def correlations(
-    joint: JointModel, above: float = 0.3, limit: int = 4
-) -> list[tuple[str, str, float]]:
-    """The strongest correlations of estimates beyond ``above``, the strongest first."""
-    pairs = []
-    for pair, r in joint.correlation.items():
-        first, _, second = pair.partition(",")
-        if abs(r) > above:
-            pairs.append((readable_name(first), readable_name(second.strip()), float(r)))
-    return sorted(pairs, key=lambda pair: -abs(pair[2]))[:limit]
 
 
 def effect_text(

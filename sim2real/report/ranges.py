@@ -1,17 +1,30 @@
-"""Ranges section of a report: every range with its source."""
+"""Ranges and posteriors: tables, figures and sections of a report."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sim2real.arrays import Array
 from sim2real.posterior.chain import LEAST_TIMES
-from sim2real.posterior.predictive_check import LEVELS
+from sim2real.posterior.predictive_check import LEVELS, PredictiveCheck
+from sim2real.posterior.servo import ServoPosterior
+from sim2real.ranges.entry import Ranges
 from sim2real.ranges.gather import Gathered
-from sim2real.report.corner_plot import corner_figure
+from sim2real.ranges.latency import Latencies, Spread
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.quantity import milliradians, printable
-from sim2real.report.range_plots import density_figure, latency_figure, predictive_figure
-from sim2real.report.style import NARROW
+from sim2real.report.quantity import Quantity, milliradians, printable, quantity_table
+from sim2real.report.series import Panel, in_mrad, series_block
+from sim2real.report.style import ACCENT, FAINT, INK, PAPER, RULE, house_style, new_figure
+from sim2real.robot import Density
 from sim2real.units import readable_name
+from sim2real.viewers.scenes import MEASURED, SignalGroup
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
 
 _LEAD = (
     "Ranges of each parameter in which the real robot may differ from its simulator. For a policy "
@@ -22,6 +35,10 @@ _TABLE = (
     "Distribution of each parameter: low to high of a uniform distribution, or mean ± standard "
     "deviation of a normal one; drawn once per episode or at every step. Fixed: the model "
     "has a value but no interval."
+)
+_SAMPLES = (
+    "Ranges do not represent correlations between parameters. The samples in {file} do: each row "
+    "is one consistent set of servo parameters."
 )
 _LATENCY = (
     "Latency of the commands in each {what}, over all joints, with two standard errors. The band "
@@ -35,8 +52,10 @@ _CHAIN = (
     "{walkers} walkers made {steps} steps each, {spans:.0f} of the longest autocorrelation time; "
     "{least} are required. {accepted:.0f} % of the moves were accepted. {how}"
 )
-_EXACT = "The servo was solved in closed form, without time steps."
-_STEPS = "The servo was simulated in sub-steps, effects included."
+_HOW = {
+    True: "The servo was solved in closed form, without time steps.",
+    False: "The servo was simulated in sub-steps, effects included.",
+}
 _CORNER = (
     "Posterior of {joint}. On the diagonal each parameter with its median and its 5 % and 95 % "
     "quantiles; below it regions that contain 50, 80 and 95 %."
@@ -45,38 +64,50 @@ _PREDICTIVE = (
     "{joint} in {recording}, which was not used by the fit: measured minus median predicted angle, "
     "and the band that should contain 95 % of the samples, including noise."
 )
+_DRAWN, _BINS, _GRID = 20000, 40, 36
+_SHARES = (0.95, 0.8, 0.5)
+_INSIDE = ("#e9d9d4", "#d99a89", ACCENT)
+
+
+def range_blocks(ranges: Ranges) -> list[Block]:
+    """Notes, and every range with its source."""
+    rows = [
+        (
+            printable(entry.parameter),
+            f"{entry.numbers(3 if entry.distribution == 'normal' else 5)} {entry.unit}".rstrip(),
+            "fixed" if entry.constant else f"{entry.distribution} per {entry.period}",
+            printable(entry.source),
+        )
+        for entry in ranges.entries
+    ]
+    notes = [Note("warn", printable(note)) for note in ranges.notes]
+    return [Table(("parameter", "range", "drawn", "from"), rows, _TABLE), *notes]
 
 
 def ranges_section(gathered: Gathered) -> Section:
     """Every range with its source, and the figures of latency and density."""
-    rows = [
-        (
-            printable(entry.parameter),
-            f"{entry.numbers(3 if entry.distribution == 'normal' else 5)}\n{entry.unit}",
-            "fixed" if entry.constant else f"{entry.distribution}\nper {entry.period}",
-            printable(entry.source),
-        )
-        for entry in gathered.ranges.entries
-    ]
-    blocks: list[Block] = [Note("warn", printable(note)) for note in gathered.ranges.notes]
-    blocks.append(Table(("parameter", "range", "drawn", "from"), rows, _TABLE))
+    blocks = range_blocks(gathered.ranges)
     if gathered.ranges.posterior:
-        text = (
-            "Ranges do not represent correlations between parameters. The samples in "
-            f"{gathered.ranges.posterior} do: each row is one consistent set of servo parameters."
-        )
-        blocks.append(Text(text))
+        blocks.append(Text(_SAMPLES.format(file=gathered.ranges.posterior)))
     if gathered.latencies is not None and gathered.spread is not None:
         drawn = latency_figure(gathered.latencies, gathered.spread)
-        unit_name = "window" if gathered.latencies.windows else "recording"
-        caption = _LATENCY.format(what=unit_name)
-        blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
+        what = "window" if gathered.latencies.windows else "recording"
+        blocks.append(Figure(svg(drawn), _LATENCY.format(what=what)))
     if gathered.density is not None:
-        drawn = density_figure(gathered.density)
         whiskers = "" if gathered.density.sd is None else "; whiskers are 90 % intervals"
         caption = _DENSITY.format(whiskers=whiskers)
-        blocks.append(Figure(svg(drawn), caption, svg(drawn, width=NARROW)))
+        blocks.append(Figure(svg(density_figure(gathered.density)), caption))
     return Section("Ranges", _LEAD, blocks)
+
+
+def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
+    """Median and 90 % interval of each parameter."""
+    quantiles = posterior.quantiles(0.05, 0.5, 0.95).T
+    rows = [
+        (joint, Quantity(readable_name(prior.name), prior.unit, middle, (low, high)))
+        for prior, (low, middle, high) in zip(posterior.parameters, quantiles, strict=True)
+    ]
+    return quantity_table(rows, caption="Medians and 90 % intervals.")
 
 
 def posterior_sections(gathered: Gathered) -> list[Section]:
@@ -93,38 +124,151 @@ def _posterior_section(gathered: Gathered, joint: str) -> Section:
         spans=mixing.spans,
         least=LEAST_TIMES,
         accepted=100 * mixing.accepted,
-        how=_EXACT if posterior.problem.exact else _STEPS,
+        how=_HOW[posterior.problem.exact],
     )
-    low, middle, high = posterior.quantiles(0.05, 0.5, 0.95)
     rows = [
-        (
-            f"{printable(readable_name(prior.name))}\n{prior.unit}",
-            f"{middle[k]:.5g}\n{low[k]:.5g} to {high[k]:.5g}",
-            str(prior),
-            f"{mixing.times[k]:.1f}",
-        )
-        for k, prior in enumerate(posterior.parameters)
+        (printable(readable_name(prior.name)), str(prior), f"{time:.1f}")
+        for prior, time in zip(posterior.parameters, mixing.times, strict=True)
     ]
-    header = ("parameter", "median\n5 % to 95 %", "prior", "autocorrelation\nsteps")
-    blocks: list[Block] = [Table(header, rows)]
-    drawn = corner_figure(posterior, joint)
-    blocks.append(Figure(svg(drawn), _CORNER.format(joint=printable(joint))))
+    blocks: list[Block] = [
+        posterior_table(joint, posterior),
+        Table(("parameter", "prior", "autocorrelation\nsteps"), rows),
+        Figure(svg(corner_figure(posterior, joint)), _CORNER.format(joint=printable(joint))),
+    ]
     if joint in gathered.checks:
-        blocks += _predictive(gathered, joint)
+        blocks += _predictive(gathered.checks[joint], joint)
     return Section(f"Posterior of {printable(joint)}", lead, blocks)
 
 
-def _predictive(gathered: Gathered, joint: str) -> list[Block]:
-    check = gathered.checks[joint]
+def _predictive(check: PredictiveCheck, joint: str) -> list[Block]:
     shares = ", ".join(f"{100 * check.covered[x]:.0f} %" for x in LEVELS)
     bands = ", ".join(f"{100 * x:.0f}" for x in LEVELS)
     text = (
         f"Predictive check: of {printable(check.recording)}, {shares} lies within the bands that "
         f"should contain {bands} %; the error of the median is {milliradians(check.rmse)} (RMSE)."
     )
-    drawn = predictive_figure(check, joint)
+    signals = {
+        "2.5 %": check.band[0] - check.median,
+        "97.5 %": check.band[1] - check.median,
+        MEASURED: check.measured - check.median,
+    }
+    group = SignalGroup((check.recording, joint, "residual"), "rad", check.t, signals)
+    panel = Panel(in_mrad(group), "measured − predicted, mrad")
     caption = _PREDICTIVE.format(joint=printable(joint), recording=printable(check.recording))
     return [
         Note("good" if check.holds else "warn", text),
-        Figure(svg(drawn), caption, svg(drawn, width=NARROW)),
+        series_block([panel], f"{joint} in {check.recording}: residual", caption),
     ]
+
+
+def density_section(density: Density) -> Section:
+    """Mass, length and normalised density of each link."""
+    ends = density.interval
+    rows = [
+        (
+            printable(name),
+            f"{density.mass_kg[k]:.3f}",
+            f"{density.length_m[k]:.3f}",
+            f"{density.value[k]:.3f}",
+            "–" if ends is None else f"{ends[0, k]:.3f} to {ends[1, k]:.3f}",
+        )
+        for k, name in enumerate(density.links)
+    ]
+    header = ("link", "mass\nkg", "length\nm", "density", "90 % interval")
+    unknown = Note("warn", "mass_sd_kg and length_sd_m of the links would give intervals")
+    blocks: list[Block] = [Table(header, rows), *([unknown] if ends is None else [])]
+    return Section("Normalised density", "", blocks)
+
+
+def density_figure(density: Density) -> Drawing:
+    """Plot each link as a bar with its length as width and its normalised density as height.
+
+    The area of a bar is the link's share of the mass. Whiskers are 90 % intervals.
+    """
+    start = np.cumsum(density.length_m) - density.length_m
+    middle = start + density.length_m / 2
+    with house_style():
+        figure = new_figure(260, "normalised density of each link along the body")
+        axes = figure.subplots()
+        axes.bar(start, density.value, density.length_m, align="edge", color=RULE, edgecolor=PAPER)
+        axes.axhline(1.0, color=FAINT, linewidth=0.9, linestyle=(0, (4, 3)))
+        margin = None if density.interval is None else density.interval[1] - density.value
+        look: Any = {"fmt": "o", "color": ACCENT, "markersize": 5, "capsize": 4}
+        axes.errorbar(middle, density.value, margin, **look)
+        for x, y, name in zip(middle, density.value, density.links, strict=True):
+            label = f"{printable(name)}\n{y:.3f}"
+            axes.text(x, y / 2, label, ha="center", va="center", color=INK)
+        axes.set_title("normalised density; dashed: whole robot")
+        axes.set_xlabel("from the nose, m")
+        axes.set_ylim(0, 1.15 * float(density.value.max()))
+    return figure
+
+
+def latency_figure(latencies: Latencies, drawn: Spread) -> Drawing:
+    """Plot the latency of each episode with two standard errors, and the range."""
+    with house_style():
+        figure = new_figure(230, "latency of the commands by episode")
+        axes = figure.subplots()
+        low, high = (1e3 * (drawn.centre + s * drawn.half_width) for s in (-1, 1))
+        axes.axhspan(low, high, color=ACCENT, alpha=0.16, linewidth=0)
+        number = np.arange(1, latencies.seconds.size + 1)
+        look: Any = {"fmt": "o", "color": INK, "markersize": 4, "elinewidth": 1.0}
+        axes.errorbar(number, 1e3 * latencies.seconds, 2e3 * latencies.sd, **look)
+        axes.set_title("latency, ms; band: the range")
+        axes.set_xlabel("window" if latencies.windows else "recording")
+        axes.locator_params(axis="x", integer=True)
+        axes.margins(x=0.03)
+    return figure
+
+
+def corner_figure(posterior: ServoPosterior, joint: str) -> Drawing:
+    """Plot histograms on the diagonal and, below it, regions that contain 50, 80 and 95 %.
+
+    Args:
+        posterior: The posterior.
+        joint: Name of the joint, for screen readers.
+    """
+    F = len(posterior.names)
+    units = [prior.unit for prior in posterior.parameters]
+    scale = np.array([1e3 if unit == "s" else 1.0 for unit in units])
+    values = posterior.values[:: max(1, posterior.values.shape[0] // _DRAWN)] * scale
+    ends = np.quantile(values, [0.001, 0.999], axis=0)
+    with house_style():
+        figure = new_figure(140 + 120 * F, printable(f"posterior of {joint}"))
+        for (row, column), axes in np.ndenumerate(figure.subplots(F, F, squeeze=False)):
+            axes.set_visible(column <= row)
+            axes.grid(visible=False)
+            axes.set_xlim(*ends[:, column])
+            if row == column:
+                _histogram(axes, values[:, row], ends[:, row])
+                unit = "ms" if units[row] == "s" else units[row]
+                label = f"{printable(readable_name(posterior.names[row]))}\n{unit}"
+                axes.set_title(label.strip(), color=INK, size=10)
+            elif column < row:
+                _regions(axes, values[:, [column, row]], ends[:, [column, row]])
+            axes.locator_params(nbins=3)
+            axes.ticklabel_format(useOffset=False, style="plain")
+            axes.tick_params(labelbottom=row == F - 1, labelleft=0 == column < row, labelsize=9)
+            axes.tick_params(axis="x", labelrotation=35)
+    return figure
+
+
+def _histogram(axes: Axes, values: Array, ends: Array) -> None:
+    axes.hist(values, bins=_BINS, range=tuple(ends), color=RULE)
+    for quantile in np.quantile(values, [0.05, 0.5, 0.95]):
+        axes.axvline(quantile, color=ACCENT, linewidth=1.0)
+
+
+def _regions(axes: Axes, values: Array, ends: Array) -> None:
+    """Fill the smallest regions that contain each share of the draws."""
+    from scipy.ndimage import gaussian_filter
+
+    counts, x, y = np.histogram2d(values[:, 0], values[:, 1], bins=_GRID, range=ends.T)
+    smooth = gaussian_filter(counts, 1.0)
+    order = np.sort(smooth.ravel())[::-1]
+    cumulative = np.cumsum(order) / order.sum()
+    levels = np.unique([order[np.searchsorted(cumulative, share)] for share in _SHARES])
+    middles = [(edges[1:] + edges[:-1]) / 2 for edges in (x, y)]
+    colours = _INSIDE[-levels.size :]
+    axes.contourf(*middles, smooth.T, levels=[*levels, order[0] + 1], colors=colours)
+    axes.set_ylim(*ends[:, 1])

@@ -1,90 +1,95 @@
-"""Recordings section of a report: clock, noise, motion, and what can be identified."""
+"""Recordings and their checks: clock, noise, motion, and what can be identified."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from sim2real.arrays import Array
 from sim2real.check import Check
 from sim2real.recording import Recording
-from sim2real.report.drawing import svg
-from sim2real.report.page import Block, Figure, Note, Section, Table, Text
-from sim2real.report.style import NARROW
-from sim2real.report.timing_plot import timing_figure
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import printable
+from sim2real.report.series import series_block, timing_panel
 
 _LEAD = (
     "Check before the fit: regularity of the clock, noise, motion of every joint, and the accuracy "
     "with which a servo could be identified at best."
 )
-_CLOCKS = "Each recording and its clock."
-_JOINTS = (
-    "Each joint of {recording}: ranges of command and position, noise and resolution of its "
-    "sensor, and what a fit can be expected to identify (half-widths of 90 % intervals)."
-)
-_TIMING = "Clock of {recording}: the time from each sample to the next, and its histogram."
+_TIMING = "Clock of {recording}: the time from each sample to the next."
+
+
+def recording_section(recording: Recording) -> Section:
+    """The summary of a recording, and a row for each joint."""
+    rows = [
+        (
+            printable(joint),
+            _span(recording.command[:, j]),
+            _span(recording.position[:, j]),
+            str(recording.missing(j)),
+        )
+        for j, joint in enumerate(recording.joints)
+    ]
+    blocks: list[Block] = [Table(("joint", "command", "position", "missing samples"), rows)]
+    if recording.columns:
+        blocks.append(Note("info", f"Further columns: {printable(', '.join(recording.columns))}"))
+    return Section(f"Recording {printable(recording.name)}", recording.summary, blocks)
+
+
+def check_section(check: Check) -> Section:
+    """Clock, motion of the joints, and findings."""
+    clock, joints = check.timing, len(check.joints)
+    pauses = "no gap" if not clock.gaps else f"{sum(g[1] for g in clock.gaps):.3g} s in gaps"
+    lead = (
+        f"{check.kind}, {check.duration_s:.2f} s, {joints} joint{'s' if joints != 1 else ''}; "
+        f"clock: {clock.rate_hz:.4g} Hz, jitter {1e3 * clock.jitter_s:.2g} ms, {pauses}, "
+        f"{clock.missing_cells} positions missing"
+    )
+    rows = [
+        (
+            printable(joint.joint),
+            str(joint.moves),
+            f"{joint.command_range_rad:.3f}",
+            f"{joint.range_rad:.3f}",
+            f"{1e3 * joint.noise_rad:.2f}",
+            f"{1e3 * joint.step_rad:.2f}" if joint.step_rad else "–",
+            str(joint.missing),
+            joint.load,
+        )
+        for joint in check.joints
+    ]
+    header = (
+        "joint", "moves", "command\nrad", "position\nrad", "noise\nmrad", "step\nmrad", "missing",
+        "load",
+    )  # fmt: skip
+    notes = [
+        Note("warn", x.text if x.severity == "note" else f"{x.severity}: {x.text}")
+        for x in check.all_findings
+    ]
+    notes += [Note("info", f"{row.joint}: {x}") for row in check.joints for x in row.identifiable]
+    notes = [Note(note.kind, printable(note.text)) for note in notes]
+    return Section(f"Check of {printable(check.recording)}", lead, [Table(header, rows), *notes])
 
 
 def recordings_section(recordings: Sequence[Recording], checks: Sequence[Check]) -> Section:
-    """Results of ``check``: tables, notes and a figure of the first recording's clock.
+    """Results of ``check``, and the clock of the first recording.
 
     Args:
         recordings: The recordings.
         checks: The check of each, in the same order.
     """
-    blocks: list[Block] = [_clock_table(checks)]
-    figure = timing_figure(recordings[0])
     caption = _TIMING.format(recording=recordings[0].name)
-    blocks.append(Figure(svg(figure), caption, svg(figure, width=NARROW)))
-    blocks += [_joint_table(check) for check in checks[:1]]
-    blocks += _notes(checks)
+    blocks: list[Block] = [series_block([timing_panel(recordings[0])], "clock", caption)]
+    for number, section in enumerate(map(check_section, checks)):
+        if number == 0 or any(finding for finding in checks[number].all_findings):
+            blocks += [Text(section.lead, heading=checks[number].recording), *section.blocks]
+        else:
+            blocks.append(Text(section.lead, heading=checks[number].recording))
     return Section("Recordings", _LEAD, blocks)
 
 
-def _clock_table(checks: Sequence[Check]) -> Table:
-    rows = [
-        (
-            check.recording,
-            f"{check.duration_s:.1f}",
-            f"{check.timing.rate_hz:.1f}",
-            f"{1e3 * check.timing.jitter_s:.2f}",
-            f"{sum(length for _, length in check.timing.gaps):.2f}",
-            str(check.timing.missing_cells),
-        )
-        for check in checks
-    ]
-    header = ("recording", "length\ns", "rate\nHz", "jitter\nms", "gaps\ns", "cells\nmissing")
-    return Table(header, rows, _CLOCKS)
-
-
-def _joint_table(check: Check) -> Table:
-    rows = [
-        (
-            joint.joint,
-            f"{joint.command_range_rad:.2f}",
-            f"{joint.range_rad:.2f}",
-            f"{1e3 * joint.noise_rad:.2f}",
-            f"{1e3 * joint.step_rad:.2f}" if joint.step_rad else "none",
-            "; ".join(joint.identifiable),
-        )
-        for joint in check.joints
-    ]
-    header = ("joint", "command\nrad", "position\nrad", "noise\nmrad", "step\nmrad", "a fit")
-    return Table(header, rows, _JOINTS.format(recording=check.recording))
-
-
-def _notes(checks: Sequence[Check]) -> list[Block]:
-    """Distinct findings, each with the recordings that share it."""
-    where: dict[str, list[str]] = {}
-    for check in checks:
-        for finding in check.all_findings:
-            where.setdefault(finding.text, []).append(check.recording)
-    if not where:
-        return [Note("good", "No irregularities were found.")]
-    heading = Text("Remarks of the check.", heading="Remarks")
-    everywhere = len(checks)
-    return [
-        heading,
-        *(
-            Note("info", finding if len(names) == everywhere else f"{', '.join(names)}: {finding}")
-            for finding, names in where.items()
-        ),
-    ]
+def _span(angles: Array) -> str:
+    """Smallest to largest of the angles that are not missing, in rad."""
+    finite = angles[np.isfinite(angles)]
+    return f"{finite.min():.3f} to {finite.max():.3f} rad" if finite.size else "none"

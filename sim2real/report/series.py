@@ -1,14 +1,203 @@
-"""Preparation of time series for plots: gaps, thinning, the largest movement."""
+"""Time series as a figure, and as plots of a page that a reader can zoom into with uPlot."""
 
 from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim2real.arrays import Array, Index, Mask
+from sim2real.recording import Recording
+from sim2real.report.drawing import svg
+from sim2real.report.page import Figure
+from sim2real.report.quantity import printable
+from sim2real.report.style import (
+    ACCENT,
+    FAINT,
+    INK,
+    MUTED,
+    RULE,
+    VARIABLES,
+    house_style,
+    new_figure,
+)
+from sim2real.viewers.scenes import COMMAND, MEASURED, SignalGroup, fit_groups
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
 
 GAP_INTERVALS = 3.0
 LONGEST = 4000
-_BINS = 1500
+_BINS = 1300
+_COLOURS = {COMMAND: FAINT, MEASURED: INK, "plain": INK, "before": FAINT}
+"""Colours of signals; of others the first is ``ACCENT``."""
+_CLOSE_S, _LEAD_S = 1.5, 0.2
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot of a group of signals.
+
+    Attributes:
+        group: The signals.
+        title: Title of the plot, with the unit.
+        shaded_s: Intervals of time that are shaded.
+        band: Half-width of a band about 0; None without a band.
+        log: Whether the axis is logarithmic.
+    """
+
+    group: SignalGroup
+    title: str
+    shaded_s: Sequence[tuple[float, float]] = ()
+    band: float | None = None
+    log: bool = False
+
+    @property
+    def curves(self) -> tuple[Array, list[tuple[str, str, Array]]]:
+        """Times, and label, colour and values of each signal, long ones thinned."""
+        signals, rest = self.group.signals, cycle((ACCENT, INK, MUTED, FAINT))
+        t, values = drawable(self.group.t, np.stack(list(signals.values())))
+        colours = [_COLOURS.get(name) or next(rest) for name in signals]
+        return t, list(zip(signals, colours, values, strict=True))
+
+
+def series_block(
+    panels: Sequence[Panel], label: str, caption: str = "", *, close_up: Sequence[Panel] = ()
+) -> Figure:
+    """Panels one below the other as a block of a page, those of one recording zoomed together.
+
+    Args:
+        panels: The panels.
+        label: Text for screen readers.
+        caption: Caption.
+        close_up: Further panels where the plot cannot be zoomed into.
+    """
+    t_and_curves = [(panel, *panel.curves) for panel in panels if panel.group.signals]
+    content = [
+        {
+            "title": panel.title,
+            "recording": panel.group.path[0],
+            "t": _encoded(t),
+            "curves": [
+                {"label": name, "ink": VARIABLES[ink], "steps": name == COMMAND, "y": _encoded(y)}
+                for name, ink, y in curves
+            ],
+            "shaded": [list(ends) for ends in panel.shaded_s],
+            "band": panel.band,
+            "log": panel.log,
+        }
+        for panel, t, curves in t_and_curves
+    ]
+    # A "<" would let a name end the element of the page.
+    live = json.dumps(content, allow_nan=False).replace("<", "\\u003c")
+    return Figure(svg(series_figure([*panels, *close_up], label)), caption, live)
+
+
+def series_figure(panels: Sequence[Panel], label: str) -> Drawing:
+    """Plot panels one below the other; lines are interrupted at gaps."""
+    panels = [panel for panel in panels if panel.group.signals]
+    with house_style():
+        figure = new_figure(30 + 150 * max(1, len(panels)), printable(label))
+        grid = figure.subplots(max(1, len(panels)), 1, squeeze=False)[:, 0]
+        shown: list[str] = []
+        for axes, panel in zip(grid, panels, strict=False):
+            _draw(axes, panel)
+            if list(panel.group.signals) != shown and len(panel.group.signals) > 1:
+                place = {"loc": "lower right", "bbox_to_anchor": (1, 1.02)}
+                axes.legend(ncols=4, **(place if len(panel.group.signals) < 4 else {}))
+            shown = list(panel.group.signals)
+        grid[-1].set_xlabel("time, s")
+    return figure
+
+
+def _draw(axes: Axes, panel: Panel) -> None:
+    t, curves = panel.curves
+    for start, stop in panel.shaded_s:
+        axes.axvspan(start, stop, color=RULE, alpha=0.6, linewidth=0, zorder=0)
+    if panel.band is not None:
+        axes.axhspan(-panel.band, panel.band, color=ACCENT, alpha=0.16, linewidth=0)
+    for name, colour, values in curves:
+        look: dict[str, Any] = {"drawstyle": "steps-post"} if name == COMMAND else {}
+        axes.plot(t, values, color=colour, linewidth=1.1, label=printable(name), **look)
+        alone = isolated_samples(values)
+        axes.plot(t[alone], values[alone], "o", color=colour, markersize=1.6, markeredgewidth=0)
+    axes.set_title(printable(panel.title))
+    axes.set_yscale("log" if panel.log else "linear")
+
+
+def fit_panels(
+    recording: Recording,
+    joint: str,
+    predicted: Array,
+    *,
+    heldout: Mask | None = None,
+    noise_rad: float | None = None,
+) -> tuple[list[Panel], list[Panel]]:
+    """Panels of the prediction of one joint, and a close-up of 1.5 s at the largest movement.
+
+    Args:
+        recording: The recording.
+        joint: Name of the joint.
+        predicted: Predicted position in rad, shape (T,).
+        heldout: Mask of held-out samples, shape (T,), which are shaded.
+        noise_rad: Standard deviation of the measurement noise, shown with the residual.
+
+    Raises:
+        ValueError: If the joint was not recorded or a series has another shape.
+    """
+    if joint not in recording.joints:
+        raise ValueError(f"{recording.name}: no joint {joint!r}")
+    for name, series in (("predicted", predicted), ("heldout", heldout)):
+        if series is not None and series.shape != recording.t.shape:
+            raise ValueError(f"{name}: shape {series.shape}, expected {recording.t.shape}")
+    position, *residual = fit_groups(recording, joint, predicted)
+    t, shaded = recording.t, [] if heldout is None else segments(heldout)
+    spans = [(float(t[first]), float(t[last])) for first, last in shaded]
+    band = None if noise_rad is None else 2e3 * noise_rad
+    title = "measured − predicted, mrad" + ("" if band is None else "; band: ± 2 × noise")
+    panels = [Panel(position, "rad; shaded: held out" if spans else "rad", spans)]
+    panels += [Panel(in_mrad(group), title, spans, band) for group in residual]
+    start = largest_move(t, position.signals)
+    near = (t >= start) & (t <= start + _CLOSE_S)
+    signals = {name: values[near] for name, values in position.signals.items()}
+    close = replace(position, t=t[near], signals=signals)
+    return panels, [Panel(close, "rad, the largest movement")]
+
+
+def fit_figure(
+    recording: Recording,
+    joint: str,
+    predicted: Array,
+    *,
+    heldout: Mask | None = None,
+    noise_rad: float | None = None,
+) -> Drawing:
+    """Plot the prediction of one joint of a recording; arguments as for ``fit_panels``."""
+    panels, close_up = fit_panels(recording, joint, predicted, heldout=heldout, noise_rad=noise_rad)
+    return series_figure([*panels, *close_up], f"{joint} in {recording.name}")
+
+
+def timing_panel(recording: Recording) -> Panel:
+    """The time between samples."""
+    interval = 1e3 * np.diff(recording.t)
+    group = SignalGroup(
+        (recording.name,), "ms", recording.t[1:], {"time between samples": interval}
+    )
+    low, median, high = np.percentile(interval, (5, 50, 95))
+    title = f"ms between samples: {median:.1f}, nine in ten {low:.1f} to {high:.1f}"
+    return Panel(group, f"{title}, longest {interval.max():.0f}")
+
+
+def in_mrad(group: SignalGroup) -> SignalGroup:
+    """Signals in rad, in mrad."""
+    signals = {name: 1e3 * values for name, values in group.signals.items()}
+    return replace(group, unit="mrad", signals=signals)
 
 
 def gaps(t: Array) -> Index:
@@ -20,25 +209,25 @@ def gaps(t: Array) -> Index:
 
 
 def drawable(t: Array, values: Array) -> tuple[Array, Array]:
-    """``values (T,)`` over ``t (T,)`` with a NaN in every gap; long series are thinned.
+    """``values (K, T)`` over ``t (T,)`` with a NaN in every gap; long series are thinned.
 
-    Of every 1/1500 of a long series, the smallest, the largest and a missing value are kept, so
-    that the plotted outline and the gaps do not change.
+    Of every part of a long series, the smallest, the largest and a missing value are kept, so that
+    the plotted outline and the gaps do not change.
     """
-    t, (values,) = drawable_together(t, values[None])
-    return t, values
-
-
-def drawable_together(t: Array, values: Array) -> tuple[Array, Array]:
-    """Like ``drawable``, for K series on one time axis: ``values (K, T)`` over ``t (T,)``."""
     starts = gaps(t)
     if starts.size:  # a sample is valid for one interval: a step line ends there
         t = np.insert(t, starts, t[starts - 1] + np.median(np.diff(t)))
     values = np.insert(values, starts, np.nan, axis=1)
     if t.size <= LONGEST:
         return t, values
-    chosen = [_extremes(i, series) for series in values for i in _bins(t.size)]
-    indices = np.unique(np.concatenate(chosen))
+    parts = np.array_split(np.arange(t.size), _BINS)
+    kept: set[int] = set()
+    for series in values:
+        missing = np.isnan(series)
+        low, high = (np.where(missing, sign * np.inf, series) for sign in (1, -1))
+        for part in parts:
+            kept.update(part[[missing[part].argmax(), low[part].argmin(), high[part].argmax()]])
+    indices = np.array(sorted(kept))
     return t[indices], values[:, indices]
 
 
@@ -56,35 +245,19 @@ def segments(mask: Mask) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(starts, stops, strict=True)]
 
 
-def largest_move(
-    t: Array, command: Array, position: Array, *, window_s: float = 1.5, lead_s: float = 0.2
-) -> tuple[float, float]:
-    """Start and end of a window that begins ``lead_s`` before the largest movement.
+def largest_move(t: Array, signals: Mapping[str, Array]) -> float:
+    """Start of the largest movement within 0.2 s.
 
-    The movement is that of the command (of the position, if no commands were recorded) in windows
-    of which most samples were measured.
+    It is that of the command where a position was measured, or of the first signal there is.
     """
-    moving = command if np.isfinite(command).any() else position
-    latest = max(t[0], t[-1] - window_s)
-    ahead = np.searchsorted(t, t + lead_s).clip(max=t.size - 1)
-    move = np.nan_to_num(np.abs(moving[ahead] - moving), nan=0.0)
-    measured = np.concatenate([[0], np.cumsum(np.isfinite(position))])
-    stop = np.searchsorted(t, t + window_s)
-    expected = (np.minimum(t + window_s, t[-1]) - t) / np.median(np.diff(t))
-    present = (measured[stop] - measured[:-1] > 0.8 * expected) & (t[ahead] - t < 2 * lead_s)
-    move[(~present & present.any()) | (t > latest)] = -1.0
-    start = float(t[np.argmax(move)])
-    return start, float(min(start + window_s, t[-1]))
+    moving = next(iter(signals.values()))
+    present = np.isfinite(signals.get(MEASURED, moving))
+    ahead = np.searchsorted(t, t + _LEAD_S).clip(max=t.size - 1)
+    move = np.nan_to_num(np.abs(moving[ahead] - moving)) * (present & present[ahead])
+    move[t > max(t[0], t[-1] - _CLOSE_S)] = -1.0
+    return float(t[np.argmax(move)])
 
 
-def _bins(size: int) -> list[Index]:
-    return np.array_split(np.arange(size), _BINS)
-
-
-def _extremes(indices: Index, values: Array) -> Index:
-    part = values[indices]
-    missing = np.isnan(part)
-    chosen = [np.argmax(missing)] if missing.any() else []
-    if not missing.all():
-        chosen += [np.nanargmin(part), np.nanargmax(part)]
-    return indices[np.array(chosen, dtype=np.intp)]
+def _encoded(values: Array) -> str:
+    """Little-endian 32-bit floats in base64, with NaN where nothing is drawn."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode()

@@ -1,4 +1,4 @@
-"""The library of servos as text, as a table in Markdown and as a plot."""
+"""The library of servos as a table, as text, as a row in Markdown and as a plot."""
 
 from __future__ import annotations
 
@@ -7,51 +7,40 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim2real.report.page import Note, Section, Table
 from sim2real.report.quantity import milliradians, printable
 from sim2real.report.style import ACCENT, INK, house_style, new_figure
-from sim2real.report.table import fit_report
 from sim2real.servo_library.entry import ServoEntry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = ("name", "servo", "supply", "gain", "load", "held out", "date", "origin")
-NONE = "-"
+_HELD_OUT = "held out: RMS error on trajectories that no fit used, where it was measured"
 
 
 def cells(entry: ServoEntry) -> tuple[str, ...]:
     """The cells of a servo's row."""
-    gain = NONE if entry.firmware_gain is None else f"{entry.firmware_gain:g}"
-    supply = NONE if entry.supply_V is None else f"{entry.supply_V:g} V"
+    load = entry.joint.load
+    weight = "unknown" if load is None else f"{load.inertia_kgm2:.3g} kg m²"
+    if load is not None and load.pendulum_mass_kg > 0:
+        weight = f"{load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:g} m"
     return (
         entry.name,
         entry.type,
-        supply,
-        gain,
-        load_text(entry),
+        "-" if entry.supply_V is None else f"{entry.supply_V:g} V",
+        "-" if entry.firmware_gain is None else f"{entry.firmware_gain:g}",
+        weight,
         milliradians(entry.held_out_rad),
         entry.date,
         entry.origin,
     )
 
 
-def load_text(entry: ServoEntry) -> str:
-    """The load that a servo was identified with."""
-    load = entry.joint.load
-    if load is None:
-        return "unknown"
-    if load.pendulum_mass_kg > 0:
-        return f"{load.pendulum_mass_kg:.3g} kg at {load.pendulum_length_m:g} m"
-    return f"{load.inertia_kgm2:.3g} kg m²"
-
-
-def table_of(entries: Sequence[ServoEntry]) -> str:
-    """One line per servo."""
-    rows = [COLUMNS, *map(cells, entries)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
-    lines = ["  ".join(f"{x:<{w}}" for x, w in zip(row, widths, strict=True)) for row in rows]
-    text = "\n".join(printable(line.rstrip()) for line in lines)
-    return f"{text}\n\nheld out: RMS error on trajectories that no fit used, where it was measured"
+def servos_section(entries: Sequence[ServoEntry]) -> Section:
+    """A row for each servo."""
+    rows = [tuple(map(printable, cells(entry))) for entry in entries]
+    return Section("Servos", "", [Table(COLUMNS, rows), Note("info", _HELD_OUT)])
 
 
 def markdown_row(entry: ServoEntry) -> str:
@@ -59,17 +48,6 @@ def markdown_row(entry: ServoEntry) -> str:
     return (
         "| " + " | ".join(printable(x) for x in (*cells(entry), entry.licence, entry.source)) + " |"
     )
-
-
-def entry_report(entry: ServoEntry) -> str:
-    """What a servo is, where it comes from, and its parameters with intervals."""
-    facts = dict(zip(COLUMNS, cells(entry), strict=True))
-    facts |= {"licence": entry.licence, "source": entry.source}
-    if entry.scored_on:
-        facts["held out"] += f", {entry.scored_on}"
-    width = max(map(len, facts))
-    lines = [f"{name:<{width}}  {text}" for name, text in facts.items()]
-    return "\n".join(map(printable, lines)) + f"\n\n{fit_report(entry.model)}"
 
 
 def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
@@ -92,14 +70,13 @@ def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, values in zip(panels, (torques, speeds), strict=True):
             axes.scatter(values, range(len(lines)), color=colors, s=26)
+        panels[0].set(xscale="log", ylim=(len(lines) - 0.5, -0.5))
         panels[0].set_title("stall torque, N m")
-        panels[0].set_xscale("log")
         panels[0].xaxis.set_major_formatter("{x:g}")
         panels[0].margins(x=0.1)
+        panels[0].set_yticks(range(len(lines)), [entry.name for entry in lines])
         panels[1].set_title("no-load speed, rad/s")
         panels[1].set_xlim(0.0, 1.1 * max(speeds, default=1.0))
-        panels[0].set_yticks(range(len(lines)), [entry.name for entry in lines])
-        panels[0].set_ylim(len(lines) - 0.5, -0.5)
     return figure
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from sim2real.extras import optional
+from sim2real.errors import optional
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +24,7 @@ VARIABLES = {
     ACCENT: "accent",
     PAPER: "paper",
 }
-WIDE, NARROW = 720, 340
+WIDE = 720
 POINTS_PER_INCH = 72
 
 STYLE: dict[Any, Any] = {

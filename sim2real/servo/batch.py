@@ -163,14 +163,11 @@ class Batch:
         capacity = next(v for k, v in _BYTES.items() if self.device.startswith(k))
         per_problem = self.recordings.max() * V * self.length.max() * 8
         size = max(1, int(capacity / per_problem))
-        parts = [slice(k, min(k + size, N)) for k in range(0, N, size)]
-
-        def evaluate_part(part: slice) -> tuple[Array, ...]:
+        shape, results = (blocks, deep or V), []
+        for part in (slice(k, min(k + size, N)) for k in range(0, N, size)):
             coefficients = None if autoregression is None else autoregression[part]
             piece = Problems(problems.joint[part], problems.theta[part], problems.scale[part])
-            return self._evaluate(piece, (blocks, deep or V), coefficients, keep=keep, rough=rough)
-
-        results = [evaluate_part(part) for part in parts]
+            results.append(self._evaluate(piece, shape, coefficients, keep=keep, rough=rough))
         gram, square, model, *extras = (np.concatenate(x) for x in zip(*results, strict=True))
         return Normal(gram, square, self.count(problems.joint), model, *extras)
 
@@ -208,7 +205,7 @@ class Batch:
         signals = put(signal)
         table_row = put((problem * V + variant).astype(np.int32))
         launch(whitening.expand, rows.size, [table, table_row, signals, *self._contexts], [theta])
-        angle = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
+        angle: Any = wp.zeros((rows.size, int(self.length.max())), dtype=wp.float64, device=dev)
         bases, scale = put(base), put(problems.scale[problem, variant])
         shared = [bases, signals, self._length]
 
@@ -227,7 +224,7 @@ class Batch:
         long_steps = V > 1 and dev == "cpu"
         run(fine, rows[servos] if long_steps else None)
         if long_steps:
-            angles = _values(angle)  # the same memory
+            angles = angle.numpy()  # the same memory
             exact = angles[servos]
             run(coarse)
             repeated = np.isin(base, base[_unstable(angles, servos, exact)])
@@ -241,21 +238,23 @@ class Batch:
         layout = [put(first), put(recordings.astype(np.int32)), put(count), signals, self._length]
         noise_model = coefficients
         if noise_model is None:
-            products = wp.zeros((N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev)
+            products: Any = wp.zeros(
+                (N, self.lags + 1, self.lags + 1), dtype=wp.float64, device=dev
+            )
             inputs = [*layout, self._counts, angle]
             launch(whitening.lag_products, products.shape[:2], inputs, [products])
-            noise_model = autoregression(_values(products), self.least_gain)
+            noise_model = autoregression(products.numpy(), self.least_gain)
         noise = [put(problem.astype(np.int32)), signals, self._length, self._counts]
         launch(whitening.whiten, rows.size, [*noise, put(noise_model), angle])
         if keep:
             extras.append(self._fetch(angle, first, count, recordings))
-        packed = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
+        packed: Any = wp.zeros((N, R * size[0], (size[1] + 1) * V), dtype=wp.float64, device=dev)
         launch(whitening.gram, packed.shape, [*layout, *size, angle], [packed])
-        return (*_unpacked(_values(packed), size[1], count, order), noise_model, *extras)
+        return (*_unpacked(packed.numpy(), size[1], count, order), noise_model, *extras)
 
     def _fetch(self, angle: Any, first: Integers, count: Integers, recordings: Integers) -> Array:  # noqa: ANN401
         """The residual rows of all problems, shape (N, R, T)."""
-        angles = _values(angle)
+        angles = angle.numpy()
         out = np.zeros((first.size, int(self.recordings.max()), angles.shape[1]))
         for r in range(int(recordings.max())):
             has = recordings > r
@@ -296,12 +295,6 @@ def _unstable(angles: Array, servos: Mask, exact: Array) -> Mask:
     return unstable
 
 
-def _values(values: Any) -> Array:  # noqa: ANN401 - Warp has no stubs
-    """A Warp array as a NumPy array."""
-    array: Array = values.numpy()
-    return array
-
-
 def _unpacked(
     packed: Array, deep: int, count: Integers, order: NDArray[np.int64]
 ) -> tuple[Array, Array]:
@@ -310,8 +303,7 @@ def _unpacked(
     V = order.shape[1]
     table = packed.reshape(N, B, deep + 1, V)
     gram, square = table[:, :, :deep], table[:, :, deep].sum(axis=1)
-    upper = np.triu(np.ones((deep, deep), dtype=bool), 1)
-    low, high = np.nonzero(upper)
+    low, high = np.triu_indices(deep, 1)
     gram[:, :, high, low] = gram[:, :, low, high]
     if (count == V).all():
         return gram, square

@@ -128,15 +128,9 @@ class EventFilter:
         self.order = max(channel.autoregression.size for channel in channels)
         start = np.cumsum([0, *(channel.t.size for channel in channels)])[:-1]
         lines = [_timeline(channel) for channel in channels]
-        self._slots = np.array(
-            [min(_slots(channel) for channel in group) for group in groups], dtype=np.int32
-        )
-        ends = np.concatenate(
-            [
-                np.append(first, channel.t.size) + at
-                for (_, _, first), channel, at in zip(lines, channels, start, strict=True)
-            ]
-        )
+        self._slots = np.array([min(map(_slots, group)) for group in groups], dtype=np.int32)
+        samples = zip(lines, channels, start, strict=True)
+        ends = [np.append(first, channel.t.size) + at for (_, _, first), channel, at in samples]
         model = np.zeros((len(channels), self.order))
         for row, channel in zip(model, channels, strict=True):
             row[: channel.autoregression.size] = channel.autoregression
@@ -147,7 +141,7 @@ class EventFilter:
             np.concatenate([channel.command for channel in channels]),
             np.concatenate([within for within, _, _ in lines]),
             np.concatenate([tail for _, tail, _ in lines]),
-            ends.astype(np.int32),
+            np.concatenate(ends).astype(np.int32),
             np.concatenate([_innovations(channel) for channel in channels]),
             np.concatenate([channel.scale * np.sqrt(channel.variance) for channel in channels]),
             model,
@@ -160,16 +154,7 @@ class EventFilter:
     def run(
         self, options: Sequence[Arrivals], *, width: int = 32, threads: int = 2
     ) -> list[list[Filtered]]:
-        """Filter every group under each model of arrivals.
-
-        Args:
-            options: Models of arrivals.
-            width: Hypotheses that are kept.
-            threads: CPU threads to share the models.
-
-        Returns:
-            For each model the result of each group.
-        """
+        """Results of each group under each model of arrivals, with ``width`` hypotheses kept."""
         if len(options) == 1:
             return self._run(options, width)
         with ThreadPoolExecutor(threads) as pool:
@@ -182,29 +167,23 @@ class EventFilter:
         rates = np.array([[x.loss, x.repeated_loss, x.delay_sd_s, x.correlation] for x in options])
         pool = 3 * width  # those kept, and two continuations of each
         joints = max(len(group) for group in self.groups)
-        results: tuple[Any, ...] = (
-            wp.zeros((S, G), dtype=wp.float64, device="cpu"),
-            wp.zeros((S, G, COUNTS), dtype=wp.float64, device="cpu"),
-            wp.zeros((S, G, K), dtype=wp.int32, device="cpu"),
-        )
+        results = _zeros((S, G)), _zeros((S, G, COUNTS)), _zeros((S, G, K), wp.int32)
         scratch = [
-            wp.zeros((S * G, pool, joints * n), dtype=wp.float64, device="cpu"),
-            wp.zeros((S * G, pool, joints * n * (n + 1)), dtype=wp.float64, device="cpu"),
-            wp.zeros((S * G, pool, COUNTS + 1), dtype=wp.float64, device="cpu"),
-            wp.zeros((S * G, pool, 2), dtype=wp.int32, device="cpu"),
-            wp.zeros((S * G, K, width, 2), dtype=wp.int32, device="cpu"),
+            _zeros((S * G, pool, joints * n)),
+            _zeros((S * G, pool, joints * n * (n + 1))),
+            _zeros((S * G, pool, COUNTS + 1)),
+            _zeros((S * G, pool, 2), wp.int32),
+            _zeros((S * G, K, width, 2), wp.int32),
         ]
         arrays = [to_warp(x, "cpu") for x in (*self._inputs, rates)]
         settings = [*arrays, width, *scratch, to_warp(self._tolerance, "cpu"), *results]
         wp.launch(run_filter, (S, G), settings, device="cpu")
         value, counts, active = (x.numpy() for x in results)
-        return [
-            [
-                Filtered(float(value[s, g]), counts[s, g], active[s, g, : self._slots[g]])
-                for g in range(G)
-            ]
-            for s in range(S)
-        ]
+
+        def filtered(s: int, g: int) -> Filtered:
+            return Filtered(float(value[s, g]), counts[s, g], active[s, g, : self._slots[g]])
+
+        return [[filtered(s, g) for g in range(G)] for s in range(S)]
 
     def expected(
         self, active: Sequence[Integers], arrivals: Arrivals, span_s: float = 0.1
@@ -212,7 +191,7 @@ class EventFilter:
         """Deviations along one history of each group, smoothed with a fixed lag.
 
         Moore, Automatica 9 (1973) 163-173: the state holds the deviations of the last samples, so
-        that the filter also estimates those that lie behind.
+        that the filter also estimates those that lie behind, by ``span_s``.
 
         Args:
             active: Set-point in force in each slot, for each group.
@@ -232,12 +211,8 @@ class EventFilter:
         for row, some in zip(path, active, strict=True):
             row[: some.size] = some
         n, N = order + 3, len(channels)
-        mean: Any = wp.zeros(rest.size, dtype=wp.float64, device="cpu")
-        covariance: Any = wp.zeros((N, 2, (p + 1) ** 2), dtype=wp.float64, device="cpu")
-        scratch = [
-            wp.zeros((N, 1, n), dtype=wp.float64, device="cpu"),
-            wp.zeros((N, 1, n * (n + 1)), dtype=wp.float64, device="cpu"),
-        ]
+        mean, covariance = _zeros((rest.size,)), _zeros((N, 2, (p + 1) ** 2))
+        scratch = [_zeros((N, 1, n)), _zeros((N, 1, n * (n + 1)))]
         inputs = *self._inputs[:_MODEL], model, self._inputs[-1], path, rest
         arrays = [to_warp(x, "cpu") for x in inputs]
         sizes = p, arrivals.delay_sd_s, arrivals.correlation
@@ -245,6 +220,10 @@ class EventFilter:
         parts = np.split(mean.numpy(), np.cumsum([channel.t.size for channel in channels])[:-1])
         sums = covariance.numpy().reshape(N, 2, p + 1, p + 1)
         return [Deviation(a, b) for a, b in zip(parts, sums, strict=True)]
+
+
+def _zeros(shape: tuple[int, ...], dtype: type = wp.float64) -> Any:  # noqa: ANN401
+    return wp.zeros(shape, dtype=dtype, device="cpu")
 
 
 def _innovations(channel: Channel) -> Array:

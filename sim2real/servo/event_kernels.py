@@ -16,8 +16,11 @@ COUNTS = 4
 """Counts along a history: set-points after one that arrived, losses among them, set-points after a
 lost one, losses among them."""
 
+Vector = wp.array(dtype=wp.float64)
 Matrix = wp.array2d(dtype=wp.float64)
+Cube = wp.array3d(dtype=wp.float64)
 Whole = wp.array(dtype=wp.int32)
+Wholes = wp.array3d(dtype=wp.int32)
 
 
 @wp.func
@@ -119,15 +122,11 @@ def _delay(
 
 @wp.kernel(enable_backward=False)
 def run_filter(
-    first: Whole, slots: Whole, start: Whole, command: wp.array(dtype=wp.float64),
-    within: Matrix, tail: Matrix, samples: Whole, innovation: wp.array(dtype=wp.float64),
-    noise: wp.array(dtype=wp.float64), model: Matrix, gain: wp.array(dtype=wp.float64),
-    rates: Matrix, width: int,
-    states: wp.array3d(dtype=wp.float64), covariances: wp.array3d(dtype=wp.float64),
-    sums: wp.array3d(dtype=wp.float64), marks: wp.array3d(dtype=wp.int32),
-    history: wp.array4d(dtype=wp.int32),
-    tolerance: Matrix, value: wp.array2d(dtype=wp.float64), counts: wp.array3d(dtype=wp.float64),
-    active: wp.array3d(dtype=wp.int32),
+    first: Whole, slots: Whole, start: Whole, command: Vector, within: Matrix, tail: Matrix,
+    samples: Whole, innovation: Vector, noise: Vector, model: Matrix, gain: Vector, rates: Matrix,
+    width: int, states: Cube, covariances: Cube, sums: Cube, marks: Wholes,
+    history: wp.array4d(dtype=wp.int32), tolerance: Matrix, value: Matrix, counts: Cube,
+    active: Wholes,
 ):  # fmt: skip
     """Filter one group of channels under one model of arrivals.
 
@@ -272,13 +271,10 @@ def run_filter(
 
 @wp.kernel(enable_backward=False)
 def expect(
-    first: Whole, slots: Whole, start: Whole, command: wp.array(dtype=wp.float64),
-    within: Matrix, tail: Matrix, samples: Whole, innovation: wp.array(dtype=wp.float64),
-    noise: wp.array(dtype=wp.float64), model: Matrix, gain: wp.array(dtype=wp.float64),
+    first: Whole, slots: Whole, start: Whole, command: Vector, within: Matrix, tail: Matrix,
+    samples: Whole, innovation: Vector, noise: Vector, model: Matrix, gain: Vector,
     path: wp.array2d(dtype=wp.int32), rest: Whole, p: int, delay_sd_s: wp.float64,
-    correlation: wp.float64,
-    states: wp.array3d(dtype=wp.float64), covariances: wp.array3d(dtype=wp.float64),
-    mean: wp.array(dtype=wp.float64), sums: wp.array3d(dtype=wp.float64),
+    correlation: wp.float64, states: Cube, covariances: Cube, mean: Vector, sums: Cube,
 ):  # fmt: skip
     """Smooth one channel along its group's path."""
     channel = wp.tid()

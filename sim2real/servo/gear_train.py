@@ -33,7 +33,17 @@ from sim2real.servo.effect_chain import (
     motor_torque,
     train_rotor,
 )
-from sim2real.servo.motor import MOTOR_BIT, Motor, Push, Row, drive_push, gear_friction, resistance
+from sim2real.servo.motor import (
+    MOTOR_BIT,
+    Motor,
+    Push,
+    Row,
+    drive_push,
+    free_mass,
+    gear_friction,
+    pendulum_torque,
+    resistance,
+)
 from sim2real.servo.parameters import (
     FIRST_CELL,
     FIRST_COLUMN,
@@ -41,10 +51,6 @@ from sim2real.servo.parameters import (
     LOAD_CELL,
     ROTOR_INERTIA,
 )
-from sim2real.servo.torques import free_mass, pendulum_torque
-
-vec4 = wp.types.vector(length=4, dtype=wp.float64)
-"""Angle and speed of the motor's side; lead of the motor, and its rate."""
 
 SPRING_DAMPING = 0.05
 """Damping ratio of the two masses on the spring."""
@@ -79,18 +85,6 @@ class Train:
     friction: wp.float64
 
 
-@wp.struct
-class Drive:
-    """The motor's torque from the start of a sub-step: ``torque - stiffness (q - q0) - damping v``.
-
-    The stiffness is kp, or 0 where the drive is clipped. Implicit, as a small rotor is fast.
-    """
-
-    torque: wp.float64
-    stiffness: wp.float64
-    damping: wp.float64
-
-
 @wp.func
 def pressed(
     side: wp.float64,
@@ -123,9 +117,14 @@ def time_to(x: wp.float64, v: wp.float64, a: wp.float64) -> wp.float64:
 
 @wp.func
 def across_gap(
-    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
-) -> vec4:
-    """A sub-step of a train whose flanks are rigid, divided where they meet."""
+    state: wp.vec4d, drive: Push, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
+) -> wp.vec4d:
+    """A sub-step of a train whose flanks are rigid, divided where they meet.
+
+    A state is the angle and speed of the motor's side, the lead of the motor, and its rate. The
+    torque of ``drive`` is from the start: ``torque - stiffness (q - q0) - damping v``; the
+    stiffness is kp, or 0 where it is clipped. Implicit, as a small rotor is fast.
+    """
     zero = wp.float64(0.0)
     q = state[0]
     v = wp.float64(state[1])
@@ -136,7 +135,7 @@ def across_gap(
     while phase < _PHASES and remaining > zero:
         phase += 1
         side = zero
-        joined = vec4(zero, zero, zero, zero)  # both sides as one mass
+        joined = wp.vec4d(zero, zero, zero, zero)  # both sides as one mass
         torque = drive.torque
         if phase > 1:
             torque -= drive.stiffness * (q - state[0])
@@ -147,14 +146,14 @@ def across_gap(
                 v -= g.output_share * rate
                 rate = zero
             end = free_mass(q, v, torque + load, damping, g.total, dry + g.friction, remaining)
-            joined = vec4(end[0], end[1], side * g.half_gap, zero)
+            joined = wp.vec4d(end[0], end[1], side * g.half_gap, zero)
             if pressed(side, v, end[1], torque - damping * v, load, dry, remaining, g):
                 return joined
         motor = free_mass(q, v, torque, damping, g.motor, dry, remaining)
         output = free_mass(q - x, v - rate, load, zero, g.output, g.friction, remaining)
         apart = motor[0] - output[0]
         if wp.abs(apart) <= g.half_gap:
-            return vec4(motor[0], motor[1], apart, motor[1] - output[1])
+            return wp.vec4d(motor[0], motor[1], apart, motor[1] - output[1])
         if wp.sign(apart) == side:  # neither pressed nor parted
             return joined
         side = wp.sign(apart)
@@ -167,13 +166,13 @@ def across_gap(
         rate = motor[1] - output[1]
         x = side * g.half_gap
         remaining -= until
-    return vec4(q, v, x, rate)
+    return wp.vec4d(q, v, x, rate)
 
 
 @wp.func
 def through_spring(
-    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
-) -> vec4:
+    state: wp.vec4d, drive: Push, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
+) -> wp.vec4d:
     """A sub-step of a train that is a spring: the midpoint rule, friction as impulses."""
     zero = wp.float64(0.0)
     half = wp.float64(0.5) * h
@@ -238,13 +237,13 @@ def through_spring(
         if wp.abs(dry_output) < g.friction:
             b = wp.float64(0.5) * w
             output_after = zero
-    return vec4(state[0] + h * a, after, state[2] + h * (a - b), after - output_after)
+    return wp.vec4d(state[0] + h * a, after, state[2] + h * (a - b), after - output_after)
 
 
 @wp.func
 def train_step(
-    state: vec4, drive: Drive, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
-) -> vec4:
+    state: wp.vec4d, drive: Push, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
+) -> wp.vec4d:
     """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
     zero = wp.float64(0.0)
     if g.stiffness > zero:
@@ -253,7 +252,7 @@ def train_step(
         damping = drive.damping + wp.float64(0.5) * h * drive.stiffness
         torque = drive.torque + load
         end = free_mass(state[0], state[1], torque, damping, g.total, dry + g.friction, h)
-        return vec4(end[0], end[1], zero, zero)
+        return wp.vec4d(end[0], end[1], zero, zero)
     return across_gap(state, drive, load, dry, h, g)
 
 
@@ -374,14 +373,13 @@ def train_substep(
     direction = speed
     if v == zero:
         direction = wp.float64(1e-9) * wp.sign(push.torque + load)
-    torque = push.torque - push.damping * speed
-    dry = friction_bound(dry, q, direction, torque, time, h, p, z, others)
-    drive = Drive()
-    drive.torque = push.torque + push.stiffness * half * v  # at the start, not the middle
-    drive.stiffness = push.stiffness
-    drive.damping = push.damping
-    moved = train_step(vec4(state[0], v, lead, rate), drive, load, dry, h, g)
+    dry = friction_bound(
+        dry, q, direction, push.torque - push.damping * speed, time, h, p, z, others
+    )
+    torque = push.torque
+    push.torque = torque + push.stiffness * half * v  # at the start, not the middle
+    moved = train_step(wp.vec4d(state[0], v, lead, rate), push, load, dry, h, g)
     z[cell] = moved[2]
     z[cell + 1] = moved[3]
     middle = wp.float64(0.5) * (v + moved[1])
-    return wp.vec4d(moved[0], moved[1], push.torque - push.damping * middle, (moved[1] - v) / h)
+    return wp.vec4d(moved[0], moved[1], torque - push.damping * middle, (moved[1] - v) / h)

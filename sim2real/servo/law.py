@@ -24,12 +24,14 @@ from sim2real.servo.motor import (
     Row,
     drive_push,
     gear_friction,
+    pd_torque,
+    pendulum_torque,
     resistance,
+    slide,
     soft_stop,
     softness,
 )
 from sim2real.servo.parameters import FIRST_COLUMN, LOAD_CELL
-from sim2real.servo.torques import pd_torque, pendulum_torque, slide
 
 _LIMIT = FIRST_COLUMN["torque_saturation"]
 

@@ -75,9 +75,7 @@ class Residual:
     Attributes:
         trace: The recording.
         residual: Simulated minus measured angle in rad, shape (T,); arbitrary where not used.
-        kp: Fitted proportional gain in N m/rad.
-        kd: Fitted derivative gain in N m s/rad.
-        latency_s: Fitted latency.
+        kp, kd, latency_s: Fitted gains in N m/rad and N m s/rad, and latency.
     """
 
     trace: Trace
@@ -127,11 +125,7 @@ class Modes:
 
 
 def gain_derivatives(residual: Residual) -> Array:
-    """Derivatives of the angle in rad by the latency in s and by the logarithms of kd and kp.
-
-    Returns:
-        Shape (T, 3).
-    """
+    """Derivatives (T, 3) of the angle in rad by the latency in s and the logarithms of kd, kp."""
     modes, t, T = servo_modes(residual), residual.trace.t, residual.trace.t.size
     period = residual.trace.period_s
     change = np.diff(residual.trace.command, prepend=residual.trace.command[0])

@@ -20,12 +20,9 @@ BASE = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s", "inertia_kgm2", "gravity
 
 LINE = ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
 """A motor's torque-speed line."""
-
 CURRENT_LIMIT = "torque_saturation.limit_Nm"
 """Largest torque of the motor at any speed, where its current is limited below that at stall."""
-
 ROTOR = "motor.rotor_inertia_kgm2"
-
 LOSSES = (
     "motor.resistance_rise",
     "motor.coulomb_Nm",
@@ -36,40 +33,29 @@ LOSSES = (
     "motor.stribeck_speed_rad_s",
 )
 """Losses of motor and gears."""
-
 SOFT = ("motor.stick_time_s", "motor.creep_time_s")
 """Time constants with which dry friction stops the shaft."""
-
 LOOP = ("motor.loop_period_s", "motor.loop_phase_s")
 """Sampling times of a sampled controller."""
-
 MOTOR = (*LINE, LOSSES[0], ROTOR, *LOSSES[1:], *SOFT, *LOOP)
 """Columns of the motor's law, see ``motor.py``; all are 0 for a plain PD servo."""
 
 FIRST_MOTOR_COLUMN = len(BASE)
-
 FIRST_EFFECT_COLUMN = len(BASE) + len(MOTOR)
-"""First column of the effects."""
-
 FIRST_COLUMN: Mapping[str, int] = {
     effect.name: FIRST_EFFECT_COLUMN + sum(len(e.parameters) for e in CATALOGUE[:k])
     for k, effect in enumerate(CATALOGUE)
 }
 """Column of each effect's first parameter."""
-
 FIRST_CELL: Mapping[str, int] = {
     effect.name: sum(e.memory for e in CATALOGUE[:k]) for k, effect in enumerate(CATALOGUE)
 }
 """First memory cell of each effect."""
-
 HELD_CELL = sum(effect.memory for effect in CATALOGUE)
 """Memory cell of the drive that a sampled controller holds."""
-
 LOAD_CELL = HELD_CELL + 1
 """Memory cell of the torque of a load that varies with time."""
-
-CELLS = LOAD_CELL + 1
-"""Number of memory cells of one joint."""
+CELLS = LOAD_CELL + 1  # of one joint
 
 COLUMNS = (
     *BASE,
@@ -77,13 +63,10 @@ COLUMNS = (
     *(f"{e.name}.{parameter.name}" for e in CATALOGUE for parameter in e.parameters),
 )
 """Names of all columns of one joint."""
-
 INERTIA_LEFT_OUT = COLUMNS.index("unmodelled_inertia.inertia_kgm2")
 """Column of the inertia in addition to that of the stated load."""
-
 ROTOR_INERTIA = COLUMNS.index(ROTOR)
 """Column of the inertia of rotor and gears."""
-
 TRAIN_ROTORS = tuple(
     COLUMNS.index(f"{effect}.rotor_inertia_kgm2") for effect in ("backlash", "compliance")
 )
@@ -152,13 +135,10 @@ def joint_row(
 def stated(
     row: Array, load: Load, effects: Sequence[FittedEffect] = (), law: Law | None = None
 ) -> JointModel:
-    """The model of a fitted joint, the inverse of ``joint_row``.
+    """The model of a fitted joint, the inverse of ``joint_row``; effects are as given.
 
-    Args:
-        row: Its parameters, shape (len(COLUMNS),), including those of the motor.
-        load: The load that it was fitted with, ``PER_INERTIA`` where none was known.
-        effects: Its fitted effects.
-        law: Its law; by default the motor's if the row has a motor, else the linear one.
+    The load is ``PER_INERTIA`` where none was known. The law is by default the motor's if the row
+    has a motor, else the linear one.
     """
     motor = motor_of(row)
     kp, kd, latency = (float(x) for x in row[:3])
@@ -192,13 +172,8 @@ def in_context(
 ) -> JointModel:
     """The joint in the context of a recording: at its supply voltage and gain of the firmware.
 
-    Its latency is relative to the times at which angles are sampled.
-
-    Args:
-        joint: The fitted joint.
-        supply_ratio: Supply voltage, relative to that of the fit.
-        gain_ratio: Proportional gain of the firmware, relative to that of the fit.
-        sample_delay_s: Time from a recording's ``t`` to the sampling of the angles, s.
+    Both are relative to those of the fit. Its latency is relative to the times at which angles are
+    sampled, ``sample_delay_s`` after a recording's ``t``.
     """
     factors = dict(zip(COLUMNS, context_factors(supply_ratio, gain_ratio), strict=True))
     return replace(

@@ -56,8 +56,9 @@ def predict(
             raise InputError(where, f"{joint}.command_rad", f"joint {joint}", f"one of {modelled}")
     if model.arm is not None:
         from sim2real.arm.arm_loads import predicted_arm
+        from sim2real.arm.multibody import Multibody
 
-        return predicted_arm(model.arm, model.joints, t, command)[1]
+        return predicted_arm(Multibody(model.arm), model.joints, t, command)[1]
     angles = {}
     for joint, sent in command.items():
         origin = f"model, {joint}"
@@ -70,12 +71,7 @@ def predict(
 
 @dataclass(frozen=True)
 class Prediction(NotebookDisplay):
-    """Joint angles that a model predicts from the commands of recordings.
-
-    Attributes:
-        recordings: The R recordings.
-        angles: Predicted angles in rad of each recording's joints, R arrays of shape (T, J).
-    """
+    """Joint angles in rad, of each recording (T, J), that a model predicts from its commands."""
 
     recordings: tuple[Recording, ...]
     angles: tuple[Array, ...]
@@ -108,18 +104,12 @@ class Prediction(NotebookDisplay):
             path=None,
         )
 
-    def __str__(self) -> str:
-        """The error of each joint in each recording."""
-        return "\n".join(
-            f"{name}, {joint}: {1e3 * error:.2f} mrad" for (name, joint), error in self.rmse.items()
-        )
-
     def plot(self, recording: int = 0, joint: str | None = None) -> Figure:
         """Measured and predicted angles of one joint of one recording."""
         shown = self.recordings[recording]
         name = shown.joints[0] if joint is None else joint
         angles = self.angles[recording][:, shown.joints.index(name)]
-        figure: Figure = from_report("fit_plot.fit_figure")(shown, name, angles)
+        figure: Figure = from_report("series.fit_figure")(shown, name, angles)
         return figure
 
 
@@ -129,11 +119,9 @@ def predict_recordings(recordings: Sequence[Recording], model: Model) -> Predict
     Raises:
         InputError: If a joint is not in the model.
     """
-    angles = []
-    for recording in recordings:
-        predicted = _predicted(model, recording, recording.commands)
-        angles.append(np.stack(list(predicted.values()), axis=1))
-    return Prediction(tuple(recordings), tuple(angles))
+    predicted = (_predicted(model, recording, recording.commands) for recording in recordings)
+    angles = tuple(np.stack(list(each.values()), axis=1) for each in predicted)
+    return Prediction(tuple(recordings), angles)
 
 
 def _predicted(
@@ -148,13 +136,9 @@ def _predicted(
 
 @dataclass(frozen=True)
 class Replay:
-    """One joint of one recording and the model's prediction for its commands.
+    """One joint of one recording and the angles in rad (T,) predicted for its commands.
 
-    Attributes:
-        recording: The recording.
-        joint: Name of the joint.
-        predicted: Predicted angles in rad, shape (T,).
-        held_out: Mask of the samples that the fit did not use, shape (T,).
+    ``held_out`` is a mask of the samples that the fit did not use, shape (T,).
     """
 
     recording: Recording
@@ -166,12 +150,9 @@ class Replay:
 def replay(
     model: Model, recordings: Sequence[Recording], held_out: str | None = None
 ) -> list[Replay]:
-    """Predict every joint of the model in every recording that contains it.
+    """Predict every joint of a model in every recording that it was identified from.
 
-    Args:
-        model: The fitted model.
-        recordings: The recordings that the model was identified from.
-        held_out: Name of the held-out recording, as passed to ``identify``.
+    ``held_out`` is the name of the held-out recording, as passed to ``identify``.
     """
 
     @cache

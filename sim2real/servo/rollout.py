@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim2real.arrays import Array, Index, Integers
 from sim2real.effects import CATALOGUE
+from sim2real.recording import VaryingLoad
 from sim2real.servo.kernel import KERNELS, solve_servos
 from sim2real.servo.motor import MOTOR_BIT
 from sim2real.servo.parameters import (
@@ -24,7 +25,6 @@ from sim2real.servo.parameters import (
     context_factors,
 )
 from sim2real.servo.trace import Trace
-from sim2real.varying_load import VaryingLoad
 
 STEPS_PER_RADIAN = 32.0
 """Sub-steps per radian of the fastest mode; half of them change no angle by more than 1e-4 rad."""
@@ -46,7 +46,6 @@ def rollout(
     varying: VaryingLoad | None = None,
     steps_per_radian: float = STEPS_PER_RADIAN,
     substep_s: float | Array | None = None,
-    threads: int = 1,
 ) -> Array:
     """Simulate servos from rest on their first command.
 
@@ -61,49 +60,29 @@ def rollout(
         steps_per_radian: Sub-steps per radian of the fastest mode's phase.
         substep_s: Longest sub-step in s, for all rows or of shape (B,); by default determined
             by ``steps_per_radian``, at most 2 ms. A common value makes differences of rows smooth.
-        threads: CPU threads to share the batch.
 
     Returns:
         Measured angles in rad at ``t``, shape (B, T).
     """
     rows = np.ascontiguousarray(theta, dtype=np.float64)
-    B, T = rows.shape[0], t.size
-    position = np.empty((B, T))
     active = active_effects(rows)
-    longest = np.full(B, substep_s)
+    longest = np.full(len(rows), substep_s)
     if substep_s is None:
         steps = np.where(active != 0, 2 * steps_per_radian, steps_per_radian)
         longest = longest_substep(rows, rows[:, BASE.index("inertia_kgm2")], steps)
-    signal = np.zeros(B, dtype=np.int32)
-    arrays = (t[None], command[None], np.array([T], dtype=np.int32))
+    arrays = (t[None], command[None], np.array([t.size], dtype=np.int32))
     signals = [to_warp(x, "cpu") for x in (*arrays, *padded_loads([varying], t[:1]))]
-
-    def simulate_part(part: slice) -> None:
-        servos = to_warp(rows[part], "cpu")
-        out: Any = wp.array(position[part], dtype=wp.float64, device="cpu", copy=False)
-        simulate(active[part], rows[part, 2], servos, signal[part], signals, longest[part], out)
-
-    edges = np.linspace(0, B, min(max(threads, 1), B) + 1).astype(int)
-    parts = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    if len(parts) == 1:
-        simulate_part(parts[0])
-    else:
-        list(workers(len(parts)).map(simulate_part, parts))
-    return position
+    out = to_warp(np.empty((len(rows), t.size)), "cpu")
+    signal = np.zeros(len(rows), dtype=np.int32)
+    simulate(active, rows[:, 2], to_warp(rows, "cpu"), signal, signals, longest, out)
+    return np.asarray(out.numpy())
 
 
-def rollout_on(
-    trace: Trace, theta: Array, *, substep_s: float | None = None, threads: int = 1
-) -> Array:
-    """Measured angles in rad of servos (B, P) on a recording's commands and load, shape (B, T).
-
-    ``substep_s`` and ``threads`` are those of ``rollout``.
-    """
+def rollout_on(trace: Trace, theta: Array, *, substep_s: float | None = None) -> Array:
+    """Measured angles in rad of servos (B, P) on a recording's commands and load, shape (B, T)."""
     factor, offset = trace_contexts([trace])
     rows = theta * factor + offset
-    return rollout(
-        rows, trace.t, trace.command, varying=trace.varying, substep_s=substep_s, threads=threads
-    )
+    return rollout(rows, trace.t, trace.command, varying=trace.varying, substep_s=substep_s)
 
 
 def longest_substep(
@@ -114,11 +93,7 @@ def longest_substep(
 ) -> Array:
     """Longest sub-step in s that resolves the fastest mode, at least ``SHORTEST_SUBSTEP_S``.
 
-    Args:
-        theta: Parameters, shape (..., P).
-        inertia: Inertia of the stated load in kg m2, shape (...).
-        steps_per_radian: Sub-steps per radian of the fastest mode.
-        longest_s: Upper limit in s.
+    ``theta``: parameters, shape (..., P); ``inertia`` of the stated load in kg m2, shape (...).
     """
     kp, kd = np.abs(theta[..., 0]), theta[..., 1]
     total = inertia + beyond_load(theta)
@@ -157,11 +132,7 @@ def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
 
 
 def padded_loads(loads: Sequence[VaryingLoad | None], start: Array) -> tuple[Array, Array]:
-    """Loads that vary with time as arrays, padded to the length K of the longest.
-
-    Args:
-        loads: The load of each of S signals.
-        start: Time of the first sample of each signal in s, shape (S,).
+    """Loads of S signals, whose first samples are at ``start`` (S,) in s, padded to the longest.
 
     Returns:
         Time from the first value to the first sample in s, time between values in s, 0 for a
@@ -193,15 +164,9 @@ def trace_contexts(traces: Sequence[Trace]) -> tuple[Array, Array]:
 
 
 class Simulator:
-    """Simulates servos with any parameters on the recordings of one joint."""
+    """Simulates servos with any parameters on the S recordings of one joint."""
 
     def __init__(self, traces: Sequence[Trace], threads: int = 2) -> None:
-        """Copy the recordings to Warp arrays.
-
-        Args:
-            traces: S recordings of one joint.
-            threads: CPU threads.
-        """
         self.traces, self.threads = traces, threads
         signals, position, self._load = padded(traces)
         self._factor, self._offset = trace_contexts(traces)
@@ -224,11 +189,7 @@ class Simulator:
     ) -> Array:
         """Sub-step in s for each of the servos (B, P), shape (B,), infinite for exact solutions.
 
-        Args:
-            theta: The servos.
-            steps_per_radian: Sub-steps per radian of the fastest mode.
-            longest_s: Upper limit in s.
-            exact: Whether to solve exactly; by default if all servos are linear.
+        ``exact``: whether to solve exactly; by default if all servos are linear.
         """
         if self.is_linear(theta) if exact is None else exact:
             return np.full(len(theta), np.inf)
@@ -253,13 +214,7 @@ class Simulator:
         ]
 
     def run(self, theta: Array, substep_s: float | Array) -> Any:  # noqa: ANN401 - Warp has no stubs
-        """Angles of servos (B, P) as a Warp array, one row per servo and recording, (B * S, T).
-
-        ``substep_s`` is that of ``angles``.
-
-        Raises:
-            ValueError: If the sub-step is infinite and a servo is not linear.
-        """
+        """Angles as a Warp array (B * S, T), one row per servo and recording, see ``angles``."""
         exact = bool(np.isinf(substep_s).all())
         if exact and not self.is_linear(theta):
             raise ValueError("no exact solution with effects, a pendulum or a varying load")
@@ -310,8 +265,8 @@ def simulate(
         active: Effects of each, see ``active_effects``, shape (N,).
         latency: Latency of each in s, shape (N,).
         theta: Their parameters, a Warp array (N, P).
-        signal: Index of the signal of each, shape (N,).
-        signals: The signals of ``padded``, Warp arrays.
+        signal: Index in ``signals``, the Warp arrays of ``padded``, of each, shape (N,).
+        signals: See ``signal``.
         longest: Longest sub-step of each in s, shape (N,).
         out: Output, the angles in rad, a Warp array (N, T).
         rows: Indices of the rollouts to simulate, shape (M,); all by default.

@@ -11,13 +11,28 @@ from sim2real.arrays import Array, Mask
 from sim2real.errors import InputError
 from sim2real.inference.correlated_noise import counting, lags
 from sim2real.noise import noise_floor, quantization_step
-from sim2real.recording import PER_INERTIA, Load, Recording
-from sim2real.servo.reported_drive import ReportedDrive, reported_drive
+from sim2real.recording import PER_INERTIA, Load, Recording, VaryingLoad
 from sim2real.structured import Fields
-from sim2real.varying_load import VaryingLoad
 
 FINEST_NOISE_RAD = 1e-6
 """Smallest noise: recordings are written with six decimals."""
+
+
+@dataclass(frozen=True)
+class ReportedDrive:
+    """Controller that the reported drive shows: ``drive = gain (u(t - latency) - q - lead v)``.
+
+    Attributes:
+        per_rad: Gain, as a share of the full drive per radian.
+        latency_s: Latency of the set-point u, s.
+        lead_s: Derivative time of the controller, s; 0 for a proportional controller.
+        period_s: Sampling period: a sample's columns may be read at times this far apart.
+    """
+
+    per_rad: float
+    latency_s: float
+    lead_s: float
+    period_s: float
 
 
 @dataclass(frozen=True)
@@ -125,6 +140,63 @@ def trace(recording: Recording, joint: str) -> Trace:
     )
 
 
+def reported_drive(
+    t: Array,
+    command: Array,
+    position: Array,
+    load: Array,
+    sample_delay_s: float = 0.0,
+    *,
+    fewest: int = 50,
+    saturated: float = 0.95,
+    rounding: float = 0.01,
+    unexplained: float = 0.02,
+) -> ReportedDrive | None:
+    """The controller, if the reported load is the drive.
+
+    The load counts as the drive, as a share of the full drive, if it is between -1 and 1 and
+    proportional to the control error until it saturates; a measured torque or current is not.
+    Gain, latency and derivative time then follow by least squares from the samples below the limit,
+    to first order in the latency. The prior of both times is 0 with a sampling period as standard
+    deviation, which decides where one frequency alone cannot tell them from the gain.
+
+    Args:
+        t: Times in s, shape (T,).
+        command: Set-points in rad, shape (T,).
+        position: Measured angles in rad, shape (T,), NaN where missing.
+        load: Reported load, shape (T,), NaN where missing.
+        sample_delay_s: Time from ``t`` to the sampling of angles and loads, s.
+        fewest: Smallest number of samples.
+        saturated: Drive from which it counts as saturated.
+        rounding: Excess over the full drive that counts as rounding.
+        unexplained: Largest share of the drive's power that the error does not explain.
+    """
+    error = command - position
+    valid = np.isfinite(error) & np.isfinite(load)
+    if np.count_nonzero(valid) < fewest or np.abs(load[valid]).max() > 1 + rounding:
+        return None
+    t, command, position, error, drive = (x[valid] for x in (t, command, position, error, load))
+    unsaturated = (np.abs(drive) < saturated) & (np.abs(error) > 0)
+    if np.count_nonzero(unsaturated) < fewest:
+        return None
+    slope = float(error[unsaturated] @ drive[unsaturated] / np.sum(error[unsaturated] ** 2))
+    residual = drive - np.clip(slope * error, -1.0, 1.0)
+    power = float(np.sum(drive**2))
+    if slope <= 0 or power == 0 or np.sum(residual**2) > unexplained * power:
+        return None
+    period = float(np.median(np.diff(t)))
+    terms = np.stack([error, np.gradient(command, t), np.gradient(position, t)], axis=1)
+    noise = np.sqrt(np.mean(residual[unsaturated] ** 2))
+    # u(t + delay - latency) has the coefficient gain (delay - latency) of the command's rate
+    prior = np.array([[-sample_delay_s, 1.0, 0.0], [0.0, 0.0, 1.0]]) * noise / (slope * period)
+    matrix = np.concatenate([terms[unsaturated], prior])
+    target = np.concatenate([drive[unsaturated], np.zeros(len(prior))])
+    gain, *rates = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    sooner, lead = (float(-rate / gain) for rate in rates)
+    latency = max(sooner + sample_delay_s, 0.0)
+    return ReportedDrive(float(gain), latency, max(lead, 0.0), period)
+
+
 def context_of(recording: Recording) -> dict[str, float]:
     """The context that a recording states: ``supply_ratio``, ``gain_ratio``, ``sample_delay_s``.
 
@@ -163,11 +235,7 @@ def at_one_gain(recordings: Sequence[Recording], gain: float | None = None) -> l
 
 
 def firmware_gain(recording: Recording) -> float | None:
-    """``firmware_p_gain`` of a recording, None where it states none.
-
-    Raises:
-        InputError: If it is not a positive number.
-    """
+    """``firmware_p_gain`` of a recording, None where it states none; InputError if it is none."""
     if recording.metadata.get("firmware_p_gain") is None:
         return None
     return Fields(recording.file, "", recording.metadata).number("firmware_p_gain", above=0.0)
@@ -180,11 +248,7 @@ def sensor_noise(traces: Sequence[Trace]) -> float:
 
 
 def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> None:
-    """Check that a joint has at least ``fewest`` measured angles for a fit.
-
-    Raises:
-        InputError: If it has too few.
-    """
+    """Raise an InputError unless a joint has at least ``fewest`` measured angles for a fit."""
     count = sum(int(trace.used.sum()) for trace in traces)
     if count < fewest:
         found = f"{count} measured angles while its torque is on"
@@ -192,11 +256,7 @@ def check_samples(traces: Sequence[Trace], joint: str, *, fewest: int = 20) -> N
 
 
 def check_runs(traces: Sequence[Trace], joint: str) -> None:
-    """Check that a joint has enough consecutive samples to fit an autoregressive noise model.
-
-    Raises:
-        InputError: If it has too few.
-    """
+    """Raise an InputError unless enough samples are consecutive for an autoregressive noise."""
     count = order = 0
     for trace in traces:
         order = max(order, lags(trace.period_s))

@@ -49,11 +49,6 @@ class ServoLibrary(NotebookDisplay):
     def __len__(self) -> int:
         return len(self.entries)
 
-    def __str__(self) -> str:
-        """One line per servo: type, supply, gain, load, error, origin."""
-        text: str = from_report("servo_table.table_of")(self.entries)
-        return text
-
     def plot(self) -> Figure:
         """Stall torque and no-load speed of the servos."""
         figure: Figure = from_report("servo_table.motor_figure")(self.entries)

@@ -87,11 +87,6 @@ class ServoEntry(NotebookDisplay):
             fit={f"{joint}.position_rad": figures for joint in names} if figures else {},
         )
 
-    def __str__(self) -> str:
-        """What it is, and its parameters with intervals."""
-        text: str = from_report("servo_table.entry_report")(self)
-        return text
-
     def plot(self) -> Figure:
         """Stall torque and no-load speed of the servo."""
         figure: Figure = from_report("servo_table.motor_figure")([self])

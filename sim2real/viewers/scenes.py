@@ -1,8 +1,9 @@
-"""Scenes of recordings, predictions and diagnoses."""
+"""Scenes, signals over time and lines that move in space: of recordings and of results."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,18 +12,75 @@ from sim2real.diagnose.result import Diagnosis, JointSeries
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.units import readable_name, unit_of
-from sim2real.viewers.signal_group import (
-    COMMAND,
-    MEASURED,
-    PREDICTED,
-    MovingLine,
-    Scene,
-    SignalGroup,
-)
 
+COMMAND, MEASURED, PREDICTED = "command", "measured", "predicted"
+"""Names of signals; a command holds until the next one."""
 POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
 _OTHER_UNITS = {"_A": "A", "_V": "V", "_C": "°C"}
 """Units of columns that no parameter has."""
+
+
+@dataclass(frozen=True)
+class SignalGroup:
+    """Signals of one quantity on one time axis.
+
+    Attributes:
+        path: Where it belongs, outermost first: ``("steps", "j1", "position")``.
+        unit: SI unit of all signals; empty for pure numbers.
+        t: Times in s, shape (T,), increasing.
+        signals: Values by name, each of shape (T,), NaN where missing. Signals without any value
+            are left out.
+    """
+
+    path: tuple[str, ...]
+    unit: str
+    t: Array
+    signals: Mapping[str, Array]
+
+    def __post_init__(self) -> None:
+        valued = {name: x for name, x in self.signals.items() if np.isfinite(x).any()}
+        object.__setattr__(self, "signals", valued)
+
+
+@dataclass(frozen=True)
+class MovingLine:
+    """A line that moves: the axis of a robot from its head to its tail.
+
+    Attributes:
+        path: Where it belongs, outermost first: ``("swim", "measured")``.
+        t: Times in s, shape (T,), increasing.
+        points: Ends and joints of its links in m, world frame, shape (T, L + 1, 3), finite.
+    """
+
+    path: tuple[str, ...]
+    t: Array
+    points: Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a file for a viewer holds; ``a + b`` holds both, with the signals of equal paths merged.
+
+    Attributes:
+        groups: Signals over time.
+        tracks: Lines that move in space.
+    """
+
+    groups: tuple[SignalGroup, ...] = ()
+    tracks: tuple[MovingLine, ...] = ()
+
+    def __add__(self, other: Scene) -> Scene:
+        """Return the contents of both; times of equal paths must be equal."""
+        groups = {group.path: group for group in self.groups}
+        for group in other.groups:
+            known = groups.get(group.path)
+            if known is not None:
+                if not np.array_equal(known.t, group.t):
+                    raise ValueError(f"{'/'.join(group.path)}: two time axes")
+                signals = {**known.signals, **group.signals}
+                group = SignalGroup(known.path, known.unit, known.t, signals)
+            groups[group.path] = group
+        return Scene(tuple(groups.values()), self.tracks + other.tracks)
 
 
 def recorded(recording: Recording, robot: Robot | None = None, name: str = MEASURED) -> Scene:

@@ -22,15 +22,13 @@ from arm.pendulum import (
 from scipy.integrate import solve_ivp
 
 from sim2real import verbs
-from sim2real.arm.arm_loads import with_arm_loads
-from sim2real.arm.joint_motion import measured_motion
+from sim2real.arm.arm_loads import measured_motion, with_arm_loads
 from sim2real.arm.multibody import Multibody
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model, read_model, write_model
-from sim2real.recording import Load, write_recording
+from sim2real.recording import Load, VaryingLoad, write_recording
 from sim2real.servo.parameters import COLUMNS
 from sim2real.servo.rollout import rollout
-from sim2real.varying_load import VaryingLoad
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +163,7 @@ def test_the_model_file_has_the_arm(robot, recordings, model, tmp_path):
 
 
 def test_loads_follow_from_the_measured_motion(robot, recordings):
-    smooth = measured_motion(recordings[0], ("hip", "knee"), np.zeros(2))
+    smooth = measured_motion(recordings[0], robot.arm)
     (loaded,) = with_arm_loads(recordings[:1], robot)
     inertia, _ = Multibody(robot.arm).loads(smooth.angle, smooth.velocity, smooth.acceleration)
     assert loaded.varying_loads["hip"].inertia_kgm2 == pytest.approx(inertia[:, 0])

@@ -8,6 +8,7 @@ import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -263,6 +264,20 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     assert not (bench / "p.csv").exists()
 
 
+class InThisProcess(nullcontext):
+    """An executor whose work is done where it is submitted."""
+
+    def __init__(self, *_):
+        super().__init__(self)
+
+    def submit(self, work, *given):
+        value = work(*given)
+        return SimpleNamespace(result=lambda: value)
+
+    def shutdown(self, **_):
+        pass
+
+
 @pytest.mark.parametrize("train", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     """With ten seconds of each recording, the shipped agents or a training too short to learn."""
@@ -270,16 +285,14 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     from rl.task import TASKS, shortened
 
     if not train:  # in this process, where the trials are short; the slow tests start the second
-        monkeypatch.setattr(
-            "rl.commands.demo.Alongside", lambda work, *given: nullcontext(work(*given))
-        )
+        monkeypatch.setattr("rl.commands.demo.ProcessPoolExecutor", InThisProcess)
         monkeypatch.setitem(TASKS, "turn", shortened(TASKS["turn"], 100))
     task = shortened(demo_pool.QUICK.task, 200)
     quick = replace(demo_pool.QUICK, task=task, steps=1_280, envs=4, segment=640)
     monkeypatch.setattr(demo_pool, "QUICK", quick)  # for the ablation alone
     monkeypatch.setattr(demo_pool, "SEEDS", 2)
     monkeypatch.setattr(demo_pool, "REPEATS", 2)
-    monkeypatch.setattr("rl.commands.demo_swim.LONGEST", 50)
+    monkeypatch.setattr("rl.commands.demo.LONGEST", 50)
     out, data = tmp_path / "demo", short / "datasets"
     folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
     assert main(["demo", *folders, "--out", str(out), *(["--train"] if train else [])]) == 0
@@ -304,23 +317,14 @@ def test_demo_ends_in_a_page(train, short, tmp_path, capsys, monkeypatch):
     assert len(agents[0]["reality"]["return"]) == 2
 
 
-def test_demo_says_where_its_agents_are_for_another_robot(tmp_path, capsys, monkeypatch):
-    """As where a calibration comes out otherwise than that which the agents were trained for."""
-    demo = pytest.importorskip("rl.commands.demo", reason="no extra 'rl'")
-    said = demo._drift_warning(2.5)
-    assert "another calibration" in said and "2.5 times" in said and "--train" in said
-    assert "\n" not in said
-
-
 @pytest.mark.slow
 def test_demo_as_it_ships_finds_the_servos_calibration_significant(tmp_path, capsys):
     pytest.importorskip("rl.commands.demo", reason="no extra 'rl'")
-    from rl.experiments.differences import differences
+    from rl.experiments.statistics import differences
 
     data, out = ROOT / "datasets", tmp_path / "demo"
     folders = ["--data", str(data / "servo_steps"), "--pool", str(data / "pool")]
     assert main(["demo", *folders, "--out", str(out)]) == 0
-    assert "note:" not in capsys.readouterr().out, "the agents are for this very calibration"
     apart = differences(json.loads((out / "ablation" / "ablation.json").read_text()))
     assert apart["no-servo"].low > 0
     assert all(apart["no-servo"].mean > one.mean for arm, one in apart.items() if arm != "no-servo")

@@ -13,7 +13,7 @@ import sim.verbs
 import sim2real as s2r
 import sim2real.verbs
 from sim2real.cli import main, parser
-from sim2real.commands.verb import add_verb, described_arguments
+from sim2real.commands.command import add_verb, described_arguments
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = ROOT / "datasets" / "servo_steps"

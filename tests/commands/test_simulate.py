@@ -1,6 +1,4 @@
-"""``simulate`` and ``validate`` as their users run them."""
-
-import json
+"""``simulate`` as its users run it."""
 
 import numpy as np
 import pytest
@@ -89,19 +87,6 @@ def test_what_cannot_swim_is_refused_in_one_line(files, capsys):
     robot.write_text(ROBOT.format(mass=0.4).replace("length_m = 0.25", "length_m = 2.5"))
     refused(capsys, files(), "shorter than the box")
     assert not (files.folder / "swim.csv").exists()
-
-
-def test_validate_prints_its_figures_and_writes_a_page(tmp_path, capsys):
-    page = tmp_path / "validation.html"
-    assert main(["validate", "--quick", "--only", "taylor_green", "--out", str(page)]) == 0
-    printed = capsys.readouterr().out
-    assert "order of convergence" in printed
-    assert "met" in printed
-    assert "<svg" in page.read_text() or "order of convergence" in page.read_text()
-    case = json.loads(page.with_suffix(".json").read_text())["cases"][0]
-    assert case["name"] == "taylor_green"
-    assert main(["validate", "--only", "magic", "--out", str(page)]) == 2
-    assert "magic" in capsys.readouterr().err
 
 
 def test_a_picture_and_a_video_of_the_swim(files):

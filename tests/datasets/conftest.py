@@ -15,7 +15,7 @@ os.environ.setdefault("NUMBA_OPT", "1")  # read by Numba when it is imported; co
 DATASETS = Path(__file__).parents[2] / "datasets"
 POOL = (
     "truth", "servos", "surfaces", "waters", "camera", "world", "make", "drawn", "knower",
-    "sealed", "sealed_grade",
+    "sealed",
 )  # fmt: skip
 
 _loaded: dict[tuple[Path, str], ModuleType] = {}

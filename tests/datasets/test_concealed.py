@@ -66,25 +66,6 @@ def test_with_nothing_hidden_it_is_a_pd_servo(code):
         assert np.abs(error).max() < 0.6e-3
 
 
-def test_nuisances_stay_below_the_noise(null_case):
-    case, _ = null_case
-    take = case.takes["a"]
-    for j, servo in enumerate(case.servos):
-        world = case.world("a")
-        with_them = world.seen(take.t, take.command, take.chance, [j])[0]
-        world.joints["ripple_Nm"] = 0
-        world.joints["tooth_error_rad"] = 0
-        apart = with_them - world.seen(take.t, take.command, take.chance, [j])[0]
-        assert np.std(apart) < 0.35 * np.hypot(servo.sensor.white_rad, servo.sensor.wander_rad)
-
-
-def test_duty_cycle_never_saturates_with_nothing_hidden(code):
-    case, _ = code["cases"].draw_case("null", "", np.random.default_rng(2))
-    for name, take in case.takes.items():
-        motion = case.world(name).motion(take.t, take.command, take.chance, range(3))
-        assert motion.figures[:, code["rollout"].DUTY_PEAK].max() < 1
-
-
 def test_every_effect_changes_the_reading(code, null_case):
     case, scales = null_case
     take = case.takes["a"]

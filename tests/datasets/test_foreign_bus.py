@@ -57,18 +57,6 @@ def test_delays_have_their_distribution(packets, delay, skewness, correlation):
     assert (neighbours > 0.6) if correlation else (abs(neighbours) < 0.02)
 
 
-@pytest.mark.parametrize("delay", ["uniform", "gamma", "exponential"])
-def test_a_halfwidth_is_that_of_a_uniform_delay(code, packets, delay):
-    """The standard deviation is the halfwidth over sqrt(3), whatever the distribution."""
-    t = 0.1 * np.arange(20_000)
-    world = code["foreign_world"]
-    take = world.Take(t, np.zeros((t.size, 2)), packets(t.size, delay=delay), 0.0)
-    received, arrival = world.deliveries(take, 0, 0.05, {"latency_jitter": {"halfwidth_s": 0.01}})
-    late = arrival - t[received]
-    assert late.mean() == pytest.approx(0.05, abs=2e-4)
-    assert late.std() == pytest.approx(0.01 / np.sqrt(3), rel=0.03)
-
-
 def test_a_queue_keeps_order_and_else_packets_overtake(packets):
     sent = 0.005 * np.arange(2000)
     for in_order in (True, False):
@@ -85,38 +73,6 @@ def test_a_queue_keeps_order_and_else_packets_overtake(packets):
         else:
             assert (np.diff(received) < 0).mean() > 0.1
             assert when == pytest.approx(arrival[received])
-
-
-def test_a_servo_applies_an_older_command_that_arrives_later(code):
-    bus = code["bus"].Bus(in_order=False)
-    late, still = np.array([[0.0], [2.5], [0.0], [0.0]]), np.ones((4, 1))
-    t, command = 0.01 * np.arange(4), np.array([[0.0], [1.0], [2.0], [3.0]])
-    world = code["foreign_world"]
-    take = world.Take(t, command, code["bus"].Packets(bus, late, still), 0.0)
-    jitter = {"latency_jitter": {"halfwidth_s": 0.006 * np.sqrt(3)}}
-    when, setpoint = world.arrivals(take, 0, 0.02, jitter)
-    assert setpoint.tolist() == [0.0, 2.0, 1.0, 3.0]
-    assert when == pytest.approx([0.02, 0.04, 0.045, 0.05])
-
-
-def test_one_packet_has_common_events_and_separate_ones_independent_events(packets):
-    common, separate = packets(common_packet=True), packets(common_packet=False)
-    assert (common.lost(0, 0.03) == common.lost(1, 0.03)).all()
-    assert (common.delay[:, 0] == common.delay[:, 1]).all()
-    both = separate.lost(0, 0.03) & separate.lost(1, 0.03)
-    assert both.mean() == pytest.approx(0.03**2, rel=0.4)
-    assert abs(np.corrcoef(separate.delay.T)[0, 1]) < 0.01
-
-
-def test_every_kind_of_bus_is_drawn(code):
-    rng = np.random.default_rng(0)
-    buses = [code["bus"].draw_bus(rng) for _ in range(200)]
-    kinds = {
-        (b.common_packet, b.burst_packets > 0, b.delay, b.correlation_packets > 0, b.in_order)
-        for b in buses
-    }
-    assert len(kinds) > 40  # of 48
-    assert all(b.burst_packets == 0 or 2 <= b.burst_packets <= 6 for b in buses)
 
 
 @pytest.mark.parametrize("effect", ["latency_jitter", "packet_loss"])
@@ -141,12 +97,3 @@ def test_the_answers_say_when_each_event_happened(code, effect):
                 assert np.std(events["delay_s"]) > 0.3 * answer["added_delay_standard_deviation_s"]
         if answer["packets"] == "common":
             assert len({str(events["lost_s"]) for events in joints.values()}) == 1
-
-
-def test_a_case_without_a_link_effect_has_a_perfect_bus(code):
-    case = code["foreign_cases"].draw_case("voltage", "single", "cogging", np.random.default_rng(1))
-    assert code["bus_answer"].bus_answer(case) == {}
-    take = case.takes["a"]
-    received, arrival = code["foreign_world"].deliveries(take, 0, 0.01, {})
-    assert received.tolist() == list(range(take.t.size))
-    assert arrival == pytest.approx(take.t + 0.01)

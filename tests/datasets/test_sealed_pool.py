@@ -16,17 +16,6 @@ from sim2real.robot import read_robot
 POOL = Path(__file__).parents[2] / "datasets" / "pool"
 
 
-def test_every_effect_has_its_turn(code):
-    drawn, counts = code["drawn"], {"null": 5, "single": 40, "double": 6, "outside": 12}
-    plans = drawn.plan(counts, 4, np.random.default_rng(0))
-    listed = [one for robot in plans for one in robot]
-    kinds = [kind for kind, _ in listed]
-    assert {k: kinds.count(k) for k in counts} == counts
-    singles = [name for kind, name in listed if kind == "single"]
-    assert all(singles.count(name) == 2 for name in drawn.NOMINAL)
-    assert {name for kind, name in listed if kind == "outside"} == set(drawn.OUTSIDE)
-
-
 def test_the_same_seed_draws_the_same_set(code):
     made = code["sealed"].made
     one, other, third = (made(seed, 4, 2, code["sealed"].COUNTS) for seed in (5, 5, 6))
@@ -37,19 +26,6 @@ def test_the_same_seed_draws_the_same_set(code):
                  for s in c.strength.values()]  # fmt: skip
     assert min(strengths) < 0.4
     assert 2.0 < max(strengths) <= 3.0
-
-
-def test_a_drawn_robot_floats_and_can_be_read(code, tmp_path):
-    drawn, *_ = code["sealed"].made(3, 4, 1, code["sealed"].COUNTS)
-    file = tmp_path / "robot.toml"
-    file.write_text(code["sealed"].robot_toml(drawn))
-    robot = read_robot(file)
-    assert [link.length_m for link in robot.links] == [link.length_m for link in drawn.robot.links]
-    hull = hull_of(robot)
-    displaced = 1000 * np.pi * (hull.half_width * hull.half_height).mean(axis=1) * hull.length
-    assert 0.85 < sum(link.mass_kg for link in robot.links) / displaced.sum() < 1.0
-    for name in ("kp", "kd"):
-        assert np.allclose(drawn.bench[name], drawn.servos[name], rtol=0.051)
 
 
 def test_a_drawn_robot_carries_a_bar_whose_drag_its_file_states(code, tmp_path):
@@ -79,26 +55,6 @@ def test_a_drawn_robot_carries_a_bar_whose_drag_its_file_states(code, tmp_path):
         power = (out * v).sum(axis=1)
         assert power[0] < 0
         assert power[1] == pytest.approx(1.2 * power[0])
-
-
-@pytest.fixture
-def moving(code):
-    """Links of the robot that ships, at coordinates and rates of no special kind."""
-    robot = read_robot(POOL / "robot.toml")
-    hull = hull_of(robot)
-    q = np.random.default_rng(0).normal(0, 0.5, (1, 6))
-    v = np.random.default_rng(1).normal(0, 0.5, (1, 6))
-    return hull, q, v
-
-
-@pytest.mark.parametrize("effect", ["linear_drag", "form_drag"])
-def test_drags_take_power(code, moving, effect):
-    hull, q, v = moving
-    truths = [code["truth"].Truth("x", {effect: {"coefficient": 0.5}})]
-    links = code["surfaces"].Links(hull, 0.1)
-    out = np.zeros((1, 6))
-    code["waters"].Waters(truths, hull, links, 1e-3).add(out, q, v, np.zeros((1, 2)), 0.0)
-    assert float((out * v).sum()) < 0
 
 
 def test_water_that_is_carried_gives_back_what_it_took(code):
@@ -139,33 +95,6 @@ def test_the_camera_has_the_faults_that_the_catalogue_means(code, effect, parame
     ours = observed(t, pose, {f"{effect}.{k}": v for k, v in parameters.items()})
     assert np.abs(shown - ours).max() < 0.01 * np.ptp(pose)
     assert np.abs(shown - pose).max() > 0.005
-
-
-def test_lost_frames_repeat_to_the_last_digit(code):
-    t = 0.02 * np.arange(2000)
-    pose = np.stack([0.3 * t, 0.0 * t, 0.0 * t], axis=1)
-    noise = {"position_m": 0.002, "heading_rad": 0.01}
-    effects = {"dropped_frames": {"probability": 0.1}}
-    shown = code["camera"].seen(
-        t, pose, np.zeros((2000, 3)), effects, np.random.default_rng(0), noise
-    )
-    same = (np.diff(shown, axis=0) == 0).all(axis=1)
-    assert same.mean() == pytest.approx(0.1, abs=0.03)
-
-
-def test_a_fin_that_is_loose_is_held_by_little(code):
-    truth = code["truth"].Truth
-    loose = truth("x", {"loose_fin": {"stiffness_Nm_per_rad": 0.1, "from_s": 1.0}})
-    fin = code["servos"].LooseFin([loose, truth("y")], 1e-3)
-    turn, rate, torque = np.array([0.2, 0.2]), np.zeros(2), np.array([1.5, 1.5])
-    servo = np.array([[2.0, 2.0], [0.07, 0.07], [0.5, 0.5]])
-    assert fin.torque(0.5, turn, rate, torque, servo).tolist() == [1.5, 1.5]
-    after = fin.torque(1.5, turn, rate, torque, servo)
-    assert abs(after[0]) < 0.01
-    assert after[1] == 1.5
-    for k in range(2000):
-        fin.torque(1.5 + 1e-3 * k, turn, rate, torque, servo)
-    assert fin.shown(4.0, turn) == pytest.approx([0.5, 0.2], abs=1e-3)
 
 
 def test_a_set_is_made_answered_for_and_published(code, tmp_path):

@@ -9,17 +9,15 @@ from good_input import message
 from rival_swims import FISH, POOL, SERVOS, swim_rivals, swim_set
 from violations import violations
 
-from sim.design.design_swim import design_swim
-from sim.design.swim_commands import SwimLimits, draw
-from sim.design.swim_objective import SwimObjective
-from sim.fluid.tank import POOL_M
+from sim.fluid.fluid import POOL_M
+from sim.inference.design_swim import SwimObjective, design_swim
+from sim.inference.swim_commands import SwimLimits, draw
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.design.limits import limits_of
 from sim2real.design.tell_apart import Request
-from sim2real.diagnose.swim_rivals import read_swim_rivals
+from sim2real.diagnose.swim_rivals import swim_rivals_of_file
 from sim2real.recording import read_commands
-from sim2real.structured import Fields
 
 RIVALS = swim_rivals()
 LIMITS = SwimLimits(tuple(limits_of(FISH, joint.name) for joint in FISH.joints))
@@ -80,10 +78,16 @@ def test_a_designed_swim_tells_more_than_a_random_one(designed):
     assert body.remaining < body.entropy
 
 
-def test_rivals_of_swims_survive_a_file():
-    content = json.loads(json.dumps(RIVALS.content()))
-    again = read_swim_rivals(Fields("d.json", "", content))
-    assert again.content() == RIVALS.content()
+def test_what_is_alike_or_imitated_by_the_error_of_the_twin_is_told_apart_less():
+    same = replace(RIVALS, sets=(RIVALS.sets[0], replace(RIVALS.sets[0], probability=0.4)))
+    wide = swim_rivals({name: 20 * sd for name, sd in RIVALS.imitation.items()})
+    command = draw(np.random.default_rng(1), 1, LIMITS, SECONDS)
+    alike, apart, imitated = (
+        objective(one).distances(command)[0, 0, 1] for one in (same, RIVALS, wide)
+    )
+    assert alike == pytest.approx(0.0, abs=1e-6)
+    assert apart > 0.1
+    assert imitated < 0.5 * apart
 
 
 @pytest.fixture
@@ -98,6 +102,11 @@ def files(tmp_path, monkeypatch):
 def write(folder, rivals):
     content = {"schema": "sim2real.diagnosis/1", "rival_sets": [], "model": "model.json"}
     (folder / "diagnosis.json").write_text(json.dumps(content | {"swim_rivals": rivals}))
+
+
+def test_rivals_of_swims_survive_a_file(files):
+    again, model = swim_rivals_of_file("diagnosis.json")
+    assert (again.content(), model) == (RIVALS.content(), "model.json")
 
 
 def design(*more):

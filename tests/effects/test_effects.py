@@ -51,6 +51,11 @@ def each(*names):
     return pytest.mark.parametrize("effect", effects, ids=lambda effect: effect.name)
 
 
+@pytest.fixture(scope="module")
+def plain():
+    return simulate(SQUARE)
+
+
 def test_the_catalogue_is_complete_and_each_name_stands_once():
     names = [effect.name for effect in CATALOGUE]
     assert len(set(names)) == len(names)
@@ -68,16 +73,14 @@ def test_effect_is_documented_and_bounded(effect):
     for parameter in effect.parameters:
         assert parameter.low <= parameter.typical <= parameter.high
         assert parameter.low < parameter.high
-
-
-@each()
-def test_effect_can_be_said_in_a_sentence(effect):
-    assert effect.plain
-    assert not effect.plain.endswith(".")
     said = effect.statement(typical(effect))
-    assert not set("{}_") & set(said + effect.plain)
-    assert not said.endswith("."), "it is a clause"
+    assert effect.plain and not set("{}_") & set(said + effect.plain)
+    assert not effect.plain.endswith(".") and not said.endswith("."), "they are clauses"
     assert effect.statement({p.name: p.high for p in effect.parameters}) != said
+    sites = [effect.site, *(site for site, _ in effect.also)]
+    assert len(set(sites)) == len(sites), "further terms act elsewhere"
+    readme = (Path(inspect.getfile(named)).parent / "README.md").read_text()
+    assert any(f"| `{effect.name}` | {site} | {effect.component} |" in readme for site in sites)
 
 
 @pytest.mark.parametrize(
@@ -97,53 +100,30 @@ def test_values_are_said_in_units_that_people_read(name, value, said):
     assert readable(name, value) == said
 
 
-def test_one_mechanism_is_one_family():
+def test_one_mechanism_is_one_family_which_excludes_one_another_on_the_shaft():
     families = {}
     for effect in CATALOGUE:
+        assert effect.excludes(effect)
         families.setdefault(effect.family, set()).add(effect.name)
-    assert {"coulomb_friction", "stribeck_friction"} <= families["dry friction"]
-    assert {"command_filter", "sensor_filter"} <= families["filter"]
     assert all(len(names) > 1 for family, names in families.items() if family)
-
-
-def test_an_effect_excludes_itself_and_its_family_on_the_shaft():
-    coulomb, stribeck, asymmetric, presliding, before, behind = (
-        named(name)
-        for name in (
-            "coulomb_friction",
-            "stribeck_friction",
-            "asymmetric_friction",
-            "presliding_friction",
-            "command_filter",
-            "sensor_filter",
-        )
-    )
-    assert all(effect.excludes(effect) for effect in CATALOGUE)
-    for one, other in itertools.combinations((coulomb, stribeck, asymmetric, presliding), 2):
-        assert one.excludes(other) and other.excludes(one)
-    assert not before.excludes(behind) and not behind.excludes(before)
-    assert not coulomb.excludes(before)
+    filters = {"command_filter", "sensor_filter"}
+    assert filters <= families["filter"]
+    frictions = ("coulomb", "stribeck", "asymmetric", "presliding")
+    frictions = [named(f"{kind}_friction") for kind in frictions]
+    assert {effect.name for effect in frictions} <= families["dry friction"]
+    assert all(one.excludes(other) for one, other in itertools.permutations(frictions, 2))
+    pairs = itertools.permutations(map(named, ("coulomb_friction", *filters)), 2)
+    assert not any(one.excludes(other) for one, other in pairs)
 
 
 @each()
-def test_further_terms_act_elsewhere(effect):
-    sites = [effect.site, *(site for site, _ in effect.also)]
-    assert len(set(sites)) == len(sites)
-
-
-@each()
-def test_effect_matters_and_is_off_at_zero(effect):
-    plain = simulate(SQUARE)
-    assert np.abs(simulate(SQUARE, **{effect.name: typical(effect)}) - plain).max() > 1e-3
+def test_effect_matters_is_off_at_zero_and_does_not_depend_on_the_step(effect, plain):
+    values = {effect.name: typical(effect)}
+    coarse = simulate(SQUARE, **values)
+    assert np.abs(coarse - plain).max() > 1e-3
     zero = {effect.name: dict.fromkeys(typical(effect), 0.0)}
     assert active_effects(row(**zero))[0] == 0
     np.testing.assert_array_equal(simulate(SQUARE, **zero), plain)
-
-
-@each()
-def test_effect_does_not_depend_on_the_step(effect):
-    values = {effect.name: typical(effect)}
-    coarse = simulate(SQUARE, **values)
     fine = simulate(SQUARE, accuracy=2 * STEPS_PER_RADIAN, **values)
     # the torque that sags is that of the sub-step before
     assert np.abs(coarse - fine).max() < (4e-4 if effect.name == "voltage_sag" else 3e-4)
@@ -207,19 +187,19 @@ def coast(**effects):
     return np.gradient(angle, 0.001)[60:115], np.diff(angle[59:116], 2) / 1e-6
 
 
-def test_coulomb_friction_decelerates_evenly():
-    _, acceleration = coast(coulomb_friction={"torque_Nm": 0.02})
-    np.testing.assert_allclose(acceleration, -0.02 / INERTIA, rtol=1e-3)
-
-
-def test_quadratic_drag_decelerates_with_the_square():
-    speed, acceleration = coast(quadratic_drag={"coefficient_Nms2": 0.0005})
-    np.testing.assert_allclose(acceleration, -0.0005 / INERTIA * speed**2, rtol=1e-3)
-
-
-def test_asymmetric_friction_prefers_a_direction():
-    _, forth = coast(asymmetric_friction={"torque_Nm": 0.02, "asymmetry": 0.5})
-    np.testing.assert_allclose(forth, -0.03 / INERTIA, rtol=1e-3)
+@pytest.mark.parametrize(
+    ("effects", "torque"),
+    [
+        ({"coulomb_friction": {"torque_Nm": 0.02}}, lambda speed: 0.02),
+        ({"quadratic_drag": {"coefficient_Nms2": 0.0005}}, lambda speed: 0.0005 * speed**2),
+        ({"asymmetric_friction": {"torque_Nm": 0.02, "asymmetry": 0.5}}, lambda speed: 0.03),
+    ],
+    ids=lambda given: "+".join(given) if isinstance(given, dict) else "",
+)
+def test_friction_and_drag_decelerate_by_their_torque(effects, torque):
+    speed, acceleration = coast(**effects)
+    expected = np.broadcast_to(-torque(speed) / INERTIA, acceleration.shape)
+    np.testing.assert_allclose(acceleration, expected, rtol=1e-3)
 
 
 def test_stribeck_friction_breaks_away_at_its_larger_torque():
@@ -300,22 +280,17 @@ def test_voltage_sag_is_in_balance_with_a_weight():
     assert asked * (1 - 0.5 * asked / (0.5 * KP)) == pytest.approx(0.6 * np.sin(angle), rel=1e-3)
 
 
-def test_supply_droop_leaves_the_damping():
+def test_supply_droop_leaves_the_damping_and_an_empty_battery_moves_nothing():
     """Pulled by little and braked by much, the shaft approaches at kp left / kd."""
-    t = 0.02 * np.arange(6000)
+    t = 0.02 * np.arange(7500)
     command = np.where(t > 90.0, 0.1, 0.0)
     angle = simulate(command, t, kp=0.05, kd=0.06, supply_droop={"loss_per_min": 0.5})
     # since the set-point arrived, the exponent is kp / kd times the integral of what is left
     since = 90.02 + LATENCY
     lasted = np.clip(t - since, 0.0, None)
     exponent = 0.05 / 0.06 * (lasted - 0.5 / 60 * lasted * (t + since) / 2)
-    assert np.abs(angle - 0.1 * (1 - np.exp(-exponent))).max() < 2.5e-3
-
-
-def test_an_empty_battery_moves_nothing():
-    t = 0.02 * np.arange(7500)
-    command = np.where(t > 90.0, 0.1, 0.0)
-    angle = simulate(command, t, kp=0.05, supply_droop={"loss_per_min": 0.5})
+    expected = 0.1 * (1 - np.exp(-exponent))
+    assert np.abs(angle - expected)[:6000].max() < 2.5e-3
     assert np.ptp(angle[6100:]) < 1e-5  # nothing is left after two minutes
 
 
@@ -440,13 +415,10 @@ def test_backlash_is_crossed_under_the_motor_s_torque():
 
 def test_compliance_leads_the_load_by_what_the_spring_gives():
     """At rest kp works on the shaft's angle, and the load trails it by compliance x torque."""
-    give, weight = 0.1, 0.3
-    seen = simulate(compliance={"compliance_rad_per_Nm": give}, gravity_load={"torque_Nm": weight})[
-        -1
-    ]
+    spring, weight = {"compliance_rad_per_Nm": 0.1}, {"torque_Nm": 0.3}
+    seen = simulate(compliance=spring, gravity_load=weight)[-1]
     torque = KP * (0.4 - seen)
-    load = seen - give * torque
-    assert torque == pytest.approx(weight * np.sin(load), rel=3e-3)
+    assert torque == pytest.approx(0.3 * np.sin(seen - 0.1 * torque), rel=3e-3)
 
 
 def test_compliance_slows_what_is_fast():
@@ -492,87 +464,65 @@ def test_lost_packets_are_never_heard():
     assert 0 < np.std(few - plain) < np.std(many - plain)
 
 
-@each()
-def test_the_readme_lists_it(effect):
-    text = (Path(inspect.getfile(named)).parent / "README.md").read_text()
-    sites = (effect.site, *(site for site, _ in effect.also))
-    assert any(f"| `{effect.name}` | {site} | {effect.component} |" in text for site in sites)
-
-
-def run_in_a_copy(tmp_path, kind, name, source, program):
-    """A program that imports a copy of the package with one file more."""
-    package = Path(inspect.getfile(named)).parents[1]
+def run_in_a_copy(tmp_path, files, program):
+    """A program that imports a copy of the package with more files in ``effects``."""
+    package, tests = Path(inspect.getfile(named)).parents[1], Path(__file__).parents[1]
     shutil.copytree(package, tmp_path / "sim2real")
-    (tmp_path / "sim2real" / "effects" / kind / f"{name}.py").write_text(source)
-    path = os.pathsep.join([str(tmp_path), str(package.parent)])
+    for name, source in files.items():
+        (tmp_path / "sim2real" / "effects" / name).write_text(source)
+    path = os.pathsep.join(map(str, (tmp_path, package.parent, tests, tests / "sim")))
     environment = os.environ | {"PYTHONPATH": path}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True, cwd=tmp_path)
+    call = [sys.executable, "-c", program]
+    return subprocess.run(call, env=environment, cwd=tmp_path, capture_output=True, text=True)
 
 
-def test_a_new_effect_of_a_servo_is_one_file(tmp_path):
-    """It is simulated, fitted, named and shown."""
-    source = Path(inspect.getfile(named)).with_name("servo") / "quadratic_drag.py"
-    spring = source.read_text().replace("quadratic_drag", "hard_spring")
-    spring = spring.replace("coefficient_Nms2", "stiffness_Nm_per_rad")
-    law = "x - p[c] * q * q * q"
-    spring = spring.replace("x - p[c] * v * wp.abs(v)", law)
-    assert law in spring
-    spring = spring.replace('plain="', 'plain="a spring that hardens, not ')
-    spring = spring.replace("high=0.5, typical=0.01", "high=20.0, typical=0.5")
+def changed(path, *changes):
+    """The source of an effect in which these texts are replaced."""
+    source = (Path(inspect.getfile(named)).parent / path).read_text()
+    for old, new in changes:
+        assert old in source
+        source = source.replace(old, new)
+    return source
+
+
+def test_a_new_effect_is_one_file(tmp_path):
+    """Of a servo: it is simulated, fitted, named and shown.
+
+    Of the body: it is simulated by the twin, has parameters to fit, is searched for, has words.
+    """
+    spring = changed(
+        "servo/quadratic_drag.py",
+        ("quadratic_drag", "hard_spring"),
+        ("coefficient_Nms2", "stiffness_Nm_per_rad"),
+        ("x - p[c] * v * wp.abs(v)", "x - p[c] * q * q * q"),
+        ('plain="', 'plain="a spring that hardens, not '),
+        ("high=0.5, typical=0.01", "high=20.0, typical=0.5"),
+    )
+    resist = 'robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()'
+    weed = changed(
+        "body/linear_drag.py",
+        ("linear_drag", "weed"),
+        (resist, 'robot.resist[-1, 0] += p["coefficient"]'),
+        ("an error of the linear drag", "weed on the tail"),
+    )
     program = """
+from dataclasses import replace
 import numpy as np
+import simulated
+from sim.inference.swim_parameters import candidates
+from sim.twin.twin import Twin
+from sim2real.body import listed
 from sim2real.diagnose.diagnose import diagnose
-from sim2real.model import FittedEffect, JointModel
-from sim2real.recording import Load, Recording
-from sim2real.report.diagnosis_words import plain
-from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.parameters import joint_row
-from sim2real.servo.rollout import rollout
-effect = FittedEffect("hard_spring", {"stiffness_Nm_per_rad": 3.0})
-row = joint_row(JointModel(2.2, 0.06, 0.05, 0.002, effects=(effect,)), None)
-def recording(seed):
-    rng = np.random.default_rng(seed)
-    t = 0.02 * np.arange(300)
-    steps = np.repeat(rng.uniform(-0.8, 0.8, 15), 20)
-    command = np.convolve(np.r_[np.zeros(30), steps], np.ones(10) / 10)[: t.size]
-    angle = rollout(row[None], t, command)[0][:, None] + rng.normal(0, 0.0015, (t.size, 1))
-    return Recording(str(seed), "servo", ("j1",), t, command[:, None], angle, {"j1": Load(0.002)})
-links = tuple(Link(n, 0.2, 0.1, 0.05, 0.05) for n in ("frame", "arm"))
-robot = Robot("bench", links, (Joint("j1", Servo("s", 5.0, 20.0, 0.0001), (-1.6, 1.6)),))
-found = diagnose([recording(1), recording(2)], robot)
+from sim2real.report.diagnosis_plots import plain
+from swimming_robots import FISH, servos
+pendulum = simulated.Load(0.002, 0.1, 0.05)
+recordings = simulated.two(load=pendulum, hard_spring={"stiffness_Nm_per_rad": 3.0})
+found = diagnose(recordings, simulated.robot("j1"))
 (named,) = found.effects
 assert named.effect == "hard_spring", found.effects
 assert abs(named.parameters["stiffness_Nm_per_rad"].mean / 3 - 1) < 0.1, named
 assert plain(named.effect).startswith("a spring that hardens")
-"""
-    run_in_a_copy(tmp_path, "servo", "hard_spring", spring, program)
-
-
-def test_a_new_effect_of_the_body_is_one_file(tmp_path):
-    """It is simulated by the twin, has parameters to fit, is searched for, and has words."""
-    source = Path(inspect.getfile(named)).with_name("body") / "linear_drag.py"
-    weed = (
-        source.read_text()
-        .replace("linear_drag", "weed")
-        .replace(
-            'robot.resist[:, 0] += p["coefficient"] * robot.lengths_m / robot.lengths_m.sum()',
-            'robot.resist[-1, 0] += p["coefficient"]',
-        )
-    )
-    weed = weed.replace("an error of the linear drag", "weed on the tail")
-    assert "resist[-1, 0]" in weed
-    robot = Path(__file__).parents[1] / "sim"
-    program = f"""
-import sys
-sys.path.insert(0, {str(robot)!r})
-from dataclasses import replace
-import numpy as np
-from sim.calibration.swim_parameters import candidates
-from sim.twin.twin import Twin
-from sim2real.body import listed
-from sim2real.report.diagnosis_words import plain
-from swimming_robots import FISH, servos
-weeds = replace(servos(), body={{"effects": listed({{"weed.coefficient": 1.0}})}})
+weeds = replace(servos(), body={"effects": listed({"weed.coefficient": 1.0})})
 twin = Twin(FISH, [servos(), weeds], n_envs=2)
 assert twin.outside.resist[1, -1, 0] == 1.0 and not twin.outside.resist[0].any()
 for k in range(60):
@@ -583,24 +533,12 @@ assert abs(gone[1] - gone[0]) > 1e-4, gone
 assert "weed" in [name for name, _, free in candidates(FISH) if free[0].name == "weed.coefficient"]
 assert plain("weed") == "weed on the tail"
 """
-    run_in_a_copy(tmp_path, "body", "weed", weed, program)
+    done = run_in_a_copy(tmp_path, {"servo/hard_spring.py": spring, "body/weed.py": weed}, program)
+    assert done.returncode == 0, done.stderr
 
 
 def test_more_effects_than_the_mask_has_bits_are_refused(tmp_path):
-    source = Path(inspect.getfile(named)).with_name("servo") / "sensor_offset.py"
-    more = source.read_text()
-    program = """
-from pathlib import Path
-import sim2real.errors, importlib
-servo = Path("sim2real/effects/servo")
-for k in range(40):
-    source = (servo / "one_more.py").read_text()
-    (servo / f"one_more_{k}.py").write_text(source.replace("one_more", f"one_more_{k}"))
-try:
-    import sim2real.effects
-except sim2real.errors.InputError as error:
-    assert "at most 62" in str(error), error
-else:
-    raise AssertionError
-"""
-    run_in_a_copy(tmp_path, "servo", "one_more", more.replace("sensor_offset", "one_more"), program)
+    names = [f"one_more_{k}" for k in range(40)]
+    more = {f"servo/{n}.py": changed("servo/sensor_offset.py", ("sensor_offset", n)) for n in names}
+    done = run_in_a_copy(tmp_path, more, "import sim2real.effects")
+    assert done.returncode and "InputError" in done.stderr and "at most 62" in done.stderr

@@ -26,36 +26,24 @@ def drawn(effect, rng):
     return values
 
 
-def numbers(text):
-    return [(float(x), unit.rstrip(".")) for x, unit in NUMBER.findall(text.replace("0°", "zero"))]
-
-
 @each()
-def test_every_number_has_a_unit_and_is_rounded(effect):
+def test_every_number_is_that_of_a_parameter_is_rounded_and_has_a_unit(effect):
     rng = np.random.default_rng(0)
     for _ in range(DRAWS):
         values = drawn(effect, rng)
         text = effect.statement(values)
         assert not re.search(r"nan|inf\b|[{}]", text), text
-        found = re.findall(r"-?\d[\d.]*(?:e[+-]\d+)?", text.replace(" 0°", ""))
+        told = text.replace(" 0°", "")
+        found = re.findall(r"-?\d[\d.]*(?:e[+-]\d+)?", told)
         assert found, "a statement says how large the effect is"
         for number in found:
             assert float(number) > 0, f"zero or a sign that the words should tell: {text}"
             digits = number.partition("e")[0].replace(".", "").strip("0")
             assert len(digits) <= 3, text
-        units = [unit for _, unit in NUMBER.findall(text.replace(" 0°", ""))]
-        assert all(unit.startswith(UNITS) for unit in units), text
-
-
-@each()
-def test_the_numbers_are_those_of_the_parameters(effect):
-    rng = np.random.default_rng(1)
-    for _ in range(DRAWS):
-        values = drawn(effect, rng)
-        text = effect.statement(values)
+        assert all(unit.startswith(UNITS) for _, unit in NUMBER.findall(told)), text
         sizes = {readable(name, abs(x)) for name, x in values.items()}
         said = [size for size in sizes if size in text]
-        assert len(said) >= len(re.findall(r"\d[\d.]*", text.replace(" 0°", ""))) * 0.5, text
+        assert len(said) >= len(re.findall(r"\d[\d.]*", told)) * 0.5, text
         first = effect.parameters[0].name
         assert readable(first, abs(values[first])) in text
 
@@ -75,33 +63,27 @@ def test_opposite_signs_have_opposite_words_and_the_same_numbers(effect):
         assert NUMBER.findall(one) == NUMBER.findall(other)
 
 
-def settled(angle):
-    return angle[-1]
-
-
-def rise(angle):
-    """Angle soon after a step up: the lower, the slower."""
-    return angle[28]
-
-
 RAMP = np.clip(0.5 * (T - 0.2), 0, None)
 """On which a later set-point is a smaller angle."""
-WORDS = {  # effect: values, command, measure, words where it is larger than the plain servo's
-    "sensor_gain": ({"gain": 0.1}, STEP, settled, ("large", "small")),
-    "sensor_offset": ({"offset_rad": 0.05}, STEP, settled, ("high", "low")),
-    "gravity_load": ({"torque_Nm": 0.1}, STEP, settled, ("away", "towards")),
-    "unmodelled_inertia": ({"inertia_kgm2": 0.001}, STEP, rise, ("large", "small")),
-    "clock_drift": ({"s_per_s": 0.005}, RAMP, settled, ("shrinks", "grows")),
+SOON = 28  # after a step up: the lower the angle, the slower
+WORDS = {  # effect: values, command, sample, words where it is larger than the plain servo's
+    "sensor_gain": ({"gain": 0.1}, STEP, -1, ("large", "small")),
+    "sensor_offset": ({"offset_rad": 0.05}, STEP, -1, ("high", "low")),
+    "gravity_load": ({"torque_Nm": 0.1}, STEP, -1, ("away", "towards")),
+    "unmodelled_inertia": ({"inertia_kgm2": 0.001}, STEP, SOON, ("large", "small")),
+    "clock_drift": ({"s_per_s": 0.005}, RAMP, -1, ("shrinks", "grows")),
 }
+
+
+"""On which a later set-point is a smaller angle."""
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("name", list(WORDS))
 def test_words_of_direction_agree_with_the_simulation(name, sign):
-    values, command, measure, (larger, smaller) = WORDS[name]
-    (key,) = values
-    values = {key: sign * values[key]}
-    more = measure(simulate(command, **{name: values})) > measure(simulate(command))
+    values, command, at, (larger, smaller) = WORDS[name]
+    values = {key: sign * value for key, value in values.items()}
+    more = simulate(command, **{name: values})[at] > simulate(command)[at]
     text = named(name).statement(values)
     assert re.search(rf"\b{larger if more else smaller}\b", text), text
     assert not re.search(rf"\b{smaller if more else larger}\b", text), text
@@ -127,11 +109,11 @@ def test_the_stronger_direction_of_the_motor_is_the_one_that_is_said(sign):
 def test_a_supply_that_falls_weakens_the_motor(sign):
     droop = {"loss_per_min": 0.4 * sign}
     weight = {"gravity_load": {"torque_Nm": 0.5}}
-    more = settled(simulate(supply_droop=droop, **weight)) > settled(simulate(**weight))
+    more = simulate(supply_droop=droop, **weight)[-1] > simulate(**weight)[-1]
     assert ("rises" if more else "falls") in named("supply_droop").statement(droop)
 
 
-def test_friction_falls_only_where_the_numbers_do():
+def test_friction_falls_only_where_the_numbers_do_and_fits_start_there():
     effect, rng = named("stribeck_friction"), np.random.default_rng(3)
     for _ in range(DRAWS):
         values = drawn(effect, rng)
@@ -139,10 +121,7 @@ def test_friction_falls_only_where_the_numbers_do():
         assert ("falls" in text) == (values["breakaway_Nm"] > values["torque_Nm"])
     text = effect.statement({"torque_Nm": 0.00358, "breakaway_Nm": 0.000258, "velocity_rad_s": 0.3})
     assert text == "Coulomb friction of 3.58 mN m acts on the shaft"
-
-
-def test_fits_of_stribeck_friction_start_where_it_falls():
-    starts = candidate(named("stribeck_friction"), 2.0, 0.002).starts
+    starts = candidate(effect, 2.0, 0.002).starts
     assert np.all(starts[:, 1] > starts[:, 0])
 
 

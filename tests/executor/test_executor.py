@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from random_walk import walk
 from watching import (
     is_alive,
     kill_in_the_middle,
@@ -16,6 +15,7 @@ from watching import (
     reached,
     results,
     starts,
+    uninterrupted,
     wait_for,
     walks,
 )
@@ -36,14 +36,6 @@ folder = Path(sys.argv[1])
 helped = Job("h", "random_walk:start_helper", {}, folder / "h")
 run_jobs([*walks(folder, steps=60, count=1, held=[0]), helped], at_once=2)
 """
-
-
-def uninterrupted(folder, *, steps, count=4):
-    """Results of the same sweep, walked in this process at one go."""
-    for job in walks(folder, steps=steps, count=count):
-        job.folder.mkdir(parents=True)
-        walk(job.folder, **job.options | {"pause_s": 0.0})
-    return results(folder)
 
 
 def test_a_killed_job_goes_on_and_ends_the_same(tmp_path):
@@ -76,26 +68,19 @@ def test_what_is_done_is_left_alone_and_other_options_are_not(tmp_path):
 
 
 def test_failures_are_named_and_the_others_go_on(tmp_path):
-    functions = (
-        "raise_error",
-        "find_input_wanting",
-        "die",
-        "leave_early",
-        "missing",
-        "finish_then_crash",
-    )
-    jobs = [Job(name, f"random_walk:{name}", {}, tmp_path / name) for name in functions]
-    lines = [str(outcome) for outcome in run_jobs(jobs, at_once=3, retries=1)]
-    whys = (
-        "ValueError: a fish out of water",
-        "model.json: kp: found -1, expected a positive number",
-        "killed by SIGKILL, 2 times",
-        "ended early, with status 0",
-        "missing: function: found no missing in random_walk, expected a function",
-    )
-    for name, line, why in zip(functions, lines, whys, strict=False):
-        assert line == f"{name}: {why}; see {tmp_path / name / 'log.txt'}"
-    assert lines[-1] == "finish_then_crash: done"
+    whys = {
+        "raise_error": "ValueError: a fish out of water",
+        "find_input_wanting": "model.json: kp: found -1, expected a positive number",
+        "die": "killed by SIGKILL, 2 times",
+        "leave_early": "ended early, with status 0",
+        "missing": "missing: function: found no missing in random_walk, expected a function",
+        "finish_then_crash": None,
+    }
+    jobs = [Job(name, f"random_walk:{name}", {}, tmp_path / name) for name in whys]
+    outcomes = run_jobs(jobs, at_once=3, retries=1)
+    for outcome, (name, why) in zip(outcomes, whys.items(), strict=True):
+        told = f"{why}; see {tmp_path / name / 'log.txt'}" if why else "done"
+        assert str(outcome) == f"{name}: {told}"
     assert "Traceback" in (tmp_path / "raise_error" / "log.txt").read_text()
     assert (tmp_path / "die" / "log.txt").read_text() == "about to die\n" * 2
     assert not list(tmp_path.glob("[!f]*/done.json"))
@@ -103,10 +88,11 @@ def test_failures_are_named_and_the_others_go_on(tmp_path):
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_jobs_end_with_the_program_that_started_them(tmp_path, how):
-    program = [sys.executable, "-c", DRIVER, str(tmp_path)]
     paths = os.pathsep.join([str(Path(__file__).parent), os.getcwd()])
     driver = subprocess.Popen(
-        program, env=os.environ | {"PYTHONPATH": paths}, stderr=subprocess.PIPE
+        [sys.executable, "-c", DRIVER, str(tmp_path)],
+        env=os.environ | {"PYTHONPATH": paths},
+        stderr=subprocess.PIPE,
     )
     wait_for(lambda: reached(tmp_path / "0", 30))
     helper = wait_for(lambda: int((tmp_path / "h" / "helper").read_text()))
@@ -172,33 +158,29 @@ def test_gpus_are_those_the_driver_names(tmp_path, monkeypatch):
         ({"gpus": 1, "at_once": 3}, "--jobs: found 2 GPUs, expected enough for 3 at a time"),
         ({"at_once": 0}, "--jobs: found 0, expected at least 1"),
         ({"executor": "slurm"}, "--executor: found 'slurm', expected local or ray"),
+        ({"executor": "ray"}, r"no Ray, .* pip install 'sim2real\[cluster\]'"),
     ],
 )
 def test_what_can_not_be_run(tmp_path, monkeypatch, options, message):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=message):
         run_jobs(walks(tmp_path, steps=10, count=1), **options)
     assert not list(tmp_path.iterdir())
 
 
-def test_no_ray(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"no Ray, .* pip install 'sim2real\[cluster\]'"):
-        run_jobs(walks(tmp_path, steps=10), executor="ray")
-    assert not list(tmp_path.iterdir())
-
-
 def test_jobs_that_are_none(tmp_path):
-    with pytest.raises(InputError, match="found 'walk', expected package.module:function"):
-        Job("a", "walk", {}, tmp_path)
+    def refused(message, *jobs):
+        with pytest.raises(InputError, match=message):
+            run_jobs([Job(*job) for job in jobs])
+
+    refused("found 'walk', expected package.module:function", ("a", "walk", {}, tmp_path))
+    one, two = (vars(job).values() for job in walks(tmp_path, steps=10, count=2))
     for value in (tmp_path, (1, 2), float("nan"), {1: 2}):
-        with pytest.raises(InputError, match="a: options: found .* JSON represents"):
-            Job("a", "random_walk:walk", {"seed": value}, tmp_path)
-    one, two = walks(tmp_path, steps=10, count=2)
-    with pytest.raises(InputError, match="jobs: name: found seed0 2 times"):
-        run_jobs([one, one])
-    with pytest.raises(InputError, match="jobs: folder: found .* 2 times"):
-        run_jobs([one, Job("other", two.function, two.options, one.folder)])
+        job = ("a", "random_walk:walk", {"seed": value}, tmp_path)
+        refused("a: options: found .* JSON represents", job)
+    refused("jobs: name: found seed0 2 times", one, one)
+    refused("jobs: folder: found .* 2 times", one, ("other", *[*two][1:3], [*one][3]))
     assert run_jobs([]) == []
 
 

@@ -1,9 +1,9 @@
 """The same jobs on a Ray cluster of two nodes, both on this machine."""
 
 import json
+from functools import partial
 
 import pytest
-from random_walk import walk
 from watching import (
     in_background,
     is_alive,
@@ -14,6 +14,7 @@ from watching import (
     release,
     results,
     starts,
+    uninterrupted,
     wait_for,
     walks,
 )
@@ -43,59 +44,53 @@ def cluster():
     cluster.shutdown()
 
 
-def test_a_sweep_loses_nothing_when_a_worker_is_killed(cluster, tmp_path):
+@pytest.fixture
+def on_ray(cluster):
+    return partial(run_jobs, executor="ray", address=cluster.address)
+
+
+def test_a_sweep_loses_nothing_when_a_worker_is_killed(on_ray, tmp_path):
     jobs = walks(tmp_path / "run", steps=60, held=[0, 1])
     workers = kill_in_the_middle(jobs[0].folder, parent_of), kill_in_the_middle(jobs[1].folder)
-    outcomes = run_jobs(jobs, executor="ray", address=cluster.address)
+    outcomes = on_ray(jobs)
     assert [str(outcome) for outcome in outcomes] == [f"seed{seed}: done" for seed in range(4)]
     assert all(worker.result() for worker in workers)
     assert [len(starts(job.folder)) for job in jobs] == [2, 2, 1, 1]
     assert all(starts(jobs[killed].folder)[1] >= 30 for killed in (0, 1))
-    for job in walks(tmp_path / "reference", steps=60):
-        job.folder.mkdir(parents=True)
-        walk(job.folder, **job.options | {"pause_s": 0.0})
-    assert results(tmp_path / "run") == results(tmp_path / "reference")
+    assert results(tmp_path / "run") == uninterrupted(tmp_path / "reference", steps=60)
     assert run_jobs(jobs) == outcomes  # the folders are those of local processes
     assert [len(starts(job.folder)) for job in jobs] == [2, 2, 1, 1]
 
 
-def test_failures_are_named_and_the_others_go_on(cluster, tmp_path):
+def test_failures_are_named_and_the_others_go_on(on_ray, tmp_path):
     jobs = [Job(n, f"random_walk:{n}", {}, tmp_path / n) for n in ("raise_error", "die")]
-    outcomes = run_jobs(
-        [*jobs, *walks(tmp_path, steps=10, count=1)],
-        executor="ray",
-        address=cluster.address,
-        retries=1,
-    )
-    assert [outcome.failure for outcome in outcomes] == [
-        "ValueError: a fish out of water",
-        "killed by SIGKILL, 2 times",
-        None,
-    ]
+    outcomes = on_ray([*jobs, *walks(tmp_path, steps=10, count=1)], retries=1)
+    whys = ["ValueError: a fish out of water", "killed by SIGKILL, 2 times", None]
+    assert [outcome.failure for outcome in outcomes] == whys
 
 
 @pytest.mark.parametrize(("gpus", "seen"), [(1, "0"), (0, "")])
-def test_a_job_sees_the_gpus_it_asked_for(cluster, tmp_path, gpus, seen):
+def test_a_job_sees_the_gpus_it_asked_for(on_ray, tmp_path, gpus, seen):
     job = Job("a", "random_walk:tell_environment", {}, tmp_path / "a")
-    run_jobs([job], executor="ray", address=cluster.address, gpus=gpus)
+    on_ray([job], gpus=gpus)
     told = json.loads((job.folder / "environment.json").read_text())
     assert told == {"CUDA_VISIBLE_DEVICES": seen, "OMP_NUM_THREADS": "1"}
 
 
-def test_a_job_that_fits_nowhere_is_refused(cluster, tmp_path):
-    message = "--executor: ray: found 2 nodes too small, expected 1 CPUs and 2 GPUs on one of them"
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gpus": 2}, "ray: found 2 nodes too small, expected 1 CPUs and 2 GPUs on one of them"),
+        ({"address": "127.0.0.1:9"}, "--address: 127.0.0.1:9: found Connection refused"),
+    ],
+)
+def test_a_job_that_fits_nowhere_is_refused(on_ray, tmp_path, options, message):
     with pytest.raises(InputError, match=message):
-        run_jobs(walks(tmp_path, steps=10), executor="ray", address=cluster.address, gpus=2)
+        on_ray(walks(tmp_path, steps=10), **options)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_cluster_that_does_not_answer(tmp_path):
-    with pytest.raises(InputError, match="--address: 127.0.0.1:9: found Connection refused"):
-        run_jobs(walks(tmp_path, steps=10), executor="ray", address="127.0.0.1:9")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster, tmp_path):
+def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster, on_ray, tmp_path):
     third = cluster.add_node(**NODE)
     jobs = walks(tmp_path, steps=60, count=3, held=range(3))
 
@@ -108,7 +103,7 @@ def test_a_sweep_loses_nothing_when_a_node_is_lost(cluster, tmp_path):
         return True
 
     lost = in_background(lose)
-    outcomes = run_jobs(jobs, executor="ray", address=cluster.address)
+    outcomes = on_ray(jobs)
     assert [outcome.failure for outcome in outcomes] == [None] * 3
     assert lost.result()
     histories = sorted((starts(job.folder) for job in jobs), key=len)

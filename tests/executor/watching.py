@@ -7,6 +7,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from random_walk import walk
+
 from sim2real.executor import Job
 
 RELEASED = "released"
@@ -14,15 +16,21 @@ RELEASED = "released"
 
 def walks(folder, *, steps, count=4, held=()):
     """A sweep over seeds; the walks of the seeds ``held`` stay at step 30, see ``release``."""
+    jobs = []
+    for seed in range(count):
+        options = {"seed": seed, "steps": steps, "pause_s": 0.1}
+        if seed in held:
+            options["held_until"] = str(folder / RELEASED)
+        jobs.append(Job(f"seed{seed}", "random_walk:walk", options, folder / str(seed)))
+    return jobs
 
-    def options(seed):
-        found = {"seed": seed, "steps": steps, "pause_s": 0.1}
-        return found | ({"held_until": str(folder / RELEASED)} if seed in held else {})
 
-    return [
-        Job(f"seed{seed}", "random_walk:walk", options(seed), folder / str(seed))
-        for seed in range(count)
-    ]
+def uninterrupted(folder, **given):
+    """Results of the same sweep, walked in this process at one go."""
+    for job in walks(folder, **given):
+        job.folder.mkdir(parents=True)
+        walk(job.folder, **job.options | {"pause_s": 0.0})
+    return results(folder)
 
 
 def release(folder):
@@ -48,13 +56,18 @@ def process_of(folder):
     return int((folder / "lock").read_text().split()[0])
 
 
+def status_of(process):
+    """State and parent of a process, as the kernel tells them."""
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[:2]
+
+
 def parent_of(process):
-    return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+    return int(status_of(process)[1])
 
 
 def is_alive(process):
     try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return status_of(process)[0] != "Z"
     except FileNotFoundError:
         return False
 

@@ -1,3 +1,6 @@
+import sys
+from types import ModuleType
+
 import pytest
 
 
@@ -10,21 +13,18 @@ def brief(monkeypatch):
 @pytest.fixture
 def modules(monkeypatch):
     """Runs an exported text with stand-ins for the modules that it imports; what it defines."""
-    import sys
-    from types import ModuleType
 
     def run(text, **contents):
         for name, content in contents.items():
-            path = name.replace("__", ".")
-            parents = [path[:k] for k, letter in enumerate(path) if letter == "."]
-            for parent in parents:
-                if parent not in sys.modules:
-                    monkeypatch.setitem(sys.modules, parent, ModuleType(parent))
-            module = ModuleType(path)
+            parent = None
+            for part in name.split("__"):
+                path = f"{parent.__name__}.{part}" if parent else part
+                module = sys.modules.get(path) or ModuleType(path)
+                monkeypatch.setitem(sys.modules, path, module)
+                if parent:
+                    setattr(parent, part, module)
+                parent = module
             vars(module).update(content)
-            monkeypatch.setitem(sys.modules, path, module)
-            if parents:
-                vars(sys.modules[parents[-1]])[path.rpartition(".")[2]] = module
         space = {}
         exec(compile(text, "exported.py", "exec"), space)
         return space

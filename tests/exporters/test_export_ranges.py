@@ -1,11 +1,8 @@
 """Exported ranges compile, and draw what the ranges say."""
 
-from __future__ import annotations
-
 import ast
 import re
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,23 +39,16 @@ LACKED = {
 
 
 @each_target
-def test_what_a_target_lacks_is_listed_there(target: str) -> None:
+def test_what_a_target_lacks_is_listed_there_and_values_are_kept(target):
     made = TARGETS[target].write(RANGES)
     of_mjlab = {"shape of kp_Nm_per_rad", "kp_Nm_per_rad"} if target == "mjlab" else set()
     assert {line.what.partition(" (")[0] for line in made.left_out} == LACKED | of_mjlab
     head = [node for node in made.text.splitlines() if node.startswith("#")]
     assert all(f"#   {line}" in head for line in made.left_out)
-
-
-@each_target
-def test_shipped_ranges_compile_and_keep_their_values(target: str) -> None:
     ranges = read_ranges("datasets/pool/ranges.json")
-    text = TARGETS[target].write(ranges).text
-    numbers = {
-        float(node.value)
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.Constant) and isinstance(node.value, float)
-    }
+    tree = ast.parse(TARGETS[target].write(ranges).text)
+    constants = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    numbers = {value for value in constants if isinstance(value, float)}
     gains = [entry for entry in ranges.entries if re.search(r"\.k[pd]_", entry.parameter)]
     assert len(gains) == 6
     for entry in gains:
@@ -68,40 +58,38 @@ def test_shipped_ranges_compile_and_keep_their_values(target: str) -> None:
         assert {low, high} <= numbers
 
 
-def test_isaaclab_terms(modules: Any) -> None:
+def test_isaaclab_terms(modules):
+    mdp = {"randomize_actuator_gains": "gains", "randomize_joint_parameters": "joint"}
     managers = {
         "EventTermCfg": lambda **fields: SimpleNamespace(**fields),
         "SceneEntityCfg": lambda name, joint_names: (name, joint_names),
     }
     space = modules(
         TARGETS["isaaclab"].write(RANGES).text,
-        isaaclab__envs__mdp={
-            "randomize_actuator_gains": "gains",
-            "randomize_joint_parameters": "joint",
-        },
+        isaaclab__envs__mdp=mdp,
         isaaclab__managers=managers,
         isaaclab__utils={"configclass": lambda cls: cls},
     )
+    terms = vars(space["RandomizationCfg"]).items()
     found = [
-        (one.func, *one.params["asset_cfg"][1], *list(one.params.items())[1], one.params)
-        for name, one in vars(space["RandomizationCfg"]).items()
+        (one.func, *one.params["asset_cfg"][1], *list(one.params.items())[1])
+        + (one.params["distribution"],)
+        for name, one in terms
         if name.startswith("draw_")
     ]
-    assert [line[:4] for line in found] == [
-        ("gains", "j1", "stiffness_distribution_params", (2.1, 0.05)),
-        ("gains", "j1", "damping_distribution_params", (0.05, 0.07)),
-        ("gains", r"arm\.j2", "stiffness_distribution_params", (1.8, 1.9)),
-        ("joint", "j1", "friction_distribution_params", (0.03, 0.004)),
-        ("joint", r"arm\.j2", "armature_distribution_params", (0.001, 0.002)),
+    assert found == [
+        ("gains", "j1", "stiffness_distribution_params", (2.1, 0.05), "gaussian"),
+        ("gains", "j1", "damping_distribution_params", (0.05, 0.07), "uniform"),
+        ("gains", r"arm\.j2", "stiffness_distribution_params", (1.8, 1.9), "uniform"),
+        ("joint", "j1", "friction_distribution_params", (0.03, 0.004), "gaussian"),
+        ("joint", r"arm\.j2", "armature_distribution_params", (0.001, 0.002), "uniform"),
     ]
-    drawn = [line[4]["distribution"] for line in found]
-    assert drawn == ["gaussian", "uniform", "uniform", "gaussian", "uniform"]
     assert space["DELAY_S"]["j1"] == pytest.approx((0.03, 0.07))
     assert space["delay_steps"]("arm.j2", 0.005) == (8, 16)
     assert space["JOINT_POS_NOISE_SD"] == {"j1": 0.002}
 
 
-def test_mjlab_terms(modules: Any) -> None:
+def test_mjlab_terms(modules):
     """Terms as `mjlab.envs.mdp.dr` (1.6) takes them: gains together, back-EMF apart."""
     dr = SimpleNamespace(pd_gains="gains", joint_friction="friction", joint_armature="armature")
     space = modules(
@@ -130,22 +118,22 @@ def test_mjlab_terms(modules: Any) -> None:
 class WarpArray:
     """A Warp array on the CPU: a copy by ``numpy``, written by ``assign``."""
 
-    def __init__(self, values: Any) -> None:
+    def __init__(self, values):
         self.values = np.array(values)
 
-    def numpy(self) -> np.ndarray:
+    def numpy(self):
         return self.values.copy()
 
-    def assign(self, values: np.ndarray) -> None:
+    def assign(self, values):
         self.values = values
 
 
-def test_newton_draws_into_the_right_places(modules: Any) -> None:
+def test_newton_draws_into_the_right_places(modules):
     """Two worlds of two joints, their actuators in two groups, as ``newton.Model`` has them."""
     flags = SimpleNamespace(JOINT_DOF_PROPERTIES=2)
     space = modules(TARGETS["newton"].write(RANGES).text, newton={"ModelFlags": flags})
 
-    def group(*dofs: int) -> SimpleNamespace:
+    def group(*dofs):
         drive = SimpleNamespace(kp=WarpArray([9.0] * len(dofs)), kd=WarpArray([9.0] * len(dofs)))
         return SimpleNamespace(indices=WarpArray(dofs), drive=drive)
 
@@ -165,42 +153,43 @@ def test_newton_draws_into_the_right_places(modules: Any) -> None:
     assert np.mean(drawn) == pytest.approx(2.1, abs=0.01)
     assert np.std(drawn) == pytest.approx(0.05, rel=0.2)
     assert np.corrcoef(np.array(drawn).T)[0, 1] < 0.5  # each world has its own
-    assert (
-        (model.actuators[1].drive.kp.values > 1.8) & (model.actuators[1].drive.kp.values < 1.9)
-    ).all()
-    assert (model.actuators[1].drive.kd.values == 9.0).all()  # no range of arm.j2
+    second = model.actuators[1].drive
+    assert ((second.kp.values > 1.8) & (second.kp.values < 1.9)).all()
+    assert (second.kd.values == 9.0).all()  # no range of arm.j2
     assert (model.joint_friction.values[[1, 3]] == 9.0).all()
     assert (model.joint_friction.values[[0, 2]] < 0.1).all()
     assert (model.joint_armature.values[[1, 3]] < 0.0021).all()
     assert set(told) == {2}
 
 
+class At:
+    """Sets values of an array as JAX does."""
+
+    def __init__(self, whole, where=None):
+        self.whole, self.where = whole, where
+
+    def __getitem__(self, where):
+        return At(self.whole, where)
+
+    def set(self, value):
+        changed = self.whole.copy()
+        changed[self.where] = value
+        return changed
+
+
 class Values(np.ndarray):
     """An array with JAX's way of setting values."""
 
-    @property
-    def at(self) -> Any:
-        whole = self
-
-        class At:
-            def __getitem__(self, where: Any) -> SimpleNamespace:
-                def put(value: float) -> Values:
-                    changed = whole.copy()
-                    changed[where] = value
-                    return changed
-
-                return SimpleNamespace(set=put)
-
-        return At()
+    at = property(At)
 
 
 class Tree(SimpleNamespace):
-    def tree_replace(self, fields: dict[str, Any]) -> Tree:
+    def tree_replace(self, fields):
         return Tree(**(vars(self) | fields))
 
 
 @pytest.mark.parametrize("passive", [0.0, 0.02], ids=["all in the drive", "partly in the joint"])
-def test_playground_draws_into_the_right_places(passive: float, modules: Any) -> None:
+def test_playground_draws_into_the_right_places(passive, modules):
     """With the mean of each distribution in place of a draw; kd is the damping of all parts."""
     jax = {
         "vmap": lambda f: (
@@ -243,7 +232,7 @@ def test_playground_draws_into_the_right_places(passive: float, modules: Any) ->
 
 
 @each_target
-def test_ranges_of_a_motor_are_drawn_or_listed(target: str) -> None:
+def test_ranges_of_a_motor_are_drawn_or_listed(target):
     entries = (
         uniform("command_latency_s", 0.04, 0.08, "s", "windows"),
         uniform("j1.motor.coulomb_Nm", 0.025, 0.035, "N m", "model"),
@@ -264,7 +253,7 @@ def test_ranges_of_a_motor_are_drawn_or_listed(target: str) -> None:
     )
 
 
-def test_latencies_that_are_not_drawn_as_stated_are_listed() -> None:
+def test_latencies_that_are_not_drawn_as_stated_are_listed():
     write = TARGETS["newton"].write
     made = write(Ranges((uniform("command_latency_s", 0.04, 0.08, "s", "windows"),)))
     assert "name no joint" in str([*map(str, made.left_out)])

@@ -1,13 +1,12 @@
 """The path of docs/how-to/elsewhere.md with logs of a servo that is not the library's own."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from good_input import ROBOT
+from simulated import steps
 
 from sim2real.cli import main
 from sim2real.exporters.mujoco_bench import simulate
@@ -43,9 +42,8 @@ def imported(folder: Path, **servo: float) -> list[str]:
         t = 0.01 * np.arange(800)
         t[1:] += rng.uniform(-1e-3, 1e-3, t.size - 1)
         s = np.maximum(t - 0.5, 0.0)
-        levels = np.concatenate([[0.0], rng.uniform(-0.6, 0.6, t.size)])
         goal = {
-            "steps": levels[np.searchsorted(0.5 + np.cumsum(rng.uniform(0.3, 0.8, 800)), t)],
+            "steps": steps(t, rng),
             "triangle": np.arcsin(np.sin(2 * np.pi * 0.3 * s)) / np.pi,
             "chirp": 0.4 * np.sin(2 * np.pi * (0.1 + 0.1 * s) * s),
         }[kind]

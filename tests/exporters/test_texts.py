@@ -1,69 +1,77 @@
 """Texts for simulators: each parses, holds the numbers, lists what it lacks."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from xml.etree import ElementTree
 
+import exported
 import numpy as np
 import pytest
+from exported import rms
 
 from sim2real.effects import CATALOGUE
-from sim2real.exporters.actuator import Export
 from sim2real.exporters.ranges import TARGETS as RANGES
 from sim2real.exporters.simulators import TARGETS
-from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.model import JointModel, Model
 from sim2real.ranges.entry import Ranges, uniform
 from sim2real.recording import Load
-from sim2real.robot import Robot, read_robot
+from sim2real.robot import read_robot
 from sim2real.servo.parameters import SOFT
 from sim2real.servo.prediction import predict
 
-TYPICAL = {e.name: {p.name: p.typical for p in e.parameters} for e in CATALOGUE}
-TYPICAL["torque_saturation"]["free_damping"] = 0.0
 ISAACLAB = ("DelayedPDActuatorCfg", "DCMotorCfg", "DCMotor", "DelayedPDActuator")
+LINE = {"stall_torque_Nm": 0.5, "no_load_speed_rad_s": 6.25, "coulomb_Nm": 0.04}
 
 
-def export(target: str, model: Model, robot: Robot | None = None) -> Export:
+def export(target, model, robot=None):
     return TARGETS[target].write(model, robot)
 
 
-def servo(name: str = "j1", *effects: str) -> Model:
-    fitted = tuple(FittedEffect(effect, TYPICAL[effect]) for effect in effects)
-    joint = JointModel(2.2, 0.06, 0.05, 0.002, load=Load(0.003), effects=fitted)
-    return Model({name: joint, "j2": JointModel(1.1, 0.03, 0.02, 0.002)})
+def listed(target, model):
+    return [str(line) for line in export(target, model).left_out]
+
+
+def servo(name="j1", *effects):
+    fitted = exported.typical(*effects)
+    if "torque_saturation" in fitted:
+        fitted["torque_saturation"] = fitted["torque_saturation"] | {"free_damping": 0.0}
+    first = exported.joint(Load(0.003), **fitted)
+    return Model({name: first, "j2": JointModel(1.1, 0.03, 0.02, 0.002)})
+
+
+def motor(effects=None, kd=0.09, **more):
+    """A motor with a torque-speed line, whose controller damps as well, and dry friction."""
+    return exported.servo(motor=LINE | more, kd=kd, **(effects or {}))
 
 
 @pytest.fixture
-def robot() -> Robot:
+def robot():
     return read_robot("datasets/servo_steps/robot.toml")
 
 
 class Recorded:
     """Stands in for a configuration class: keeps its fields."""
 
-    def __init__(self, **fields: Any) -> None:
+    def __init__(self, **fields):
         self.fields = fields
 
 
-def recording(*names: str) -> dict[str, type]:
+def recording(*names):
     """Classes of a simulator that keep their fields."""
     return {name: type(name, (Recorded,), {}) for name in names}
 
 
-def isaaclab_fields(modules: Any, model: Model, robot: Robot | None = None) -> dict[str, Any]:
+def isaaclab_fields(modules, model, robot=None):
     """Fields of the configurations that an exported text makes at 5 ms a step."""
     text = export("isaaclab", model, robot).text
     made = modules(text, isaaclab__actuators=recording(*ISAACLAB))["actuators"](physics_dt=0.005)
     return {name: one.fields | {"class": type(one).__name__} for name, one in made.items()}
 
 
-def test_isaaclab(robot: Robot, modules: Any) -> None:
+def test_isaaclab(robot, modules):
     model = servo("j1", "coulomb_friction", "torque_saturation")
     found = isaaclab_fields(modules, model, robot)
     assert found["j1"] == {
@@ -82,48 +90,42 @@ def test_isaaclab(robot: Robot, modules: Any) -> None:
     assert (found["j2"]["min_delay"], found["j2"]["max_delay"]) == (4, 4)
 
 
-def test_isaaclab_jitter_is_drawn_between_two_delays(modules: Any) -> None:
+def test_isaaclab_jitter_is_drawn_between_two_delays(modules):
     model = servo("j1", "latency_jitter")
     fields = isaaclab_fields(modules, model)["j1"]
     assert (fields["min_delay"], fields["max_delay"]) == (8, 12)
-    listed = export("isaaclab", model).left_out
-    assert any("part of latency_jitter" in str(line) for line in listed)
+    assert any("part of latency_jitter" in line for line in listed("isaaclab", model))
     assert "effort_limit" not in fields
 
 
-def test_a_current_limit_is_the_largest_torque_at_any_speed() -> None:
-    joint = replace(
-        motor().joints["j1"], effects=(FittedEffect("torque_saturation", {"limit_Nm": 0.3}),)
-    )
-    model = Model({"j1": joint})
+def test_a_current_limit_is_the_largest_torque_at_any_speed():
+    model = motor({"torque_saturation": {"limit_Nm": 0.3}})
     text = export("isaaclab", model).text
     assert "'j1': DelayedDCMotorCfg(" in text
     assert "saturation_effort=0.5,\n            effort_limit=0.3," in text
     assert "effort_limit=1," in export("isaaclab", motor()).text  # braking adds the back-EMF
     line = '"saturation_effort": 0.5, "velocity_limit": 6.25, "max_motor_effort": 0.3'
     assert line in export("newton", model).text
-    beyond = FittedEffect("torque_saturation", {"limit_Nm": 0.3, "free_damping": 0.5})
-    damped = Model({"j1": replace(joint, effects=(beyond,))})
+    damped = motor({"torque_saturation": {"limit_Nm": 0.3, "free_damping": 0.5}})
+    beyond = "damping beyond torque_saturation (0.045 N m s/rad)"
     for target in ("isaaclab", "newton"):
-        listed = [*map(str, export(target, model).left_out)]
-        assert not any("torque_saturation" in line for line in listed)
-        listed = [*map(str, export(target, damped).left_out)]
-        assert any("damping beyond torque_saturation (0.045 N m s/rad)" in line for line in listed)
+        assert not any("torque_saturation" in line for line in listed(target, model))
+        assert any(beyond in line for line in listed(target, damped))
 
 
-def test_the_delays_of_isaaclab_are_those_of_its_ranges(modules: Any) -> None:
+def test_the_delays_of_isaaclab_are_those_of_its_ranges(modules):
     """The motor's class delays set-points, and both texts say how long in the same way."""
 
     class IdealPD:
-        def compute(self, target: float) -> float:
+        def compute(self, target):
             return target
 
     class Delayed(IdealPD):
-        def compute(self, target: float) -> float:
+        def compute(self, target):
             return super().compute(target - 1)
 
     class Motor(IdealPD):
-        def compute(self, target: float) -> float:
+        def compute(self, target):
             return min(super().compute(target), 5)
 
     actuators = recording(*ISAACLAB) | {"DCMotor": Motor, "DelayedPDActuator": Delayed}
@@ -145,23 +147,21 @@ def test_the_delays_of_isaaclab_are_those_of_its_ranges(modules: Any) -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_no_armature_is_negative(target: str) -> None:
-    effect = FittedEffect("unmodelled_inertia", {"inertia_kgm2": -0.0005})
-    joint = replace(motor().joints["j1"], effects=(effect,))
-    text = export(target, Model({"j1": joint})).text
+def test_no_armature_is_negative(target):
+    text = export(target, motor({"unmodelled_inertia": {"inertia_kgm2": -0.0005}})).text
     assert not re.search(r"armature\W{1,4}\s*-", text)
 
 
-def test_genesis(modules: Any) -> None:
+def test_genesis(modules):
     model = servo("j1", "coulomb_friction", "unmodelled_inertia", "torque_saturation")
     space = modules(export("genesis", model).text)
-    calls: dict[str, Any] = {}
+    calls = {}
 
     class Entity:
-        def get_joint(self, name: str) -> SimpleNamespace:
+        def get_joint(self, name):
             return SimpleNamespace(dofs_idx_local=[{"j1": 4, "j2": 2}[name]])
 
-        def __getattr__(self, call: str) -> Any:
+        def __getattr__(self, call):
             return lambda *given: calls.update({call: given})
 
     assert space["set_actuators"](Entity()) == [4, 2]
@@ -176,22 +176,19 @@ def test_genesis(modules: Any) -> None:
     }
 
 
-def test_urdf(robot: Robot) -> None:
+def test_urdf(robot):
     root = ElementTree.fromstring(export("urdf", servo("j1", "coulomb_friction"), robot).text)
     joint = root.find("joint")
-    assert joint is not None
     assert (joint.get("name"), joint.get("type")) == ("j1", "revolute")
-    dynamics, limit = joint.find("dynamics"), joint.find("limit")
-    assert dynamics is not None
-    assert limit is not None
-    assert dynamics.get("friction") == "0.05"
+    (friction,) = (one.get("friction") for one in joint.iter("dynamics"))
+    assert friction == "0.05"
     sheet = {"lower": "-0.8", "upper": "0.8", "effort": "1.67", "velocity": "5.24"}
-    assert limit.attrib == sheet
+    assert [limit.attrib for limit in joint.iter("limit")] == [sheet]
     bare = ElementTree.fromstring(export("urdf", servo()).text).findall("joint")
     assert [one.get("type") for one in bare] == ["continuous", "continuous"]
 
 
-def test_json_has_every_number(robot: Robot) -> None:
+def test_json_has_every_number(robot):
     content = json.loads(export("json", servo("j1", "backlash"), robot).text)
     joint = content["joints"]["j1"]
     assert joint["kp_Nm_per_rad"] == 2.2
@@ -204,20 +201,21 @@ def test_json_has_every_number(robot: Robot) -> None:
 
 @pytest.mark.parametrize("target", ["isaaclab", "mjlab", "newton", "genesis", "urdf"])
 @pytest.mark.parametrize("effect", [effect.name for effect in CATALOGUE])
-def test_an_effect_is_in_the_text_or_in_the_list(target: str, effect: str) -> None:
-    without, with_it = export(target, servo()), export(target, servo("j1", effect))
-    listed = {str(line) for line in with_it.left_out} - {str(line) for line in without.left_out}
+def test_an_effect_is_in_the_text_or_in_the_list(target, effect):
+    without, with_it = (export(target, model) for model in (servo(), servo("j1", effect)))
+    more = {str(line) for line in with_it.left_out} - {str(line) for line in without.left_out}
     assert with_it.text != without.text
-    for line in listed:
+    for line in more:
         assert line in with_it.text
-    expressed = {
-        line for line in with_it.text.splitlines() if not line.lstrip().startswith(("#", "j"))
-    } != {line for line in without.text.splitlines() if not line.lstrip().startswith(("#", "j"))}
-    assert expressed or any(effect in line or "torque limit" in line for line in listed)
+    expressed, before = (
+        {line for line in made.text.splitlines() if not line.lstrip().startswith(("#", "j"))}
+        for made in (with_it, without)
+    )
+    assert expressed != before or any(effect in line or "torque limit" in line for line in more)
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_a_name_stays_a_name(target: str) -> None:
+def test_a_name_stays_a_name(target):
     """A joint's name cannot end a comment or a string of the text it stands in."""
     name = "j'\"\n1 --> <x/>\nraise SystemExit"
     text = export(target, servo(name, "backlash")).text
@@ -230,26 +228,16 @@ def test_a_name_stays_a_name(target: str) -> None:
         assert len(list(ElementTree.fromstring(text).iter("joint"))) >= 2
 
 
-def test_the_readme_says_what_each_target_expresses() -> None:
+def test_the_readme_says_what_each_target_expresses():
     text = Path("sim2real/exporters/README.md").read_text()
     rows = [line.strip("| ").split("|") for line in text.splitlines() if line.startswith("| `")]
-    said = [
-        {row[0].strip().strip("`") for row in rows if len(row) > k and row[k].strip()}
-        for k in range(1, 7)
-    ]
     targets = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf")
-    has = [set(TARGETS[name].has) - {"torque_saturation", *SOFT} for name in targets]
-    assert said == has
+    for k, name in enumerate(targets, 1):
+        said = {row[0].strip().strip("`") for row in rows if len(row) > k and row[k].strip()}
+        assert said == set(TARGETS[name].has) - {"torque_saturation", *SOFT}
 
 
-def motor(**more: float) -> Model:
-    """A motor with a torque-speed line, whose controller damps as well, and dry friction."""
-    line = {"stall_torque_Nm": 0.5, "no_load_speed_rad_s": 6.25, "coulomb_Nm": 0.04}
-    joint = JointModel(2.2, 0.09, 0.05, 0.002, load=Load(0.002), law="motor", motor=line | more)
-    return Model({"j1": joint})
-
-
-def test_mjlab(modules: Any) -> None:
+def test_mjlab(modules):
     actuator = recording("BuiltinPositionActuatorCfg")
     text = export("mjlab", motor(rotor_inertia_kgm2=0.001, stick_time_s=0.02)).text
     space = modules(text, mjlab__actuator=actuator)
@@ -274,9 +262,8 @@ def test_mjlab(modules: Any) -> None:
     assert joint.solref_friction[0] == 0.008  # MuJoCo's shortest, two time steps
 
 
-def test_a_controller_that_damps_less_than_the_line_is_listed_by_mjlab() -> None:
-    joint = replace(motor().joints["j1"], kd_Nms_per_rad=0.05)
-    made = export("mjlab", Model({"j1": joint}))
+def test_a_controller_that_damps_less_than_the_line_is_listed_by_mjlab():
+    made = export("mjlab", motor(kd=0.05))
     assert any("clips before the back-EMF" in str(line) for line in made.left_out)
     assert "damping=0.05," in made.text and "viscous_damping=0," in made.text
 
@@ -284,20 +271,20 @@ def test_a_controller_that_damps_less_than_the_line_is_listed_by_mjlab() -> None
 class Builder:
     """The parts of ``newton.ModelBuilder`` that an exported text uses, as in release 1.8."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.joint_label = ["robot/base", "robot/j1"]
         self.joint_qd_start, self.joint_q_start = [0, 6], [0, 7]
         self.joint_target_ke, self.joint_target_kd = [5.0] * 7, [5.0] * 7
         self.joint_armature, self.joint_friction = [0.0] * 7, [0.0] * 7
         stop = ("mujoco:solreffriction", "mujoco:solimpfriction")
         self.custom_attributes = {name: SimpleNamespace(values={}) for name in stop}
-        self.added: list[tuple[Any, dict[str, Any]]] = []
+        self.added = []
 
-    def add_actuator(self, drive_class: Any, **given: Any) -> None:
+    def add_actuator(self, drive_class, **given):
         self.added.append((drive_class, given))
 
 
-def test_newton(modules: Any) -> None:
+def test_newton(modules):
     text = export("newton", motor(rotor_inertia_kgm2=0.001)).text
     space = modules(text, newton__actuators=recording("DrivePD", "ClampingDCMotor"))
     builder = Builder()
@@ -316,27 +303,25 @@ def test_newton(modules: Any) -> None:
 
 
 def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf(
-    modules: Any,
-) -> None:
+    modules,
+):
     """What Newton and mjlab compute from the exported numbers is the law of the motor."""
     dt = 0.0002
     t = dt * np.arange(10_000)
     command = np.where(t < 0.2, 0.0, np.where(t < 1.0, 1.0, -0.8))
-    model = Model({"j1": replace(motor().joints["j1"], latency_s=0.0)})
-    joint = replace(model.joints["j1"], motor={**model.joints["j1"].motor, "coulomb_Nm": 0.0})
+    joint = replace(motor(coulomb_Nm=0.0).joints["j1"], latency_s=0.0)
     text = export("newton", Model({"j1": joint})).text
     space = modules(text, newton__actuators=recording("DrivePD", "ClampingDCMotor"))
-    servo = space["SERVOS"]["j1"]
-    ((_, limit),) = servo["clamping"]
+    drive = space["SERVOS"]["j1"]
+    ((_, limit),) = drive["clamping"]
     angle = speed = 0.0
-    seen = []
-    for target in command:
-        seen.append(angle)
-        torque = servo["kp"] * (target - angle) - servo["kd"] * speed
+    seen = np.empty(t.size)
+    for k, target in enumerate(command):
+        seen[k] = angle
+        torque = drive["kp"] * (target - angle) - drive["kd"] * speed
         share = speed / limit["velocity_limit"]
         most = min(limit["saturation_effort"] * (1 - share), limit["max_motor_effort"])
         least = max(limit["saturation_effort"] * (-1 - share), -limit["max_motor_effort"])
         speed += dt * min(max(torque, least), most) / joint.inertia_kgm2
         angle += dt * speed
-    expected = predict(Model({"j1": joint}), t, {"j1": command})["j1"]
-    assert np.sqrt(np.mean((np.array(seen) - expected) ** 2)) < 0.001
+    assert rms(seen - predict(Model({"j1": joint}), t, {"j1": command})["j1"]) < 0.001

@@ -58,7 +58,7 @@ class Eye:
             bent_x, bent_y = self.bend(x, y)
             off_x, off_y = seen_x - bent_x, seen_y - bent_y
             x, y = x + off_x, y + off_y
-            if max(np.abs(off_x).max(), np.abs(off_y).max()) < 1e-9:  # a millionth of a pixel
+            if max(np.abs(off_x).max(), np.abs(off_y).max()) < 1e-7:  # a ten-thousandth of a pixel
                 break
         return np.stack([x, y, np.ones_like(x)], -1)
 
@@ -149,9 +149,9 @@ def still(eye: Eye) -> Array:
     """The pool as the camera sees it, linear, (V, U, 3)."""
     rows = []
     for v in np.array_split(np.arange(SIZE[1], dtype=float), 24):
-        rays = sample_rays(eye, np.arange(SIZE[0], dtype=float), v, 3)
+        rays = sample_rays(eye, np.arange(SIZE[0], dtype=float), v, 2)
         rows.append(tiles(*eye.plane(rays, 0.0)).mean(axis=2))
-    return np.concatenate(rows)
+    return np.concatenate(rows).astype(np.float32)
 
 
 def with_swimmer(shot: Shot, poses: Array) -> Array:
@@ -176,11 +176,12 @@ def with_swimmer(shot: Shot, poses: Array) -> Array:
 
 def developed(linear: Array, shot: Shot, t: float, rng: np.random.Generator) -> Picture:
     """Light (flicker, moving ripple), the sensor's gamma and noise; blue, green, red bytes."""
-    v, u = np.mgrid[0 : SIZE[1], 0 : SIZE[0]]
+    v, u = np.ogrid[0 : SIZE[1], 0 : SIZE[0]]
     light = 1 + 0.02 * rng.standard_normal()
     light = light + 0.06 * np.sin(u / 23 + 4 * t) * np.sin(v / 31 - 3 * t)
     linear = cv2.GaussianBlur(linear, (0, 0), 0.45)
-    grey = 255 * (linear * light[..., None]).clip(0, 1) ** (1 / 2.2)
+    lit = (linear * light[..., None].astype(np.float32)).clip(0, 1)
+    grey = 255 * lit ** np.float32(1 / 2.2)
     noise = shot.noise * rng.standard_normal(grey.shape[:2], dtype=np.float32)
     return (grey[..., ::-1] + noise[..., None]).round().clip(0, 255).astype(np.uint8)
 

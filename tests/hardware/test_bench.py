@@ -1,35 +1,30 @@
 """From servos on a port to gains and a page, with one command."""
 
 import json
-import os
-import subprocess
-import sys
-import time
 
 import pytest
-from virtual_bench import LAW, robot_file, served
+from virtual_bench import LAW, refused, robot_file, served
 
 from sim2real.cli import main
 from sim2real.hardware.bench import Weight
 from sim2real.model import read_model
 
-LOSSES = {"loss": 0.02, "noise": 0.001}
+UNKNOWN = "--unknown-load"
 
 
-def bench(port, folder, *more, bus="feetech"):
-    options = ["--bus", bus, "--port", port, "--ids", "1", "--out", str(folder)]
+def bench(port, folder, *more):
+    options = ["--bus", "feetech", "--port", port, "--ids", "1", "--out", str(folder)]
     return main(["bench", *options, *more])
 
 
 def test_one_command_identifies_a_servo(tmp_path, capsys):
     inertia = ["--inertia", str(LAW.inertia_kgm2)]
-    with served(1, bus="feetech", **LOSSES) as servos:
+    with served(1, bus="feetech", loss=0.02, noise=0.001) as servos:
         assert bench(servos.port, tmp_path, *inertia, "--seconds", "3") == 0
         assert not servos.servos[0].powered
         said = capsys.readouterr().out
         assert "STS3215" in said and "kp" in said and "index.html" in said
-        assert bench(servos.port, tmp_path, *inertia) == 2
-        assert "--overwrite" in capsys.readouterr().err
+        refused(capsys, bench(servos.port, tmp_path, *inertia), 2, "--overwrite")
     joint = read_model(tmp_path / "model.json").joints["j1"]
     assert joint.kp_Nm_per_rad == pytest.approx(LAW.kp_Nm_per_rad, rel=0.05)
     assert joint.kd_Nms_per_rad == pytest.approx(LAW.kd_Nms_per_rad, rel=0.05)
@@ -60,55 +55,25 @@ def test_the_load_is_asked_for_on_a_terminal_only(tmp_path, capsys, monkeypatch)
 @pytest.mark.parametrize(
     ("more", "status", "part"),
     [
-        (["--unknown-load", "--ids", "4"], 1, "no reply from servo 4 (feetech, 1000000 baud)"),
-        (["--unknown-load", "--bus", "feetec"], 2, "--bus"),
-        (["--unknown-load", "--reach", "9"], 2, "--reach"),
-        (["--unknown-load", "--seconds", "0"], 2, "--seconds"),
-        (["--unknown-load", "--ids", "a"], 2, "--ids"),
+        ([UNKNOWN, "--ids", "4"], 1, "no reply from servo 4 (feetech, 1000000 baud)"),
+        ([UNKNOWN, "--bus", "feetec"], 2, "--bus"),
+        ([UNKNOWN, "--reach", "9"], 2, "--reach"),
+        ([UNKNOWN, "--seconds", "0"], 2, "--seconds"),
+        ([UNKNOWN, "--ids", "a"], 2, "--ids"),
         (["--mass", "1", "--arm", "0"], 2, "--arm"),
         (["--mass", "1"], 2, "--arm: found nothing"),
-        (["--unknown-load", "--max-temperature", "300"], 2, "--max-temperature"),
+        ([UNKNOWN, "--max-temperature", "300"], 2, "--max-temperature"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, capsys, more, status, part):
     with served(1, bus="feetech") as servos:
-        assert bench(servos.port, tmp_path, *more) == status
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and part in said
+        refused(capsys, bench(servos.port, tmp_path, *more), status, part)
     assert not list(tmp_path.iterdir()), "nothing is written"
 
 
 def test_a_servo_without_ratings_needs_a_robot_file(tmp_path, capsys):
     with served(1, bus="feetech", model="SCS0009") as servos:
-        assert bench(servos.port, tmp_path, "--unknown-load") == 2
-        assert "no ratings of servo 1 (SCS0009)" in capsys.readouterr().err
-        (tmp_path / "own").mkdir()
-        robot = ["--robot", str(robot_file(tmp_path / "own", 2))]
-        assert bench(servos.port, tmp_path, "--unknown-load", *robot) == 2
-        assert "--ids: found 1 numbers, expected 2" in capsys.readouterr().err
-
-
-def test_after_a_kill_the_next_command_restores(tmp_path, state, capsys):
-    limits = {"profile_velocity": 44, "profile_acceleration": 7}
-    with served(1, bus="dynamixel", **LOSSES) as servos:
-        (servo,) = servos.servos
-        for name, value in limits.items():
-            servo.put(name, value)
-        program = subprocess.Popen(
-            [sys.executable, "-m", "sim2real", "record", "sine", "--bus", "dynamixel",
-             "--port", servos.port, "--ids", "1", "--robot", str(robot_file(tmp_path, 1)),
-             "--out", str(tmp_path / "run.csv")],
-            env=os.environ | {"XDG_STATE_HOME": str(state)}, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        deadline = time.monotonic() + 30
-        while not servo.powered and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert servo.powered and servo.get("profile_velocity") == 0
-        program.kill()
-        program.wait(20)
-        assert servo.powered
-        main(["scan", "--bus", "dynamixel", "--port", servos.port, "--ids", "1"])
-        assert "torque off, limits restored" in capsys.readouterr().err
-        assert not servo.powered
-        assert {name: servo.get(name) for name in limits} == limits
-        assert servo.get("bus_watchdog") == 0
+        refused(capsys, bench(servos.port, tmp_path, UNKNOWN), 2, "ratings of servo 1 (SCS0009)")
+        robot = ["--robot", str(robot_file(tmp_path, 2))]
+        status = bench(servos.port, tmp_path / "out", UNKNOWN, *robot)
+        refused(capsys, status, 2, "--ids: found 1 numbers, expected 2")

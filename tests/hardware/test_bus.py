@@ -42,37 +42,30 @@ class Script:
 
 
 @pytest.mark.parametrize(
-    "pieces",
+    ("pieces", "found"),
     [
-        [LX.encode(REPLY)],
-        [LX.encode(move(1, 3)) + LX.encode(ASK), LX.encode(REPLY)],  # its own echo first
-        [b"\x55\x07\x55", LX.encode(REPLY)[:3], LX.encode(REPLY)[3:] + b"\x55"],
-        [LX.encode(Packet(2, LxCommand.POS_READ, b"\x09\x09")), LX.encode(REPLY)],
+        ([LX.encode(REPLY)], REPLY),
+        ([LX.encode(move(1, 3)) + LX.encode(ASK), LX.encode(REPLY)], REPLY),  # its own echo first
+        ([b"\x55\x07\x55", LX.encode(REPLY)[:3], LX.encode(REPLY)[3:] + b"\x55"], REPLY),
+        ([LX.encode(Packet(2, LxCommand.POS_READ, b"\x09\x09")), LX.encode(REPLY)], REPLY),
+        ([LX.encode(Packet(1, LxCommand.VIN_READ, b"\x09\x09")), LX.encode(REPLY)], REPLY),
+        ([], None),
+        ([LX.encode(ASK)], None),
+        ([LX.encode(REPLY)[:-1]], None),
+        ([LX.encode(REPLY)[:-1] + b"\x00"], None),
     ],
 )
-def test_the_reply_is_found(pieces):
+def test_the_reply_is_found(pieces, found):
     script = Script(*pieces)
-    bus = LxBus(script)
-    assert bus.exchange([move(1, 3), ASK], math.inf) == [None, REPLY]
+    assert LxBus(script).exchange([move(1, 3), ASK], math.inf) == [None, found]
     assert script.written == LX.encode(move(1, 3)) + LX.encode(ASK)
 
 
-@pytest.mark.parametrize(
-    "pieces", [[], [LX.encode(ASK)], [LX.encode(REPLY)[:-1]], [LX.encode(REPLY)[:-1] + b"\x00"]]
-)
-def test_no_reply_is_none(pieces):
-    bus = LxBus(Script(*pieces))
-    assert bus.exchange([ASK], math.inf) == [None]
-
-
-def test_replies_come_in_any_order():
+def test_replies_come_in_any_order_and_what_came_too_late_is_thrown_away():
     other = Packet(2, LxCommand.POS_READ, b"\x01\x00")
     bus = LxBus(Script(LX.encode(other) + LX.encode(REPLY)))
     asked = [ASK, Packet(2, LxCommand.POS_READ), Packet(3, LxCommand.POS_READ)]
     assert bus.exchange(asked, math.inf) == [REPLY, other, None]
-
-
-def test_what_came_too_late_is_thrown_away():
     bus = LxBus(Script(LX.encode(REPLY), LX.encode(REPLY)[:4]))
     bus.drain()
     assert bus.exchange([ASK], math.inf) == [None]
@@ -120,9 +113,9 @@ def test_a_serial_port_over_the_network():
 
 @pytest.fixture
 def fish(tmp_path):
-    def robot(text=ROBOT):
+    def robot(limits="[-0.8, 0.8]"):
         path = tmp_path / "robot.toml"
-        path.write_text(text)
+        path.write_text(ROBOT.replace("[-0.8, 0.8]", limits))
         return read_robot(path)
 
     return robot
@@ -142,19 +135,22 @@ def test_ticks_and_angles(fish):
             assert abs(inside - min(max(angle, -0.8), 0.8)) <= 0.0042
 
 
-def test_servos_that_do_not_fit_the_robot(fish):
-    for given in (
-        {"count": 2},
-        {"trim_ticks": [1, 2]},
-        {"reverse": ["j9"]},
-        {"trim_ticks": [400]},
-    ):
-        ids = range(given.pop("count", 1))
-        with pytest.raises(InputError):
-            mount(fish(), [lx_servo(k) for k in ids], Wiring(ids, **given))
-    for ids in ([], [254], [1, 1]):
-        with pytest.raises(InputError, match="--ids"):
-            check_ids(ids, 253)
-    wide = ROBOT.replace("[-0.8, 0.8]", "[-2.5, 2.5]")
-    with pytest.raises(InputError, match=r"limits_rad.*-2\.5"):
-        mount(fish(wide), [lx_servo(1)], Wiring([1]))
+@pytest.mark.parametrize(
+    ("ids", "wiring", "limits", "message"),
+    [
+        ([0, 1], {}, "[-0.8, 0.8]", "found 2"),
+        ([0], {"trim_ticks": [1, 2]}, "[-0.8, 0.8]", "trim"),
+        ([0], {"reverse": ["j9"]}, "[-0.8, 0.8]", "j9"),
+        ([0], {"trim_ticks": [400]}, "[-0.8, 0.8]", "limits_rad"),
+        ([1], {}, "[-2.5, 2.5]", r"limits_rad.*-2\.5"),
+    ],
+)
+def test_servos_that_do_not_fit_the_robot(fish, ids, wiring, limits, message):
+    with pytest.raises(InputError, match=message):
+        mount(fish(limits), [lx_servo(k) for k in ids], Wiring(ids, **wiring))
+
+
+@pytest.mark.parametrize("ids", [[], [254], [1, 1]])
+def test_numbers_that_no_servo_has(ids):
+    with pytest.raises(InputError, match="--ids"):
+        check_ids(ids, 253)

@@ -3,12 +3,13 @@
 import json
 import os
 import re
-import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
-from virtual_bench import LAW, record, refused, served, when_rows
+from virtual_bench import LAW, LIMITS, limit, limits, record, refused, robot_file, served
 
 from sim2real.cli import main
 from sim2real.errors import InputError
@@ -19,12 +20,6 @@ from sim2real.hardware.virtual_bus import Shaft
 from sim2real.recording import read_recording
 
 REGISTERS = ("dynamixel", "feetech")
-LIMITS = {"profile_velocity": 44, "profile_acceleration": 7}
-
-
-def limit(servo, values):
-    for name, value in values.items():
-        servo.put(name, value)
 
 
 def eeprom(servo):
@@ -36,13 +31,13 @@ def test_a_recording_stores_settings_and_restores_limits(tmp_path, bus):
     more = ["--bus", bus, "--seconds", "1.2", "--reverse", "j2"]
     with served(2, bus=bus, echo=bus == "feetech") as bench:
         for servo in bench.servos:
-            limit(servo, LIMITS)
+            limit(servo)
         before = [eeprom(servo) for servo in bench.servos]
         assert record(tmp_path, bench.port, *more, joints=2) == 0
         assert [eeprom(servo) for servo in bench.servos] == before
         for servo in bench.servos:
             assert not servo.powered
-            assert {name: servo.get(name) for name in LIMITS} == LIMITS
+            assert limits(servo) == LIMITS
             if bus == "dynamixel":
                 assert servo.get("bus_watchdog") == 0
     recording = read_recording(tmp_path / "run.csv")
@@ -82,54 +77,52 @@ def test_scs_servos_are_read_one_by_one_with_the_high_byte_first(tmp_path):
     assert np.isnan(recording.position).mean() < 0.2
 
 
-@pytest.mark.parametrize("bus", REGISTERS)
-def test_scan_names_the_model(bus, capsys):
+@pytest.mark.parametrize(
+    ("bus", "parts"),
+    [
+        ("lx", ("500", "supply outside 4.5 to 12.0 V")),
+        ("dynamixel", ("XL330-M288", "2048", "voltage")),
+        ("feetech", ("STS3215", "2048", "voltage")),
+    ],
+)
+def test_scan_names_who_is_there(bus, parts, capsys):
     with served(2, bus=bus, supply_V=3.3, temperature_C=41) as bench:
-        assert main(["scan", "--bus", bus, "--port", bench.port, "--ids", "1-3"]) == 0
+        call = ["scan", "--bus", bus, "--port", bench.port, "--ids"]
+        assert main([*call, "1-3"]) == 0
         first, second = capsys.readouterr().out.splitlines()[1:]
-        name = "XL330-M288" if bus == "dynamixel" else "STS3215"
-        for part in (name, "2048", "3.30 V", "41 C", "off", "voltage"):
+        for part in (*parts, "3.30 V", "41 C", "off"):
             assert part in first
         assert second.split()[0] == "2"
+        refused(capsys, main([*call, "3"]), 1, "no servo answers")
+        assert main([*call, "1-300"]) == 2
 
 
 def test_what_is_wrong_is_one_line(tmp_path, capsys):
-    with served(1, bus="dynamixel") as bench:
-        port = bench.port
-        status = record(tmp_path, port, "--bus", "dynamixle")
-        refused(capsys, status, 2, "--bus: found 'dynamixle'", "did you mean dynamixel?")
-        status = main(["scan", "--bus", "feetech", "--port", port, "--ids", "1-2"])
-        refused(capsys, status, 1, "no servo answers", "feetech", "1000000", "--bus")
-        status = record(tmp_path, port, "--bus", "feetech")
-        refused(capsys, status, 1, "no reply from servo 1 (feetech, 1000000 baud)")
-        status = record(tmp_path, port, "--bus", "dynamixel", "--baud", "57600")
-        refused(capsys, status, 1, "no reply from servo 1 (dynamixel, 57600 baud)")
-        status = record(tmp_path, port, "--bus", "dynamixel", "--baud", "-1")
-        refused(capsys, status, 2, "--baud: found -1")
-        more = ["--bus", "dynamixel", "--ids", "7"]
-        refused(capsys, record(tmp_path, port, *more), 1, "no reply from servo 7")
-        more = ["--bus", "dynamixel", "--ids", "253"]
-        refused(capsys, record(tmp_path, port, *more), 2, "--ids: found 253", "0 to 252")
-        bench.servos[0].put("operating_mode", 1)
-        status = record(tmp_path, port, "--bus", "dynamixel")
-        refused(capsys, status, 2, "servo 1: operating mode: found 1", "3 (position)")
-        bench.servos[0].put("operating_mode", 3)
-        bench.servos[0].put("max_position", 2100)
-        status = record(tmp_path, port, "--bus", "dynamixel")
-        refused(capsys, status, 2, "limits_rad", "limits that the servo reaches")
-        bench.servos[0].put("model", 350)
-        status = record(tmp_path, port, "--bus", "dynamixel")
-        refused(capsys, status, 2, "servo 1: model: found number 350", "XL430-W250")
-    assert not (tmp_path / "run.csv").exists()
+    def wrong(status, *parts, bus="dynamixel", joints=1, more=()):
+        found = record(tmp_path, bench.port, "--bus", bus, *more, joints=joints)
+        refused(capsys, found, status, *parts)
 
-
-def test_a_rate_that_is_too_slow_is_refused(tmp_path, capsys):
     with served(3, bus="dynamixel") as bench:
-        for servo in bench.servos:  # as if they listened at any rate
-            assert servo.get("baud") == 3
-        options = ["--bus", "dynamixel", "--baud", "38400"]  # a terminal's own rate
-        status = record(tmp_path, bench.port, *options, joints=3)
-        refused(capsys, status, 2, "--baud: found 38400 baud", "a faster rate")
+        servo = bench.servos[0]
+        wrong(2, "--bus: found 'dynamixle'", "did you mean dynamixel?", bus="dynamixle")
+        wrong(1, "no reply from servo 1 (feetech, 1000000 baud)", bus="feetech")
+        silent = "no reply from servo 1 (dynamixel, 57600 baud)"
+        wrong(1, silent, more=["--baud", "57600"])
+        wrong(2, "--baud: found -1", more=["--baud", "-1"])
+        slow = ["--baud", "38400"]  # a terminal's own rate, as if they listened at any rate
+        wrong(2, "--baud: found 38400 baud", "a faster rate", more=slow, joints=3)
+        wrong(1, "no reply from servo 7", more=["--ids", "7"])
+        wrong(2, "--ids: found 253", "0 to 252", more=["--ids", "253"])
+        servo.put("operating_mode", 1)
+        wrong(2, "servo 1: operating mode: found 1", "3 (position)")
+        servo.put("operating_mode", 3)
+        servo.put("max_position", 2100)
+        wrong(2, "limits_rad", "limits that the servo reaches")
+        servo.put("model", 350)
+        wrong(2, "servo 1: model: found number 350", "XL430-W250")
+        status = main(["scan", "--bus", "feetech", "--port", bench.port, "--ids", "1-2"])
+        refused(capsys, status, 1, "no servo answers", "feetech", "1000000", "--bus")
+    assert not (tmp_path / "run.csv").exists()
 
 
 def test_a_servo_outside_its_range_is_not_driven(tmp_path, capsys):
@@ -148,47 +141,36 @@ def test_a_servo_outside_its_range_is_not_driven(tmp_path, capsys):
     assert np.nanmax(np.abs(read_recording(tmp_path / "run.csv").command)) <= 0.8
 
 
-@pytest.mark.parametrize("bus", BUSES)
-def test_the_user_stops_it_and_limits_are_restored(tmp_path, capsys, bus, state):
-    with served(1, bus=bus) as bench:
+def test_after_a_kill_the_next_command_restores_limits(tmp_path, state, capsys):
+    """By the journal, whichever bus that command asks for."""
+    with served(1, bus="dynamixel", loss=0.02, noise=0.001) as bench:
         (servo,) = bench.servos
-        if bus != "lx":
-            limit(servo, LIMITS)
-
-        def hang_up():
-            assert servo.powered
-            os.kill(os.getpid(), signal.SIGHUP)
-
-        with when_rows(tmp_path / "run.csv", 10, hang_up):
-            status = record(tmp_path, bench.port, "--bus", bus)
-        refused(capsys, status, 1, "interrupted", "torque off")
-        assert not servo.powered
-        if bus != "lx":
-            assert {name: servo.get(name) for name in LIMITS} == LIMITS
-    assert list(state.glob("sim2real/ports/*.lock"))
-    assert not list(state.glob("sim2real/ports/*.json"))
-
-
-def test_limits_are_restored_by_the_next_command(capsys):
-    """After a kill, which leaves the journal, whichever bus the next command asks for."""
-    with served(1, bus="dynamixel") as bench:
-        (servo,) = bench.servos
-        limit(servo, {**LIMITS, "bus_watchdog": -1})
-        with connection("dynamixel", bench.port) as link:
-            saved = link.bus.saved(1)
-            assert saved == {"bus_watchdog": 0, **LIMITS}
-            link.journal.note([Changed("dynamixel", 1_000_000, 1, saved)])
-            link.bus.begin({1: 2048})
-            assert servo.powered and servo.get("profile_velocity") == 0
-            with pytest.raises(InputError, match="in use by another command"):
-                Journal(bench.port)
+        limit(servo)
+        program = subprocess.Popen(
+            [sys.executable, "-m", "sim2real", "record", "sine", "--bus", "dynamixel",
+             "--port", bench.port, "--ids", "1", "--robot", str(robot_file(tmp_path, 1)),
+             "--out", str(tmp_path / "run.csv")],
+            env=os.environ | {"XDG_STATE_HOME": str(state)}, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        deadline, run = time.monotonic() + 30, tmp_path / "run.csv"
+        while time.monotonic() < deadline and not (
+            run.exists() and run.read_text().count("\n") > 9
+        ):
+            time.sleep(0.01)
+        assert servo.powered and servo.get("profile_velocity") == 0
+        with pytest.raises(InputError, match="in use by another command"):
+            Journal(bench.port)
+        program.kill()
+        program.wait(20)
+        assert read_recording(run).t.size > 5, "a crash loses nothing"
+        assert servo.powered
         main(["scan", "--port", bench.port, "--ids", "9"])
         said = capsys.readouterr().err.splitlines()
         assert said[0] == (
             f"{bench.port}: servos 1, left on by an earlier command: torque off, limits restored"
         )
         assert not servo.powered
-        assert {name: servo.get(name) for name in LIMITS} == LIMITS
+        assert limits(servo) == LIMITS
         assert servo.get("bus_watchdog") == 0
         main(["scan", "--port", bench.port, "--ids", "9"])
         assert "left on" not in capsys.readouterr().err
@@ -198,7 +180,10 @@ def test_a_servo_that_did_not_answer_is_restored_later_to_what_it_had(tmp_path, 
     """Even if it is recorded again in between, when its limits are those of the first recording."""
     with served(1, bus="feetech") as bench:
         (servo,) = bench.servos
-        before = Changed("feetech", 1_000_000, 1, LIMITS)
+        before, now = (
+            Changed("feetech", 1_000_000, 1, values)
+            for values in (LIMITS, dict.fromkeys(LIMITS, 0))
+        )
         journal = Journal(bench.port)
         assert journal.note([before]) == [before]
         journal.close()
@@ -208,11 +193,10 @@ def test_a_servo_that_did_not_answer_is_restored_later_to_what_it_had(tmp_path, 
         assert gone in capsys.readouterr().err
         servo.connected = True
         journal = Journal(bench.port)
-        now = Changed("feetech", 1_000_000, 1, dict.fromkeys(LIMITS, 0))
         assert journal.note([now]) == [before], "what it had first"
         journal.close()
         assert record(tmp_path, bench.port, "--bus", "feetech", "--seconds", "1") == 0
-        assert {name: servo.get(name) for name in LIMITS} == LIMITS
+        assert limits(servo) == LIMITS
         assert not journal.path.exists()
 
 
@@ -257,7 +241,7 @@ def test_random_bytes_instead_of_answers(name):
     bus._models[1] = model_of(name, 1200 if name == "dynamixel" else 777)
     while line.left:
         begin = time.monotonic()
-        bus.cycle({1: 2048}, begin + 0.01)
+        bus.cycle({1: 2048}, begin + 0.05)
         assert time.monotonic() < begin + 0.5
     assert bus.garbled
 

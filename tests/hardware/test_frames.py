@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim2real.hardware.frames import DYNAMIXEL, FEETECH, LX, FrameDecoder, Packet
-from sim2real.hardware.lx import LxCommand, expects_reply, is_reply, load, move, number
+from sim2real.hardware.lx import LxCommand, load, move, number
 from sim2real.hardware.registers import LAYOUTS, Register
 
 PROTOCOLS = {"lx": LX, "feetech": FEETECH, "dynamixel": DYNAMIXEL}
@@ -110,12 +110,20 @@ def test_stuffing_hides_every_header(servo_id, body):
     assert FrameDecoder(DYNAMIXEL).feed(data + data) == [packet, packet]
 
 
-def test_a_beginning_is_forgotten_when_told():
+def test_lx_requests_and_numbers_of_replies():
     decoder, data = FrameDecoder(LX), LX.encode(Packet(1, 28, b"\x00\x02"))
     assert decoder.feed(data[:5]) == []
     decoder.clear()
-    assert decoder.feed(data[5:]) == []
+    assert decoder.feed(data[5:]) == [], "a beginning is forgotten when told"
     assert decoder.feed(data) == [Packet(1, 28, b"\x00\x02")]
+    assert LX.encode(move(1, 500)) == bytes.fromhex("55 55 01 07 01 F4 01 00 00 01")
+    assert LX.encode(load(1, True)) == bytes.fromhex("55 55 01 04 1F 01 DA")
+    assert number(Packet(1, LxCommand.POS_READ, b"\xf4\xff")) == -12
+    assert number(Packet(1, LxCommand.VIN_READ, b"\xe8\x1c")) == 7400
+    assert number(Packet(1, LxCommand.VIN_LIMIT_READ, b"\x00\x00\xe8\x03"), 2) == 1000
+    assert 13 not in list(LxCommand), "no servo ever gets a new identity"
+    with pytest.raises(ValueError, match="1001"):
+        move(1, 1001)
 
 
 @pytest.mark.parametrize(
@@ -131,26 +139,6 @@ def test_a_beginning_is_forgotten_when_told():
 def test_what_a_protocol_lacks_is_refused(protocol, packet):
     with pytest.raises(ValueError, match="\\d"):
         protocol.encode(packet)
-    with pytest.raises(ValueError, match="1001"):
-        move(1, 1001)
-
-
-def test_lx_requests_and_numbers_of_replies():
-    assert LX.encode(move(1, 500)) == bytes.fromhex("55 55 01 07 01 F4 01 00 00 01")
-    assert LX.encode(load(1, True)) == bytes.fromhex("55 55 01 04 1F 01 DA")
-    assert number(Packet(1, LxCommand.POS_READ, b"\xf4\xff")) == -12
-    assert number(Packet(1, LxCommand.VIN_READ, b"\xe8\x1c")) == 7400
-    assert number(Packet(1, LxCommand.VIN_LIMIT_READ, b"\x00\x00\xe8\x03"), 2) == 1000
-    assert 13 not in list(LxCommand), "no servo ever gets a new identity"
-
-
-def test_a_reply_is_told_from_an_echo():
-    request = Packet(1, LxCommand.POS_READ)
-    assert expects_reply(request) and not expects_reply(move(1, 500))
-    assert not is_reply(request, request)
-    assert is_reply(request, Packet(1, LxCommand.POS_READ, b"\x00\x02"))
-    assert not is_reply(request, Packet(2, LxCommand.POS_READ, b"\x00\x02"))
-    assert not is_reply(request, Packet(1, LxCommand.VIN_READ, b"\x00\x02"))
 
 
 def test_numbers_of_registers():

@@ -33,39 +33,34 @@ def bench(request):
 
 
 @pytest.mark.parametrize("bench", MODELS, indirect=True)
-def test_one_servo_is_found_and_moved(bench):
+def test_servos_are_found_moved_and_read(bench):
     sdk, port, packets, done = bench.sdk, bench.port, bench.packets, bench.sdk.COMM_SUCCESS
     assert packets.ping(port, 2) == (bench.number, done, 0)
     assert packets.ping(port, 9)[1] == sdk.COMM_RX_TIMEOUT
     assert bench.read(port, 1, bench.position) == (bench.centre, done, 0)
-    assert packets.write1ByteTxRx(port, 1, bench.torque, 1) == (done, 0)
-    assert bench.bench.servos[0].powered
-    assert bench.write(port, 1, bench.goal, bench.centre - 100) == (done, 0)
+    goals = {k: bench.centre + 40 * k - 140 for k in (1, 2, 3)}
+    for k in goals:
+        assert packets.write1ByteTxRx(port, k, bench.torque, 1) == (done, 0)
+        assert bench.bench.servos[k - 1].powered
+    assert bench.write(port, 1, bench.goal, goals[1]) == (done, 0)
+    several = sdk.GroupSyncWrite(port, packets, bench.goal, bench.size)
+    for k in (2, 3):
+        order = "big" if bench.model == "SCS0009" else "little"
+        several.addParam(k, goals[k].to_bytes(bench.size, order))
+    several.txPacket()
     time.sleep(0.6)
-    assert abs(bench.read(port, 1, bench.position)[0] - (bench.centre - 100)) <= 2
-
-
-@pytest.mark.parametrize("bench", MODELS, indirect=True)
-def test_several_are_moved_and_read_at_once(bench):
-    sdk, port, packets = bench.sdk, bench.port, bench.packets
-    order = "big" if bench.model == "SCS0009" else "little"
-    goals = sdk.GroupSyncWrite(port, packets, bench.goal, bench.size)
-    for k in (1, 2, 3):
-        packets.write1ByteTxRx(port, k, bench.torque, 1)
-        goals.addParam(k, (bench.centre + 30 * k).to_bytes(bench.size, order))
-    goals.txPacket()
-    time.sleep(0.6)
+    for k in goals:
+        assert abs(bench.read(port, k, bench.position)[0] - goals[k]) <= 2
     present = sdk.GroupSyncRead(port, packets, bench.position, bench.size)
     for k in (3, 1, 2):
         present.addParam(k)
     result = present.txRxPacket()
     if bench.model == "SCS0009":
-        assert result != sdk.COMM_SUCCESS, "this series has no sync read"
+        assert result != done, "this series has no sync read"
         return
-    assert result == sdk.COMM_SUCCESS
-    for k in (1, 2, 3):
-        found = present.getData(k, bench.position, bench.size)
-        assert abs(found - (bench.centre + 30 * k)) <= 2
+    assert result == done
+    for k in goals:
+        assert abs(present.getData(k, bench.position, bench.size) - goals[k]) <= 2
 
 
 @pytest.mark.parametrize("bench", ["XL330-M288"], indirect=True)

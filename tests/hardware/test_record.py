@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from virtual_bench import LAW, record, robot_file, served
+from virtual_bench import LAW, record, refused, robot_file, served
 
 from sim2real.cli import main
 from sim2real.identification.identify import identify
@@ -55,18 +55,6 @@ def test_a_dry_run_shows_the_signal_and_needs_no_port(tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_scan_lists_who_is_there(capsys):
-    with served(2, supply_V=3.9, temperature_C=41) as bench:
-        assert main(["scan", "--port", bench.port, "--ids", "1-3"]) == 0
-        first, second = capsys.readouterr().out.splitlines()[1:]
-        for part in ("500", "3.90 V", "41 C", "off", "supply outside 4.5 to 12.0 V"):
-            assert part in first
-        assert second.split()[0] == "2"
-        assert main(["scan", "--port", bench.port, "--ids", "3"]) == 1
-        assert "no servo answers" in capsys.readouterr().err
-    assert main(["scan", "--port", bench.port, "--ids", "1-300"]) == 2
-
-
 def test_identify_finds_the_servo_through_a_radio_that_loses_packets(tmp_path, capsys):
     """What is lost is missing; the rest is what the servo did."""
     with served(1, udp=True, loss=0.02, noise=0.001) as bench:
@@ -96,7 +84,6 @@ def test_identify_finds_the_servo_through_a_radio_that_loses_packets(tmp_path, c
 @pytest.mark.parametrize(
     ("more", "bus"),
     [
-        ([], "lx"),
         (["--udp", "127.0.0.1:0"], "lx"),
         (["--bus", "dynamixel", "--servo", "XM430-W350"], "dynamixel"),
     ],
@@ -114,6 +101,5 @@ def test_scan_finds_what_virtual_servo_serves(more, bus, capsys):
         program.terminate()
         program.communicate(timeout=10)
     assert program.returncode == 0
-    assert main(["virtual-servo", "--bus", "dynamixel", "--servo", "XM430"]) == 2
-    refused = capsys.readouterr().err
-    assert "--servo: found 'XM430'" in refused and refused.count("\n") == 1
+    status = main(["virtual-servo", "--bus", "dynamixel", "--servo", "XM430"])
+    refused(capsys, status, 2, "--servo: found 'XM430'")

@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from virtual_bench import record, refused, robot_file, served, when_rows
+from virtual_bench import LIMITS, limit, limits, record, refused, robot_file, served, when_rows
 
 from sim2real.cli import main
 from sim2real.recording import read_recording
@@ -51,16 +51,30 @@ def test_one_servo_is_lost_and_the_other_let_go(tmp_path, capsys):
         assert not first.powered
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_user_stops_it(tmp_path, capsys, number):
+@pytest.mark.parametrize(
+    ("bus", "number"),
+    [("lx", signal.SIGINT), ("dynamixel", signal.SIGTERM), ("feetech", signal.SIGHUP)],
+)
+def test_the_user_stops_it_and_limits_are_restored(tmp_path, capsys, state, bus, number):
     before = signal.getsignal(number)
-    with served(1) as bench:
-        with when_rows(tmp_path / "run.csv", ROWS, lambda: os.kill(os.getpid(), number)):
-            status = record(tmp_path, bench.port)
+    with served(1, bus=bus) as bench:
+        (servo,) = bench.servos
+        if bus != "lx":
+            limit(servo)
+
+        def stop():
+            assert servo.powered
+            os.kill(os.getpid(), number)
+
+        with when_rows(tmp_path / "run.csv", ROWS, stop):
+            status = record(tmp_path, bench.port, "--bus", bus)
         recording = stopped(tmp_path, capsys, status, "interrupted", "torque off")
         assert recording.t.size >= ROWS
-        assert not bench.servos[0].powered
+        assert not servo.powered
+        assert bus == "lx" or limits(servo) == LIMITS
     assert signal.getsignal(number) == before
+    assert list(state.glob("sim2real/ports/*.lock"))
+    assert not list(state.glob("sim2real/ports/*.json"))
 
 
 def test_a_servo_gets_hot(tmp_path, capsys):

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from virtual_bench import robot_file, served
+from virtual_bench import LIMITS, limit, limits, refused, robot_file, served
 
 from rl.deploy.link import Telemetry, telemetry_bytes
 from rl.deploy.policy import npz
@@ -54,15 +54,13 @@ def swim(policy, folder, port, tracker, *more, bus="dynamixel"):
 
 
 def test_servos_follow_the_policy_and_are_released(policy, tmp_path, tracker):
-    limits = {"profile_velocity": 44, "profile_acceleration": 7}
     with served(3, bus="dynamixel") as bench:
         for servo in bench.servos:
-            for name, value in limits.items():
-                servo.put(name, value)
+            limit(servo)
         assert swim(policy, tmp_path, bench.port, tracker) == 0
         for servo in bench.servos:
             assert not servo.powered
-            assert {name: servo.get(name) for name in limits} == limits
+            assert limits(servo) == LIMITS
     recording = read_recording(tmp_path / "swim.csv")
     assert recording.joints == JOINTS
     assert np.nanmax(np.abs(recording.position)) > 0.1
@@ -85,6 +83,4 @@ def test_what_is_wrong_is_one_line(policy, tmp_path, tracker, capsys):
         (["--ids", "4,5,6"], "no reply from servo 4"),
     ):
         with served(3, bus="dynamixel") as bench:
-            assert swim(policy, tmp_path, bench.port, tracker, *more) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1 and part in said, said
+            refused(capsys, swim(policy, tmp_path, bench.port, tracker, *more), 2, part)

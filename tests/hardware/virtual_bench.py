@@ -5,6 +5,7 @@ import time
 from contextlib import contextmanager
 
 import numpy as np
+from good_input import ROBOT
 
 from sim2real.cli import main
 from sim2real.hardware.buses import BUSES
@@ -15,33 +16,19 @@ from sim2real.hardware.virtual_link import serve_terminal, serve_udp
 from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
 
 LAW = Law()
-HEAD = """
-name = "bench"
-[servos.lx824]
-max_torque_Nm = 1.67
-no_load_speed_rad_s = 5.24
-position_step_rad = 0.00419
-"""
-LINK = """
-[[links]]
-name = "link"
-mass_kg = 0.5
-length_m = 0.2
-width_m = 0.1
-height_m = 0.1
-"""
-JOINT = """
-[[joints]]
-name = "j{k}"
-servo = "lx824"
-limits_rad = [-0.8, 0.8]
-"""
+LIMITS = {"profile_velocity": 44, "profile_acceleration": 7}
+LINK = ROBOT[ROBOT.rindex("[[links]]") : ROBOT.index("[[joints]]")]
+JOINT = ROBOT[ROBOT.index("[[joints]]") : ROBOT.index("[servos")]
 
 
 def robot_file(folder, joints):
+    """The robot of the other tests, with so many joints."""
     path = folder / "robot.toml"
-    turned = "".join(JOINT.format(k=k + 1) for k in range(joints))
-    path.write_text(HEAD + LINK * (joints + 1) + turned)
+    more = (
+        LINK.replace("tail", f"link{k}") + JOINT.replace("j1", f"j{k}")
+        for k in range(2, joints + 1)
+    )
+    path.write_text(ROBOT + "".join(more))
     return path
 
 
@@ -52,6 +39,16 @@ def virtual(bus, servo_id, now, model=None, **servo):
     if bus == "dynamixel":
         return VirtualDynamixel(model_named(bus, "XL330-M288"), servo_id, LAW, now, **servo)
     return VirtualFeetech(model_named(bus, model or "STS3215"), servo_id, LAW, now, **servo)
+
+
+def limit(servo, values=LIMITS):
+    """Write a servo's registers, as its user did before."""
+    for name, value in values.items():
+        servo.put(name, value)
+
+
+def limits(servo):
+    return {name: servo.get(name) for name in LIMITS}
 
 
 class Served:
@@ -66,10 +63,8 @@ class Served:
             self.port = port
             announced.set()
 
-        kind, line = (
-            BUSES[bus],
-            {"echo": echo, "noise": noise, "loss": 0.0 if udp else loss, "fast": True},
-        )
+        kind = BUSES[bus]
+        line = {"echo": echo, "noise": noise, "loss": 0.0 if udp else loss, "fast": True}
         rng, baud = np.random.default_rng(0), kind.baud_rates[0]
         bus = VirtualBus(self.servos, kind.protocol, rng, baud=baud, **line)
         stop = self._pulled.is_set

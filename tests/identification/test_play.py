@@ -1,7 +1,6 @@
 """Play of a joint that two servos pull by elastic bands."""
 
-import os
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +8,6 @@ import pytest
 from sim2real.identification.play import play_between_pulls
 from sim2real.recording import Recording, read_recording
 
-REAL = Path(os.environ.get("SIM2REAL_REALDATA", Path(__file__).parents[3] / "shared" / "realdata"))
-STS3215 = REAL / "sts3215_backlash"
 COUNT_RAD = 2 * np.pi / 4096
 
 
@@ -39,21 +36,18 @@ def test_play_is_where_the_shaft_rests_after_and_during_pulls():
 def test_a_recording_without_pullers_has_no_play_between_pulls():
     made = pulled(0.01, 0.004)
     assert play_between_pulls(made, "j2") is None
-    assert (
-        play_between_pulls(
-            Recording("a", "servo", ("j1",), made.t, made.command[:, :1], made.position[:, :1]),
-            "j1",
-        )
-        is None
-    )
+    one = replace(made, joints=("j1",), command=made.command[:, :1], position=made.position[:, :1])
+    assert play_between_pulls(replace(one, metadata={}), "j1") is None
 
 
-@pytest.mark.skipif(not STS3215.is_dir(), reason=f"no real recordings in {STS3215}")
 @pytest.mark.parametrize(
     "name, joint, unloaded, loaded",
     [("single", "j1", 7.03, 14.78), ("nocomp2", "j1", 5.33, 7.67), ("nocomp2", "j2", 5.33, 7.67)],
 )
-def test_play_of_real_servos_is_within_15_percent_of_their_authors(name, joint, unloaded, loaded):
-    play = play_between_pulls(read_recording(STS3215 / f"{name}.csv"), joint)
+def test_play_of_real_servos_is_within_15_percent_of_their_authors(
+    realdata, name, joint, unloaded, loaded
+):
+    file = realdata / "sts3215_backlash" / f"{name}.csv"
+    play = play_between_pulls(read_recording(file), joint)
     assert play.unloaded_rad / COUNT_RAD == pytest.approx(unloaded, rel=0.15)
     assert play.loaded_rad / COUNT_RAD == pytest.approx(loaded, rel=0.15)

@@ -7,7 +7,6 @@ import pytest
 from simulated import INERTIA, KD, KP, LATENCY, column, row, traced
 
 from sim2real.identification.servo_problem import Servos, minimise, variants
-from sim2real.inference.evidence import profile_loglikelihood
 from sim2real.servo.batch import Batch
 
 FRICTION = 0.05
@@ -44,46 +43,32 @@ def fits(batch):
     return minimise(batch, servos(FAR, FAR, joint=[0, 1]), iterations=40, blocks=5)
 
 
-def spread(fits, n=0):
+def spread(fits, n):
     """Standard deviations of the free parameters."""
     normal = fits.gram[n].sum(axis=0)[1:, 1:]
     variance = fits.error2[n] / fits.count[n]
     return np.sqrt(variance * np.diag(np.linalg.inv(normal))) * UNIT
 
 
-@pytest.mark.parametrize("n", [0, 1])
-def test_known_parameters_come_back(fits, n):
-    error = np.abs(fits.servos.theta[n, COLUMNS] - TRUTH)
-    assert (error < 4 * spread(fits, n)).all()
-    assert (spread(fits, n) < 0.03 * TRUTH).all(), "these recordings are telling"
-
-
-def test_what_is_left_is_the_noise(fits):
+def test_known_parameters_come_back_and_what_is_left_is_noise(fits):
+    for n in range(2):
+        error = np.abs(fits.servos.theta[n, COLUMNS] - TRUTH)
+        assert (error < 4 * spread(fits, n)).all()
+        assert (spread(fits, n) < 0.03 * TRUTH).all(), "these recordings are telling"
     np.testing.assert_allclose(np.sqrt(fits.error2 / fits.count), 0.0015, rtol=0.06)
-
-
-def test_likelihood_is_that_of_gaussian_noise(fits):
     expected = -0.5 * fits.count * np.log(fits.error2 / fits.count)
     np.testing.assert_allclose(fits.loglikelihood, expected)
-    assert profile_loglikelihood(np.ones(1), np.ones(1)) == 0.0
-
-
-def test_the_slope_is_gone_where_the_search_ends(fits):
     total = fits.gram.sum(axis=1)
-    for n in range(2):
-        slope, curvature = total[n, 1:, 0], np.diag(total[n, 1:, 1:])
-        share = slope**2 / (curvature * fits.error2[n])
-        assert share.max() * fits.count[n] < 0.3, "no step is worth making"
+    slope, curvature = total[:, 1:, 0], np.diagonal(total[:, 1:, 1:], axis1=1, axis2=2)
+    share = slope**2 / (curvature * fits.error2[:, None])
+    assert (share.max(axis=1) * fits.count < 0.3).all(), "no step is worth making"
 
 
-def test_several_at_once_equal_one_at_a_time(batch, fits):
-    alone = minimise(batch, servos(FAR, joint=[1]), iterations=40, blocks=5)
+def test_neither_others_nor_places_without_a_parameter_change_a_fit(batch, fits):
+    given = servos(FAR, joint=[1])
+    alone = minimise(batch, given, iterations=40, blocks=5)
     np.testing.assert_allclose(alone.servos.theta[0], fits.servos.theta[1], rtol=1e-6)
     np.testing.assert_allclose(alone.error2[0], fits.error2[1], rtol=1e-9)
-
-
-def test_places_without_a_parameter_change_nothing(batch, fits):
-    given = servos(FAR, joint=[1])
     padding = ((0, 0), (0, 2))
     wider = replace(
         given,
@@ -102,18 +87,17 @@ def test_bounds_hold(batch):
     found = minimise(batch, servos(FAR, high=high), iterations=40).servos.theta[0, COLUMNS]
     assert (found >= LOW).all()
     assert (found <= high).all()
-    assert found[0] == pytest.approx(1.9)
-    assert found[3] == pytest.approx(0.03)
-
-
-def test_a_start_outside_the_bounds_is_brought_inside(batch):
+    assert found[[0, 3]] == pytest.approx([1.9, 0.03])
     low = np.array([2.0, 0.0, 0.0, 0.0])
     found = minimise(batch, servos(FAR, low=low), iterations=1)
-    assert found.servos.theta[0, 0] == 2.0
+    assert found.servos.theta[0, 0] == 2.0, "a start outside is brought inside"
 
 
-def test_white_noise_can_be_asked_for(batch):
-    white = minimise(batch, servos(FAR), iterations=40, white=True)
+def test_white_noise_can_be_asked_for_and_inertia_comes_from_the_recording(batch):
+    """Whatever the row says of the load, the recording knows better."""
+    given = servos(FAR)
+    given.theta[:, 3] = 7 * INERTIA
+    white = minimise(batch, given, iterations=40, white=True)
     assert (white.autoregression == 0).all()
     np.testing.assert_allclose(white.servos.theta[0, COLUMNS], TRUTH, rtol=0.05)
 
@@ -126,11 +110,3 @@ def test_variants_step_towards_the_inside():
     assert (moved[1] > LOW).all()
     step = moved - np.stack([HIGH, LOW])
     np.testing.assert_allclose(shifted.scale[:, 1:] * step, np.tile(UNIT, (2, 1)))
-
-
-def test_inertia_comes_from_the_recording(batch):
-    """Whatever the row says of the load, the recording knows better."""
-    given = servos(FAR)
-    given.theta[:, 3] = 7 * INERTIA
-    found = minimise(batch, given, iterations=40).servos.theta[0, COLUMNS]
-    np.testing.assert_allclose(found, TRUTH, rtol=0.05)

@@ -34,8 +34,8 @@ def both(torque, speed):
 def recorded(limit, kd=KD, seed=0):
     """Two recordings of a servo, integrated by itself in steps of half a millisecond."""
     rng, recordings = np.random.default_rng(seed), []
+    t = np.arange(0.0, 12.0, 0.01)
     for name in ("a", "b"):
-        t = np.arange(0.0, 12.0, 0.01)
         levels = np.append(0.0, rng.uniform(-0.9, 0.9, 60))
         command = levels[np.searchsorted(0.3 + np.cumsum(rng.uniform(0.3, 0.8, 60)), t)]
         angle, speed, seen = 0.0, 0.0, np.zeros(t.size)
@@ -48,22 +48,19 @@ def recorded(limit, kd=KD, seed=0):
                 angle += STEP * speed
             seen[i] = angle
         seen += rng.normal(0.0, NOISE, t.size)
-        loads = {"j1": Load(INERTIA)}
-        recordings.append(
-            Recording(name, "servo", ("j1",), t, command[:, None], seen[:, None], loads)
-        )
+        signals = (t, command[:, None], seen[:, None])
+        recordings.append(Recording(name, "servo", ("j1",), *signals, {"j1": Load(INERTIA)}))
     return recordings
 
 
-def bench(stall=1.05 * STALL):
-    servo = Servo("small", stall, SPEED, 0.0)
-    link = Link("link", 0.1, 0.1, 0.02, 0.02)
-    return Robot("bench", (link, link), (Joint("j1", servo, (-3.0, 3.0)),))
+LINK = Link("link", 0.1, 0.1, 0.02, 0.02)
+SMALL = Servo("small", 1.05 * STALL, SPEED, 0.0)
+BENCH = Robot("bench", (LINK, LINK), (Joint("j1", SMALL, (-3.0, 3.0)),))
 
 
 def test_a_flat_limit_is_told_from_a_line():
     recordings = recorded(flat)
-    model = identify(recordings, bench())
+    model = identify(recordings, BENCH)
     joint = model.joints["j1"]
     assert joint.law == "current_limited" and not joint.effects
     assert joint.motor["stall_torque_Nm"] == pytest.approx(STALL, rel=0.02)
@@ -78,13 +75,13 @@ def test_a_flat_limit_is_told_from_a_line():
 
 
 def test_a_line_stays_the_data_sheets():
-    joint = identify(recorded(line, kd=STALL / SPEED), bench()).joints["j1"]
+    joint = identify(recorded(line, kd=STALL / SPEED), BENCH).joints["j1"]
     assert joint.law == "motor" and not joint.effects
     assert joint.motor["no_load_speed_rad_s"] == pytest.approx(SPEED, rel=0.03)
 
 
 def test_a_current_limit_below_the_line_is_found_with_it():
-    model = identify(recorded(both, kd=STALL / SPEED), bench())
+    model = identify(recorded(both, kd=STALL / SPEED), BENCH)
     joint = model.joints["j1"]
     assert joint.law == "motor"
     (effect,) = joint.effects

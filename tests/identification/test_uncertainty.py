@@ -1,10 +1,12 @@
-"""Intervals of a fit whose residuals are correlated in time."""
+"""Intervals of a fit whose residuals are correlated in time or repeat with the angle."""
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
+from sim2real.identification.repeating_error import variance_components
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.inference.least_squares import robust_scale
 from sim2real.inference.parameters import Parameter
@@ -62,3 +64,41 @@ def test_intervals_hold_where_errors_repeat_with_the_angle():
         held_without += abs(estimate[0]) < half_width(fit, False)[0]
     assert held_without < 0.5 * cases, held_without
     assert held >= 0.83 * cases, held
+
+
+def test_variances_are_recovered_beside_noise_and_fitted_parameters():
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        slopes = rng.standard_normal((800, 2))
+        groups = [rng.standard_normal((800, 30)) for _ in range(2)]
+        of_group = (0.5, 2.0)
+        error = rng.standard_normal(800) + slopes @ [3.0, -2.0]
+        for sd, group in zip(of_group, groups, strict=True):
+            error += group @ (sd * rng.standard_normal(30))
+        squares, freedom = variance_components(error, slopes, np.zeros((2, 2)), groups)
+        found.append([square.mean() for square in squares])
+        assert np.all((freedom > 25) & (freedom <= 30))
+    assert np.mean(found, axis=0) == pytest.approx([0.25, 4.0], rel=0.15)
+
+
+def test_no_variance_is_found_in_white_noise():
+    rng = np.random.default_rng(0)
+    group = rng.standard_normal((800, 30))
+    slopes = rng.standard_normal((800, 2))
+    error = rng.standard_normal(800)
+    (squares,), freedom = variance_components(error, slopes, np.zeros((2, 2)), [group])
+    assert squares.mean() < 2e-3
+    assert freedom[0] < 30
+
+
+def test_a_single_wave_keeps_its_power_and_one_that_the_fit_absorbs_has_that_of_the_others():
+    rng = np.random.default_rng(1)
+    group = rng.standard_normal((800, 30))
+    slopes = group[:, [5]]
+    error = rng.standard_normal(800) + 2.0 * group[:, 7]
+    (squares,), _ = variance_components(error, slopes, np.zeros((1, 1)), [group])
+    others = np.delete(squares, [5, 7])
+    assert squares[7] == pytest.approx(4.0, rel=0.15)
+    assert squares[5] == pytest.approx(squares.mean(), rel=0.15)
+    assert others.max() < 0.2 * squares[5]

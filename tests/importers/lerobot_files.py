@@ -4,11 +4,7 @@ Folders, columns and types that are read are those of the public documentation
 (huggingface.co/docs/lerobot) and of published datasets' ``meta/info.json``.
 """
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,30 +12,25 @@ from pyarrow import parquet
 
 MOTORS = ["shoulder_pan", "elbow_flex", "gripper"]
 FPS = 30
-INDICES = {
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
+INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 def dataset(
-    root: Path,
-    version: str,
-    episodes: list[tuple[np.ndarray, np.ndarray]],
-    names: Any = "default",
-) -> Path:
+    root,
+    version,
+    episodes,
+    names="default",
+):
     """A dataset of episodes, each a state and an action of shape (T, J)."""
     length = episodes[0][0].shape[1]
     if names == "default":
         names = [f"{motor}.pos" for motor in MOTORS] if version == "v3.0" else {"motors": MOTORS}
     vector = {"dtype": "float32", "shape": [length], "names": names}
-    scalar = {"shape": [1], "names": None}
-    features = {"action": vector, "observation.state": vector}
-    features["timestamp"] = {"dtype": "float32", **scalar}
-    features |= {name: {"dtype": dtype, **scalar} for name, dtype in INDICES.items()}
-    info: dict[str, Any] = {
+    scalars = {"timestamp": "float32"} | dict.fromkeys(INDICES, "int64")
+    features = {"action": vector, "observation.state": vector} | {
+        name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()
+    }
+    info = {
         "codebase_version": version,
         "robot_type": "so101_follower",
         "total_episodes": len(episodes),
@@ -67,7 +58,7 @@ def dataset(
     return root
 
 
-def calibration(path: Path) -> Path:
+def calibration(path):
     """A calibration file of these motors, as ``lerobot-calibrate`` writes it."""
     ranges = {"shoulder_pan": (754, 3230), "elbow_flex": (862, 3054), "gripper": (1903, 3135)}
     content = {
@@ -78,26 +69,22 @@ def calibration(path: Path) -> Path:
     return path
 
 
-def _tables(episodes: list[tuple[np.ndarray, np.ndarray]]) -> list[pa.Table]:
+def _tables(episodes):
     tables, first = [], 0
     for number, (state, action) in enumerate(episodes):
         length, joints = state.shape
-        frames = np.arange(length)
-        vector = pa.list_(pa.float32(), joints)
+        frames, vector = np.arange(length), pa.list_(pa.float32(), joints)
+        indices = (frames, np.full(length, number), first + frames, np.zeros(length, np.int64))
         columns = {
-            "action": pa.array([list(map(float, row)) for row in action], vector),
-            "observation.state": pa.array([list(map(float, row)) for row in state], vector),
+            "action": pa.array(action.tolist(), vector),
+            "observation.state": pa.array(state.tolist(), vector),
             "timestamp": pa.array((frames / FPS).astype(np.float32)),
-            "frame_index": pa.array(frames),
-            "episode_index": pa.array(np.full(length, number)),
-            "index": pa.array(first + frames),
-            "task_index": pa.array(np.zeros(length, dtype=np.int64)),
         }
-        tables.append(pa.table(columns))
+        tables.append(pa.table(columns | dict(zip(INDICES, map(pa.array, indices), strict=True))))
         first += length
     return tables
 
 
-def _write(table: pa.Table, path: Path) -> None:
+def _write(table, path):
     path.parent.mkdir(parents=True, exist_ok=True)
     parquet.write_table(table, path)

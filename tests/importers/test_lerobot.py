@@ -1,16 +1,15 @@
-from __future__ import annotations
-
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from good_input import message
+from simulated import steps
 
 from sim2real.cli import main
 from sim2real.importers.lerobot import read_lerobot
 from sim2real.importers.options import conversion
+from sim2real.model import JointModel, Model, read_model
 from sim2real.recording import read_recording
 from sim2real.servo.prediction import predict
 
@@ -25,7 +24,7 @@ DEGREES = conversion(["deg"])
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_an_episode_in_degrees(tmp_path: Path, version: str) -> None:
+def test_an_episode_in_degrees(tmp_path, version):
     root = dataset(tmp_path / "arm", version, EPISODES)
     for number, (state, action) in enumerate(EPISODES):
         recording = read_lerobot(root, DEGREES, episode=number)
@@ -37,20 +36,17 @@ def test_an_episode_in_degrees(tmp_path: Path, version: str) -> None:
         assert recording.metadata["robot_type"] == "so101_follower"
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_normalised_units_by_the_calibration_file(tmp_path: Path, version: str) -> None:
+def test_normalised_units_by_the_calibration_file(tmp_path):
     state = np.array([[-100, 0, 0], [100, 50, 100.0], [0, 0, 50]])
-    root = dataset(tmp_path / "arm", version, [(state, state)])
+    root = dataset(tmp_path / "arm", "v3.0", [(state, state)])
     file = calibration(tmp_path / "follower_arm.json")
     units = conversion(["range_m100_100", "gripper=range_0_100"], 4096, None, file)
-    seen = read_lerobot(root, units).position
-    turn = 2 * math.pi / 4096
-    assert seen[:, 0] == pytest.approx([-1238 * turn, 1238 * turn, 0], abs=1e-6)
-    assert seen[:, 1] == pytest.approx([0, 548 * turn, 0], abs=1e-6)
-    assert seen[:, 2] == pytest.approx([-616 * turn, 616 * turn, 0], abs=1e-6)
+    counts = np.array([[-1238, 0, -616], [1238, 548, 616], [0, 0, 0]])
+    expected = pytest.approx(counts * 2 * math.pi / 4096, abs=1e-6)
+    assert read_lerobot(root, units).position == expected
 
 
-def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
+def test_joints_chosen_and_joints_named(tmp_path):
     root = dataset(tmp_path / "arm", "v3.0", EPISODES)
     some = read_lerobot(root, DEGREES, episode=0, joints=["gripper", "shoulder_pan"])
     assert some.joints == ("gripper", "shoulder_pan")
@@ -61,22 +57,16 @@ def test_joints_chosen_and_joints_named(tmp_path: Path) -> None:
     message(lambda: read_lerobot(bare, DEGREES, episode=0), "--joints", "3 names")
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_from_dataset_to_gains(tmp_path: Path, version: str) -> None:
-    """Two servos at 30 Hz, in degrees and float32, are identified through the command line."""
-    from simulated import steps
-
-    from sim2real.model import JointModel, Model, read_model
-
+def test_from_dataset_to_gains(tmp_path):
+    """Servos at 30 Hz, in degrees and float32, are identified through the command line."""
     truth = Model({name: JointModel(900.0, 28.0, 0.06, 1.0) for name in MOTORS})
     rng = np.random.default_rng(1)
     t = np.arange(30 * FPS) / FPS
     sent = {name: steps(t, rng) for name in MOTORS}
     seen = predict(truth, t, sent)
-    state = np.degrees(np.stack([seen[name] for name in MOTORS], axis=1))
+    state, action = (np.degrees(np.stack([of[x] for x in MOTORS], axis=1)) for of in (seen, sent))
     state += rng.normal(0, 0.05, state.shape)
-    action = np.degrees(np.stack([sent[name] for name in MOTORS], axis=1))
-    root = dataset(tmp_path / "arm", version, [(state, action)])
+    root = dataset(tmp_path / "arm", "v3.0", [(state, action)])
     out, model = tmp_path / "arm.csv", tmp_path / "model.json"
     assert main(["import", str(root), "--units", "deg", "--out", str(out)]) == 0
     assert read_recording(out).joints == tuple(MOTORS)
@@ -88,12 +78,13 @@ def test_from_dataset_to_gains(tmp_path: Path, version: str) -> None:
     arguments = ["--robot", str(tmp_path / "robot.toml"), "--out", str(model), "--no-plots"]
     assert main(["identify", str(out), *arguments]) == 0
     for joint in read_model(model).joints.values():
+        assert joint.per_inertia and joint.inertia_kgm2 == 1.0
         assert joint.kp_Nm_per_rad == pytest.approx(900, rel=0.03)
         assert joint.kd_Nms_per_rad == pytest.approx(28, rel=0.03)
         assert joint.latency_s == pytest.approx(0.06, abs=0.001)
 
 
-def test_what_is_not_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_read_is_named(tmp_path, capsys):
     root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
     file = root / "meta" / "info.json"
     features = json.loads(file.read_text())["features"]
@@ -113,14 +104,14 @@ def test_what_is_not_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
     message(lambda: read_lerobot(root, units), "elbow_flex, command", "if angles are rad")
 
 
-def spoiled(root: Path, **fields: object) -> Path:
+def spoiled(root, **fields):
     file = root / "meta" / "info.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | fields))
     return root
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_bad_input(tmp_path: Path, version: str) -> None:
+def test_bad_input(tmp_path, version):
     root = dataset(tmp_path / "arm", version, EPISODES)
 
     def read(units=DEGREES, episode=0, joints=None):
@@ -148,7 +139,7 @@ def test_bad_input(tmp_path: Path, version: str) -> None:
     message(read(), "data_path")
 
 
-def test_units_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_units_are_asked_for(tmp_path, capsys):
     root = dataset(tmp_path / "arm", "v3.0", EPISODES[:1])
     assert main(["import", str(root), "--out", str(tmp_path / "x.csv")]) == 2
     assert "found no --units, expected --units rad|deg" in capsys.readouterr().err

@@ -1,9 +1,5 @@
 """Robots from URDF."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from good_input import message
@@ -11,7 +7,7 @@ from good_input import message
 from sim2real.cli import main
 from sim2real.importers.robots import robot_toml
 from sim2real.importers.urdf import read_urdf
-from sim2real.robot import Robot, read_robot
+from sim2real.robot import read_robot
 
 # A base, an upper arm of 0.3 m with a plate welded to it, turned by a quarter about x, and a
 # forearm. Their masses, centres and inertias are chosen so that the sums are easy by hand.
@@ -40,26 +36,28 @@ URDF = """<?xml version="1.0"?>
 """
 
 
-def written(folder: Path, name: str, text: str) -> Path:
+def written(folder, name, text):
     file = folder / name
     file.write_text(text)
     return file
 
 
-def made(folder: Path, action: str, file: Path, *more: str) -> Robot:
+def made(folder, file, *more):
     out = folder / "robot.toml"
-    assert main(["robot", action, str(file), "--out", str(out), *more]) == 0
+    assert main(["robot", "from-urdf", str(file), "--out", str(out), *more]) == 0
     return read_robot(out)
 
 
-def check_arm(robot: Robot) -> None:
+def test_from_urdf(tmp_path, capsys):
+    robot = made(tmp_path, written(tmp_path, "arm.urdf", URDF))
     assert robot.name == "arm"
     assert [link.name for link in robot.links] == ["base", "upper", "fore"]
     assert [joint.name for joint in robot.joints] == ["shoulder", "elbow"]
-    assert robot.joints[0].limits_rad == (-1, 1.5)
-    message(lambda: robot.joints[1].limits_rad, "robot.toml", "joints[1].limits_rad")
-    assert robot.joints[0].servo.max_torque_Nm == 3
-    upper, fore = robot.links[1:]
+    (shoulder, elbow), (_, upper, fore) = robot.joints, robot.links
+    assert shoulder.limits_rad == (-1, 1.5)
+    message(lambda: elbow.limits_rad, "robot.toml", "joints[1].limits_rad")
+    assert (shoulder.servo.max_torque_Nm, shoulder.servo.no_load_speed_rad_s) == (3, 6)
+    assert shoulder.servo is elbow.servo
     assert (upper.mass_kg, fore.mass_kg) == pytest.approx((2, 0.5))
     assert upper.length_m == pytest.approx(0.3)  # across the axis: the 0.05 along it do not count
     assert upper.com_m == pytest.approx(0.2)
@@ -68,21 +66,14 @@ def check_arm(robot: Robot) -> None:
     assert fore.inertia_kgm2 == pytest.approx(0.002)
     message(lambda: fore.length_m, "links[2].length_m", "nothing", "above 0")
     message(lambda: upper.width_m, "links[1].width_m")
-    message(lambda: robot.joints[0].servo.position_step_rad, "servo1.position_step_rad")
-
-
-def test_from_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    robot = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", URDF))
-    check_arm(robot)
-    assert robot.joints[0].servo.no_load_speed_rad_s == 6
-    assert robot.joints[0].servo is robot.joints[1].servo
+    message(lambda: shoulder.servo.position_step_rad, "servo1.position_step_rad")
     printed = capsys.readouterr().out
     for line in ("elbow: limits_rad: not stated", "servo1: position_step_rad", "fore: length_m"):
         assert line in printed
         assert f"# not here: {line}" in (tmp_path / "robot.toml").read_text()
 
 
-def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
+def test_mujoco_reads_the_urdf_alike(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     compiler = '<mujoco><compiler fusestatic="false" balanceinertia="true"/></mujoco>'
     text = URDF.replace('ixx="0" iyy="0"', 'ixx="0.0005" iyy="0.0005"')  # of a plate
@@ -101,33 +92,27 @@ def test_mujoco_reads_the_urdf_alike(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("effort", "velocity", "kept"),
+    ("values", "kept"),
     [
-        ("1000", "6", (False, True)),
-        ("3", "1e6", (True, False)),
-        ("10", "10", (False, False)),
-        ("100", "100", (False, False)),
-        ("8.5", "8.5", (True, True)),  # alike, but no round number
+        ((1000, 6), (False, True)),
+        ((3, 1e6), (True, False)),
+        ((10, 10), (False, False)),
+        ((100, 100), (False, False)),
+        ((8.5, 8.5), (True, True)),  # alike, but no round number
     ],
 )
-def test_placeholders_are_no_data_sheet(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    effort: str,
-    velocity: str,
-    kept: tuple[bool, bool],
-) -> None:
-    text = URDF.replace('effort="3" velocity="6"', f'effort="{effort}" velocity="{velocity}"')
-    servo = made(tmp_path, "from-urdf", written(tmp_path, "arm.urdf", text)).joints[0].servo
+def test_placeholders_are_no_data_sheet(tmp_path, capsys, values, kept):
+    text = URDF.replace('effort="3" velocity="6"', 'effort="{}" velocity="{}"'.format(*values))
+    servo = made(tmp_path, written(tmp_path, "arm.urdf", text)).joints[0].servo
     printed = capsys.readouterr().out
     fields = ("max_torque_Nm", "no_load_speed_rad_s")
-    for field, value, stated in zip(fields, (effort, velocity), kept, strict=True):
+    for field, value, stated in zip(fields, values, kept, strict=True):
         assert servo.states(field) == stated
-        said = f"servo1: {field}: {float(value):g}, a placeholder"
+        said = f"servo1: {field}: {value:g}, a placeholder"
         assert printed.count(said) == (0 if stated else 1)
 
 
-def test_what_a_robot_has_no_place_for_is_named(tmp_path: Path) -> None:
+def test_what_a_robot_has_no_place_for_is_named(tmp_path):
     more = '<mimic joint="shoulder"/><dynamics damping="0.1" friction="0.2"/>'
     text = URDF.replace('<axis xyz="0 0 1"/>', f'<axis xyz="0 0 1"/>{more}')
     tree = read_urdf(written(tmp_path, "arm.urdf", text))
@@ -138,7 +123,7 @@ def test_what_a_robot_has_no_place_for_is_named(tmp_path: Path) -> None:
     assert "elbow: damping and friction (identify finds them): not taken" in notes
 
 
-def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
+def test_joints_that_branch_get_no_links(tmp_path):
     finger = '<joint name="finger" type="revolute"><parent link="plate"/><child link="tip"/>'
     finger += '<limit lower="0" upper="1" effort="1" velocity="9"/></joint><link name="tip"/>'
     slide = '<joint name="slide" type="prismatic"><parent link="tip"/><child link="end"/></joint>'
@@ -148,7 +133,7 @@ def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
     assert any("the joints branch" in note for note in notes)
     assert "slide: a prismatic joint: taken for stiff" in notes
     assert "[[links]]" not in text
-    chosen = made(tmp_path, "from-urdf", file, "--joints", "shoulder", "finger")
+    chosen = made(tmp_path, file, "--joints", "shoulder", "finger")
     assert [joint.name for joint in chosen.joints] == ["shoulder", "finger"]
     assert chosen.links[1].mass_kg == pytest.approx(2.5)  # the forearm is stiff
 
@@ -176,12 +161,12 @@ def test_joints_that_branch_get_no_links(tmp_path: Path) -> None:
         (lambda s: s.replace('<link name="base">', "<link>"), ("no name",)),
     ],
 )
-def test_bad_urdf(tmp_path: Path, spoil, parts: tuple[str, ...]) -> None:
+def test_bad_urdf(tmp_path, spoil, parts):
     file = written(tmp_path, "arm.urdf", spoil(URDF))
     message(lambda: robot_toml(read_urdf(file)), "arm.urdf", *parts)
 
 
-def test_nothing_half_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_half_written(tmp_path, capsys):
     file = written(tmp_path, "arm.urdf", URDF[:-9])
     out = tmp_path / "robot.toml"
     assert main(["robot", "from-urdf", str(file), "--out", str(out)]) == 2

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import sys
 
@@ -8,18 +6,18 @@ import pytest
 from good_input import message
 
 from sim2real.clock import recording_clock_findings
-from sim2real.errors import InputError
 from sim2real.importers.rosbag import read_bag
 
 pytest.importorskip("rosbags", reason="ROS bags are read with the package rosbags")
 
 from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 EPOCH_NS = 1_700_000_000 * 10**9
 MS = 10**6
 STATE, COMMAND = "/joint_states", "/commands"
-FORMATS = ("ros1.bag", "ros2.db3", "ros2.mcap")
+STORAGE = {".db3": rosbag2.StoragePlugin.SQLITE3, ".mcap": rosbag2.StoragePlugin.MCAP}
+nan = math.nan
 
 
 class Ros:
@@ -48,25 +46,23 @@ class Ros:
     def number(self, value):
         return self.make("std_msgs/msg/Float64", value)
 
-    def trajectory(self, names, *points, stamp_ns=0):
-        def point(after_ns, positions):
-            none = np.array([], dtype=np.float64)
-            after = self.make("builtin_interfaces/msg/Duration", *divmod(after_ns, 10**9))
-            positions = np.array(positions, dtype=np.float64)
-            kind = "trajectory_msgs/msg/JointTrajectoryPoint"
-            return self.make(kind, positions, none, none, none, after)
+    def point(self, after_ns, positions):
+        none, positions = np.array([]), np.array(positions, dtype=float)
+        after = self.make("builtin_interfaces/msg/Duration", *divmod(after_ns, 10**9))
+        kind = "trajectory_msgs/msg/JointTrajectoryPoint"
+        return self.make(kind, positions, none, none, none, after)
 
+    def trajectory(self, names, *points):
+        points = [self.point(*p) for p in points]
         kind = "trajectory_msgs/msg/JointTrajectory"
-        points = [point(*p) for p in points]
-        return self.make(kind, self.header(stamp_ns), list(names), points)
+        return self.make(kind, self.header(0), list(names), points)
 
     def write(self, *messages):
         """Write (topic, receive time in ms, message) and return the bag's path."""
         if self.is1:
             writer, serialize = rosbag1.Writer(self.file), self.store.serialize_ros1
         else:
-            plugin = {".db3": "SQLITE3", ".mcap": "MCAP"}[self.file.suffix]
-            plugin = rosbag2.StoragePlugin[plugin]
+            plugin = STORAGE[self.file.suffix]
             writer = rosbag2.Writer(self.file.with_suffix(""), version=9, storage_plugin=plugin)
             serialize = self.store.serialize_cdr
         connections = {}
@@ -76,12 +72,11 @@ class Ros:
                 if topic not in connections:
                     added = writer.add_connection(topic, kind, typestore=self.store)
                     connections[topic] = added
-                ns = EPOCH_NS + round(ms * MS)
-                writer.write(connections[topic], ns, serialize(message, kind))
+                writer.write(connections[topic], stamp(ms), serialize(message, kind))
         return writer.path
 
 
-@pytest.fixture(params=FORMATS)
+@pytest.fixture(params=["ros1.bag", "ros2.db3", "ros2.mcap"])
 def ros(request, tmp_path):
     return Ros(tmp_path / request.param)
 
@@ -93,6 +88,10 @@ def ros2(tmp_path):
 
 def stamp(ms):
     return EPOCH_NS + round(ms * MS)
+
+
+def read(bag, **more):
+    return read_bag(bag, **({"state_topic": STATE, "command_topic": COMMAND} | more))
 
 
 def test_states_and_set_points_stand_at_their_own_times(ros):
@@ -108,18 +107,19 @@ def test_states_and_set_points_stand_at_their_own_times(ros):
         *[(COMMAND, 10 * k + 7, m) for k, m in enumerate(sent, start=2)],
         ("/noise", 1, ros.number(3.0)),
     )
-    recording = read_bag(bag, state_topic=STATE, command_topic=COMMAND)
+    recording = read(bag)
     assert recording.joints == ("j1", "j2")
     # Commands at 23, 33, 43 ms, states at 30, 40, 50 ms.
     np.testing.assert_allclose(recording.t, [0, 0.007, 0.010, 0.017, 0.020, 0.027], atol=1e-12)
-    np.testing.assert_array_equal(recording.command[:, 0], [2, 2, 3, 3, 4, 4])
-    np.testing.assert_array_equal(recording.command[:, 1], [-2, -2, -3, -3, -4, -4])
-    nan = math.nan
-    np.testing.assert_array_equal(recording.position[:, 0], [nan, 3.1, nan, 4.1, nan, 5.1])
-    np.testing.assert_array_equal(recording.position[:, 1], [nan, 3.2, nan, 4.2, nan, 5.2])
-    speed = recording.columns["j2.velocity_rad_s"]
-    np.testing.assert_array_equal(speed, [nan, -3, nan, -4, nan, -5])
-    np.testing.assert_array_equal(recording.columns["j1.load"], [nan, 4, nan, 4, nan, 4])
+    for found, expected in (
+        (recording.command[:, 0], [2, 2, 3, 3, 4, 4]),
+        (recording.command[:, 1], [-2, -2, -3, -3, -4, -4]),
+        (recording.position[:, 0], [nan, 3.1, nan, 4.1, nan, 5.1]),
+        (recording.position[:, 1], [nan, 3.2, nan, 4.2, nan, 5.2]),
+        (recording.columns["j2.velocity_rad_s"], [nan, -3, nan, -4, nan, -5]),
+        (recording.columns["j1.load"], [nan, 4, nan, 4, nan, 4]),
+    ):
+        np.testing.assert_array_equal(found, expected)
     assert recording.loads == {}
     assert recording.metadata["clock"] == {STATE: "header stamp", COMMAND: "header stamp"}
     assert recording.metadata["states_before_first_command"] == 3
@@ -127,65 +127,69 @@ def test_states_and_set_points_stand_at_their_own_times(ros):
     assert recording.metadata["original_file"] == bag.name
 
 
-def test_a_clean_bag_has_a_clean_clock_and_two_publishers_are_refused(ros):
+def test_a_clean_bag_has_a_clean_clock_and_two_publishers_are_refused(ros2):
     t = np.arange(0, 6, 0.008)
     angle = 0.5 * np.sin(3 * t)
     states = [
-        (STATE, 1000 * at + 0.2, ros.state(["j1"], [x], stamp_ns=stamp(1000 * at)))
+        (STATE, 1000 * at + 0.2, ros2.state(["j1"], [x], stamp_ns=stamp(1000 * at)))
         for at, x in zip(t, angle, strict=True)
     ]
-    sent = [(COMMAND, 1000 * at, ros.number(np.sin(3 * at))) for at in np.arange(0.003, 6, 1 / 45)]
-    arguments = {"state_topic": STATE, "command_topic": COMMAND}
-    recording = read_bag(ros.write(*states, *sent), **arguments)
+    sent = [(COMMAND, 1000 * at, ros2.number(np.sin(3 * at))) for at in np.arange(0.003, 6, 1 / 45)]
+    recording = read(ros2.write(*states, *sent))
     assert recording_clock_findings(recording.joints, recording.t, recording.position) == []
     assert recording.rate_hz == pytest.approx(125)
     assert recording.missing(0) == 0
     assert "import_warnings" not in recording.metadata
-    more = [(s[0], s[1] + 1.1, ros.state(["j1"], [0.0], stamp_ns=stamp(s[1]))) for s in states[::5]]
-    again = Ros(ros.file.with_stem("again"))
-    bag = again.write(*states, *more, *sent)
-    message(lambda: read_bag(bag, **arguments), STATE, "two publishers", "angles of j1")
+    more = [
+        (STATE, s + 1.1, ros2.state(["j1"], [0.0], stamp_ns=stamp(s))) for _, s, _ in states[::5]
+    ]
+    bag = Ros(ros2.file.with_stem("again")).write(*states, *more, *sent)
+    message(lambda: read(bag), STATE, "two publishers", "angles of j1")
 
 
-def test_array_is_in_the_order_of_the_joints_and_nan_sends_nothing(ros):
-    bag = ros.write(
-        *[(STATE, 10 * k, ros.state(["a", "b"], [k, -k])) for k in range(5)],
-        (COMMAND, 5, ros.array(math.nan, 1.0)),
-        (COMMAND, 10, ros.array(2.0, math.nan)),
-        (COMMAND, 20, ros.array(3.0, 4.0)),
-    )
-    recording = read_bag(bag, state_topic=STATE, command_topic=COMMAND, joints=["b", "a"])
-    # a has its first set-point at 5 ms, b at 10 ms; states and commands share rows.
-    np.testing.assert_allclose(recording.t, [0, 0.01, 0.02, 0.03], atol=1e-12)
-    np.testing.assert_array_equal(recording.command, [[2, 1], [3, 4], [3, 4], [3, 4]])
-    np.testing.assert_array_equal(recording.position[:, 0], [-1, -2, -3, -4])
+A, B = "/a/command", "/b/command"
+POINTS = (["a"], (0, [0.3])), (["a"], (0, [0.3]), (20 * MS, [0.6]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "sent", "options", "t", "command"),
+    [
+        (  # in the order of the joints; NaN sends nothing
+            "array",
+            [(COMMAND, 5, nan, 1), (COMMAND, 10, 2, nan), (COMMAND, 20, 3, 4)],
+            {"joints": ["b", "a"]},
+            # a has its first set-point at 5 ms, b at 10 ms; states and commands share rows.
+            [0, 0.01, 0.02, 0.03],
+            [[2, 1], [3, 4], [3, 4], [3, 4]],
+        ),
+        (
+            "number",
+            [(A, 1, 1), (B, 2, 2), (A, 25, 3)],
+            {"joints": ["a", "b"], "command_topic": [A, B]},
+            [0, 0.008, 0.018, 0.023, 0.028, 0.038],
+            [[1, 2], [1, 2], [1, 2], [3, 2], [3, 2], [3, 2]],
+        ),
+        (  # the point that lies ahead
+            "trajectory",
+            [(COMMAND, 5, *POINTS[0]), (COMMAND, 25, *POINTS[1])],
+            {},
+            [0, 0.005, 0.015, 0.02, 0.025, 0.035],
+            [[0.3], [0.3], [0.3], [0.6], [0.6], [0.6]],
+        ),
+    ],
+)
+def test_kinds_of_set_points(ros, kind, sent, options, t, command):
+    states = [(STATE, 10 * k, ros.state(["a", "b"], [k, -k])) for k in range(5)]
+    sent = [(topic, ms, getattr(ros, kind)(*values)) for topic, ms, *values in sent]
+    recording = read(ros.write(*states, *sent), **options)
+    assert list(recording.joints) == options.get("joints", ["a"])
+    np.testing.assert_allclose(recording.t, t, atol=1e-12)
+    np.testing.assert_array_equal(recording.command, command)
+    for joint, angle in zip(recording.joints, recording.position.T, strict=True):
+        sign = {"a": 1, "b": -1}[joint]
+        assert angle[np.isfinite(angle)].tolist() == [sign * k for k in (1, 2, 3, 4)]
     assert recording.metadata["clock"][STATE] == "receive time"
     assert not recording.columns
-
-
-def test_one_topic_for_each_joint(ros):
-    bag = ros.write(
-        *[(STATE, 10 * k, ros.state(["a", "b"], [k, -k])) for k in range(5)],
-        ("/a/command", 1, ros.number(1.0)),
-        ("/b/command", 2, ros.number(2.0)),
-        ("/a/command", 25, ros.number(3.0)),
-    )
-    topics = ["/a/command", "/b/command"]
-    recording = read_bag(bag, state_topic=STATE, command_topic=topics, joints=["a", "b"])
-    assert recording.joints == ("a", "b")
-    np.testing.assert_array_equal(recording.command[:, 0], [1, 1, 1, 3, 3, 3])
-    np.testing.assert_array_equal(recording.command[:, 1], [2] * 6)
-
-
-def test_trajectory_gives_the_point_that_lies_ahead(ros):
-    bag = ros.write(
-        *[(STATE, 10 * k, ros.state(["a"], [k])) for k in range(5)],
-        (COMMAND, 5, ros.trajectory(["a"], (0, [0.3]))),
-        (COMMAND, 25, ros.trajectory(["a"], (0, [0.3]), (20 * MS, [0.6]))),
-    )
-    recording = read_bag(bag, state_topic=STATE, command_topic=COMMAND)
-    np.testing.assert_allclose(recording.t, [0, 0.005, 0.015, 0.02, 0.025, 0.035], atol=1e-12)
-    np.testing.assert_array_equal(recording.command[:, 0], [0.3, 0.3, 0.3, 0.6, 0.6, 0.6])
 
 
 def test_joint_that_a_state_does_not_name_is_a_missing_sample(ros2):
@@ -194,8 +198,7 @@ def test_joint_that_a_state_does_not_name_is_a_missing_sample(ros2):
         *[(STATE, 10 * k, ros2.state(["a"], [k])) for k in range(1, 4)],
         *[(STATE, 10 * k + 5, ros2.state(["b", "wheel"], [-k, 500])) for k in range(1, 4)],
     )
-    recording = read_bag(bag, state_topic=STATE, command_topic=COMMAND)
-    nan = math.nan
+    recording = read(bag)
     np.testing.assert_array_equal(recording.position[1:, 0], [1, nan, 2, nan, 3, nan])
     np.testing.assert_array_equal(recording.position[1:, 1], [nan, -1, nan, -2, nan, -3])
 
@@ -216,17 +219,16 @@ def two_clocks(ros, state_stamp):
     ],
 )
 def test_stamps_and_unstamped_commands(ros2, state_stamp, t, clock):
-    recording = read_bag(two_clocks(ros2, state_stamp), state_topic=STATE, command_topic=COMMAND)
+    recording = read(two_clocks(ros2, state_stamp))
     np.testing.assert_allclose(recording.t, t, atol=1e-12)
     assert recording.metadata["clock"] == {COMMAND: "receive time", STATE: clock}
 
 
-@pytest.mark.parametrize("format", ["ros2.db3", "ros2.mcap"])
-def test_storage_file_of_a_ros2_bag_can_be_named_itself(tmp_path, format):
-    ros = Ros(tmp_path / format)
-    folder = two_clocks(ros, lambda ms: 0)
-    (file,) = [f for f in folder.iterdir() if f.suffix == ros.file.suffix]
-    recordings = [read_bag(x, state_topic=STATE, command_topic=COMMAND) for x in (folder, file)]
+@pytest.mark.parametrize("suffix", STORAGE)
+def test_storage_file_of_a_ros2_bag_can_be_named_itself(tmp_path, suffix):
+    folder = two_clocks(Ros(tmp_path / f"ros2{suffix}"), lambda ms: 0)
+    (file,) = [f for f in folder.iterdir() if f.suffix == suffix]
+    recordings = [read(x) for x in (folder, file)]
     np.testing.assert_array_equal(recordings[0].t, recordings[1].t)
     np.testing.assert_array_equal(recordings[0].position, recordings[1].position)
 
@@ -242,12 +244,23 @@ def bag_with(*commands, states=None):
     return write
 
 
-BOTH = bag_with(lambda ros: ros.state(["a", "b"], [0, 0]))
+def of(*names, ms=None):
+    """Makes a state of these joints at 0."""
+    return lambda ros: ros.state(names, [0] * len(names), stamp_ns=0 if ms is None else stamp(ms))
+
+
+BOTH = bag_with(of("a", "b"))
 ARRAY = bag_with(lambda ros: ros.array(0, 0))
+AB = {"joints": ["a", "b"]}
+SHORT = bag_with(lambda ros: ros.state(["a", "b"], [0]))
+FAR = bag_with(lambda ros: ros.array(0, 0), lambda ros: ros.array(0, 90))
+AHEAD = bag_with(lambda ros: ros.trajectory(["a"], (MS, [0]), (2 * MS, [1])))
+EARLY = bag_with(of("a"), states=[of("a")])
+BACK = bag_with(lambda ros: ros.number(0), states=[of("a", ms=x) for x in (0, -2500, 20, 20, 20)])
 
 
 @pytest.mark.parametrize(
-    ("write", "arguments", "message"),
+    ("write", "options", "part"),
     [
         (BOTH, {"state_topic": "/nowhere"}, "/nowhere: found no such topic in the bag, expected"),
         (BOTH, {"state_topic": "/nowhere"}, "/commands (sensor_msgs/msg/JointState), /joint_st"),
@@ -258,115 +271,62 @@ ARRAY = bag_with(lambda ros: ros.array(0, 0))
         (ARRAY, {}, "joints: found none named, expected names in the order of the set-points"),
         (ARRAY, {"joints": ["a"]}, "/commands, message 0: found 2 values in data, expected one"),
         (ARRAY, {"state_topic": COMMAND, "command_topic": STATE}, "found std_msgs/msg/Float64Mul"),
-        (
-            bag_with(lambda ros: ros.state(["a"], [0])),
-            {"joints": ["a", "b"]},
-            "/commands: found no angle of joint b, expected one of a",
-        ),
-        (
-            bag_with(lambda ros: ros.state(["a", "b"], [0])),
-            {},
-            "/commands, message 0: found 1 values in position, expected one for each of a, b",
-        ),
-        (
-            bag_with(lambda ros: ros.array(0, 0), lambda ros: ros.array(0, 90)),
-            {"joints": ["a", "b"]},
-            "/commands, message 1, b: found 90, expected a size of at most 12.6",
-        ),
-        (
-            bag_with(lambda ros: ros.trajectory(["a"], (MS, [0]), (2 * MS, [1]))),
-            {},
-            "/commands, message 0: found 2 trajectory points ahead, expected one",
-        ),
-        (
-            bag_with(lambda ros: ros.state(["a"], [0]), states=[lambda r: r.state(["a"], [0])]),
-            {},
-            "/joint_states: found no position of a after the first set-points",
-        ),
-        (
-            bag_with(
-                lambda ros: ros.number(0),
-                states=[
-                    lambda ros: ros.state(["a"], [0], stamp_ns=stamp(0)),
-                    lambda ros: ros.state(["a"], [0], stamp_ns=stamp(-2500)),
-                    *[lambda ros: ros.state(["a"], [0], stamp_ns=stamp(20))] * 3,
-                ],
-            ),
-            {},
-            "/joint_states, message 1: found a time 2.5 s before the previous one",
-        ),
+        (bag_with(of("a")), AB, "/commands: found no angle of joint b, expected one of a"),
+        (SHORT, {}, "message 0: found 1 values in position, expected one for each of a, b"),
+        (FAR, AB, "/commands, message 1, b: found 90, expected a size of at most 12.6"),
+        (AHEAD, {}, "/commands, message 0: found 2 trajectory points ahead, expected one"),
+        (EARLY, {}, "/joint_states: found no position of a after the first set-points"),
+        (BACK, {}, "/joint_states, message 1: found a time 2.5 s before the previous one"),
     ],
 )
-def test_errors_say_where_in_one_line(ros2, write, arguments, message):
+def test_errors_say_where_in_one_line(ros2, write, options, part):
     bag = write(ros2)
-    with pytest.raises(InputError) as error:
-        read_bag(bag, **({"state_topic": STATE, "command_topic": COMMAND} | arguments))
-    assert message in str(error.value)
-    assert str(error.value).startswith(str(bag))
+    assert message(lambda: read(bag, **options), part).startswith(str(bag))
 
 
 def test_damaged_bags_are_input_errors(tmp_path):
-    for name in FORMATS:
-        file = tmp_path / name
-        file.write_bytes(b"#ROSBAG V2.0\n\x00\x01 not a bag")
-        with pytest.raises(InputError, match="no bag that can be read"):
-            read_bag(file, state_topic=STATE, command_topic=COMMAND)
-    with pytest.raises(InputError, match="no bag that can be read"):
-        read_bag(tmp_path, state_topic=STATE, command_topic=COMMAND)
-    with pytest.raises(InputError, match="no such file"):
-        read_bag(tmp_path / "nowhere", state_topic=STATE, command_topic=COMMAND)
+    for name in ("a.bag", "a.db3", "a.mcap"):
+        (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n\x00\x01 not a bag")
+    for name in ("a.bag", "a.db3", "a.mcap", "."):
+        message(lambda: read(tmp_path / name), "no bag that can be read")  # noqa: B023
+    message(lambda: read(tmp_path / "nowhere"), "no such file")
 
 
 def test_without_rosbags_the_error_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(InputError, match=r"pip install 'sim2real\[ros\]'"):
-        read_bag(tmp_path, state_topic=STATE, command_topic=COMMAND)
+    message(lambda: read(tmp_path), "pip install 'sim2real[ros]'")
 
 
 CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
-DEFINITION = "std_msgs/Header header\nstring[] joint_names\n"
-POINT = "trajectory_msgs/JointTrajectoryPoint"
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
 @pytest.mark.parametrize(
-    "fields", [("reference", "feedback"), ("desired", "actual")], ids=["humble", "foxy"]
+    ("suffix", "fields"),
+    [(".mcap", ("reference", "feedback")), (".db3", ("desired", "actual"))],
+    ids=["humble", "foxy"],
 )
 def test_a_trajectory_controllers_own_set_points(tmp_path, suffix, fields):
     """What the controller sends between the points of a trajectory stands in its state."""
-    from rosbags.typesys import get_types_from_msg
-
-    ros = Ros(tmp_path / f"ros2{suffix}")
-    wanted, seen = fields
-    text = DEFINITION + f"{POINT} {wanted}\n{POINT} {seen}\n"
+    ros, names = Ros(tmp_path / f"ros2{suffix}"), ["j1", "j2"]
+    points = "".join(f"trajectory_msgs/JointTrajectoryPoint {field}\n" for field in fields)
+    text = "std_msgs/Header header\nstring[] joint_names\n" + points
     ros.store.register(get_types_from_msg(text, CONTROLLER))
 
-    def point(*positions):
-        none, after = np.array([]), ros.make("builtin_interfaces/msg/Duration", 0, 0)
-        kind = "trajectory_msgs/msg/JointTrajectoryPoint"
-        return ros.make(kind, np.array(positions, dtype=float), none, none, none, after)
+    def own(k):
+        header = ros.header(stamp(10 * k))
+        wanted, seen = ros.point(0, [0.1 * k, -0.1 * k]), ros.point(0, [0.09 * k, -0.09 * k])
+        return "/controller_state", 10 * k, ros.make(CONTROLLER, header, names, wanted, seen)
 
     def state(k):
-        header = ros.header(stamp(10 * k))
-        points = point(0.1 * k, -0.1 * k), point(0.09 * k, -0.09 * k)
-        return ros.make(CONTROLLER, header, ["j1", "j2"], *points)
+        return STATE, 10 * k, ros.state(names, [k, -k], stamp_ns=stamp(10 * k))
 
-    states = [(10 * k, ros.state(["j1", "j2"], [k, -k], (), (), stamp(10 * k))) for k in range(5)]
-    own = [(10 * k, state(k)) for k in range(5)]
-    bag = ros.write(
-        *[(STATE, ms, m) for ms, m in states], *[("/controller_state", ms, m) for ms, m in own]
-    )
-    recording = read_bag(bag, state_topic=STATE, command_topic="/controller_state")
+    bag = ros.write(*map(state, range(5)), *map(own, range(5)))
+    recording = read(bag, command_topic="/controller_state")
     assert recording.joints == ("j1", "j2")
     assert recording.command[:, 0] == pytest.approx(0.1 * np.arange(5))
     assert recording.position[:, 1] == pytest.approx(-np.arange(5.0))
-    sent = [(10 * k, ros.array(0.3 * k, 0.4 * k)) for k in range(5)]
-    bag = Ros(tmp_path / f"other{suffix}")
-    bag.store = ros.store
-    path = bag.write(
-        *[("/controller_state", ms, m) for ms, m in own], *[(COMMAND, ms, m) for ms, m in sent]
-    )
-    recording = read_bag(
-        path, state_topic="/controller_state", command_topic=COMMAND, joints=["j1", "j2"]
-    )
+    ros.file = tmp_path / f"other{suffix}"
+    sent = [(COMMAND, 10 * k, ros.array(0.3 * k, 0.4 * k)) for k in range(5)]
+    bag = ros.write(*map(own, range(5)), *sent)
+    recording = read(bag, state_topic="/controller_state", joints=names)
     assert recording.position[:, 0] == pytest.approx(0.09 * np.arange(5))

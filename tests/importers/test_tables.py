@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,13 +21,19 @@ COLUMNS += ["pan.load=Present Current", "supply_V=Present Input Voltage"]
 COUNTS = conversion(["counts"], 4096, 2048)
 
 
-def csv(tmp_path: Path, text: str = DYNAMIXEL) -> Path:
+def csv(tmp_path, text=DYNAMIXEL):
     path = tmp_path / "log.csv"
     path.write_text(text)
     return path
 
 
-def test_counts_by_a_column_map(tmp_path: Path) -> None:
+def plain(file, unit="s", angles=("rad",)):
+    """A file whose columns are t, c and p."""
+    columns = column_map(["t=t", "j.command=c", "j.position=p"])
+    return read_table(file, columns, conversion(angles), time_unit=unit)
+
+
+def test_counts_by_a_column_map(tmp_path):
     log = read_table(csv(tmp_path), column_map(COLUMNS), COUNTS, time_unit="ms")
     assert log.joints == ("pan",)
     assert log.t == pytest.approx([0, 0.01, 0.02, 0.03])  # before the first command: nothing
@@ -42,11 +45,10 @@ def test_counts_by_a_column_map(tmp_path: Path) -> None:
     assert log.metadata["rows_before_first_command"] == 1
 
 
-def test_mujoco_arrays_through_the_command_line(tmp_path: Path) -> None:
+def test_mujoco_arrays_through_the_command_line(tmp_path):
     t = 0.002 * np.arange(50)
-    qpos, ctrl = np.zeros((50, 9)), np.zeros((50, 2))
+    qpos, ctrl = np.zeros((50, 9)), np.stack([np.sin(t + 0.1), np.cos(t + 0.1)], axis=1)
     qpos[:, 7], qpos[:, 8] = np.sin(t), np.cos(t)
-    ctrl[:, 0], ctrl[:, 1] = np.sin(t + 0.1), np.cos(t + 0.1)
     np.savez(tmp_path / "log.npz", time=t + 3, qpos=qpos, ctrl=ctrl)
     columns = ["t=time", "hip.command=ctrl[0]", "hip.position=qpos[7]"]
     columns += ["knee.command=ctrl[1]", "knee.position=qpos[8]"]
@@ -72,7 +74,7 @@ def test_mujoco_arrays_through_the_command_line(tmp_path: Path) -> None:
         (["t=a", ".command"], ("'.command'",)),
     ],
 )
-def test_bad_maps(pairs: list[str] | None, parts: tuple[str, ...]) -> None:
+def test_bad_maps(pairs, parts):
     message(lambda: column_map(pairs), *parts)
 
 
@@ -89,48 +91,67 @@ def test_bad_maps(pairs: list[str] | None, parts: tuple[str, ...]) -> None:
         (DYNAMIXEL.replace("2148", "99999"), ("pan", "at most 12.6 rad")),
     ],
 )
-def test_bad_tables(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
+def test_bad_tables(tmp_path, text, parts):
     file = csv(tmp_path, text)
     message(lambda: read_table(file, column_map(COLUMNS), COUNTS, time_unit="ms"), *parts)
 
 
-def test_units_of_times_are_asked_for(tmp_path: Path) -> None:
-    file, columns = csv(tmp_path), column_map(COLUMNS)
-    message(lambda: read_table(file, columns, COUNTS, time_unit=None), "--time-unit", "nothing")
-    message(lambda: read_table(file, columns, COUNTS, time_unit="min"), "--time-unit", "'min'")
-    tilted = conversion(["counts", "tilt=deg"], 4096, 2048)
-    message(lambda: read_table(file, columns, tilted, time_unit="ms"), "--units", "tilt", "pan")
+def ticks(step):
+    return "t,c,p\n" + "".join(f"{k * step!r},0.1,0.1\n" for k in range(20))
 
 
-def test_bad_arrays(tmp_path: Path) -> None:
-    def read(*pairs: str, **arrays: np.ndarray) -> None:
-        file = tmp_path / "log.npz"
-        np.savez(file, **arrays)
-        units = conversion(["rad"])
-        message(lambda: read_table(file, column_map(pairs), units, time_unit="s"), *parts)
-
-    t, q = np.arange(4.0), np.zeros((4, 2))
-    columns = ("t=time", "j.command=ctrl[0]", "j.position=qpos[0]")
-    parts = ["no array ctrl", "one of time, qpos"]
-    read(*columns, time=t, qpos=q)
-    parts = ["rows:", "as many in each"]
-    read(*columns, time=t, qpos=q, ctrl=q[:3])
-    parts = ["qpos[2]", "an array of 4 x 2"]
-    read(*columns[:2], "j.position=qpos[2]", time=t, qpos=q, ctrl=q)
-    parts = ["qpos", "an array of 4 x 2"]
-    read(*columns[:2], "j.position=qpos", time=t, qpos=q, ctrl=q)
-    parts = ["no arrays of numbers"]
-    read(*columns, time=t, qpos=np.array(["a"]), ctrl=q)
-    (tmp_path / "log.npz").write_bytes(b"no archive")
-    file, units = tmp_path / "log.npz", conversion(["rad"])
-    message(
-        lambda: read_table(file, column_map(columns), units, time_unit="s"), "no arrays of numbers"
-    )
+@pytest.mark.parametrize(
+    ("text", "unit", "parts"),
+    [
+        ("t;c;p\n0;1,5;2\n0,01;1.5;2\n", "s", ("row 2 of the data, c", "'1.5'", "decimal commas")),
+        ("t;c;p\n1;2,048;2,049\n2;2,048;2,049\n", "s", ("'2,048'", "thousands")),
+        ("t,c,p\n0,00,1,5,2,5\n0,01,1,5,2,5\n", "s", ("more cells", "decimal commas need another")),
+        ("t,c,p\n0,1,2\n0,01,1,2\n", "s", ("row 2 of the data", "4 cells", "3, as in the header")),
+        ("t;c;d\n0;1;2\n1;1;2\n", "s", ("no column p", "semicolons", "one of t, c, d")),
+        ("t;c;p;p\n0;1;2;2\n1;1;2;2\n", "s", ("header", "p twice")),
+        ("t,c,p\n0,1,2\n\0\n", "s", ("no table (binary",)),
+        (ticks(1), None, ("--time-unit", "nothing")),
+        (ticks(1), "min", ("--time-unit", "'min'")),
+        (ticks(0.01), "ns", ("--time-unit ns", "samples 1e-11 s apart", "in seconds?")),
+        (ticks(10), "s", ("--time-unit s", "samples 10 s apart", "in milliseconds?")),
+        (ticks(1e-3), "us", ("--time-unit us", "samples 1e-09 s apart", "in seconds?")),
+        (ticks(1e7), "s", ("--time-unit s", "in nanoseconds?")),
+    ],
+)
+def test_bad_forms_and_units(tmp_path, text, unit, parts):
+    message(lambda: plain(csv(tmp_path, text), unit), *parts)
 
 
-def variant(
-    separator: str = ",", comma: bool = False, comment: str = "", header: str = "{}"
-) -> str:
+Q = np.zeros((4, 2))
+
+
+@pytest.mark.parametrize(
+    ("position", "arrays", "parts"),
+    [
+        ("qpos[0]", {"qpos": Q}, ("no array ctrl", "one of time, qpos")),
+        ("qpos[0]", {"qpos": Q, "ctrl": Q[:3]}, ("rows:", "as many in each")),
+        ("qpos[2]", {"qpos": Q, "ctrl": Q}, ("qpos[2]", "an array of 4 x 2")),
+        ("qpos", {"qpos": Q, "ctrl": Q}, ("qpos", "an array of 4 x 2")),
+        ("qpos[0]", {"qpos": np.array(["a"]), "ctrl": Q}, ("no arrays of numbers",)),
+        (
+            "qpos[0]",
+            {"time": [0, 1, 2, np.inf], "qpos": Q, "ctrl": Q},
+            ("row 4 of the data", "inf"),
+        ),
+        ("qpos[0]", None, ("no arrays of numbers",)),
+    ],
+)
+def test_bad_arrays(tmp_path, position, arrays, parts):
+    file = tmp_path / "log.npz"
+    if arrays is None:
+        file.write_bytes(b"no archive")
+    else:
+        np.savez(file, **{"time": np.arange(4.0)} | arrays)
+    columns = column_map(["t=time", "j.command=ctrl[0]", f"j.position={position}"])
+    message(lambda: read_table(file, columns, conversion(["rad"]), time_unit="s"), *parts)
+
+
+def variant(separator=",", comma=False, comment="", header="{}"):
     """The table with other separators, commas, comments and marks at its header."""
     rows = [line.split(",") for line in DYNAMIXEL.splitlines()]
     lines = [separator.join(cells) for cells in rows]
@@ -159,7 +180,7 @@ def variant(
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
-def test_other_forms_of_a_table(tmp_path: Path, text: str, form: str | None, encoding: str) -> None:
+def test_other_forms_of_a_table(tmp_path, text, form, encoding):
     named = [pair.replace("Goal Position", "Soll [°]") for pair in COLUMNS]
     expected = read_table(csv(tmp_path), column_map(COLUMNS), COUNTS, time_unit="ms")
     file = tmp_path / "log.tsv"
@@ -173,76 +194,27 @@ def test_other_forms_of_a_table(tmp_path: Path, text: str, form: str | None, enc
     assert log.metadata.get("format") == form
 
 
-def test_columns_separated_by_spaces_below_a_comment(tmp_path: Path) -> None:
+def test_columns_separated_by_spaces_below_a_comment(tmp_path):
     t = 0.01 * np.arange(50)
-    values = np.stack([t, np.sin(t), np.cos(t)], axis=1)
-    np.savetxt(tmp_path / "log.csv", values, header="time goal angle")
-    columns = column_map(["t=time", "pan.command=goal", "pan.position=angle"])
-    log = read_table(tmp_path / "log.csv", columns, conversion(["rad"]), time_unit="s")
+    np.savetxt(tmp_path / "log.csv", np.stack([t, np.sin(t), np.cos(t)], axis=1), header="t c p")
+    log = plain(tmp_path / "log.csv")
     np.testing.assert_allclose(log.position[:, 0], np.cos(t), rtol=1e-15)
     assert log.metadata["format"] == "columns separated by spaces"
 
 
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("t;c;p\n0;1,5;2\n0,01;1.5;2\n", ("row 2 of the data, c", "'1.5'", "decimal commas")),
-        ("t;c;p\n1;2,048;2,049\n2;2,048;2,049\n", ("'2,048'", "thousands")),
-        ("t,c,p\n0,00,1,5,2,5\n0,01,1,5,2,5\n", ("more cells", "decimal commas need another")),
-        ("t,c,p\n0,1,2\n0,01,1,2\n", ("row 2 of the data", "4 cells", "3, as in the header")),
-        ("t;c;d\n0;1;2\n1;1;2\n", ("no column p", "semicolons", "one of t, c, d")),
-        ("t;c;p;p\n0;1;2;2\n1;1;2;2\n", ("header", "p twice")),
-        ("t,c,p\n0,1,2\n\0\n", ("no table (binary",)),
-    ],
-)
-def test_bad_forms(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
-    columns = column_map(["t=t", "j.command=c", "j.position=p"])
-    units, file = conversion(["deg"]), csv(tmp_path, text)
-    message(lambda: read_table(file, columns, units, time_unit="s"), str(file), *parts)
-
-
-def test_a_unit_for_each_column(tmp_path: Path) -> None:
+def test_a_unit_for_each_column(tmp_path):
     text = "t,c,p,d,q\n" + "".join(f"{k},{k},{k},{k},0.{k}\n" for k in range(9))
     columns = ["t=t", "a.command=c", "a.position=p", "b.command=d", "b.position=q"]
+    file = csv(tmp_path, text)
 
-    def read(*units: str) -> np.ndarray:
-        log = read_table(
-            csv(tmp_path, text), column_map(columns), conversion(units), time_unit="ms"
-        )
-        return np.stack([log.command[-1], log.position[-1]])
+    def read(*units):
+        log = read_table(file, column_map(columns), conversion(units), time_unit="ms")
+        return np.concatenate([log.command[-1], log.position[-1]])
 
     one = math.pi / 180
-    expected = [[8 * one, 8 * one], [8 * one, 0.8]]
-    assert read("deg", "b.position=rad") == pytest.approx(np.array(expected))
-    expected = [[8, 8 * one], [8 * one, 0.8]]
-    assert read("a.command=rad", "a=deg", "b.command=deg", "b.position=rad") == pytest.approx(
-        np.array(expected)
-    )
+    assert read("deg", "b.position=rad") == pytest.approx([8 * one, 8 * one, 8 * one, 0.8])
+    each = ("a.command=rad", "a=deg", "b.command=deg", "b.position=rad")
+    assert read(*each) == pytest.approx([8, 8 * one, 8 * one, 0.8])
     message(lambda: read("deg", "b.current=rad"), "--units", "b.current", "command or position")
     message(lambda: read("a=deg", "b.command=rad"), "--units", "none for b")
-
-
-@pytest.mark.parametrize(
-    ("unit", "step", "parts"),
-    [
-        ("ns", 0.01, ("--time-unit ns", "samples 1e-11 s apart", "in seconds?")),
-        ("s", 10, ("--time-unit s", "samples 10 s apart", "in milliseconds?")),
-        ("us", 1e-3, ("--time-unit us", "samples 1e-09 s apart", "in seconds?")),
-        ("s", 1e7, ("--time-unit s", "in nanoseconds?")),
-    ],
-)
-def test_implausible_units_of_time(
-    tmp_path: Path, unit: str, step: float, parts: tuple[str, ...]
-) -> None:
-    file = csv(tmp_path, "t,c,p\n" + "".join(f"{k * step!r},0.1,0.1\n" for k in range(20)))
-    columns = column_map(["t=t", "j.command=c", "j.position=p"])
-    message(lambda: read_table(file, columns, conversion(["rad"]), time_unit=unit), *parts)
-
-
-def test_infinite_values_of_an_archive_are_refused(tmp_path: Path) -> None:
-    time = np.arange(20.0)
-    time[3] = np.inf
-    np.savez(tmp_path / "x.npz", t=time, c=np.zeros(20), p=np.zeros(20))
-    columns = column_map(["t=t", "j.command=c", "j.position=p"])
-    read = lambda: read_table(tmp_path / "x.npz", columns, conversion(["rad"]), time_unit="s")  # noqa: E731
-    message(read, "row 4 of the data, t", "inf", "a number or NaN")
+    message(lambda: read("deg", "tilt=deg"), "--units", "tilt", "a, b")

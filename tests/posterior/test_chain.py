@@ -5,13 +5,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim2real.errors import InputError
-from sim2real.posterior.chain import new_chain, read_chain, run_chain, write_chain
+from sim2real.posterior.chain import convergence, new_chain, read_chain, require, run_chain, sample
 
 WALKERS, FREE = 12, 2
 ORIGIN = {"centre": np.array([0.1, 0.2])}
@@ -28,6 +29,10 @@ def begun(seed=1):
     return new_chain(WALKERS, FREE, seed, ORIGIN, "mark")
 
 
+def sampled(steps, seed=1):
+    return run_chain(begun(seed), skewed, steps)
+
+
 def same(a, b):
     assert np.array_equal(a.coordinates, b.coordinates)
     assert np.array_equal(a.log_density, b.log_density)
@@ -37,37 +42,28 @@ def same(a, b):
 
 
 def test_it_samples_the_density():
-    chain = run_chain(begun(), skewed, 3000)
-    kept = chain.coordinates[200:].reshape(-1, FREE)
+    kept = sampled(3000).coordinates[200:].reshape(-1, FREE)
     grid = np.stack(np.meshgrid(np.linspace(-8, 4, 400), np.linspace(-9, 6, 400)), axis=-1)
-    weight = np.exp(skewed(grid.reshape(-1, 2)))
-    mean = np.average(grid.reshape(-1, 2), axis=0, weights=weight)
-    covariance = np.cov(grid.reshape(-1, 2).T, aweights=weight)
+    grid = grid.reshape(-1, 2)
+    weight = np.exp(skewed(grid))
+    mean = np.average(grid, axis=0, weights=weight)
     np.testing.assert_allclose(kept.mean(axis=0), mean, atol=0.06)
-    np.testing.assert_allclose(np.cov(kept.T), covariance, atol=0.12)
+    np.testing.assert_allclose(np.cov(kept.T), np.cov(grid.T, aweights=weight), atol=0.12)
 
 
-def test_blocks_do_not_show(tmp_path):
-    whole = run_chain(begun(), skewed, 730)
+def test_blocks_do_not_show_and_the_file_gives_everything_back(tmp_path):
     file = tmp_path / "chain.npz"
     for steps in (1, 130, 131, 402, 730):
         found = read_chain(file) if file.exists() else begun()
         run_chain(found, skewed, steps, file)
-    same(read_chain(file), whole)
+    found = read_chain(file)
+    same(found, sampled(730))
+    assert found.fingerprint == "mark"
+    assert np.array_equal(found.origin["centre"], ORIGIN["centre"])
 
 
 def test_another_seed_is_another_chain():
-    a, b = (run_chain(begun(seed), skewed, 20) for seed in (1, 2))
-    assert not np.array_equal(a.coordinates, b.coordinates)
-
-
-def test_the_file_gives_everything_back(tmp_path):
-    chain = run_chain(begun(), skewed, 30)
-    write_chain(chain, tmp_path / "chain.npz")
-    found = read_chain(tmp_path / "chain.npz")
-    same(found, chain)
-    assert found.fingerprint == "mark"
-    assert np.array_equal(found.origin["centre"], ORIGIN["centre"])
+    assert not np.array_equal(sampled(20).coordinates, sampled(20, seed=2).coordinates)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no chain"])
@@ -94,18 +90,69 @@ def test_killed_at_random_it_ends_as_if_it_had_not_been(tmp_path):
     steps, file = 4000, tmp_path / "chain.npz"
     rng = np.random.default_rng(os.getpid())  # other moments in every run
     path = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
-    arguments = [sys.executable, "-c", SCRIPT, str(file), str(steps)]
-    killed = 0
-    for attempt in range(6):
-        process = subprocess.Popen(
-            arguments, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path}
-        )
-        with process:
-            assert process.stdout is not None
+    call = [sys.executable, "-c", SCRIPT, str(file), str(steps)]
+    environment, killed = {**os.environ, "PYTHONPATH": path}, 0
+    for attempt in range(4):
+        with subprocess.Popen(call, stdout=subprocess.PIPE, env=environment) as process:
             assert process.stdout.readline() == b"ready\n"
-            if attempt < 5:
+            if attempt < 3:
                 time.sleep(float(rng.uniform(0.0, 0.35)))
                 process.send_signal(signal.SIGKILL)
         killed += process.returncode == -signal.SIGKILL
     assert killed >= 1 and process.returncode == 0
-    same(read_chain(file), run_chain(begun(), skewed, steps))
+    same(read_chain(file), sampled(steps))
+
+
+NAMES = ("kp_Nm_per_rad", "latency_s")
+
+
+def correlated(steps, phi, seed=0, walkers=12):
+    """A chain of first-order autoregressions, whose time is (1 + phi) / (1 - phi)."""
+    rng = np.random.default_rng(seed)
+    x = np.zeros((steps, walkers, 2))
+    x[0] = rng.standard_normal((walkers, 2))
+    for k in range(1, steps):
+        x[k] = phi * x[k - 1] + np.sqrt(1 - phi**2) * rng.standard_normal((walkers, 2))
+    return replace(begun(), coordinates=x, log_density=np.zeros((steps, walkers)))
+
+
+def test_time_of_a_known_chain():
+    result = convergence(correlated(8000, 0.8))
+    np.testing.assert_allclose(result.times, 9.0, rtol=0.12)
+    assert result.reached and result.thin == 4
+    require(result, "posterior of j1", NAMES)
+
+
+def test_a_short_chain_is_refused_and_told_how_long_it_must_be():
+    result = convergence(correlated(300, 0.95, seed=2))
+    assert not result.reached
+    with pytest.raises(InputError, match="run again with --steps [0-9]+: the chain continues") as e:
+        require(result, "posterior of j1", NAMES)
+    needed = int(str(e.value).split("--steps ")[1].split(":")[0])
+    assert needed >= 50 * result.times.max()
+
+
+def test_a_chain_that_stands_still_is_refused():
+    chain = correlated(200, 0.5)
+    result = convergence(replace(chain, coordinates=np.ones_like(chain.coordinates)))
+    assert not result.reached
+
+
+def test_what_is_kept():
+    chain = correlated(4000, 0.8)
+    result = convergence(chain)
+    draws = sample(chain, result)
+    assert draws.shape == (len(range(result.burn_in, 4000, result.thin)) * 12, 2)
+    assert np.array_equal(draws[:12], chain.coordinates[result.burn_in])
+
+
+@pytest.mark.parametrize("phi", [0.9, 0.98])
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
+def test_the_steps_that_a_message_names_are_enough(phi, share):
+    """Chains that stop at a share of what they need, and the same chains after those steps."""
+    time = (1 + phi) / (1 - phi)
+    for seed in range(5):
+        short = convergence(correlated(int(share * 50 * time), phi, seed))
+        needed = short.needed
+        assert needed <= 12 * 50 * time
+        assert convergence(correlated(needed, phi, seed)).reached

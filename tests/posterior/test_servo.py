@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from scipy.signal import lfilter
 
 from sim2real.errors import InputError
 from sim2real.identification.search import fit
@@ -18,7 +19,6 @@ from sim2real.robot import Servo
 
 JOINT = JointModel(2.0, 0.05, 0.06, simulated.INERTIA, load=Load(simulated.INERTIA))
 TRUTH = np.array([simulated.KP, simulated.KD, simulated.LATENCY])
-FRICTION = FittedEffect("coulomb_friction", {"torque_Nm": 0.04})
 
 
 @pytest.fixture(scope="module")
@@ -54,80 +54,60 @@ def test_a_motor_is_sampled_with_all_that_was_fitted():
     servo = Servo("small", 1.6, 5.2, 0.0)
     line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
     joint = replace(JOINT, law="motor", motor=line)
-    found = sample_servo([simulated.traced(1)], joint, servo, steps=300)
+    found = sample_servo([simulated.traced(1, seconds=8.0)], joint, servo, steps=300)
     assert found.names[3:] == ("motor.stall_torque_Nm", "motor.no_load_speed_rad_s")
     assert "log-normal 1.6 N m" in str(found.parameters[3]) and not found.problem.exact
     low, high = found.quantiles(0.01, 0.99)
     assert (low[:3] < TRUTH).all() and (high[:3] > TRUTH).all()
 
 
-def test_what_is_random_is_not_sampled():
+def test_what_is_random_is_not_sampled(given):
     jitter = FittedEffect("latency_jitter", {"halfwidth_s": 0.01})
     backlash = FittedEffect("backlash", {"gap_rad": 0.03})
-    problem = servo_problem([simulated.traced(1)], replace(JOINT, effects=(jitter, backlash)))
+    problem = servo_problem([given], replace(JOINT, effects=(jitter, backlash)))
     assert problem.names[3:] == ("backlash.gap_rad",)
     assert problem.parameters[3].unit == "rad" and "log-uniform" in str(problem.parameters[0])
 
 
 def test_an_effect_of_the_model_is_sampled():
-    truth = {"coulomb_friction": {"torque_Nm": 0.05}}
-    trace = simulated.traced(2, seconds=8.0, **truth)
-    found = sample_servo([trace], replace(JOINT, effects=(FRICTION,)), steps=120)
+    trace = simulated.traced(2, seconds=8.0, coulomb_friction={"torque_Nm": 0.05})
+    friction = FittedEffect("coulomb_friction", {"torque_Nm": 0.04})
+    found = sample_servo([trace], replace(JOINT, effects=(friction,)), steps=120)
     low, high = found.quantiles(0.01, 0.99)
     assert not found.problem.exact
     assert found.names[3] == "coulomb_friction.torque_Nm" and low[3] < 0.05 < high[3]
 
 
 def test_noise_that_is_correlated_widens_it(given, found):
-    rng = np.random.default_rng(4)
-    wander = np.zeros(given.t.size)
-    for k in range(1, wander.size):
-        wander[k] = 0.95 * wander[k - 1] + 0.0015 * np.sqrt(1 - 0.95**2) * rng.standard_normal()
+    white = np.random.default_rng(4).standard_normal(given.t.size)
+    wander = lfilter([0.0015 * np.sqrt(1 - 0.95**2)], [1, -0.95], white)
     wide = sample_servo([replace(given, position=given.position + wander)], JOINT, steps=400)
     assert wide.values.std(axis=0)[0] > 1.15 * found.values.std(axis=0)[0]
 
 
-def test_it_goes_on_from_its_file(given, found, tmp_path):
-    file = tmp_path / "chain.npz"
-    for steps in (150, 400):
-        again = sample_servo([given], JOINT, steps=steps, file=file)
-    assert np.array_equal(again.chain.coordinates, found.chain.coordinates)
-    assert np.array_equal(again.values, found.values)
-
-
-def test_what_a_kill_left_is_cleared(given, tmp_path):
+def test_what_a_kill_left_is_cleared_and_the_chain_of_other_data_is_refused(given, tmp_path):
     file = tmp_path / "chain.npz"
     (tmp_path / ".chain.npz.half").write_bytes(b"half")
     sample_servo([given], JOINT, steps=5, file=file)
     assert [one.name for one in tmp_path.iterdir()] == ["chain.npz"]
-
-
-def test_the_chain_of_other_data_is_refused(given, tmp_path):
-    file = tmp_path / "chain.npz"
-    sample_servo([given], JOINT, steps=5, file=file)
     other = replace(given, position=given.position + 1e-6)
     for trace, seed in ((other, 0), (given, 1)):
         with pytest.raises(InputError, match="remove the file"):
             sample_servo([trace], JOINT, steps=5, file=file, seed=seed)
-
-
-def test_too_few_walkers(given):
     with pytest.raises(InputError, match="at least 6 for 3 parameters"):
         sample_servo([given], JOINT, walkers=5)
 
 
 def test_predictions_of_a_recording_never_seen(given, found):
-    unseen = simulated.traced(7)
-    check = predictive_check(found, JOINT, [given], unseen, np.random.default_rng(0))
+    def checked(**effects):
+        unseen = simulated.traced(7, **effects)
+        return predictive_check(found, JOINT, [given], unseen, np.random.default_rng(0))
+
+    check = checked()
     for level, share in check.covered.items():
         assert share == pytest.approx(level, abs=0.06)
     assert check.holds and check.rmse == pytest.approx(simulated.NOISE, rel=0.15)
-
-
-def test_predictions_fail_where_physics_is_missing(given, found):
-    loose = simulated.traced(7, backlash={"gap_rad": 0.05})
-    check = predictive_check(found, JOINT, [given], loose, np.random.default_rng(0))
-    assert not check.holds
+    assert not checked(backlash={"gap_rad": 0.05}).holds, "physics is missing"
 
 
 def test_sample_of_all_joints(found, tmp_path):
@@ -140,12 +120,6 @@ def test_sample_of_all_joints(found, tmp_path):
     within = np.corrcoef(again.values[:, :2].T)[0, 1]
     assert within == pytest.approx(np.corrcoef(found.values[:, :2].T)[0, 1], abs=0.06)
     assert abs(np.corrcoef(again.values[:, [0, 3]].T)[0, 1]) < 0.08
-
-
-def test_a_file_that_is_no_sample(tmp_path):
-    (tmp_path / "posterior.npz").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="found no sample"):
-        read_sample(tmp_path / "posterior.npz")
 
 
 def test_for_arviz(found):

@@ -16,14 +16,15 @@ RANGES = Ranges(
 )
 
 
-def test_written_and_read(tmp_path):
+@pytest.fixture
+def file(tmp_path):
     write_ranges(RANGES, tmp_path / "ranges.json")
-    assert read_ranges(tmp_path / "ranges.json") == RANGES
+    return tmp_path / "ranges.json"
 
 
-def test_the_file_is_as_the_interface_says(tmp_path):
-    write_ranges(RANGES, tmp_path / "ranges.json")
-    content = json.loads((tmp_path / "ranges.json").read_text())
+def test_the_file_is_as_the_interface_says_and_is_read(file):
+    assert read_ranges(file) == RANGES
+    content = json.loads(file.read_text())
     assert content["schema"] == "sim2real.ranges/1"
     assert content["ranges"][0] == {
         "parameter": "command_latency_s", "distribution": "uniform", "low": 0.048, "high": 0.088,
@@ -33,22 +34,16 @@ def test_the_file_is_as_the_interface_says(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "field, value, where",
-    [
-        ("distribution", "cauchy", "ranges[0].distribution"),
-        ("period", "day", "ranges[0].period"),
-        ("high", 0.01, "ranges[0].high"),
-        ("low", None, "ranges[0].low"),
-    ],
+    ("field", "value"),
+    [("distribution", "cauchy"), ("period", "day"), ("high", 0.01), ("low", None)],
 )
-def test_a_spoilt_file(tmp_path, field, value, where):
-    write_ranges(RANGES, tmp_path / "ranges.json")
-    content = json.loads((tmp_path / "ranges.json").read_text())
+def test_a_spoilt_file(file, field, value):
+    content = json.loads(file.read_text())
     content["ranges"][0][field] = value
-    (tmp_path / "ranges.json").write_text(json.dumps(content))
+    file.write_text(json.dumps(content))
     with pytest.raises(InputError) as error:
-        read_ranges(tmp_path / "ranges.json")
-    assert error.value.where == where
+        read_ranges(file)
+    assert error.value.where == f"ranges[0].{field}"
 
 
 def test_two_different_ends_never_read_the_same():

@@ -42,32 +42,25 @@ def test_the_papers_table_comes_back(paper, monkeypatch):
         assert ratio == pytest.approx(1.0, abs=0.1), name
 
 
-def test_gains_lie_between_quantiles_of_the_posterior(found):
+def test_gains_lie_between_quantiles_of_the_posterior_and_density_by_the_scales_errors(found):
     kp = found.ranges.named("j1.kp_Nm_per_rad")
     low, high = np.quantile(found.posteriors["j1"].values[:, 0], [0.05, 0.95])
     assert (kp.first, kp.second) == pytest.approx((low, high))
     assert kp.first < 1.01 * simulated.KP and kp.second > 0.99 * simulated.KP
     assert "r0, r1, r2: 5 % and 95 % quantiles" in kp.source and kp.period == "episode"
+    head = found.ranges.named("body.normalised_density.head")
+    assert head.first == pytest.approx(1.0) and head.second == pytest.approx(0.01 * np.sqrt(2))
 
 
-def test_all_recordings_are_sampled_and_one_is_checked_on(bench, found):
-    other = gather(bench, ROBOT, Model({"j1": JOINT}), replace(SAMPLING, held_out="r0"))
-    for gathered, checked in ((found, "r2"), (other, "r0")):
+def test_all_recordings_are_sampled_and_one_is_checked_on_a_bench_without_links(bench, found):
+    bare = Robot("one", (Link("a"), Link("b")), (Joint("j1", Servo("s")),))
+    again = gather(bench, bare, Model({"j1": JOINT}), replace(SAMPLING, held_out="r0"))
+    for gathered, checked in ((found, "r2"), (again, "r0")):
         assert [t.name for t in gathered.posteriors["j1"].problem.traces] == ["r0", "r1", "r2"]
         assert gathered.checks["j1"].recording == checked
-
-
-def test_a_bench_needs_no_links(bench, found):
-    bare = Robot("one", (Link("a"), Link("b")), (Joint("j1", Servo("s")),))
-    again = gather(bench, bare, Model({"j1": JOINT}), SAMPLING)
     assert again.density is None
     kept = [e for e in found.ranges.entries if "density" not in e.parameter]
     assert list(again.ranges.entries) == kept
-
-
-def test_density_has_a_range_where_scales_have_errors(found):
-    head = found.ranges.named("body.normalised_density.head")
-    assert head.first == pytest.approx(1.0) and head.second == pytest.approx(0.01 * np.sqrt(2))
 
 
 def test_a_pool_alone_takes_gains_from_the_model(bench):
@@ -87,35 +80,30 @@ def test_a_pool_alone_takes_gains_from_the_model(bench):
 
 
 def test_every_effect_of_the_model_has_a_range():
-    truth = {"coulomb_friction": {"torque_Nm": 0.05}}
     effects = (
         FittedEffect("coulomb_friction", {"torque_Nm": 0.04}),
         FittedEffect("latency_jitter", {"halfwidth_s": 0.005}),
     )
-    model = Model(
-        {"j1": replace(JOINT, effects=effects)},
-        effects=(FittedEffect("voltage_sag", {"loss_at_full_load": 0.2}),),
-    )
-    ranges = gather([simulated.recording(**truth)], ROBOT, model, Sampling(steps=250)).ranges
+    sag = FittedEffect("voltage_sag", {"loss_at_full_load": 0.2})
+    model = Model({"j1": replace(JOINT, effects=effects)}, effects=(sag,))
+    rubbing = simulated.recording(seconds=8.0, coulomb_friction={"torque_Nm": 0.05})
+    ranges = gather([rubbing], ROBOT, model, Sampling(steps=250)).ranges
     friction = ranges.named("j1.coulomb_friction.torque_Nm")
     assert 0.045 < friction.first < friction.second < 0.055 and "posterior" in friction.source
-    jitter, sag = (
-        ranges.named(n) for n in ("j1.latency_jitter.halfwidth_s", "voltage_sag.loss_at_full_load")
-    )
+    jitter = ranges.named("j1.latency_jitter.halfwidth_s")
     assert jitter.first == jitter.second == 0.005 and "no interval" in jitter.source
-    assert sag.first == 0.2 and sag.unit == ""
-
-
-MOTOR = {
-    "stall_torque_Nm": 1.5,
-    "no_load_speed_rad_s": 8.0,
-    "coulomb_Nm": 0.02,
-    "load_friction": 1e-9,
-    "rotor_inertia_kgm2": 1e-4,
-}
+    loss = ranges.named("voltage_sag.loss_at_full_load")
+    assert loss.first == 0.2 and loss.unit == ""
 
 
 def test_every_parameter_of_a_motor_has_a_range_or_a_line(bench):
+    motor = {
+        "stall_torque_Nm": 1.5,
+        "no_load_speed_rad_s": 8.0,
+        "coulomb_Nm": 0.02,
+        "load_friction": 1e-9,
+        "rotor_inertia_kgm2": 1e-4,
+    }
     interval = {
         "motor.stall_torque_Nm": (1.3, 1.7),
         "motor.coulomb_Nm": (0.01, 0.03),
@@ -123,18 +111,15 @@ def test_every_parameter_of_a_motor_has_a_range_or_a_line(bench):
         "motor.load_friction": (0.0, 0.7),
         "motor.resistance_rise": (0.0, 0.005),
     }
-    joint = replace(JOINT, law="motor", motor=MOTOR, interval=interval)
+    joint = replace(JOINT, law="motor", motor=motor, interval=interval)
     swum = [replace(r, kind="pool", loads={}) for r in bench]
     ranges = gather(swum, ROBOT, Model({"j1": joint})).ranges
-    stall, coulomb, speed, rotor = (
-        ranges.named(f"j1.motor.{name}")
-        for name in ("stall_torque_Nm", "coulomb_Nm", "no_load_speed_rad_s", "rotor_inertia_kgm2")
-    )
+    stall, speed, coulomb, load, rotor = (ranges.named(f"j1.motor.{name}") for name in motor)
     assert (stall.first, stall.second, stall.unit) == (1.3, 1.7, "N m")
     assert (coulomb.first, coulomb.second) == (0.01, 0.03) and "90 % interval" in coulomb.source
     assert (speed.first, speed.second) == (7.0, 8.0) and "open end" in speed.source
     assert rotor.constant and "no interval" in rotor.source
-    assert ranges.named("j1.motor.load_friction") is None
+    assert load is None
     (note,) = [note for note in ranges.notes if "no range" in note and note.startswith("j1")]
     assert "motor.load_friction (to 0.7)" in note and "motor.resistance_rise (to 0.005)" in note
 
@@ -145,13 +130,10 @@ def test_what_recordings_do_not_determine_does_not_stop_it():
     friction = FittedEffect("coulomb_friction", {"torque_Nm": 0.04})
     interval = {"torque_saturation.limit_Nm": (12.0, 18.0)}
     joint = replace(JOINT, effects=(limit, friction), interval=interval)
-    rubbing = [simulated.recording(coulomb_friction={"torque_Nm": 0.05})]
-    found = gather(rubbing, ROBOT, Model({"j1": joint}), Sampling(steps=500))
+    rubbing = [simulated.recording(seconds=8.0, coulomb_friction={"torque_Nm": 0.05})]
+    found = gather(rubbing, ROBOT, Model({"j1": joint}), Sampling(steps=350))
     posterior = found.posteriors["j1"]
-    assert posterior.undetermined == (
-        "torque_saturation.limit_Nm",
-        "torque_saturation.free_damping",
-    )
+    assert posterior.undetermined == tuple(f"torque_saturation.{name}" for name in limit.parameters)
     assert "coulomb_friction.torque_Nm" in posterior.names
     entry = found.ranges.named("j1.torque_saturation.limit_Nm")
     assert (entry.first, entry.second) == (12.0, 18.0) and "model" in entry.source
@@ -159,22 +141,20 @@ def test_what_recordings_do_not_determine_does_not_stop_it():
 
 
 def test_missing_physics_is_said():
-    loose = [
-        simulated.recording(k, f"r{k}", backlash={"gap_rad": 0.06}, noise=5e-4) for k in range(2)
-    ]
+    how = {"backlash": {"gap_rad": 0.06}, "noise": 5e-4}
+    loose = [simulated.recording(k, f"r{k}", **how) for k in range(2)]
     notes = gather(loose, ROBOT, Model({"j1": JOINT}), SAMPLING).ranges.notes
     assert any("physics is missing" in note for note in notes)
 
 
-def test_a_chain_too_short_is_refused(bench):
-    with pytest.raises(InputError, match="run again with --steps"):
-        gather(bench, ROBOT, Model({"j1": JOINT}), Sampling(steps=20))
-
-
-def test_what_does_not_fit_together(bench):
-    with pytest.raises(InputError, match="each recording once"):
-        gather([bench[0], bench[0]], ROBOT, Model({"j1": JOINT}))
-    with pytest.raises(InputError, match="a joint not of the robot"):
-        gather(bench, ROBOT, Model({"j9": JOINT}))
-    with pytest.raises(InputError, match="--held-out: found 'x'"):
-        gather(bench, ROBOT, Model({"j1": JOINT}), Sampling(held_out="x"))
+@pytest.mark.parametrize(
+    ("chosen", "joint", "sampling", "message"),
+    [
+        ([0, 0], "j1", SAMPLING, "each recording once"),
+        ([0, 1, 2], "j9", SAMPLING, "a joint not of the robot"),
+        ([0, 1, 2], "j1", Sampling(held_out="x"), "--held-out: found 'x'"),
+    ],
+)
+def test_what_does_not_fit_together(bench, chosen, joint, sampling, message):
+    with pytest.raises(InputError, match=message):
+        gather([bench[k] for k in chosen], ROBOT, Model({joint: JOINT}), sampling)

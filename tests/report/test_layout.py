@@ -1,4 +1,4 @@
-"""Nothing that a page shows is cut: text lies inside its figure, marks inside their axes."""
+"""Nothing that a page shows is cut: text lies inside its figure."""
 
 from types import SimpleNamespace
 
@@ -6,49 +6,27 @@ import numpy as np
 import pytest
 
 from rl.experiments.ablation_report import OUTCOME, TITLES, difference_figure, return_figure
-from rl.experiments.differences import Difference
-from sim.cases.case import Curve
-from sim.view.calibration_plot import comparison
-from sim.view.report import curve_figure
-from sim2real.report.fit_plot import fit_figure
-from sim2real.report.parameter_plot import parameter_figure
-from sim2real.report.range_plots import density_figure, latency_figure, predictive_figure
-from sim2real.report.style import NARROW, POINTS_PER_INCH, WIDE, house_style
-from sim2real.report.timing_plot import timing_figure
+from rl.experiments.statistics import Difference
+from sim2real.report.diagnosis_plots import Bar, bar_figure
+from sim2real.report.identification import parameter_figure
+from sim2real.report.ranges import density_figure, latency_figure
+from sim2real.report.series import fit_figure
+from sim2real.report.style import POINTS_PER_INCH, house_style
 
 SLACK_POINTS = 1.0
-T = np.linspace(0, 30, 300)
+LINKS = np.array([1.2, 1.1, 0.9, 0.6])
+DENSITY = SimpleNamespace(
+    links=("head", "body1", "body2", "tail"), length_m=np.full(4, 0.1), value=LINKS,
+    interval=LINKS + 0.03 * np.array([[-1], [1]]),
+)  # fmt: skip
+LATENCIES = SimpleNamespace(seconds=np.full(7, 0.07), sd=np.full(7, 0.01), windows=True)
+LOST = Difference(mean=17.2, low=12.4, high=22.1, sd=9.0, pairs=24)
 
 
 def _fit(bench):
     return fit_figure(
         bench.recording, "j1", bench.predicted[:, 0], heldout=bench.heldout, noise_rad=0.0019
     )
-
-
-def _density():
-    links = ("head", "body1", "body2", "tail")
-    value = np.array([1.2, 1.1, 0.9, 0.6])
-    return SimpleNamespace(links=links, length_m=np.full(4, 0.1), value=value, sd=0.02 * value)
-
-
-def _check():
-    wave = 0.3 * np.sin(T)
-    noise = np.random.default_rng(0).normal(0, 0.002, T.size)
-    return SimpleNamespace(
-        t=T, measured=wave + noise, median=wave, band=wave + 0.004 * np.array([[-1], [1]]),
-        recording="chirp",
-    )  # fmt: skip
-
-
-def _comparison():
-    names = [SimpleNamespace(name="j1")]
-    swim = SimpleNamespace(t=T, signals=np.sin(T)[:, None] * np.ones(4), name="p1")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "sim.view.calibration_plot.simulated", lambda *_: np.zeros((2, *swim.signals.shape))
-        )
-        return comparison(swim, None, None, None, SimpleNamespace(joints=names))
 
 
 def _returns():
@@ -58,74 +36,39 @@ def _returns():
     return return_figure(arms)
 
 
-def _differences():
-    lost = Difference(mean=17.2, low=12.4, high=22.1, sd=9.0, pairs=24)
-    return difference_figure({arm: lost for arm in TITLES if arm.startswith("no-")})
-
-
 FIGURES = {
     "fit": _fit,
     "parameters": lambda bench: parameter_figure(bench.model),
-    "timing": lambda bench: timing_figure(bench.recording),
-    "density": lambda bench: density_figure(_density()),
-    "predictive": lambda bench: predictive_figure(_check(), "j1"),
+    "density": lambda bench: density_figure(DENSITY),
     "latency": lambda bench: latency_figure(
-        SimpleNamespace(seconds=np.full(7, 0.07), sd=np.full(7, 0.01), windows=True),
-        SimpleNamespace(centre=0.07, half_width=0.02),
+        LATENCIES, SimpleNamespace(centre=0.07, half_width=0.02)
     ),
-    "comparison": lambda bench: _comparison(),
-    "curve": lambda bench: curve_figure(_curve()),
+    "bars": lambda bench: bar_figure({"j1": [Bar("j1: one of backlash or play", 1.0, "98 %")]}, ""),
     "returns": lambda bench: _returns(),
-    "differences": lambda bench: _differences(),
+    "differences": lambda bench: difference_figure({x: LOST for x in TITLES if x[:3] == "no-"}),
 }
 
 
-def _curve(points=8):
-    x = np.linspace(1, 8, points)
-    ends = np.array([1.0, 8.0])
-    return Curve("Speed", "cycle", "body lengths a cycle", x, np.sqrt(x), ends, np.full(2, 2.9))
-
-
-def drawn(figure, width):
-    """``figure`` as it is drawn ``width`` points wide: its box and that of all it shows."""
+def drawn(figure):
+    """The box of a figure in points and that of all it shows."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with house_style():
-        figure.set_size_inches(width / POINTS_PER_INCH, figure.get_size_inches()[1])
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         shown = figure.get_tightbbox(canvas.get_renderer())
     return POINTS_PER_INCH * shown.extents, POINTS_PER_INCH * figure.get_size_inches()
 
 
-@pytest.mark.parametrize("width", [WIDE, NARROW])
 @pytest.mark.parametrize("name", FIGURES)
-def test_nothing_sticks_out_of_a_figure(name, width, bench):
-    (left, bottom, right, top), (wide, high) = drawn(FIGURES[name](bench), width)
+def test_nothing_sticks_out_of_a_figure(name, bench):
+    (left, bottom, right, top), (wide, high) = drawn(FIGURES[name](bench))
     assert min(left, bottom) > -SLACK_POINTS
     assert right < wide + SLACK_POINTS and top < high + SLACK_POINTS
 
 
 def test_a_title_that_is_too_long_is_noticed():
-    figure = density_figure(_density())
-    figure.axes[0].set_title("a title that a phone has no room for, however it is laid out here")
-    (_, _, right, _), (wide, _) = drawn(figure, NARROW)
+    figure = density_figure(DENSITY)
+    figure.axes[0].set_title("a title that a page has no room for, however it is laid out " * 3)
+    (_, _, right, _), (wide, _) = drawn(figure)
     assert right > wide + SLACK_POINTS
-
-
-@pytest.mark.parametrize("width", [WIDE, NARROW])
-def test_marks_at_the_ends_of_a_curve_are_whole(width):
-    figure = curve_figure(_curve())
-    drawn(figure, width)
-    (axes,) = figure.axes
-    box = axes.get_window_extent()
-    marked = [line for line in axes.get_lines() if line.get_marker() == "o"]
-    assert {line.get_label() for line in marked} == {"ours", "published"}
-    for line in marked:
-        places = axes.transData.transform(line.get_xydata())
-        half = line.get_markersize() / 2 * figure.dpi / POINTS_PER_INCH
-        assert (places - half >= box.min).all() and (places + half <= box.max).all()
-
-
-def test_a_dense_curve_has_no_marks():
-    assert curve_figure(_curve(400)).axes[0].get_lines()[0].get_marker() in ("", "None", None)

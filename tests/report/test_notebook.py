@@ -1,5 +1,6 @@
 """What a notebook and a prompt show of a result."""
 
+import re
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -8,17 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.calibration.calibration import Calibration
+from sim.inference.calibration import Calibration
 from sim.simulation import Simulated
-from sim2real import Model, Recording, read_robot
 from sim2real.check import check
-from sim2real.density import Density
 from sim2real.diagnose.result import Diagnosis, Mismatch
-from sim2real.model import JointModel
+from sim2real.model import JointModel, Model
 from sim2real.posterior.posteriors import Posteriors
 from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.ranges.gather import Gathered
+from sim2real.recording import Recording
 from sim2real.report.notebook import result_html
+from sim2real.robot import Density, read_robot
 from sim2real.servo.prediction import Prediction
 
 EVIL = "<script>alert('&')</script>"
@@ -65,7 +66,7 @@ def posterior_of(name):
     """A posterior with two parameters, whose quantiles are known."""
     each = [SimpleNamespace(name=n, unit=unit) for n, unit in ((name, "s"), ("kp", "N m/rad"))]
     servo = SimpleNamespace(
-        priors=SimpleNamespace(each=each),
+        parameters=each,
         quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]]),
     )
     return Posteriors({"j1": servo}, {})
@@ -77,6 +78,7 @@ def calibration_of(robot):
         best=np.array([1.25]),
         interval=lambda: np.array([[1.0, 1.5]]),
         rmse=np.array([[0.5, 0.5, 0.5, 0.5], [0.25, 0.25, 0.25, 0.125]]),
+        noise=np.array([0.0, 0.0, 0.0, 0.1]),
     )
     return Calibration(Model({}), Model({}), robot, (), found)
 
@@ -107,14 +109,14 @@ def results(recording, tmp_path):
         "model": (model, ["kp", "N m/rad", "2.25 to 2.75", EVIL]),
         "diagnosis": (diagnosis, []),
         "density": (density, [EVIL, "0.750", "1.250"]),
-        "posterior": (posterior_of(EVIL), [EVIL, "0.02", "0.01 to 0.03", "1.625"]),
-        "ranges": (ranges, ["latency_s", "0.01 to 0.03", EVIL, "1 ± 0.5"]),
-        "gathered": (Gathered(ranges, {}, {}, None, None, None), ["0.01 to 0.03", EVIL]),
+        "posterior": (posterior_of(EVIL), [EVIL, "0.0200", "0.0100 to 0.0300", "1.62"]),
+        "ranges": (ranges, ["latency_s", "0.01 to 0.03 s", EVIL, "1 ± 0.5"]),
+        "gathered": (Gathered(ranges, {}, {}, None, None, None), ["0.01 to 0.03 s", EVIL]),
         "prediction": (
             Prediction((recording,), (recording.command + 0.002,)),
             ["steps", EVIL, "2.0 mrad"],
         ),
-        "calibration": (calibration_of(robot), [EVIL, "1 to 1.5", "0.5000", "0.1250", "rad"]),
+        "calibration": (calibration_of(robot), [EVIL, "1.00 to 1.50", "0.5000", "0.1250", "rad"]),
         "simulated": (Simulated((swim,)), ["steps"]),
         "recording": (recording, ["-0.500 to 0.500 rad", EVIL, "7"]),
         "robot": (robot, ["0.25", "–", "-1.5 to 1.25"]),
@@ -145,11 +147,21 @@ def test_what_a_diagnosis_says_is_shown(results):
     assert "RMSE 5.00 mrad, noise 1.00 mrad" in page.text
 
 
-def test_notes_and_figures_of_a_fit_are_shown(results):
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_text_has_the_cells_of_the_notebook(kind, results):
+    """But a diagnosis and what a swim says are written otherwise."""
+    result, cells = results[kind]
+    text = str(result)
+    assert max(map(len, text.splitlines())) <= 110
+    for cell in cells if kind not in ("model", "diagnosis", "simulated") else ():
+        assert cell in text
+
+
+def test_errors_and_notes_of_a_fit_are_shown(results):
     model, _ = results["model"]
     fitted = replace(model, fit={"j1.position_rad": {"train": 0.0041, "heldout": None}})
     page = Fragment(fitted._repr_html_())
-    assert page.cells[-3:] == ["j1.position_rad", "0.0041", "–"]
+    assert page.cells[-4:] == ["4.1 mrad", "-", "-", ""]
     assert EVIL in page.text.split("RMSE")[-1]
 
 
@@ -177,24 +189,22 @@ def test_a_bare_recording_is_one_line(recording):
 
 
 def test_a_recording_prints_the_span_of_each_joint(recording):
-    first, j1, j2 = str(recording).splitlines()
-    assert first == f"steps: {recording.summary}"
-    assert "command -0.500 to 0.500 rad" in j1
-    assert j1.endswith("0 missing")
-    assert j2.endswith("position 0.000 to 0.000 rad, 7 missing")
+    first, *_, j1, j2 = str(recording).splitlines()
+    assert first == f"Recording steps: {recording.summary}"
+    assert "-0.500 to 0.500 rad" in j1 and j1.endswith(" 0")
+    assert "0.000 to 0.000 rad" in j2 and j2.endswith(" 7")
     blind = replace(recording, position=np.full_like(recording.position, np.nan))
-    assert "position none, 500 missing" in str(blind)
+    assert re.search(r"none +500$", str(blind))
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_a_part_too_short_to_have_a_rate_prints(recording, samples):
     part = recording.between(0, samples)
-    assert f"{samples} samples" in repr(part)
-    assert str(part).startswith("steps: ")
+    assert f"{samples} samples" in repr(part) and f"{samples} samples" in str(part)
     assert Fragment(part._repr_html_()).cells
 
 
-def test_a_check_prints_as_the_command_does(recording):
+def test_a_check_prints_clock_and_joints(recording):
     text = str(check(recording))
-    assert text.startswith("steps: servo, 9.98 s, 2 joints\nclock: 50 Hz")
+    assert text.startswith("Check of steps: servo, 9.98 s, 2 joints; clock: 50 Hz")
     assert not text.endswith("\n")

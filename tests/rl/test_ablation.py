@@ -6,34 +6,27 @@ import json
 import re
 import shutil
 from dataclasses import asdict, replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 import rl.experiments.testbeds
-import rl.forecast.swims
-from rl.commands.ablate import make_testbeds
+from rl.commands.ablate import make_testbeds, predict_agents
 from rl.deploy.export import read_zip
-from rl.experiments.ablation import ablate, bootstrap
-from rl.experiments.ablation_report import (
-    difference_figure,
-    loss_text,
-    markdown,
-    write_report,
-)
-from rl.experiments.arms import ARMS, STIFF, arm_of, model_of, one_density
-from rl.experiments.differences import differences, paired, seeds_needed
-from rl.experiments.evaluate import Episodes
-from rl.experiments.predicted import predict
+from rl.experiments.ablation import ARMS, STIFF, ablate, arm_of, model_of, one_density, turn_of
+from rl.experiments.ablation_report import difference_figure, markdown, tables, write_report
+from rl.experiments.episodes import Episodes
 from rl.experiments.reality import read_reality
+from rl.experiments.statistics import bootstrap, differences, paired, seeds_needed
+from rl.experiments.testbeds import SimulationSettings
 from rl.forecast.realities import draw_realities
-from rl.forecast.swims import SimulationSettings
-from rl.sac.plan import Plan, Settings
+from rl.forecast.swims import Forecaster
+from rl.sac.plan import Settings
+from rl.sac.train import Plan, train
 from rl.task import TASKS, shortened
-from sim2real.density import normalised_density
 from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Ranges, normal, uniform
+from sim2real.robot import normalised_density
 
 RANGES = Ranges(
     (
@@ -54,6 +47,8 @@ PLAN = Plan(
     settings=Settings(hidden=(8, 8), memory=200, batch=8, warm_up=40, updates_per_step=0.1),
 )
 
+NAMES = ("all", "no-servo")
+
 
 def test_an_arm_differs_from_all_techniques_in_its_own_technique_alone(robot, model):
     every = model_of(ARMS["all"], model, robot)
@@ -66,6 +61,8 @@ def test_an_arm_differs_from_all_techniques_in_its_own_technique_alone(robot, mo
     assert not np.allclose(even.body["normalised_density"], every.body["normalised_density"])
     length = np.array([link.length_m for link in robot.links])
     assert np.isclose(np.array(one_density(robot)) @ length, length.sum()), "the same total"
+    (none,) = arm_of("none", model, robot, RANGES).draws.models
+    assert (none.joints, none.body) == (stiff.joints, even.body)
 
 
 def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
@@ -78,16 +75,19 @@ def test_a_range_does_not_bring_back_what_an_arm_leaves_out(robot, model):
     assert len(alone.models) == 1
     assert alone.noise.position_m == 0.0
     assert arm_of("all", model, robot, RANGES).draws.noise.position_m == 0.002
+    real = replace(model, joints={k: replace(v, latency_s=0.2) for k, v in model.joints.items()})
+    ceiling = arm_of("ceiling", model, robot, RANGES, reality=real).draws
+    assert {j.latency_s for m in ceiling.models for j in m.joints.values()} == {0.2}
+    assert ceiling.noise.position_m == 0.002
 
 
 @pytest.fixture(scope="module")
 def ablated(robot, model):
-    def call(folder, reality=None, predictor=None):
-        arms = [arm_of(name, model, robot, RANGES) for name in ("all", "no-servo")]
+    def call(folder, reality=None):
+        arms = [arm_of(name, model, robot, RANGES) for name in NAMES]
         places = make_testbeds(robot, arms, PLAN, RANGES, reality or model)
-        return ablate(
-            folder, robot, arms, PLAN, places, repeats=3, longest=100, predictor=predictor
-        )
+        agents = train(folder / "train", robot, arms, PLAN)
+        return ablate(folder, robot, NAMES, agents, PLAN, places, repeats=3, longest=100)
 
     return call
 
@@ -104,6 +104,16 @@ def run(ablated, trained, tmp_path):
     """Does an ablation again whose agents are trained."""
     shutil.copytree(trained, tmp_path / "run")
     return lambda reality=None: ablated(tmp_path / "run", reality)
+
+
+def test_an_agent_knows_what_it_was_trained_over(trained):
+    every, stiff = (
+        read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
+        for name in ("all", "no-servo")
+    )
+    low, high = every["j1.kp_Nm_per_rad"]
+    assert 1.9 < low < 1.95 and 2.25 < high < 2.3
+    assert stiff["j1.kp_Nm_per_rad"] == [STIFF.kp_Nm_per_rad] * 2
 
 
 def test_it_resumes_and_is_not_done_twice(run, tmp_path, monkeypatch, model):
@@ -146,70 +156,46 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
     assert not any(agent["success"])
     assert agent["faced_s"][0] is not None, "it turns"
     with monkeypatch.context() as patch:
-        patch.setattr(rl.experiments.testbeds, "run_real_episodes", None)  # nothing is left to swim
+        patch.setattr(rl.experiments.testbeds, "run_episodes", None)  # nothing is left to swim
         assert run(read_reality(path)) == found
         path.write_text(GLIDER.format(turns=0.06))
         with pytest.raises(TypeError):
             run(read_reality(path))
 
 
-def test_each_arm_is_forecast_beside_what_it_does(
-    ablated, trained, tmp_path, robot, model, monkeypatch
-):
+def test_each_arm_is_forecast_beside_what_it_does(run, tmp_path, robot, model, monkeypatch):
     rng = np.random.default_rng(0)
     sample = JointSample(("j1.kp_Nm_per_rad",), ("",), rng.uniform(1.9, 2.3, (50, 1)))
     drawn = draw_realities(robot, model, RANGES, sample, 8, rng)
-    settings = SimulationSettings()
-    shutil.copytree(trained, tmp_path / "run")
-    predictor = partial(predict, robot=robot, realities=drawn, seed=0, settings=settings)
-    found = ablated(tmp_path / "run", predictor=predictor)
+    forecaster = Forecaster(robot, turn_of(PLAN, 100), drawn, 2, 0, SimulationSettings())
+    found, folder = run(), tmp_path / "run"
+    agents = [folder / "train" / f"{arm}-{seed}" for arm in NAMES for seed in PLAN.seeds]
+    forecast = predict_agents(folder, forecaster, NAMES, agents)
     with monkeypatch.context() as patch:
-        patch.setattr(rl.forecast.swims, "run_episodes", None)  # nothing is left to swim
-        assert ablated(tmp_path / "run", predictor=predictor) == found
+        patch.setattr(rl.experiments.testbeds, "run_episodes", None)  # nothing is left to swim
+        assert predict_agents(folder, forecaster, NAMES, agents) == forecast
         with pytest.raises(TypeError):
-            ablated(tmp_path / "run", predictor=partial(predictor, seed=1))
-    forecast = found["forecast"]
+            predict_agents(folder, replace(forecaster, seed=1), NAMES, agents)
     assert list(forecast) == ["all", "no-servo"] and "loses" not in forecast["all"]
     lost = forecast["all"]["reward"][0] - forecast["no-servo"]["reward"][0]
     assert forecast["no-servo"]["loses"][0] == pytest.approx(lost, abs=1e-6)
     for arm in forecast.values():
         assert arm["reward"][1] < arm["reward"][0] < arm["reward"][2]
-    write_report(found, PLAN, tmp_path / "run", {"inputs": {}, "versions": {}})
-    assert "reward, forecast" in (tmp_path / "run" / "index.html").read_text()
-    cell = f"| {forecast['all']['reward'][0]:.1f}, "
-    assert cell in (tmp_path / "run" / "ablation.md").read_text()
+    write_report({**found, "forecast": forecast}, PLAN, folder, {"inputs": {}, "versions": {}})
+    page, written = (folder / "index.html").read_text(), (folder / "ablation.md").read_text()
+    for words in ("reward, forecast", "no servo calibration", "No arm reached the target"):
+        assert words in page
+    assert f"| {forecast['all']['reward'][0]:.2f}; " in written
+    assert markdown(found) in written
+    content, loss = json.loads((folder / "ablation.json").read_text()), differences(found)
+    assert [row["arm"] for row in content["table"]] == ["all", "no-servo"]
+    assert content["losses"] == {"no-servo": pytest.approx(asdict(loss["no-servo"]))}
+    assert f"{loss['no-servo'].mean:+.2f}" in page
 
 
-def test_an_agent_knows_what_it_was_trained_over(trained):
-    every, stiff = (
-        read_zip(next(trained.rglob(f"{name}-0")) / "policy.zip").provenance["trained_over"]
-        for name in ("all", "no-servo")
-    )
-    low, high = every["j1.kp_Nm_per_rad"]
-    assert 1.9 < low < 1.95 and 2.25 < high < 2.3
-    assert stiff["j1.kp_Nm_per_rad"] == [STIFF.kp_Nm_per_rad] * 2
-
-
-def test_the_report_is_written(run, tmp_path):
-    found = run()
-    write_report(found, PLAN, tmp_path / "run", {"inputs": {}, "versions": {}})
-    page = (tmp_path / "run" / "index.html").read_text()
-    assert "no servo calibration" in page
-    assert "No arm reached the target" in page
-    table = json.loads((tmp_path / "run" / "ablation.json").read_text())["table"]
-    assert [row["arm"] for row in table] == ["all", "no-servo"]
-    assert markdown(found).count("\n") == 7
-    loss = differences(found)["no-servo"]
-    assert json.loads((tmp_path / "run" / "ablation.json").read_text())["losses"] == {
-        "no-servo": pytest.approx(asdict(loss))
-    }
-    assert loss_text("no-servo", loss) in page
-
-
-def test_a_loss_has_one_sign_in_sentence_table_figure_and_json(tmp_path):
+def test_a_loss_has_one_sign_in_table_and_figure():
     """Whatever is drawn: all techniques minus the arm, the lower end first, the mean between."""
     rng, number = np.random.default_rng(), r"([+-]\d+\.\d+)"
-    ends = re.compile(rf"{number} \({number} to {number}\)")
     for _ in range(50):
         shift, spread = rng.normal(0, 3), rng.uniform(0.1, 5)
         outcomes = {"all": rng.normal(10, 1, 6), "no-servo": rng.normal(10 - shift, spread, 6)}
@@ -222,24 +208,18 @@ def test_a_loss_has_one_sign_in_sentence_table_figure_and_json(tmp_path):
         found = {"agents": agents, "testbeds": ["simulation", "reality"]}
         loss = differences(found)["no-servo"]
         mean = float(np.mean(outcomes["all"] - outcomes["no-servo"]))
-        expected = [f"{x:+.2f}" for x in (mean, loss.low, loss.high)]
+        expected = tuple(f"{x:+.2f}" for x in (mean, loss.low, loss.high))
         assert loss.low <= mean <= loss.high
-        assert list(ends.findall(loss_text("no-servo", loss))) == [tuple(expected)]
-        assert ends.findall(markdown(found))[0] == tuple(expected)
+        assert re.findall(rf"{number}; {number} to {number}", markdown(found)) == [expected]
+        (row,) = tables(found)["losses"].rows
+        assert row[2] == ("yes" if loss.significant else "no")
         (axes,) = difference_figure({"no-servo": loss}).axes
         drawn = axes.collections[0].get_segments()[0][:, 0]
         assert drawn == pytest.approx([loss.low, loss.high])
         assert axes.lines[-2].get_xdata() == pytest.approx([mean])
-        assert ("not significant" in loss_text("no-servo", loss)) == (not loss.significant)
 
 
 TURN = {"reward": [1.0], "success": [True], "time_s": [1.0], "energy": [1.0]}
-
-
-def test_no_technique_is_the_old_simulator(robot, model):
-    (first,) = arm_of("none", model, robot, RANGES).draws.models
-    assert all(joint == STIFF for joint in first.joints.values())
-    assert np.allclose(first.body["normalised_density"], one_density(robot))
 
 
 def test_what_arms_go_on_from_lies_half_way(robot, model):
@@ -281,23 +261,6 @@ def test_its_intervals_hold_the_truth_nine_times_in_ten():
     assert inside / 600 == pytest.approx(0.9, abs=0.04)
 
 
-def test_one_turn_that_fails_beyond_measure_does_not_drown_the_others():
-    def agent(arm: str, seed: int, *returns: float) -> dict[str, object]:
-        return {"arm": arm, "seed": seed, "reality": {"return": list(returns)}}
-
-    found = {
-        "agents": [
-            *(agent("all", seed, 10.0 + 0.1 * seed, 9.0) for seed in range(4)),
-            *(agent("no-servo", seed, 3.0, 4.0) for seed in range(3)),
-            agent("no-servo", 3, -60.0, 4.0),
-        ]
-    }
-    plain, kept = differences(found)["no-servo"], differences(found, floor=0.0)["no-servo"]
-    assert not plain.significant
-    assert kept.significant
-    assert kept.mean == pytest.approx(np.mean([6.0, 6.05, 6.1, 7.65]))
-
-
 def test_the_seeds_needed_are_those_that_make_intervals_narrow():
     rng = np.random.default_rng(2)
     first = rng.normal(0, 1, 400)
@@ -310,13 +273,6 @@ def test_the_seeds_needed_are_those_that_make_intervals_narrow():
         for one in [paired(first[k : k + count], np.zeros(count))]
     ]
     assert np.mean(widths) == pytest.approx(told["a"].mean / 3, rel=0.35)
-
-
-def test_the_ceiling_learns_in_realitys_own_parameters(robot, model):
-    real = replace(model, joints={k: replace(v, latency_s=0.2) for k, v in model.joints.items()})
-    arm = arm_of("ceiling", model, robot, RANGES, reality=real)
-    assert {j.latency_s for m in arm.draws.models for j in m.joints.values()} == {0.2}
-    assert arm.draws.noise.position_m == 0.002
 
 
 def test_the_bootstrap_knows_agents_from_repeats():

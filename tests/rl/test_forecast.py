@@ -11,18 +11,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import rl.forecast.swims
-from rl.forecast.causes import first_order, narrowed_by_trials, ranked
+import rl.experiments.testbeds
+from rl.experiments.episodes import measured
+from rl.experiments.statistics import best, effective, expected, interval
+from rl.experiments.testbeds import SimulationSettings
+from rl.forecast.causes import first_order, narrowed_by_trials, ranked, training_ranges
 from rl.forecast.diagnosed import Diagnosed, Possible
-from rl.forecast.inexact import Inexact, blocks, disturbances
-from rl.forecast.limits import limit_of
+from rl.forecast.forecast import limit_of
 from rl.forecast.make import named_controllers
-from rl.forecast.realities import DEVIATIONS, draw_realities, unexplained
-from rl.forecast.statistics import best, effective, expected, interval
-from rl.forecast.swims import SimulationSettings, film, measured, swim
-from rl.forecast.training_ranges import training_ranges
+from rl.forecast.realities import DEVIATIONS, TWIN_ERROR, draw_realities, unexplained
+from rl.forecast.swims import Forecaster, Inexact, blocks, disturbances
 from rl.forecast.trials import Trials, read_trials, update
-from rl.forecast.twin_error import TwinError
 from rl.randomize import draw_models, spread_of
 from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.law import FITTED
@@ -213,12 +212,13 @@ def test_draws_are_joint_and_have_the_error_of_the_law(robot, model):
     posterior["covariance"] = [[1e-4, -0.9e-4], [-0.9e-4, 1e-4]]
     body = {"twin": {"along": 0.3, "linear": 0.2, "slender": 3.6}, "posterior": posterior}
     known = (robot, replace(model, body=body), RANGES, sample(rng), 400, rng)
-    made = draw_realities(*known, forecast_error=TwinError((0.2, 0.0)))
+    made = draw_realities(*known)
     pair = made.values[:, [made.names.index(n) for n in posterior["names"]]]
     assert abs(np.corrcoef(pair.T)[0, 1] + 0.9) < 0.05
     assert abs(pair[:, 0].mean() - 0.3) < 0.005
-    assert 0.03 < made.velocity_error[:, 0].std() < 0.1
-    assert np.allclose(made.energy_error, np.expm1(0.2))
+    assert 0.03 < made.law[:, 0].std() < 0.1
+    energy = json.loads(TWIN_ERROR.read_text())["energy"]
+    assert abs(np.log1p(made.law[:, 3]).mean() - energy["mean"]) < energy["sd"] / 4
     slender = {one.body["twin"]["slender"] for one in made.models}
     assert slender == {3.6}, "a coefficient that was not fitted keeps its value in the calibration"
 
@@ -288,21 +288,14 @@ def test_an_inexact_simulator_changes_the_path_alone(robot, model):
             live.command.numpy()[:] = row
             inexact.advance()
             poses.append(live.q.numpy().copy())
-        return np.array(poses), twin.motion.q.numpy().copy()
+        return np.array(poses), twin, inexact
 
     still = np.zeros((5, 2, 6), dtype=np.float32)
-    same, state = path(np.zeros((2, 3)), still)
-    assert np.allclose(same[-1], state, atol=1e-6)
-    law = np.array([[0.0, 0.0, 0.0], [0.2, 0.2, 0.0]])
-    longer, state = path(law, still)
-    twin = Twin(robot, model, n_envs=1, threads=1)
-    inexact = Inexact(twin, law[1:], still[:, 1:])
-    inexact.reset(pose=np.array([[0.3, -0.2, 2.0]]))
-    for row in wave:
-        inexact.live().command.numpy()[:] = row
-        inexact.advance()
-    links, own = inexact.links(0), front_ends(twin.chain, twin.motion, np.zeros(2), 0)
-    head, shown = twin.motion.q.numpy()[0, :3], inexact.live().q.numpy()[0, :3]
+    same, twin, _ = path(np.zeros((2, 3)), still)
+    assert np.allclose(same[-1], twin.motion.q.numpy(), atol=1e-6)
+    longer, twin, inexact = path(np.array([[0.0, 0.0, 0.0], [0.2, 0.2, 0.0]]), still)
+    links, own = inexact.links(1), front_ends(twin.chain, twin.motion, np.zeros(2), 1)
+    head, shown = twin.motion.q.numpy()[1, :3], longer[-1, 1, :3]
     assert np.allclose(links[:, 2] - own[:, 2], shown[2] - head[2])
     away = [np.linalg.norm(x[:, :2] - q[:2], axis=1) for x, q in ((links, shown), (own, head))]
     assert np.allclose(*away) and np.linalg.norm(shown[:2] - head[:2]) > 0.01
@@ -311,36 +304,23 @@ def test_an_inexact_simulator_changes_the_path_alone(robot, model):
     assert abs(way[1] / way[0] - 1.2) < 0.01
     pushed = still.copy()
     pushed[:, :, 2] = 0.5
-    turned, _ = path(np.zeros((2, 3)), pushed)
-    assert np.allclose(
-        turned[:, :, 2] - same[:, :, 2], 0.5 * CONTROL_S * np.arange(1, 101)[:, None]
-    )
+    turned = path(np.zeros((2, 3)), pushed)[0][:, :, 2] - same[:, :, 2]
+    assert np.allclose(turned, 0.5 * CONTROL_S * np.arange(1, 101)[:, None])
 
 
 def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp_path, monkeypatch):
     rng, task = np.random.default_rng(9), shortened(TASKS["near"], 15)
     drawn = draw_realities(robot, model, RANGES, sample(rng), 6, rng)
     policies = named_controllers([str(POLICY), "pnl"], robot)
+    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(at_once=3))
     runs = []
-    episodes = rl.forecast.swims.run_episodes
+    episodes = rl.experiments.testbeds.run_episodes
     monkeypatch.setattr(
-        rl.forecast.swims, "run_episodes", lambda *a, **k: runs.append(1) or episodes(*a, **k)
+        rl.experiments.testbeds, "run_episodes", lambda *a, **k: runs.append(1) or episodes(*a, **k)
     )
 
     def go(file, progress=lambda share: None):
-        settings = SimulationSettings(at_once=3)
-        return swim(
-            robot,
-            task,
-            drawn,
-            policies,
-            trials=2,
-            seed=1,
-            settings=settings,
-            file=file,
-            shown=4,
-            progress=progress,
-        )
+        return forecaster.swim(policies, file=file, shown=4, progress=progress)
 
     def stop(share):
         if share > 0.4:
@@ -352,22 +332,21 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     runs.clear()
     resumed = go(file)
     assert len(runs) == 2
-    for name in whole.figures:
-        assert np.array_equal(whole.figures[name], resumed.figures[name])
-    assert np.array_equal(whole.paths, resumed.paths, equal_nan=True)
-    assert not np.allclose(whole.figures["energy"][0], whole.figures["energy"][1])
+    for name, found in whole.items():
+        assert np.array_equal(found, resumed[name], equal_nan=True)
+    assert not np.allclose(whole["energy"][0], whole["energy"][1])
 
 
 def test_a_film_shows_the_trials_that_were_forecast(robot, model, tmp_path):
     rng, task = np.random.default_rng(13), shortened(TASKS["near"], 25)
     drawn = draw_realities(robot, model, RANGES, sample(rng), 4, rng)
     policies = named_controllers(["pnl"], robot)
-    call = {"trials": 2, "seed": 1, "settings": SimulationSettings(at_once=3)}
-    swum = swim(robot, task, drawn, policies, **call)
+    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(at_once=3))
+    swum = forecaster.swim(policies)
     path, names = tmp_path / "three.gif", {2: "good", 0: "median", 1: "bad"}
-    again = film(path, names, robot, task, drawn, policies["pnl"], **call)
+    again = forecaster.film(path, names, policies["pnl"])
     filmed = measured(again, task)["energy"].reshape(3, 2)
-    assert np.array_equal(filmed, swum.figures["energy"][0, :3])
+    assert np.array_equal(filmed, swum["energy"][0, :3])
     with Image.open(path) as frames:
         assert frames.n_frames == 13 and frames.size[0] == 3 * 320
         first = np.array(frames.convert("L"), dtype=int)

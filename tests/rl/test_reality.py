@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rl.deploy.policy import Policy, PolicyController
-from rl.experiments.evaluate import run_episodes
-from rl.experiments.real_episodes import Starts, run_real_episodes
-from rl.experiments.reality import read_reality
-from rl.experiments.testbeds import Controllers, Real
+from rl.experiments.episodes import run_episodes
+from rl.experiments.reality import RealWorld, Starts, read_reality
+from rl.experiments.testbeds import Controllers, real
 from rl.make import make_world
 from rl.metrics import energy
 from rl.observer import observation_bounds, observation_names
@@ -72,6 +70,10 @@ def ahead(n, away=0.2, J=3):
 TURN = TASKS["turn"]
 
 
+def run_real_episodes(reality, controller, robot, task, starts):
+    return run_episodes(RealWorld(reality, robot, task, starts), controller)
+
+
 def test_arrival_reward_and_velocity_come_from_what_is_seen(glider, robot):
     reality = read_reality(glider())(robot, 2, 0, "cpu")
     still = Still()
@@ -86,17 +88,14 @@ def test_arrival_reward_and_velocity_come_from_what_is_seen(glider, robot):
     assert len(found.pose) == found.steps.max() + 1, "no step is swum after the last episode"
 
 
-def test_it_leaves_the_pool_at_a_loss(glider, robot):
+def test_it_leaves_the_pool_at_a_loss_or_reaches_one_waypoint_after_the_other(glider, robot):
     reality = read_reality(glider("-1.0"))(robot, 1, 0, "cpu")
     found = run_real_episodes(reality, Still(), robot, TURN, ahead(1))
     assert not found.success.any()
     assert np.isclose(found.steps[0], 91, atol=1)
     assert found.reward[0] < -27
-
-
-def test_waypoints_are_reached_one_after_the_other(glider, robot):
-    reality = read_reality(glider())(robot, 1, 0, "cpu")
-    starts = replace(ahead(1), targets=np.array([[[0.2, 0.0], [0.4, 0.0]]]))
+    reality = read_reality(glider(name="ahead.py"))(robot, 1, 0, "cpu")
+    starts = ahead(1)._replace(targets=np.array([[[0.2, 0.0], [0.4, 0.0]]]))
     found = run_real_episodes(reality, Still(), robot, TURN, starts)
     assert found.reached.tolist() == [2]
     assert np.isclose(found.time_s[0], 3.52, atol=0.021)
@@ -166,12 +165,12 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
 
 def test_robots_are_swum_in_groups(glider, robot):
     wanted = None
-    for at_once in ("None", "2", "3"):
-        place = Real(read_reality(glider(at_once=at_once)))
+    for at_once in ("None", "2", "4"):
+        place = real(read_reality(glider(at_once=at_once)))
         starts = Starts(
-            np.zeros((5, 3)), np.zeros((5, 3)), np.linspace(0.1, 0.5, 5)[:, None, None] * [1.0, 0.0]
+            np.zeros((6, 3)), np.zeros((6, 3)), np.linspace(0.1, 0.5, 6)[:, None, None] * [1.0, 0.0]
         )
-        found = place.swim(Controllers([Still()], 5), robot, TURN, starts, seed=0)
+        found = place.swim(Controllers([Still()], 6), robot, TURN, starts, 0)
         assert found.success.all()
         told = (found.reward.tolist(), found.steps.tolist())
         assert wanted in (None, told)
@@ -220,16 +219,6 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path, source, said):
     assert "\n" not in str(caught.value)
 
 
-def test_how_many_at_a_time_may_depend_on_the_options(tmp_path):
-    path = tmp_path / "cells.py"
-    path.write_text(
-        "def at_once(*, cell_m): return int(0.1 / cell_m)\n"
-        "def make(robot, n, seed, device, *, cell_m=0.05): ..."
-    )
-    assert read_reality(path).at_once == 2
-    assert read_reality(path, cell_m=0.02).at_once == 5
-
-
 def test_what_a_file_makes_is_looked_at(glider, robot, tmp_path):
     with pytest.raises(InputError, match="cell"):
         read_reality(glider(), cell=0.02)
@@ -239,25 +228,28 @@ def test_what_a_file_makes_is_looked_at(glider, robot, tmp_path):
         read_reality(path)(robot, 1, 0, "cpu")
     reality = read_reality(glider())(robot, 2, 0, "cpu")
     with pytest.raises(InputError, match="shapes"):
-        run_real_episodes(reality, Still(), robot, TURN, replace(ahead(3), pose=np.zeros((2, 3))))
+        run_real_episodes(reality, Still(), robot, TURN, ahead(3)._replace(pose=np.zeros((2, 3))))
 
 
-def test_the_key_knows_file_neighbours_and_options(tmp_path):
-    (tmp_path / "wall.py").write_text("HARD = 1")
-    (tmp_path / "unused.py").write_text("x = 1")
+def test_options_and_what_a_file_imports_are_known(tmp_path):
+    for name in ("wall", "unused"):
+        (tmp_path / f"{name}.py").write_text("HARD = 1")
     path = tmp_path / "mine.py"
-    path.write_text("from wall import HARD\ndef make(robot, n, seed, device, cell_m=0.01): ...")
-    first = Real(read_reality(path)).key()
-    assert Real(read_reality(path)).key() == first
-    assert Real(read_reality(path, cell_m=0.01)).key() == first
-    assert Real(read_reality(path, cell_m=0.02)).key() != first
-    (tmp_path / "unused.py").write_text("x = 2")
-    assert Real(read_reality(path)).key() == first
+    path.write_text(
+        "from wall import HARD\n"
+        "def at_once(*, cell_m): return int(0.1 / cell_m)\n"
+        "def make(robot, n, seed, device, cell_m=0.05): ..."
+    )
+    assert [read_reality(path, **x).at_once for x in ({}, {"cell_m": 0.02})] == [2, 5]
+    first = real(read_reality(path)).key
+    assert real(read_reality(path, cell_m=0.05)).key == first
+    assert real(read_reality(path, cell_m=0.02)).key != first
+    (tmp_path / "unused.py").write_text("HARD = 2")
+    assert real(read_reality(path)).key == first
     (tmp_path / "wall.py").write_text("HARD = 2")
-    second = Real(read_reality(path)).key()
-    assert second != first
+    second = real(read_reality(path)).key
     path.write_text(path.read_text() + "\n")
-    assert Real(read_reality(path)).key() not in (first, second)
+    assert len({first, second, real(read_reality(path)).key}) == 3
 
 
 def test_neighbours_are_forgotten_and_others_of_their_name_kept(tmp_path, monkeypatch):

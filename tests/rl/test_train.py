@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -14,17 +15,17 @@ import torch
 import rl.sac.train
 from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
-from rl.experiments import paces, selection
-from rl.experiments.evaluate import summary
+from rl.experiments import selection
+from rl.experiments.episodes import summary
 from rl.experiments.named import controller_of, shown, with_price
-from rl.experiments.trials import run_trials
+from rl.experiments.testbeds import run_trials
 from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
 from rl.sac.checkpoint import COLUMNS
 from rl.sac.curve import draw_curves, read_progress
-from rl.sac.plan import Arm, Plan, Settings
+from rl.sac.plan import Settings
 from rl.sac.sac import read_agent
-from rl.sac.train import train, train_in_parts
+from rl.sac.train import Arm, Plan, train, train_in_parts
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim2real.body import values
@@ -74,12 +75,6 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(robot, model, tmp_path
         assert torch.equal(x, y)
     one, other = parameters(whole)[:2]
     assert not torch.equal(one, other), "seeds differ"
-    seen = read_progress(whole[0])
-    assert tuple(seen) == COLUMNS
-    assert seen["steps"][-1] == PLAN.steps
-    assert seen["episodes"].sum() == 48
-    draw_curves({"a": whole}, tmp_path / "curve.png")
-    assert (tmp_path / "curve.png").stat().st_size > 5000
 
 
 def test_learning_beside_the_swim_gives_what_learning_after_it_does(
@@ -111,6 +106,24 @@ def test_seeds_are_dealt_out_to_processes(robot, model, tmp_path, monkeypatch):
     assert [folder.name for folder in folders] == names
     alone = train(tmp_path / "alone", robot, arms(model), replace(plan, seeds=(5,)))
     assert all(map(torch.equal, parameters(folders[1::3]), parameters(alone)))
+
+
+def test_a_folder_of_another_run_is_refused(robot, model, tmp_path):
+    short = replace(PLAN, steps=320)
+    train(tmp_path, robot, arms(model)[:1], short)
+    with pytest.raises(InputError, match="another run"):
+        train(tmp_path, robot, arms(model)[:1], replace(short, envs=4))
+
+
+def test_progress_says_what_happened(robot, model, tmp_path):
+    (folder, _) = train(tmp_path, robot, arms(model)[:1], PLAN)
+    seen = read_progress(folder)
+    assert tuple(seen) == COLUMNS
+    assert seen["steps"][-1] == PLAN.steps
+    assert seen["episodes"].sum() == 48
+    draw_curves({"a": [folder]}, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
+    assert json.loads((tmp_path / "run.json").read_text())["plan"]["steps"] == PLAN.steps
 
 
 def test_ranges_become_robots(robot, model):
@@ -292,27 +305,27 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     column = np.linspace(-3, 3, len(agent.by_price["column"]))  # prices that decide how it beats
     agent.by_price["column"] = column.astype(np.float32)
     agent.save(folder / "policy.zip")
-    prices = [2.0**one for one in paces.EXPONENTS]
+    prices = [2.0**one for one in selection.EXPONENTS]
     policies = {}
     for price in prices:
         set_price(agent, price)
         policies[price] = policy_of(agent)
-    monkeypatch.setattr(paces, "TRIED_ON", ("turn",))
-    monkeypatch.setitem(paces.TASKS, "turn", shortened(TASKS["turn"], 60))
-    monkeypatch.setattr(paces, "controller_of", lambda *_: PolicyController(policies[1.0]))
+    monkeypatch.setattr(selection, "PRICED", ("turn",))
+    monkeypatch.setitem(selection.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setattr(selection, "controller_of", lambda *_: PolicyController(policies[1.0]))
 
-    chosen = paces.choose_prices([folder], robot, model, None, episodes=2)
+    chosen = selection.choose_prices([folder], robot, model, None, episodes=2)
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
     swum = run_trials(
         robot, model, None, TASKS["turn"],
         {str(one): PolicyController(policy) for one, policy in policies.items()},
-        episodes=2, seed=paces.SEED,
+        episodes=2, seed=selection.PRICE_SEED,
     )  # fmt: skip
     spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
-    assert paces.choose_prices([folder], robot, model, None, episodes=2) == chosen
+    assert selection.choose_prices([folder], robot, model, None, episodes=2) == chosen
 
 
 def test_a_policy_is_called_with_a_price(tmp_path):

@@ -79,19 +79,15 @@ def whitened(values, trace, model):
     return np.where(counting(trace, model.size), lfilter(taps, [1.0], values, axis=-1), 0.0)
 
 
-def test_residuals_are_rollout_minus_position(joints, problems, seen):
+def test_residuals_are_rollout_minus_position_and_innovations_those_of_a_filter(
+    joints, problems, seen
+):
     for n, traces in enumerate(joints):
         for r, trace in enumerate(traces):
             expected = rows(problems, n, trace)[0]
             np.testing.assert_allclose(seen.residual[n, r, : trace.t.size], expected, atol=1e-10)
             assert (expected[~trace.used] == 0).all()
-
-
-def test_innovations_are_those_of_a_linear_filter(joints, problems, seen):
-    for n, traces in enumerate(joints):
-        for r, trace in enumerate(traces):
-            values = rows(problems, n, trace)[0]
-            expected = whitened(values, trace, seen.autoregression[n])
+            expected = whitened(expected, trace, seen.autoregression[n])
             np.testing.assert_allclose(seen.whitened[n, r, : trace.t.size], expected, atol=1e-10)
 
 

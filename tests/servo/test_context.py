@@ -15,9 +15,8 @@ from sim2real.recording import Load
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS, context_factors, joint_row, stated
 from sim2real.servo.prediction import predict_recordings
-from sim2real.servo.reported_drive import reported_drive
 from sim2real.servo.rollout import rollout, rollout_on
-from sim2real.servo.trace import trace
+from sim2real.servo.trace import reported_drive, trace
 
 ONE = {"supply_ratio": 1.0, "gain_ratio": 1.0}
 

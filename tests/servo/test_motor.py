@@ -24,9 +24,8 @@ from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
 from sim2real.servo.parameters import BASE, LOSSES, joint_row
 from sim2real.servo.parameters import LINE as LIMIT
-from sim2real.servo.reported_drive import reported_drive
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
-from sim2real.servo.trace import traces
+from sim2real.servo.trace import reported_drive, traces
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")
@@ -35,6 +34,7 @@ spec.loader.exec_module(plant)
 
 KP, KD, LATENCY, INERTIA = 1.38, 0.068, 0.0617, 0.0022
 LINE = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
+FAST = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
 T = np.arange(0.0, 6.0, 0.02)
 SQUARE = np.where((T // 1.0) % 2 > 0, 1.0, 0.0)
 
@@ -96,16 +96,9 @@ def test_it_does_not_depend_on_the_step(motor):
 
 
 def test_loss_and_friction_are_the_equations():
-    motor = LINE | {
-        "resistance_rise": 1.5,
-        "rotor_inertia_kgm2": 0.001,
-        "coulomb_Nm": 0.02,
-        "motor_friction": 0.2,
-        "load_friction": 0.3,
-        "stribeck_motor_friction": 0.1,
-        "stribeck_load_friction": 0.05,
-        "stribeck_speed_rad_s": 0.5,
-    }
+    motor = LINE | {"resistance_rise": 1.5, "rotor_inertia_kgm2": 0.001, "coulomb_Nm": 0.02}
+    motor |= {"motor_friction": 0.2, "load_friction": 0.3, "stribeck_motor_friction": 0.1}
+    motor |= {"stribeck_load_friction": 0.05, "stribeck_speed_rad_s": 0.5}
     load = Load(0.0022, 0.2, 0.1)
     back = 1.6 / 5.2
 
@@ -190,12 +183,10 @@ def test_losses_are_found_where_they_are():
 
 
 def test_what_recordings_do_not_tell_stays_with_the_data_sheet():
-    gentle = recorded(**LINE)
-    quiet = dataclasses.replace(gentle, command=0.03 * gentle.command)
-    rng = np.random.default_rng(1)
-    t, command = quiet.t, quiet.command
+    rng, gentle = np.random.default_rng(1), recorded(**LINE)
+    t, command = gentle.t, 0.03 * gentle.command
     angle = rollout(row(**LINE)[None], t, command[:, 0])[0] + rng.normal(0.0, 1e-3, t.size)
-    quiet = dataclasses.replace(quiet, position=angle[:, None])
+    quiet = dataclasses.replace(gentle, command=command, position=angle[:, None])
     joint = identify([quiet], bench()).joints["j1"]
     assert joint.motor["stall_torque_Nm"] == pytest.approx(1.67, rel=0.1)
     assert any("do not determine" in note and "stall torque" in note for note in joint.notes)
@@ -244,11 +235,6 @@ def test_a_model_file_says_its_law_and_old_ones_mean_pd(tmp_path):
         read_model(path)
 
 
-def test_a_motor_that_the_law_does_not_know_is_refused():
-    with pytest.raises(InputError, match=r"motor.*'magic'.*stall_torque_Nm"):
-        row(magic=1.0)
-
-
 def mujoco_joint(t, command, kp, kd, latency, inertia, friction):
     """A hinge of MuJoCo with friction loss, its solver's parameters by default, shape (T,)."""
     mujoco = pytest.importorskip("mujoco")
@@ -283,15 +269,22 @@ def test_soft_friction_is_that_of_mujoco():
     assert np.sqrt(np.mean((soft - angle) ** 2)) < 3e-4
 
 
-def test_gains_of_a_mujoco_joint_come_back():
-    rng = np.random.default_rng(3)
-    t = np.arange(0.0, 20.0, 0.01)
-    levels = rng.uniform(-0.6, 0.6, 60)
-    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 1.2, 59)), t - 0.3)] * (t > 0.3)
-    angle = mujoco_joint(t, command, KP, KD, LATENCY, INERTIA, 0.03)
-    angle += rng.normal(0.0, 5e-4, t.size)
+def stepped(rng, t, simulated):
+    """A recording of random steps at times ``t``, simulated from set-points, and noise."""
+    levels = rng.uniform(-0.6, 0.6, 80)
+    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
+    angle = simulated(command) + rng.normal(0.0, 5e-4, t.size)
     loads = {"j1": Load(INERTIA)}
-    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+    return Recording("steps", "servo", ("j1",), t, command[:, None], angle[:, None], loads)
+
+
+def test_gains_of_a_mujoco_joint_come_back():
+    t = np.arange(0.0, 20.0, 0.01)
+    made = stepped(
+        np.random.default_rng(3),
+        t,
+        lambda sent: mujoco_joint(t, sent, KP, KD, LATENCY, INERTIA, 0.03),
+    )
     model = identify([made], bench(Servo("small", 5.0, 5.0 / KD, 0.0)))
     joint, figures = model.joints["j1"], model.fit["j1.position_rad"]
     assert joint.kp_Nm_per_rad == pytest.approx(KP, rel=0.02)
@@ -301,16 +294,11 @@ def test_gains_of_a_mujoco_joint_come_back():
 
 
 def test_a_loop_whose_looks_set_points_wait_for_is_found():
-    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
-    motor = line | {"loop_period_s": 0.005, "loop_phase_s": 0.0012}
+    motor = FAST | {"loop_period_s": 0.005, "loop_phase_s": 0.0012}
     rng = np.random.default_rng(5)
     t = np.arange(2500) / 97.0 + rng.normal(0.0, 3e-4, 2500)  # the loop keeps other time
     t -= t[0]
-    levels = rng.uniform(-0.6, 0.6, 80)
-    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
-    angle = rollout(row(**motor)[None], t, command)[0][:, None] + rng.normal(0, 5e-4, (t.size, 1))
-    loads = {"j1": Load(INERTIA)}
-    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, loads)
+    made = stepped(rng, t, lambda sent: rollout(row(**motor)[None], t, sent)[0])
     model = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0)))
     joint = model.joints["j1"]
     assert joint.motor["loop_period_s"] == pytest.approx(0.005, rel=1e-3)
@@ -323,15 +311,10 @@ def test_a_loop_whose_looks_set_points_wait_for_is_found():
 
 @pytest.mark.parametrize("odd", [False, True])
 def test_a_loop_in_step_with_the_samples_is_said_not_to_be_told(odd):
-    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 1.6 / KD}
-    rng = np.random.default_rng(6)
-    t = np.arange(1500) / 50.0
+    rng, t = np.random.default_rng(6), np.arange(1500) / 50.0
     if odd:
         t[1:] += rng.uniform(-0.004, 0.004, t.size - 1)
-    levels = rng.uniform(-0.6, 0.6, 80)
-    command = levels[np.searchsorted(np.cumsum(rng.uniform(0.3, 0.9, 79)), t - 0.3)] * (t > 0.3)
-    angle = rollout(row(**line)[None], t, command)[0][:, None] + rng.normal(0, 5e-4, (t.size, 1))
-    made = Recording("steps", "servo", ("j1",), t, command[:, None], angle, {"j1": Load(INERTIA)})
+    made = stepped(rng, t, lambda sent: rollout(row(**FAST)[None], t, sent)[0])
     (joint,) = identify([made], bench(Servo("small", 1.6, 1.6 / KD, 0.0))).joints.values()
     assert "loop_period_s" not in joint.motor
     said = [note for note in joint.notes if "synchronous with their samples" in note]
@@ -373,11 +356,10 @@ def test_losses_that_no_first_step_shows_are_not_searched_further():
         more = fit(problem, starts, least_gain=least_gain, rng=rng)
         return few.loss(more.scale_rad, more.inflation), more
 
-    line = {"stall_torque_Nm": 1.6, "no_load_speed_rad_s": 5.2}
-    loss, without = fitted(recorded(**line), 2.0)
+    loss, without = fitted(recorded(**LINE), 2.0)
     assert len(without.others) == 0
     assert loss - without.loss(without.scale_rad, without.inflation) < 4.0
-    rubbing = recorded(Load(INERTIA, 0.3, 0.1), **line, motor_friction=0.25)
+    rubbing = recorded(Load(INERTIA, 0.3, 0.1), **LINE, motor_friction=0.25)
     loss, some = fitted(rubbing, 2.0)
     assert loss - some.loss(some.scale_rad, some.inflation) > 20.0
     assert np.array_equal(some.x, fitted(rubbing, 0.0)[1].x)  # followed to the same end

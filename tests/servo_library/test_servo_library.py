@@ -8,11 +8,10 @@ import pytest
 
 import sim2real as s2r
 from sim2real.cli import main
-from sim2real.errors import InputError
 from sim2real.report.servo_table import markdown_row
 from sim2real.servo.prediction import predict
 from sim2real.servo_library.catalogue import FOLDER
-from sim2real.servo_library.entry import at, prepared, read_entry
+from sim2real.servo_library.entry import at, read_entry
 
 ABOUT = {
     "name": "mine_bench",
@@ -29,38 +28,54 @@ OPTIONS = [
 ]  # fmt: skip
 
 
+def refused(capsys, line, *call):
+    """A call of ``servos`` that writes one line, and no file in the current folder."""
+    before = sorted(Path.cwd().iterdir())
+    assert main(["servos", *map(str, call)]) == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
+    assert sorted(Path.cwd().iterdir()) == before
+
+
 @pytest.fixture(scope="module")
 def library():
     return s2r.servos()
 
 
-def identified(**changes):
-    """A model file as ``identify`` writes it."""
-    gains = {"kp_Nm_per_rad": 2.0, "kd_Nms_per_rad": 0.05, "latency_s": 0.01}
-    joint = {
-        **gains,
-        "inertia_kgm2": 0.002,
-        "load": {"inertia_kgm2": 0.002, "pendulum_mass_kg": 0, "pendulum_length_m": 0},
-        "interval": {name: [0.9 * value, 1.1 * value] for name, value in gains.items()},
-        "correlation": {"kp_Nm_per_rad, kd_Nms_per_rad": 0.3},
-    }
-    return {
-        "schema": "sim2real.model/1",
-        "joints": {"pan": joint},
-        "fit": {"pan.position_rad": {"train": 0.002, "heldout": 0.0031}},
-        "provenance": {
-            "command": "sim2real identify /home/me/steps.csv",
-            "inputs": {"/home/me/steps.csv": "abc"},
-            "seed": 0,
-            "held_out": {"pan": "chirp"},
-        },
-    } | changes
+@pytest.fixture
+def identified(tmp_path, monkeypatch):
+    """Writes a model file, with changes of its joint, as ``identify`` does; it lies here."""
+
+    def write(without=(), **changes):
+        gains = {"kp_Nm_per_rad": 2.0, "kd_Nms_per_rad": 0.05, "latency_s": 0.01}
+        joint = {
+            **gains,
+            "inertia_kgm2": 0.002,
+            "load": {"inertia_kgm2": 0.002, "pendulum_mass_kg": 0, "pendulum_length_m": 0},
+            "interval": {name: [0.9 * value, 1.1 * value] for name, value in gains.items()},
+            "correlation": {"kp_Nm_per_rad, kd_Nms_per_rad": 0.3},
+        }
+        provenance = {"command": "sim2real identify /home/me/steps.csv", "seed": 0}
+        provenance |= {"inputs": {"/home/me/steps.csv": "abc"}, "held_out": {"pan": "chirp"}}
+        content = {
+            "schema": "sim2real.model/1",
+            "joints": {"pan": {name: x for name, x in joint.items() if name not in without}},
+            "fit": {"pan.position_rad": {"train": 0.002, "heldout": 0.0031}},
+            "provenance": provenance,
+        }
+        (tmp_path / "model.json").write_text(json.dumps(content | changes))
+        return tmp_path / "model.json"
+
+    monkeypatch.chdir(tmp_path)
+    return write
 
 
 def test_every_entry_has_a_source_a_licence_and_a_sensible_motor(library):
     assert len(library) == len(list(FOLDER.glob("*.json"))) >= 10
     for gain in (200, 800):
         assert library[f"xl330_gain{gain}"].held_out_rad < library["xl330_bam_m5"].held_out_rad
+    t = np.arange(0.0, 4.0, 0.01)
+    step = {"hip": np.where(t < 0.5, 0.0, 0.2)}
     for entry in library:
         text = (FOLDER / f"{entry.name}.json").read_text()
         assert "/home" not in text and "../" not in text and "/work" not in text
@@ -72,13 +87,7 @@ def test_every_entry_has_a_source_a_licence_and_a_sensible_motor(library):
         if "no_load_speed_rad_s" in motor and not entry.joint.per_inertia:
             assert 1 < motor["no_load_speed_rad_s"] < 40
             assert 0.05 < motor["stall_torque_Nm"] < 30
-
-
-def test_every_servo_settles_near_a_small_step(library):
-    t = np.arange(0.0, 4.0, 0.01)
-    command = np.where(t < 0.5, 0.0, 0.2)
-    for entry in library:
-        angle = predict(entry.for_joints("hip"), t, {"hip": command})["hip"]
+        angle = predict(entry.for_joints("hip"), t, step)["hip"]
         assert np.isfinite(angle).all()
         assert 0.3 * 0.2 < angle[-1] < 1.2 * 0.2, entry.name  # below a weight, short of the goal
 
@@ -124,17 +133,14 @@ def test_half_the_gain_at_twice_the_supply_moves_the_same_below_saturation(libra
     assert at(entry) is entry
 
 
-def test_adding_an_entry(tmp_path, capsys):
-    source, out = tmp_path / "model.json", tmp_path / "mine_bench.json"
-    source.write_text(json.dumps(identified()))
-    assert main(["servos", "add", str(source), *OPTIONS, "--out", str(out)]) == 0
+def test_adding_an_entry(identified, tmp_path, capsys):
+    out = tmp_path / "mine_bench.json"
+    assert main(["servos", "add", str(identified()), *OPTIONS, "--out", str(out)]) == 0
     shown = capsys.readouterr().out
     assert "mine_bench" not in s2r.servos().names  # prepared, not shipped
     content = json.loads(out.read_text())
-    assert content["provenance"]["servo"] == ABOUT | {
-        "origin": "identified",
-        "scored_on": "chirp, which was not fitted",
-    }
+    more = {"origin": "identified", "scored_on": "chirp, which was not fitted"}
+    assert content["provenance"]["servo"] == ABOUT | more
     assert content["provenance"]["inputs"] == {"steps.csv": "abc"}
     assert list(content["joints"]) == ["j1"]
     assert markdown_row(read_entry(out)) in shown
@@ -149,31 +155,17 @@ def test_adding_an_entry(tmp_path, capsys):
         ({}, [*OPTIONS, "--date", "3 Feb"], "provenance.servo.date: found '3 Feb'"),
         ({}, OPTIONS[:-2], "provenance.servo.firmware_gain: found nothing"),
         ({"fit": {}}, OPTIONS, "fit.j1.position_rad.heldout: found nothing"),
+        ({"without": ["load"]}, OPTIONS, "the load that it was identified with"),
+        ({"without": ["interval"]}, OPTIONS, "90 %"),
         ({}, [*OPTIONS, "--as", "xl330_gain800"], "a name that is not in the library yet"),
         ({}, [*OPTIONS, "--as", "Mine 1"], "small letters, digits and underscores"),
         ({}, [*OPTIONS, "--joint", "tilt"], "joints: found tilt, expected --joint with one of pan"),
     ],
 )
 def test_a_model_that_lacks_something_is_refused_in_one_line(
-    changes, options, line, tmp_path, monkeypatch, capsys
+    changes, options, line, identified, capsys
 ):
-    monkeypatch.chdir(tmp_path)
-    source = tmp_path / "model.json"
-    source.write_text(json.dumps(identified(**changes)))
-    assert main(["servos", "add", str(source), *options]) == 2
-    error = capsys.readouterr().err
-    assert line in error and error.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["model.json"]
-
-
-def test_a_load_and_intervals_are_needed(tmp_path):
-    for field, expected in (("load", "the load that it was identified with"), ("interval", "90 %")):
-        content = identified()
-        del content["joints"]["pan"][field]
-        source = tmp_path / "model.json"
-        source.write_text(json.dumps(content))
-        with pytest.raises(InputError, match=expected):
-            prepared(s2r.read_model(source), ABOUT)
+    refused(capsys, line, "add", identified(**changes), *options)
 
 
 @pytest.mark.parametrize(
@@ -188,12 +180,6 @@ def test_a_load_and_intervals_are_needed(tmp_path):
         (["mx64_bam_m1", "--supply=-1"], "expected a number above 0"),
     ],
 )
-def test_bad_calls_are_one_line(
-    call: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+def test_bad_calls_are_one_line(call, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["servos", *call]) == 2
-    error = capsys.readouterr().err
-    assert line in error and error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+    refused(capsys, line, *call)

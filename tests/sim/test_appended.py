@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.calibration.swim_parameters import appendage_parameters, candidates
-from sim.calibration.twin_fit import calibrate
+from sim.inference.calibration import calibrate
 from sim.inference.coordinates import Coordinates
+from sim.inference.swim_parameters import appendage_parameters, candidates
 from sim.inference.swims import Swim, by_twin, simulated, with_values
-from sim.lattice.units import WATER_KG_M3 as WATER
+from sim.lattice.velocities import WATER_KG_M3 as WATER
 from sim.robot.shape import displaced, draught, hull_of
 from sim.robot.swimmer import Swimmer
 from sim.twin.law import Coefficients, hull_in_water

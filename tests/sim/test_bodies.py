@@ -1,14 +1,17 @@
 """Bodies in the fluid: what must be conserved, what must be equal, what is known exactly."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from sim.cases import driven_cylinder, hard_commands, momentum
-from sim.cases.swimming import SYMMETRIC, Gait, swim
+from benchmarks.validation.case import Where
+from benchmarks.validation.conservation import momentum, send, shake
+from benchmarks.validation.still import driven_cylinder
+from benchmarks.validation.swimmers import advance, swim, wave
 from sim.fluid.fluid import Fluid
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9, D3Q19
-from sim.robot.bodies import HELD, KINEMATIC, Bodies, Masses
+from sim.lattice.velocities import D2Q9, D3Q19, Units
+from sim.robot.bodies import KINEMATIC, Bodies, Masses
 from sim.robot.shape import Hull, displaced
 from sim2real.servo.parameters import COLUMNS
 
@@ -38,32 +41,24 @@ def water(side=80, boxes=1, **more):
     return Fluid(D2Q9, (side, side), viscosity=0.02, smagorinsky=0.1, boxes=boxes, **more)
 
 
-def send(bodies, angles):
-    """Set-points in force from the start, shape (3,) or (E, 3)."""
-    sent = bodies.motion.sent.numpy()
-    sent[:, :, 0] = angles
-    bodies.motion.sent.assign(sent)
-    bodies.motion.newest.fill_(0)
-
-
 STIFF = (("kp_Nm_per_rad", 4.0), ("kd_Nms_per_rad", 400.0))
 
 
 def test_momentum_of_body_and_water_is_conserved():
-    for figure in momentum.run(quick=True).figures:
+    for figure in momentum(Where(quick=True)).figures:
         assert figure.met, figure
 
 
 def test_servos_pay_for_all_motion():
-    found = hard_commands.shake(1.0, 3, np.random.default_rng(1))
-    lost = found.work - found.kinetic
-    assert np.all(found.stopped == -1)
-    assert np.all(lost > 0) and np.all(found.kinetic[-1] > 1e-3)
-    assert np.all(np.diff(lost, axis=0) > -1e-3 * found.work[-1])
+    work, kinetic, stopped = shake(1.0, 3, np.random.default_rng(1))
+    lost = work - kinetic
+    assert np.all(stopped == -1)
+    assert np.all(lost > 0) and np.all(kinetic[-1] > 1e-3)
+    assert np.all(np.diff(lost, axis=0) > -1e-3 * work[-1])
 
 
 def test_a_driven_cylinder_moves_as_stokes_says():
-    figure = driven_cylinder.run(quick=True).figures[0]
+    figure = driven_cylinder(Where(quick=True)).figures[0]
     assert figure.met, figure
 
 
@@ -76,25 +71,6 @@ def test_a_disc_and_a_ball_displace_what_they_should(lattice):
     assert volume == pytest.approx(exact[0], rel=0.02)
     assert second == pytest.approx(exact[1], rel=0.04)
     assert centre == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_sums_over_a_body_are_those_of_what_it_displaces():
-    fluid = water()
-    bodies = fish(fluid)
-    bodies.place(bodies.motion.q.numpy() + [0.3, 0.2, 0.4, 0, 0, 0])  # nowhere special on the grid
-    bodies.prescribe(np.zeros(6))
-    bodies.step(HELD)
-    share = fluid.covered.share.numpy() % 1
-    assert share.sum() == pytest.approx(bodies.displaced[:, 0].sum(), rel=0.03)
-
-
-def test_nothing_moves_by_itself():
-    bodies = fish(water(), servo=STIFF)
-    send(bodies, [0.0, 0.0, 0.0])
-    start = bodies.motion.q.numpy()
-    for _ in range(50):
-        bodies.step()
-    assert np.abs(bodies.motion.q.numpy() - start).max() < 1e-6
 
 
 def test_prescribed_joints_turn_as_prescribed():
@@ -200,23 +176,6 @@ def test_the_rotated_robot_swims_the_rotated_way():
 
 def test_a_wave_swims_head_first_and_its_reverse_hardly():
     more = {"box": (4.0, 3.0), "steps": 600, "cycles": 4}
-    forward, reverse = swim([Gait(), Gait(wave=-1.0)], 26, **more).advance()
+    forward, reverse = advance(swim([wave, partial(wave, ahead=-1.0)], 26, **more))
     assert forward > 0.08
     assert reverse < forward / 2
-
-
-def test_a_flap_without_a_wave_drives_a_symmetric_body_nowhere():
-    bodies = fish(water(120), radii=SYMMETRIC)
-    start = bodies.motion.q.numpy().copy()
-    centre = 59.5  # half-way between cells, so that the grid is symmetric about it
-    start[:, :2] = centre
-    start[:, 0] += 2 * bodies.hull.length[0] - bodies.chain.com.numpy()[0, 0]
-    bodies.place(start)
-    for step in range(600):
-        rate = 0.6 * 2 * np.pi / 300 * np.cos(2 * np.pi * (step + 0.5) / 300)
-        bodies.prescribe([0, 0, 0, rate, rate, rate])
-        bodies.step(KINEMATIC)
-    link = bodies.motion.link.numpy()[0]
-    assert np.ptp(link[:, 1] - centre) < 0.1
-    assert abs(link[:, 0].mean() - centre) < 5e-3
-    assert abs(link[:, 2].mean()) < 1e-3

@@ -8,12 +8,12 @@ from swimming_robots import FISH, servos
 from test_diagnose_swims import IN_WATER, swum
 
 import sim.inference.coordinates as places
-from sim.calibration.swim_parameters import candidates
-from sim.inference import discrepancy
+from sim.inference import signal_error
 from sim.inference.coordinates import Coordinates, signals_at, signals_of
-from sim.inference.followed import by_followed_twin
 from sim.inference.searched import learned, searched
-from sim.inference.twin_search import TwinSwims
+from sim.inference.swim_parameters import candidates
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import by_followed_twin
 from sim2real.model import read_model, write_model
 
 OURS = replace(IN_WATER, shift={}, usual={})
@@ -35,8 +35,8 @@ def slower(swim, share):
 
 def test_shapes_are_of_one_signal_each_and_small_ones_add_up():
     signals = swum({}).signals
-    shapes = discrepancy.shapes(signals)
-    assert tuple(shapes) == discrepancy.names(3)
+    shapes = signal_error.shapes(signals)
+    assert tuple(shapes) == signal_error.names(3)
     for one in shapes.values():
         assert one.shape == signals.shape
         assert np.count_nonzero(np.abs(one).max(axis=0)) == 1
@@ -44,7 +44,7 @@ def test_shapes_are_of_one_signal_each_and_small_ones_add_up():
     np.testing.assert_allclose(both[:, 0], signals[:, 0], atol=1e-12)
     t = 0.02 * np.arange(600)
     wave, moved = (np.tile(np.sin(6 * (t - late))[:, None], 6) for late in (0.0, 0.01))
-    said = wave + 0.01 * discrepancy.shapes(wave)["error.joint0.late"]
+    said = wave + 0.01 * signal_error.shapes(wave)["error.joint0.late"]
     assert np.abs(said - moved)[60:-60, 3].max() < 0.15 * np.abs(moved - wave).max()
 
 
@@ -60,7 +60,7 @@ def test_what_all_swims_of_a_robot_are_wrong_by_is_foretold(tmp_path):
     references = [slower(swum({}, seed=k), 0.03) for k in (1, 2)]
     prior = learned(references, servos(), FISH, simulate, known)
     fresh = slower(swum({}, seed=3), 0.03)
-    problem = TwinSwims(Coordinates.of(FISH, servos()), [fresh], simulate, prior)
+    problem = SwimProblem(Coordinates.of(FISH, servos()), [fresh], simulate, prior)
     x = problem.centre(frozenset())
     (said,) = signals_at(problem.coordinates, fresh, x[None], simulate)
     assert said[:, 0].mean() == pytest.approx(fresh.signals[:, 0].mean(), rel=0.015)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.cases import hard_commands, momentum, spheroid
+from benchmarks.validation import slender as spheroid
+from benchmarks.validation.conservation import audit, commands
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import Wall
 from sim.lattice.cell import GHOST, KIND
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9, D3Q19
+from sim.lattice.velocities import D2Q9, D3Q19, Units
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
 from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced
@@ -21,7 +21,7 @@ from sim2real.model import read_model
 from sim2real.robot import read_robot
 
 POOL = Path(__file__).parents[2] / "datasets" / "pool"
-SLIPS = Wall(slip=True, ghosts=True)
+SLIPS = Wall(slip=True)
 LATTICE = Units(1.0, 1.0, 1.0, 1.0)
 
 
@@ -55,10 +55,10 @@ def test_a_disc_carries_as_much_water_as_it_displaces():
 
 
 def test_body_and_water_keep_their_momentum():
-    audit = momentum.audit(D2Q9, 32, 120, 120, SLIPS)
-    assert audit.bend > 0.1
-    assert np.abs(audit.linear).max() < 1e-6
-    assert np.abs(audit.angular[audit.step < 60]).max() < 1e-5
+    found = audit(D2Q9, 32, 120, 120, SLIPS)
+    assert found.bend > 0.1
+    assert np.abs(found.linear).max() < 1e-6
+    assert np.abs(found.angular[found.step < 60]).max() < 1e-5
 
 
 def test_a_towed_spheroid_has_no_drag_without_friction(monkeypatch):
@@ -165,23 +165,14 @@ def test_a_hull_that_pierces_the_surface_is_towed_steadily():
     assert np.all(np.linalg.norm(mean - along[:, None] * ahead, axis=1) < 0.02)
 
 
-def test_ghost_cells_need_slip():
-    with pytest.raises(InputError, match="slip=True"):
-        Wall(slip=False, ghosts=True)
-
-
-def test_a_towed_spheroid_has_the_friction_of_its_line(monkeypatch):
-    """The line of 1957 with the ideal fluid's slip; ghost cells must not push the layer back."""
-    monkeypatch.setattr(spheroid, "_LENGTHS", 0.5)
-    drag = [spheroid.drag(24, Wall(True, line, ghosts=True)) for line in ("turbulent", "none")]
-    moved, found = drag[0][0], drag[0][1] - drag[1][1]
-    expected = spheroid.slipping() * spheroid.plate()
-    assert found[moved > moved[-1] / 2].mean() == pytest.approx(expected, rel=0.2)
+def test_a_friction_line_that_does_not_exist_gets_one_line():
+    with pytest.raises(InputError, match=r"line: .*'rough'.* one of none, laminar, turbulent"):
+        Wall(slip=True, line="rough")
 
 
 def test_friction_does_not_depend_on_the_cells():
     """Spheroids 2 and 3 cells thick; it was 1.34 and 1.13 of the line without area and layer."""
-    wall = Wall(True, "turbulent", ghosts=True)
+    wall = Wall(True, "turbulent")
     found = [spheroid.friction(length, wall) for length in (12, 18)]
     assert found[0] == pytest.approx(found[1], rel=0.05)
     assert found[0] == pytest.approx(0.8, abs=0.05)
@@ -189,7 +180,7 @@ def test_friction_does_not_depend_on_the_cells():
 
 @pytest.mark.parametrize("body", [1.0, 0.0], ids=["towed", "in a stream"])
 def test_drag_changes_little_with_the_time_step(body):
-    """Two cells thick, steps a quarter as long; the former weights changed it by 0.009."""
+    """Two cells thick, steps a quarter as long."""
     found = [spheroid.drag(12, SLIPS, body=body, speed=speed) for speed in (0.05, 0.0125)]
     assert spheroid.steady(*found[0]) == pytest.approx(spheroid.steady(*found[1]), abs=0.005)
 
@@ -200,7 +191,7 @@ def test_hard_commands_do_not_stop_a_light_robot():
     usual = masses(FISH, [servos()], swimmer.hull)
     light = Masses(usual.mass / 2, usual.inertia / 2, usual.com)
     swimmer.bodies.adopt(np.arange(1), light, servo_rows(FISH, [servos()]), swimmer.outside)
-    for together in 1.3 * hard_commands.commands(1.6, 3, np.random.default_rng(5))[:, 0]:
+    for together in 1.3 * commands(1.6, 3, np.random.default_rng(5))[:, 0]:
         swimmer.step(together)
     assert (swimmer.state().stopped < 0).all()
 

@@ -8,9 +8,7 @@ from swimming_robots import FISH, servos
 from test_calibrate import SENT
 from test_diagnose_swims import swum
 
-from sim.calibration.emulator import steps_of
 from sim.inference.coordinates import WATER, Coordinates
-from sim.inference.followed import by_followed_twin
 from sim.inference.in_water import (
     InWater,
     by_twin_in_water,
@@ -23,8 +21,8 @@ from sim.inference.in_water import (
 )
 from sim.inference.law_error import IN_WATER, read_law_error
 from sim.inference.searched import changed, learned
-from sim.inference.swims import by_twin, with_values
-from sim.inference.twin_search import TwinSwims
+from sim.inference.swim_problem import SwimProblem
+from sim.inference.swims import by_followed_twin, by_twin, steps_of, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
 from sim2real.body import values
@@ -50,26 +48,17 @@ def water():
     return InWater(WATER, {key(swum({})): steps})
 
 
-def test_where_nothing_changes_the_fluid_swims(water):
+def test_the_fluid_swims_and_the_twin_adds_what_is_changed(water):
+    """Shares of other waters are added in full, an effect changes what it changes of the twin."""
     swim, model = swum({}), water.of(servos())
-    (track,) = by_twin_in_water(FISH, model, water)([model], swim)
-    np.testing.assert_allclose(speeds(track[None])[0], water.steps[key(swim)][0], atol=1e-9)
-
-
-def test_other_waters_are_shares_of_a_way(water):
-    swim, model = swum({}), water.of(servos())
-    half = with_values(model, {"water.cells": 0.5})
-    (track,) = by_twin_in_water(FISH, model, water)([half], swim)
-    first, way = water.steps[key(swim)][:2]
-    np.testing.assert_allclose(speeds(track[None])[0], first + 0.5 * way, atol=1e-9)
-
-
-def test_an_effect_changes_what_it_changes_of_the_twin(water):
-    swim, model = swum({}), water.of(servos())
+    other = with_values(model, {"water.cells": 0.5})
     stiff = with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3})
-    found = speeds(by_twin_in_water(FISH, model, water)([model, stiff], swim))
+    same, half, changed = speeds(by_twin_in_water(FISH, model, water)([model, other, stiff], swim))
     alone = speeds(by_followed_twin(FISH)([model, stiff], swim))
-    np.testing.assert_allclose(found[1] - found[0], alone[1] - alone[0], atol=1e-9)
+    first, way = water.steps[key(swim)][:2]
+    np.testing.assert_allclose(same, first, atol=1e-9)
+    np.testing.assert_allclose(half, first + 0.5 * way, atol=1e-9)
+    np.testing.assert_allclose(changed - same, alone[1] - alone[0], atol=1e-9)
 
 
 def test_commands_that_the_fluid_has_not_simulated_are_an_error(water):
@@ -87,19 +76,13 @@ def test_the_heading_in_which_a_swim_began_counts():
 
 
 def test_the_fluid_swims_again_with_all_but_places_and_the_camera(water):
+    """With these effects the twin then returns the simulation."""
     found = {"skin_elasticity.stiffness_Nm_per_rad": 0.3, "form_drag.coefficient": 0.2}
     other = {"tether.stiffness_N_per_m": 0.1, "camera_scale.ratio": 0.1, "pool_current.u_m_s": 0.1}
-    model = water.of(servos())
+    swim, model = swum({}), water.of(servos())
     there = with_fluid_effects(model, with_values(model, found | other | {"twin.across": 9.0}))
     assert values(there) == found
     assert Coefficients.of(there.body) == Coefficients.of(model.body)
-
-
-def test_with_the_simulated_effects_the_twin_returns_the_simulation(water):
-    swim, model = swum({}), water.of(servos())
-    there = with_fluid_effects(
-        model, with_values(model, {"skin_elasticity.stiffness_Nm_per_rad": 0.3})
-    )
     again = replace(water, steps={k: 1.1 * one for k, one in water.steps.items()})
     (track,) = by_twin_in_water(FISH, there, again)([there], swim)
     np.testing.assert_allclose(speeds(track[None])[0], again.steps[key(swim)][0], atol=1e-9)
@@ -124,7 +107,7 @@ def test_what_effects_change_is_in_doubt_but_of_the_camera_and_the_current(water
     swim = swum({})
     simulate = by_twin_in_water(FISH, model, water)
     before = learned([], model, FISH, simulate, KNOWN)
-    problem = TwinSwims(c, [swim], simulate, before)
+    problem = SwimProblem(c, [swim], simulate, before)
 
     def change(begun=None, **given):
         x = c.nominal
@@ -156,13 +139,15 @@ def test_what_is_wrong_of_a_change_all_along_is_no_evidence(water):
     swim = swum({})
     x = c.nominal
     x[c.place["skin_elasticity.stiffness_Nm_per_rad"]] = 1.2
-    plain = TwinSwims(c, [swim], simulate, before)
+    plain = SwimProblem(c, [swim], simulate, before)
     change = changed(plain, x)
-    doubting = TwinSwims(c, [swim], simulate, before, doubted=change)
+    doubting = SwimProblem(c, [swim], simulate, before, doubted=change)
     assert doubting.coordinates.columns[-1].name.startswith("error.doubt.")
     none = frozenset()
     wrong = replace(swim, signals=swim.signals + 0.1 * change[0] * [0, 0, 0, 1, 1, 1])
-    told = [TwinSwims(c, [wrong], simulate, before, doubted=given) for given in ((), tuple(change))]
+    told = [
+        SwimProblem(c, [wrong], simulate, before, doubted=given) for given in ((), tuple(change))
+    ]
     at = [one.evidence(none, one.at(one.centre(none))) for one in told]
     size = [one.evidence(none, one.at(one.centre(none))) for one in (plain, doubting)]
     assert size[0] - at[0] > 3 * (size[1] - at[1]) > 0

@@ -15,23 +15,11 @@ def axes(lattice: Lattice) -> range:
 
 
 @BOTH
-def test_name_says_dimensions_and_directions(lattice):
-    assert lattice.name == f"D{lattice.dimensions}Q{lattice.Q}"
-    assert 2 * lattice.pairs + 1 == lattice.Q
-    assert len(set(lattice.velocities)) == lattice.Q
-
-
-@BOTH
 def test_directions_come_in_opposite_pairs(lattice):
     c = np.array(lattice.velocities)
     assert not c[0].any()
     assert np.array_equal(c[1::2], -c[2::2])
     assert lattice.weights[1::2] == lattice.weights[2::2]
-
-
-@BOTH
-def test_index_finds_every_velocity(lattice):
-    assert [lattice.index(c) for c in lattice.velocities] == list(range(lattice.Q))
 
 
 @BOTH

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from swimming_robots import FISH, servos
 
-from sim.lattice.units import WATER_KG_M3
+from sim.lattice.velocities import WATER_KG_M3
 from sim.robot.shape import displaced
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.errors import InputError
@@ -90,22 +90,14 @@ def test_latency_is_what_the_model_says():
     assert max(moved[:2]) < 1e-9 < moved[2]
 
 
-def test_following_goes_where_it_is_told():
-    swimmer = small()
-    swimmer.follow(np.array([0.1, 0.0, -0.1]), np.array([1.0, 0.0, -1.0]))
-    state = swimmer.state()
-    assert state.joint[0] == pytest.approx([0.1, 0.0, -0.1])
-    assert 0.5 < state.rate[0, 0] < 4.5  # the last step of the cubic; evenly it would be 5
-
-
-@pytest.mark.parametrize(("dimensions", "depth_m"), [(2, None), (3, None), (3, 0.15)])
-def test_a_robot_floats(dimensions, depth_m):
-    box = {"cell_m": 0.01, "box_m": (0.8, 0.8, 0.3), "depth_m": depth_m}
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_a_robot_floats(dimensions):
+    box = {"cell_m": 0.01, "box_m": (0.8, 0.8, 0.3)}
     swimmer = Swimmer(FISH, servos(), dimensions=dimensions, **box)
     surface = np.inf
     if dimensions == 3:
         surface = (swimmer.tank.size[2] - 0.5 - swimmer.bodies.middle) * 0.01
-        assert surface == pytest.approx(0.15) if depth_m else abs(surface) < 0.01
+        assert abs(surface) < 0.01
     volume = displaced(swimmer.hull, 0.005, 0.0, dimensions == 2, surface)[:, 0].sum()
     volume *= swimmer.units.depth_m if dimensions == 2 else 1.0
     mass = sum(link.mass_kg for link in FISH.links)
@@ -119,15 +111,6 @@ def test_a_heavy_robot_is_under_water():
     )
     swimmer = Swimmer(heavy, servos(), cell_m=0.04, box_m=BOX)
     assert swimmer.bodies.middle == pytest.approx(swimmer.tank.size[2] - 0.5 - BOX[2] / 2 / 0.04)
-
-
-def test_a_robot_thinner_than_the_cells_still_swims():
-    swimmer = Swimmer(FISH, servos(), cell_m=0.05, box_m=(0.9, 0.9, 0.4))
-    beat(swimmer, 6)
-    state = swimmer.state()
-    assert state.stopped[0] == -1
-    assert np.abs(state.joint).max() > 0.01
-    assert np.abs(state.force).max() > 0
 
 
 def test_a_supersonic_cell_stops_its_own_box():
@@ -161,5 +144,5 @@ def test_bad_input_is_refused_in_one_line():
     short = Link("head", 0.5, 0.02, 0.13, 0.12)
     stub = Robot("stub", (short, *FISH.links[1:]), FISH.joints)
     refused(lambda: Swimmer(stub, servos(), box_m=BOX), "overlap")
-    refused(lambda: small(n_envs=2, model=[servos()]), "1 models", "2, one a box")
+    refused(lambda: small(n_envs=2, model=[servos()]), "1 models", "2, one for each robot")
     refused(lambda: Swimmer(FISH, servos(), cell_m=0.0), "cell_m")

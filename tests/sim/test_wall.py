@@ -3,14 +3,11 @@ import pytest
 
 from sim.fluid.fluid import Fluid
 from sim.fluid.wall import SLIP, Wall
-from sim.lattice.units import Units
-from sim.lattice.velocities import D2Q9
+from sim.lattice.velocities import D2Q9, Units
 from sim.robot.bodies import FREE, HELD, Bodies
 from sim.robot.rows import Masses
 from sim.robot.shape import Hull
-from sim2real.errors import InputError
 
-SMOOTH = Wall(slip=True)
 LIGHT = Masses(np.ones(1), np.ones(1), np.zeros(1))
 
 
@@ -21,23 +18,6 @@ def put(length, half_width, wall, units=None, masses=LIGHT, size=(160, 96)):
                     units or Units(1.0, 1.0, 1.0, 1.0), wall=wall)  # fmt: skip
     bodies.place(np.array([[size[0] / 2 + 0.3, size[1] / 2 + 0.2, 0.0]]) * bodies.units.cell_m)
     return bodies
-
-
-def test_a_friction_line_that_does_not_exist_gets_one_line():
-    with pytest.raises(InputError, match=r"line: .*'rough'.* one of none, laminar, turbulent"):
-        Wall(slip=True, line="rough")
-
-
-def test_a_disc_carries_as_much_water_as_potential_flow_says():
-    bodies, steps = put(0.0, 6.0, SMOOTH, size=(96, 96)), 144
-    force = []
-    for k in range(steps):
-        bodies.prescribe([0.0, 0.01 * (k + 1) / steps, 0.0])
-        bodies.step(HELD)
-        force.append(bodies.motion.force.numpy()[0, 0, 1])
-    share = np.pi * 36 / 96**2
-    added = -np.mean(force[steps // 4 :]) * steps / 0.01
-    assert added == pytest.approx(np.pi * 36 * (1 + share) / (1 - share), rel=0.08)
 
 
 def drag(wall, rough=0.0):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.inference.recorded_swims import simulator_of
+from sim.inference.diagnose_swims import simulator_of
 from sim.inference.swims import swim_of
-from sim.view.swim_scene import swims_scene
+from sim.view.swim_page import swims_scene
 from sim2real.diagnose.result import Diagnosis
 from sim2real.model import read_model
 from sim2real.recording import read_recording

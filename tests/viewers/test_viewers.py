@@ -16,8 +16,8 @@ from good_input import message
 from sim2real.cli import main
 from sim2real.recording import Recording, read_recording
 from sim2real.robot import read_robot
-from sim2real.viewers import Scene, SignalGroup, write_mcap, write_rerun
-from sim2real.viewers.scenes import POSE, axis_points, recorded, with_prediction
+from sim2real.viewers.files import write_mcap, write_rerun
+from sim2real.viewers.scenes import POSE, Scene, SignalGroup, axis_points, recorded, with_prediction
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "datasets" / "servo_steps"

@@ -1,0 +1,1 @@
+"""Published cases for validation of the fluid: ``python -m benchmarks.validation``."""

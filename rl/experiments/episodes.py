@@ -1,0 +1,203 @@
+"""Run one episode of every robot under a controller, and measure the result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from rl.controllers import Controller
+from rl.metrics import energy, path_length, turning_radius
+from rl.task import CONTROL_S, Task
+from rl.world import World
+from sim2real.arrays import Array, Mask
+
+if TYPE_CHECKING:
+    from rl.experiments.reality import RealWorld
+
+
+class Measure(NamedTuple):
+    """How a figure is shown and compared: label, unit in files, 1 where more is better else -1."""
+
+    label: str
+    unit: str
+    better: int
+    digits: str
+
+
+FIGURES = {
+    "success": Measure("share that arrives", "", 1, ".2f"),
+    "time_s": Measure("time (s)", "s", -1, ".2f"),
+    "energy": Measure("energy (rad²/s²)", "rad2/s2", -1, ",.0f"),
+    "reward": Measure("reward", "", 1, ".1f"),
+    "path_m": Measure("path (m)", "m", -1, ".2f"),
+}
+"""The figures of a trial by name, in the order of tables; see ``measured``."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """E episodes; rows after the end of an episode are NaN, the first row is the start.
+
+    Attributes:
+        pose: x, y in m and heading in rad of the head, shape (T, E, 3).
+        rate: Joint rates in rad/s, shape (T, E, J).
+        value: Reward of each control period, shape (T, E), 0 in the first row.
+        reached: Waypoints reached, shape (E,).
+        steps: Length in control periods, shape (E,).
+        targets: Waypoints in m, shape (E, W, 2).
+    """
+
+    pose: Array
+    rate: Array
+    value: Array
+    reached: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    targets: Array
+
+    @property
+    def reward(self) -> Array:
+        """Sum of the rewards, shape (E,)."""
+        return np.asarray(np.nansum(self.value, axis=0))
+
+    def discounted(self, discount: float) -> Array:
+        """Sum of the rewards, discounted by ``discount`` per control period, shape (E,).
+
+        Agents maximise it in training; the undiscounted sum does not penalise time.
+        """
+        worth = discount ** np.maximum(np.arange(len(self.value)) - 1.0, 0.0)
+        return np.asarray(worth @ np.nan_to_num(self.value))
+
+    @property
+    def success(self) -> Mask:
+        """Whether the last waypoint was reached, shape (E,)."""
+        return np.asarray(self.reached >= self.targets.shape[1])
+
+    @property
+    def time_s(self) -> Array:
+        """Seconds until the last waypoint, shape (E,); NaN where it was not reached."""
+        return np.where(self.success, CONTROL_S * self.steps, np.nan)
+
+    def faced_s(self, within_rad: float = np.pi / 6) -> Array:
+        """Seconds until the head points at the first target, shape (E,); NaN if it never does."""
+        way = self.targets[None, :, 0] - self.pose[:, :, :2]
+        bearing = np.arctan2(way[..., 1], way[..., 0]) - self.pose[:, :, 2]
+        return _first_s(np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad)
+
+    def of(self, mask: Mask) -> Episodes:
+        """The episodes of some of the robots, ``mask`` of shape (E,)."""
+        pose, rate, value = (x[:, mask] for x in (self.pose, self.rate, self.value))
+        counts = self.reached[mask], self.steps[mask]
+        return Episodes(pose, rate, value, *counts, self.targets[mask])
+
+
+def _first_s(true: Mask) -> Array:
+    """Seconds until the first true row of (T, E), shape (E,); NaN if there is none."""
+    return np.where(true.any(axis=0), CONTROL_S * true.argmax(axis=0), np.nan)
+
+
+def run_episodes(
+    world: World | RealWorld,
+    controller: Controller,
+    *,
+    name: str = "swim",
+    watch: Callable[[Mask], None] | None = None,
+) -> Episodes:
+    """Run one episode of every robot of a world; all are reset.
+
+    ``watch`` is called at the start and after every step with the robots that took part, (E,).
+    """
+    E = world.n_envs
+    observation = world.reset()
+    targets = world.targets.cpu().double().numpy()
+    controller.reset(np.ones(E, dtype=bool))
+    pose, rate = [_copied(world.pose)], [_copied(world.rate)]
+    value, going = [np.zeros(E)], np.ones(E, dtype=bool)
+    reached, steps = np.zeros(E, dtype=np.int64), np.zeros(E, dtype=np.int64)
+    if watch is not None:
+        watch(going)
+    for _ in tqdm(range(world.task.steps), desc=name, unit="step", disable=None, leave=False):
+        action = controller.act(observation.cpu().numpy())
+        step = world.step(torch.as_tensor(action, device=world.device), begin=False)
+        observation = step.observation
+        value.append(np.where(going, _copied(step.reward), np.nan))
+        steps += going
+        reached = np.where(going, step.reached.cpu().numpy(), reached)
+        for recorded, values in ((pose, world.pose), (rate, world.rate)):
+            recorded.append(np.where(going[:, None], _copied(values), np.nan))
+        if watch is not None:
+            watch(going)
+        going &= ~(step.terminated | step.truncated).cpu().numpy()
+        if not going.any():
+            break
+    return Episodes(np.array(pose), np.array(rate), np.array(value), reached, steps, targets)
+
+
+def _copied(tensor: torch.Tensor) -> Array:
+    return np.array(tensor.cpu().numpy(), dtype=np.float64)
+
+
+def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
+    """Time in s and energy of every episode, shape (E,) each.
+
+    An episode without arrival counts with the full time of the task; if it ended earlier, its
+    energy is extrapolated to that time at its mean rate. Means over arrivals only would favour
+    policies that rarely arrive.
+    """
+    extrapolation = task.steps / np.maximum(episodes.steps, 1)
+    time = np.where(episodes.success, episodes.steps, task.steps) * CONTROL_S
+    used = energy(episodes.rate)
+    return time, np.where(episodes.success, used, used * extrapolation)
+
+
+def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
+    """Each of ``FIGURES``, shape (E,); ``success`` is 1 or 0, time and energy as in ``spent``."""
+    time, used = spent(episodes, task)
+    return {
+        "success": episodes.success.astype(np.float64),
+        "time_s": time,
+        "energy": used,
+        "reward": episodes.reward,
+        "path_m": path_length(episodes.pose[:, :, :2]),
+    }
+
+
+def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
+    """The metrics of the paper over all episodes: means, some with standard errors."""
+    figures, won = measured(episodes, task), episodes.success
+    time, used = figures["time_s"], figures["energy"]
+
+    def mean(values: Array, where: Mask | None = None) -> float | None:
+        chosen = values if where is None else values[where]
+        chosen = chosen[np.isfinite(chosen)]
+        return float(chosen.mean()) if chosen.size else None
+
+    def error(values: Array) -> float:
+        return float(values.std() / np.sqrt(len(values)))
+
+    turned, path = episodes.pose[:, :, 2], episodes.pose[:, :, :2]
+    arrivals = {
+        "time_s": mean(episodes.time_s),
+        "energy": mean(used, won),
+        "path_m": mean(figures["path_m"], won),
+    }
+    return {
+        "episodes": len(won),
+        "success": float(won.mean()),
+        "waypoints": float(episodes.reached.mean()),
+        "reward": float(episodes.reward.mean()),
+        "reward_sd": float(episodes.reward.std()),
+        "time_s": float(time.mean()),
+        "time_error_s": error(time),
+        "energy": float(used.mean()),
+        "energy_error": error(used),
+        "arrivals": arrivals,
+        "turned_90_s": mean(_first_s(np.abs(turned - turned[0]) >= np.pi / 2)),
+        "faced_target_s": mean(episodes.faced_s()),
+        "turning_radius_m": mean(turning_radius(path, turned)),
+    }

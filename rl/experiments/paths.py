@@ -1,0 +1,114 @@
+"""Figures of the paths of robots over the pool, a panel for each controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from rl.metrics import REACHED_M
+from sim2real.arrays import Array
+from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_ACROSS = 2
+_PANEL = 360
+_MARGIN_M = 0.15
+
+
+class Way(NamedTuple):
+    """Path of a head, x and y in m, shape (T, 2), NaN after its end; how it is drawn."""
+
+    position: Array
+    colour: str
+    alpha: float = 0.7
+    width: float = 0.7
+
+
+def pool_figure(
+    ways: Mapping[str, Sequence[Array]], targets: Array, notes: Mapping[str, str]
+) -> Figure:
+    """Paths of several trials over the pool, the first highlighted, with targets (N, 2) in order.
+
+    Targets are circles of 5 cm; a note, such as the time, is next to the title of its panel.
+    """
+    panels = {
+        name: [Way(x, INK, 0.5, 0.6) for x in reversed(of_name[1:])]
+        + [Way(of_name[0], ACCENT, 1.0, 1.3)]
+        for name, of_name in ways.items()
+    }
+    points = np.concatenate([targets, *(x for of_name in ways.values() for x in of_name)])
+    low, high = np.nanmin(points, axis=0) - _MARGIN_M, np.nanmax(points, axis=0) + _MARGIN_M
+    height = _PANEL * (high[1] - low[1]) / (high[0] - low[0]) + 40
+
+    def mark(axes: Any, name: str) -> None:  # noqa: ANN401
+        from matplotlib.patches import Circle
+
+        axes.grid(False)
+        axes.plot(*targets.T, color=RULE, linewidth=1.0, zorder=1)
+        for target in targets:
+            axes.add_patch(Circle(target, REACHED_M, facecolor="none", edgecolor=FAINT, zorder=2))
+        axes.plot(*ways[name][0][0], "o", color=INK, markersize=4, zorder=4)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)")
+        axes.set_title(notes[name], loc="right")
+
+    return _panels(panels, "Trajectories over the pool", height, mark, shared=False)
+
+
+def paths_figure(
+    ways: Mapping[str, Sequence[Way]],
+    label: str,
+    *,
+    away_m: Sequence[float],
+    limits: tuple[Any, Any] | None = None,
+) -> Figure:
+    """Aligned paths from a start at the origin, with targets ``away_m`` to the left of it."""
+
+    def mark(axes: Any, name: str) -> None:  # noqa: ANN401
+        for away in away_m:
+            axes.plot([-away], [0], "o", mfc="none", mec=FAINT)
+        axes.plot([0], [0], "o", color=INK, markersize=3)
+        axes.margins(x=0.04)
+        axes.set_xlabel("m")
+        if limits is not None:
+            axes.set(xlim=limits[0], ylim=limits[1])
+
+    return _panels(ways, label, 185, mark, shared=True)
+
+
+def _panels(
+    ways: Mapping[str, Sequence[Way]],
+    label: str,
+    height: float,
+    mark: Callable[[Any, str], None],
+    *,
+    shared: bool,
+) -> Figure:
+    """A panel for each name, with what ``mark`` adds to its axes."""
+    rows = -(-len(ways) // _ACROSS)
+    with house_style():
+        figure = new_figure(rows * height + 20, label)
+        panels = figure.subplots(
+            rows, min(_ACROSS, len(ways)), squeeze=False, sharex=shared, sharey=shared
+        ).ravel()
+        for axes in panels[len(ways) :]:
+            axes.set_visible(False)
+        for axes, (name, of_name) in zip(panels, ways.items(), strict=False):
+            for way in of_name:
+                axes.plot(*way.position.T, color=way.colour, lw=way.width, alpha=way.alpha)
+            axes.set(aspect="equal", autoscale_on=not shared)
+            axes.locator_params(nbins=5)
+            axes.set_title(name, color=INK)
+            mark(axes, name)
+    return figure
+
+
+def aligned(path: Array, target: Array, colour: str = INK) -> Way:
+    """A path with its start at the origin and the target on the negative x axis."""
+    direction = (target - path[0]) / np.linalg.norm(target - path[0])
+    moved = path - path[0]
+    across = moved @ np.array([-direction[1], direction[0]])
+    return Way(np.stack([-moved @ direction, across], axis=1), colour)

@@ -1,0 +1,218 @@
+"""Statistics of trials: predictive distributions, and differences of agents paired by seed.
+
+Predictive distributions come from N drawn realities with T trials in each. A figure differs between
+realities (variance B) and between trials in one reality (variance W), the variance components of a
+one-way layout with random effects (Searle, Casella and McCulloch, Variance Components, 1992, ch.
+3). More trials average W away and not B.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta, norm, rankdata
+from scipy.stats import t as student
+
+from sim2real.arrays import Array, Mask
+
+
+def between_within(values: Array) -> tuple[float, float]:
+    """Variance between realities and mean variance within one, of a figure (N, T)."""
+    T = values.shape[1]
+    within = float(values.var(axis=1, ddof=1).mean()) if T > 1 else 0.0
+    return max(float(values.mean(axis=1).var(ddof=1)) - within / T, 0.0), within
+
+
+def normal_scores(values: Array) -> Array:
+    """Normal scores of the ranks of all trials, shape (N, T): no trial outweighs all others."""
+    return np.asarray(norm.ppf((rankdata(values).reshape(values.shape) - 0.5) / values.size))
+
+
+def reliability(values: Array) -> float:
+    """Share of the variance of the means of T trials that is between realities, 0 to 1.
+
+    That of normal scores (Saltelli and Sobol, Reliab. Eng. Syst. Saf. 50 (1995) 225, of ranks), as
+    one failure in hundreds of trials would be most of the variance within realities.
+    """
+    between, within = between_within(normal_scores(values))
+    return float(between / max(between + within / values.shape[1], 1e-12))
+
+
+def expected(values: Array) -> Array:
+    """The mean of all trials that each draw would have, shape (N,).
+
+    The means of T trials are drawn towards their mean until the share of their variance that is the
+    chance of single trials is gone. Shares of trials (values of 0 and 1) have a beta distribution
+    between realities.
+    """
+    if _binary(values):
+        return _shares(values)
+    mean = values.mean(axis=1)
+    return np.asarray(mean.mean() + np.sqrt(reliability(values)) * (mean - mean.mean()))
+
+
+def _binary(values: Array) -> bool:
+    return bool(np.isin(values, (0.0, 1.0)).all())
+
+
+def _shares(values: Array, least: float = 0.1) -> Array:
+    """The probability of 1 in each draw, in the order of its share of ones, shape (N,).
+
+    The mean is that of Jeffreys's prior. Trials do not show a common cause below a share ``least``
+    of the variance, which therefore is between realities; where ones or zeros are rare they show
+    even less, and the distribution is no wider than the posterior by Jeffreys's prior when none
+    was seen (Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101): its shape parameters are at least
+    1/2, so that its central interval contains its mean.
+    """
+    N, T = values.shape
+    mean = (values.sum() + 0.5) / (N * T + 1)
+    common = min(between_within(values)[0] / (mean * (1 - mean)), 0.99)
+    rare = 0.5 / min(mean, 1 - mean)
+    size = 1 / common - 1 if common > least else max(1 / least - 1, rare)
+    order = np.argsort(values.mean(axis=1), kind="stable")
+    out = np.empty(N)
+    out[order] = beta.ppf((np.arange(N) + 0.5) / N, mean * size, (1 - mean) * size)
+    return out
+
+
+def means(values: Array, trials: float = np.inf) -> Array:
+    """Draws of the mean of a number of trials in one reality, M for each reality, shape (N, M).
+
+    They are within the range of the figure. With infinitely many trials only the reality counts.
+    """
+    centre = expected(values)[:, None]
+    if _binary(values):
+        if not np.isfinite(trials):
+            return centre
+        chance = np.broadcast_to(centre, (len(centre), 32))  # so many that quantiles are smooth
+        return np.random.default_rng(0).binomial(int(trials), chance) / trials
+    T = values.shape[1]
+    if np.isfinite(trials) and T > 1:
+        own = np.sqrt(T / (T - 1)) * (values - values.mean(axis=1, keepdims=True))
+        centre = centre + own / np.sqrt(trials)
+    return np.asarray(np.clip(centre, values.min(), values.max()))
+
+
+def quantiles(values: Array, weights: Array, levels: Array) -> Array:
+    """Quantiles of draws (N, M) with weights (N,), linear between the draws, shape (levels,)."""
+    flat = values.ravel()
+    order = np.argsort(flat)
+    mass = np.repeat(weights / values.shape[1], values.shape[1])[order]
+    return np.interp(levels, np.cumsum(mass) - mass / 2, flat[order])
+
+
+def interval(
+    values: Array, weights: Array, trials: float = np.inf, level: float = 0.9
+) -> tuple[float, float, float]:
+    """Mean and central interval of the mean of a number of trials.
+
+    The mean of many trials can be beyond a quantile of its distribution where that is very skewed,
+    as that of a rate of success which is 1 in nearly all realities; the interval then ends at it.
+    ``weights`` of the draws, shape (N,), have sum 1.
+    """
+    drawn = means(values, trials)
+    low, high = quantiles(drawn, weights, np.array([0.5 - level / 2, 0.5 + level / 2]))
+    mean = float(weights @ expected(values))
+    ends = (low, high) if np.isfinite(trials) else (min(low, mean), max(high, mean))
+    return mean, float(ends[0]), float(ends[1])
+
+
+def best(scores: Array, weights: Array) -> Array:
+    """Probability of each of K policies that its mean score (K, N, T) is the largest, shape (K,).
+
+    Starts and disturbances are the same for all policies, so that what they have in common cancels.
+    """
+    drawn = np.stack([expected(one) for one in scores])
+    winner: Mask = drawn == drawn.max(axis=0)
+    return np.asarray((winner / winner.sum(axis=0)) @ weights)
+
+
+def effective(weights: Array) -> float:
+    """Effective number of draws (Kong, Liu and Wong, J. Am. Stat. Assoc. 89 (1994) 278)."""
+    return float(weights.sum() ** 2 / (weights @ weights))
+
+
+OUTCOME = "return"
+"""Compared quantity: the rewards of a turn discounted as in training, which agents maximise. The
+undiscounted sum does not penalise time and favours slow turns."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Return with all techniques minus that of an arm, over S pairs of agents with the same seed.
+
+    The mean is positive if the arm is worse. The 90 % interval is Student's with S - 1 degrees of
+    freedom, infinite for one pair, for which the standard deviation over the pairs is NaN.
+    """
+
+    mean: float
+    low: float
+    high: float
+    sd: float
+    pairs: int
+
+    @property
+    def significant(self) -> bool:
+        """Whether the interval excludes zero."""
+        return self.low > 0 or self.high < 0
+
+
+def paired(first: Array, second: Array) -> Difference:
+    """Difference of two arms, given the mean of each agent over the same trials, shape (S,)."""
+    d = first - second
+    S, mean = len(d), float(d.mean())
+    sd = float(d.std(ddof=1)) if S > 1 else np.nan
+    margin = float(student.ppf(0.95, S - 1)) * sd / S**0.5 if S > 1 else np.inf
+    return Difference(mean, mean - margin, mean + margin, sd, S)
+
+
+def differences(results: Mapping[str, Any]) -> dict[str, Difference]:
+    """Differences in reality of "all" and each other arm in the result of ``ablate``, by arm."""
+    table: dict[str, dict[int, float]] = {}
+    for agent in results["agents"]:
+        mean = float(np.mean(agent["reality"][OUTCOME]))
+        table.setdefault(agent["arm"], {})[agent["seed"]] = mean
+    reference = table.pop("all", {})
+    out = {}
+    for arm, outcomes in table.items():
+        seeds = [seed for seed in reference if seed in outcomes]
+        if seeds:
+            samples = (np.array([rows[s] for s in seeds]) for rows in (reference, outcomes))
+            out[arm] = paired(*samples)
+    return out
+
+
+def seeds_needed(
+    losses: Mapping[str, Difference], *, most: int = 200, width: float = 1 / 3
+) -> dict[str, int | None]:
+    """Pairs for an interval as narrow as a share ``width`` of the largest difference, by arm.
+
+    Computed from the present spread over pairs; None if unknown or more than ``most``.
+    """
+    largest = max((abs(loss.mean) for loss in losses.values()), default=0.0)
+    pairs = np.arange(2, most + 1)
+    widths = 2 * student.ppf(0.95, pairs - 1) / np.sqrt(pairs)  # for a spread of 1
+    return {
+        arm: next((int(S) for S, w in zip(pairs, widths * loss.sd, strict=True)
+                   if w <= width * largest), None)
+        for arm, loss in losses.items()
+    }  # fmt: skip
+
+
+def bootstrap(
+    values: Sequence[Sequence[float]], rng: np.random.Generator, draws: int = 4000
+) -> tuple[float, float, float]:
+    """Mean with a 90 % bootstrap interval of one list of repeats for each agent.
+
+    Agents are resampled, then their repeats.
+    """
+    table = np.array(values, dtype=np.float64)
+    A, R = table.shape
+    agents = rng.integers(A, size=(draws, A))
+    repeats = rng.integers(R, size=(draws, A, R))
+    means = table[agents[:, :, None], repeats].mean(axis=(1, 2))
+    low, high = np.quantile(means, [0.05, 0.95])
+    return float(table.mean()), float(low), float(high)

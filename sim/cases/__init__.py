@@ -1,1 +1,0 @@
-"""Published cases for validation of the fluid, one file each."""

@@ -1,1 +1,0 @@
-"""Commands of a swim that tell apart what a diagnosis of swims leaves open."""

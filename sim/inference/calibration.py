@@ -1,0 +1,385 @@
+"""A body calibrated to swims, in the reduced-order twin and then in the fluid.
+
+The fit is that of ``swim_problem`` without the shapes of the simulator's error, so that the model
+predicts these swims as well as it can. Its intervals take the larger one of two covariances: that
+of the normal model, and the sandwich of White, Econometrica 48 (1980) 817, with the scores of
+blocks of some seconds, which errors of the simulator correlate.
+
+In the fluid an ``Emulator`` is fitted. A second fit in cells of twice the size is a
+grid-convergence study: for errors of first order in the size of a cell, the shift of a parameter
+from coarse to fine cells equals its remaining error (Roache, J. Fluids Eng. 116 (1994) 405). The
+order cannot be determined here (``reports/resolution``), so the whole shift is added to the
+intervals in quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import norm
+
+from sim.inference.coordinates import Coordinates, signals_at
+from sim.inference.emulator import emulator
+from sim.inference.swim_parameters import (
+    effect_parameters,
+    servo_parameters,
+    twin_parameters,
+    water_parameters,
+)
+from sim.inference.swim_problem import SwimPrior, SwimProblem
+from sim.inference.swims import (
+    HELD_OUT_SHARE,
+    SIGNALS,
+    UNITS,
+    Simulator,
+    Swim,
+    SwimSimulator,
+    by_fluid,
+    by_twin,
+    simulated,
+    with_values,
+)
+from sim2real.arrays import Array
+from sim2real.display import NotebookDisplay
+from sim2real.errors import InputError
+from sim2real.inference.correlated_noise import correlation_samples, long_run
+from sim2real.inference.parameters import Parameter, column
+from sim2real.model import Model
+from sim2real.report.notebook import result_section
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import Quantity, change_text, quantity_table
+from sim2real.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+THREADS = 2
+"""CPU threads of the fluid."""
+FLUID_SHARE = 0.2
+"""Standard deviation of the calibrated fluid's error in cells of 1 cm, relative to the signal: a
+swimmer is up to 12 % too fast or too slow there, depending on the gait (``reports/resolution``)."""
+_FINEST = 1e-6
+"""Least error of a signal in its unit, which limits its weight: the fit may be exact."""
+
+
+@dataclass(frozen=True)
+class FluidSettings:
+    """Settings of the fluid: side of a cell in m, Warp device, rollouts per batch."""
+
+    cell_m: float = 0.02
+    device: str = "cpu"
+    rollouts: int = 48
+
+    def simulator(self, robot: Robot, *, coarser: int = 1) -> Simulator:
+        """The fluid, in cells that are larger by a factor."""
+        return by_fluid(robot, cell_m=coarser * self.cell_m, device=self.device, threads=THREADS)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Parameters fitted to swims.
+
+    Attributes:
+        model: The calibrated model.
+        free: The F fitted parameters.
+        best: Their values, shape (F,).
+        covariance: Their covariance, shape (F, F).
+        rmse: Held-out root mean square error of each signal, before and after, shape (2, 3 + J).
+        train: Likewise on the fitted part.
+        noise: Standard deviation of the recordings' noise, shape (3 + J,); 0 in the twin.
+        grid: Shift of each parameter relative to cells of twice the size, shape (F,); None if that
+            was not requested, or such cells stop the robot.
+    """
+
+    model: Model
+    free: tuple[Parameter, ...]
+    best: Array
+    covariance: Array
+    rmse: Array
+    train: Array
+    noise: Array
+    grid: Array | None = None
+
+    def interval(self, level: float = 0.9) -> Array:
+        """Central intervals with the errors of the fit and of the cells, shape (F, 2)."""
+        sd = np.sqrt(np.diag(self.covariance) + (0.0 if self.grid is None else self.grid**2))
+        reach = float(norm.ppf(0.5 + level / 2)) * sd
+        return np.stack([self.best - reach, self.best + reach], axis=1)
+
+
+def calibrate(
+    swims: Sequence[Swim],
+    model: Model,
+    free: Sequence[Parameter],
+    simulator: Simulator,
+    *,
+    held_out: float = HELD_OUT_SHARE,
+) -> Calibrated:
+    """Fit parameters to the first part of each swim and score them on the rest.
+
+    Args:
+        swims: Recordings.
+        model: Model to start from.
+        free: Parameters to fit.
+        simulator: The twin.
+        held_out: Share of each swim, at its end, that is held out.
+    """
+    parts = [swim.first(1 - held_out) for swim in swims]
+
+    def simulate(models: Sequence[Model], swim: Swim) -> Array:
+        return simulator(models, swim.command, swim.start)
+
+    fitted, best, covariance = _fit(parts, model, free, simulate)
+    start = with_values(model, {p.name: p.nominal for p in free})
+    train, held, noise = _errors(swims, [start, fitted], simulator, held_out)
+    return Calibrated(fitted, tuple(free), best, covariance, held, train, 0 * noise)
+
+
+def calibrate_in_fluid(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    fluid: Simulator,
+    settings: FluidSettings,
+    *,
+    coarser: Simulator | None = None,
+    gains: bool = False,
+    held_out: float = HELD_OUT_SHARE,
+    start: Model | None = None,
+    seed: int = 0,
+) -> Calibrated:
+    """Fit water, centre of mass and servos to swims in the fluid.
+
+    ``model`` is the model before, ``start`` that of the fit (``model`` where None), ``coarser`` the
+    fluid in cells of twice the size; other arguments are those of ``calibrate_body``.
+
+    Raises:
+        InputError: If the fluid stops most of a batch, or the calibrated robot.
+    """
+    parts = [swim.first(1 - held_out) for swim in swims]
+    water = water_parameters(robot, settings.cell_m)
+    model, before = start or model, model
+    centre = with_values(model, {water[-1].name: water[-1].nominal})
+    free = [*servo_parameters(model, robot, gains=gains), *water, *effect_parameters("com_offset")]
+
+    def fitted(simulator: Simulator, centre: Model, seed: int) -> tuple[Model, Array, Array]:
+        near = emulator(simulator, parts, centre, free, count=settings.rollouts, seed=seed)
+        return _fit(parts, centre, free, near, FLUID_SHARE)
+
+    result, best, covariance = fitted(fluid, centre, seed)
+    result, best, covariance = fitted(fluid, result, seed + 1)
+    grid = None
+    if coarser is not None:
+        with suppress(InputError):
+            grid = np.abs(fitted(coarser, result, seed)[1] - best)
+    train, held, noise = _errors(swims, [before, result], fluid, held_out)
+    if not np.isfinite(held).all():
+        raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
+    return Calibrated(result, tuple(free), best, covariance, held, train, noise, grid)
+
+
+def _fit(
+    swims: Sequence[Swim],
+    model: Model,
+    free: Sequence[Parameter],
+    simulate: SwimSimulator,
+    share: float | None = None,
+    *,
+    rounds: int = 2,
+) -> tuple[Model, Array, Array]:
+    """The fitted model, its parameters (F,), and their covariance, for each the larger one, (F, F).
+
+    A signal counts as one sample per autocorrelation time of its residual, so that the priors keep
+    their weight. Its error is the residual or, with ``share``, that share of the signal in a block,
+    with the noise of the recording.
+    """
+    nominal, sd = column(free, "nominal"), column(free, "prior_sd")
+    prior = SwimPrior(nominal, np.diag(sd**2), 0 * sd, np.ones((4, 3)))
+    problem = SwimProblem(Coordinates.of_parameters(model, free), swims, simulate, prior)
+    x, nothing = problem.centre(frozenset()), frozenset[Any]()
+    for number in range(rounds):
+        errors = [
+            signals_at(problem.coordinates, swim, x[None], simulate)[0] - swim.signals
+            for swim in swims
+        ]
+        rms = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+        sizes = [np.tile(np.maximum(rms, _FINEST), (swim.t.size, 1)) for swim in swims]
+        for swim, blocks, size in zip(swims, problem.blocks, sizes, strict=True):
+            for a, b in blocks.edges if share is not None else ():
+                signal = np.sqrt(np.mean(swim.signals[a:b] ** 2, axis=0))
+                size[a:b] = np.hypot(swim.noise_sd, share * signal) + _FINEST
+        relative = [np.nan_to_num(e / size) for e, size in zip(errors, sizes, strict=True)]
+        times = np.mean([[correlation_samples(e) for e in part.T] for part in relative], axis=0)
+        inflated = np.sqrt(times) if number or share is not None else 1.0
+        # signals that were not measured count nothing
+        problem.weights = [np.nan_to_num(1 / (size * inflated)) for size in sizes]
+        fit = problem.plain(x).fit
+        x = fit.x
+    normal = problem.covariance(nothing, fit)
+    meat = problem.precision(nothing)
+    scores = problem.of_swims(fit.near.slope * fit.rows[:, None])
+    for blocks, score in zip(problem.blocks, scores, strict=True):
+        first = [a for a, _ in blocks.edges]
+        of_blocks = np.add.reduceat(score.sum(axis=1), first, axis=0)
+        meat = meat + long_run(of_blocks, min(2, len(of_blocks)))
+    covariance = normal @ meat @ normal
+    wider = np.sqrt(np.maximum(np.diag(normal) / np.diag(covariance), 1.0))
+    return problem.coordinates.model_at(x), x, covariance * np.outer(wider, wider)
+
+
+def _errors(
+    swims: Sequence[Swim], models: Sequence[Model], simulator: Simulator, held_out: float
+) -> tuple[Array, Array, Array]:
+    """Root mean square errors in the fitted and in the held-out part, (M, K) each, and noise."""
+    squares = []
+    for swim in swims:
+        error = simulated(swim, models, simulator) - swim.signals
+        cut = round(swim.t.size * (1 - held_out))
+        parts = np.split(error**2, [cut], axis=1)
+        squares.append([np.nanmean(part, axis=1) for part in parts])
+    train, held = np.sqrt(np.mean(squares, axis=0))
+    return train, held, np.sqrt(np.mean([swim.noise_sd**2 for swim in swims], axis=0))
+
+
+@dataclass(frozen=True)
+class Calibration(NotebookDisplay):
+    """Result of a calibration.
+
+    Attributes:
+        model: The calibrated model, with intervals (``body``) and errors (``fit``).
+        before: The model before the calibration.
+        robot: The robot.
+        swims: The fitted swims, whose last parts were held out.
+        twin: Parameters, covariance and errors of the fit in the twin.
+        in_fluid: Likewise for the fit in the fluid, if there was one.
+        fluid: Settings of the fluid.
+    """
+
+    model: Model
+    before: Model
+    robot: Robot
+    swims: tuple[Swim, ...]
+    twin: Calibrated
+    in_fluid: Calibrated | None = None
+    fluid: FluidSettings = FluidSettings()
+
+    @property
+    def fitted(self) -> Calibrated:
+        """The fit in the fluid if there was one, else that in the twin."""
+        return self.in_fluid or self.twin
+
+    def plot(self, swim: int = 0) -> Figure:
+        """One swim: measured, and simulated before and after the calibration."""
+        from sim.view.swim_page import swim_panels
+        from sim2real.report.series import series_figure
+
+        simulator = by_twin(self.robot)
+        if self.in_fluid is not None:
+            simulator = self.fluid.simulator(self.robot)
+        shown, models = self.swims[swim], (self.before, self.fitted.model)
+        panels = swim_panels(shown, models, simulator, self.robot)
+        return series_figure(panels, f"{shown.name}: measured and simulated")
+
+
+def calibrate_body(
+    swims: Sequence[Swim],
+    model: Model,
+    robot: Robot,
+    *,
+    fit_gains: bool,
+    held_out: float,
+    fluid: FluidSettings | None = None,
+    seed: int = 0,
+) -> Calibration:
+    """Fit the body to swims in the twin and, if asked, from there in the fluid.
+
+    Args:
+        swims: Recordings.
+        model: The servos, and a body to start from.
+        robot: The robot.
+        fit_gains: Whether to fit the servos' gains too, and not only their latencies.
+        held_out: Share of each swim, at its end, that is scored and not fitted.
+        fluid: How to simulate the fluid; None for the twin alone.
+        seed: Seed of the designs of the fluid's batches.
+
+    Raises:
+        InputError: If the fluid stops most of a batch, or the calibrated robot.
+    """
+    free = twin_parameters(model, robot, gains=fit_gains)
+    twin = calibrate(swims, model, free, by_twin(robot), held_out=held_out)
+    result = Calibration(_with_errors(twin, robot), model, robot, tuple(swims), twin)
+    if fluid is None:
+        return result
+    pairs = zip(twin.free, twin.best.tolist(), strict=True)
+    start = with_values(model, {p.name: value for p, value in pairs if "latency" in p.name})
+    start = replace(start, body={**model.body, "twin": twin.model.body["twin"]})
+    in_fluid = calibrate_in_fluid(
+        swims, model, robot, fluid.simulator(robot), fluid,
+        coarser=fluid.simulator(robot, coarser=2), gains=fit_gains, held_out=held_out,
+        start=start, seed=seed,
+    )  # fmt: skip
+    calibrated = _with_errors(in_fluid, robot, fluid.cell_m)
+    return replace(result, model=calibrated, in_fluid=in_fluid, fluid=fluid)
+
+
+@result_section.register
+def _calibration(calibration: Calibration) -> Section:
+    blocks = _tables(calibration.twin, "the twin", calibration.robot)
+    if calibration.in_fluid is not None:
+        where = f"the fluid, cells of {calibration.fluid.cell_m:g} m"
+        blocks += _tables(calibration.in_fluid, where, calibration.robot)
+        if calibration.in_fluid.grid is None:
+            text = "the intervals do not include the discretisation error: cells of twice the size"
+            blocks.append(Note("warn", f"{text} stop the robot"))
+    return Section("Calibration", "", blocks)
+
+
+def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
+    """Parameters with intervals, and held-out errors before and after.
+
+    Where the noise of the recordings is known, the change of the error beyond it is shown as well.
+    """
+    values = [
+        (p.name, Quantity("value", "", float(best), (float(low), float(high))))
+        for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
+    ]
+    named = [*zip(SIGNALS, UNITS, strict=True), *((joint.name, "rad") for joint in robot.joints)]
+    beyond = np.sqrt(np.maximum(fit.rmse**2 - fit.noise**2, 0.0))
+    errors = [
+        (
+            name,
+            *(f"{x:.4f}" for x in fit.rmse[:, k]),
+            unit,
+            change_text(*fit.rmse[:, k]),
+            f"{change_text(*beyond[:, k])} beyond {noise:.4f}" if noise > 0 else "",
+        )
+        for k, ((name, unit), noise) in enumerate(zip(named, fit.noise, strict=True))
+    ]
+    header = ("held-out error", "before", "after", "unit", "change", "of it beyond the noise")
+    heading = Text("", heading=f"In {where}")
+    return [heading, quantity_table(values, "parameter"), Table(header, errors)]
+
+
+def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> Model:
+    """The calibrated model with the intervals of its parameters and its errors."""
+    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    figures = np.stack([fit.train[1], fit.rmse[1], fit.rmse[0]], axis=1).tolist()
+    keys = ("train", "heldout", "heldout_before")
+    errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}
+    intervals = zip(fit.free, fit.interval().tolist(), strict=True)
+    interval = {p.name: bounds for p, bounds in intervals}
+    posterior = {
+        "cell_m": cell_m,
+        "names": list(interval),
+        "mean": fit.best.tolist(),
+        "covariance": fit.covariance.tolist(),
+    }
+    body = {**fit.model.body, "interval": interval, "posterior": posterior}
+    if not np.all(np.isfinite(fit.best)):
+        raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
+    return replace(fit.model, body=body, fit={**fit.model.fit, **errors})

@@ -1,0 +1,101 @@
+"""An emulator: a linear model of a simulator near a model, from one batch of rollouts.
+
+The fluid takes a second of a GPU for half a minute of swimming, and its wake is turbulent: two
+rollouts of nearly the same robot differ by as much as a small change of a parameter causes, so that
+finite differences of two rollouts would be noise. So a batch is simulated with all parameters
+varied at once (a Sobol sequence, as in the design of computer experiments: Santner, Williams, Notz,
+Springer 2003), and every sample is regressed on all of them: each slope uses the whole batch, which
+averages the turbulence. The regressed quantities are the displacements of the head forward, to the
+left and in heading in each control period, and the joints' angles; the path is their integral.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import qmc
+
+from sim.inference.swims import (
+    Simulator,
+    Swim,
+    SwimSimulator,
+    path_of,
+    steps_of,
+    values_of,
+    with_values,
+)
+from sim2real.arrays import Array
+from sim2real.errors import InputError
+from sim2real.inference.parameters import Parameter, column
+from sim2real.model import Model
+
+REACH = 0.75
+"""Half-width of a batch about its centre, in the parameters' typical sizes."""
+_VISCOSITY = "water.viscosity_m2_s"
+"""Parameter in whose logarithm a rollout is nearly linear."""
+
+
+def emulator(
+    simulator: Simulator,
+    swims: Sequence[Swim],
+    model: Model,
+    free: Sequence[Parameter],
+    *,
+    count: int,
+    seed: int = 0,
+    ridge: float = 1.0,
+) -> SwimSimulator:
+    """A simulator of these swims near a model; parameters that are not varied have no influence.
+
+    Args:
+        simulator: The simulator that is emulated.
+        swims: The swims.
+        model: The centre of the batches.
+        free: The parameters to vary.
+        count: Rollouts of each swim; the first is of the model itself. Stopped ones are excluded.
+        seed: Seed of the Sobol sequence.
+        ridge: Penalty of the slopes, against a weight of one per rollout.
+
+    Raises:
+        InputError: If there are too few rollouts to regress on all parameters, or most of a batch
+            were stopped.
+    """
+    if count < len(free) + 2:
+        expected = f"at least {len(free) + 2}, for {len(free)} parameters"
+        raise InputError("emulator", "rollouts", str(count), expected)
+    names = tuple(p.name for p in free)
+    log = np.array([name == _VISCOSITY for name in names])
+    centre, reach = values_of(model, names), REACH * column(free, "typical")
+    low = np.maximum(centre - reach, column(free, "low"))
+    high = np.minimum(low + 2 * reach, column(free, "high"))
+    shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
+    values = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
+    models = [with_values(model, dict(zip(names, row, strict=True))) for row in values]
+
+    def linear(rows: Array) -> Array:
+        return np.where(log, np.log(np.where(log, rows, 1.0)), rows)
+
+    mean, size = linear(values).mean(axis=0), np.maximum(linear(values).std(axis=0), 1e-12)
+
+    def terms(rows: Array) -> Array:
+        return np.concatenate([np.ones((len(rows), 1)), (linear(rows) - mean) / size], axis=1)
+
+    penalty = ridge * np.diag([0.0, *np.ones(len(free))])
+    regressed = {}
+    for swim in swims:
+        track = simulator(models, swim.command, swim.start)
+        finite = np.asarray(np.isfinite(track).all(axis=(1, 2)))
+        if finite.mean() < 0.5:
+            found = f"{np.sum(~finite)} of {finite.size} rollouts stopped"
+            raise InputError(swim.name, "simulator", found, "most of them whole")
+        steps, x = steps_of(track[finite]), terms(values[finite])
+        flat = np.linalg.solve(x.T @ x + penalty, x.T @ steps.reshape(len(steps), -1))
+        regressed[swim] = flat.reshape(-1, *steps.shape[1:]), track[finite][0, 0, 3:]
+
+    def simulate(models: Sequence[Model], swim: Swim) -> Array:
+        weights, angles = regressed[swim]
+        rows = np.array([values_of(model, names) for model in models])
+        return path_of(np.tensordot(terms(rows), weights, axes=1), swim.start, angles)
+
+    return simulate

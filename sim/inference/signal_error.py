@@ -1,0 +1,177 @@
+"""Errors of a swim's signals: their variances by band of frequency, and persistent shapes.
+
+An error of the head's swing is at the beat frequency and carries no information about a current; an
+error of the drag is in the mean. So each block of about 2.5 s is transformed by an orthonormal
+cosine transform. The variance of a coefficient is that of the recording's noise plus a share, by
+signal and band, of the signal's power: the measured error of the twin (``law_error.json``).
+
+Other errors of the simulated fluid, wake and force law persist because a wake does: the speed is
+wrong for seconds, an oscillation has a relative error or a delay. Such an error is no effect of the
+catalogue but can be mistaken for one. So each such shape is a column of the fit, whose size has one
+part common to all swims of a robot and one for each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B
+63 (2001) 425).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from scipy.fft import dct
+from scipy.ndimage import uniform_filter1d
+
+from sim.inference.pose_noise import PoseNoise
+from sim.inference.swims import Swim, block_bounds
+from sim.robot.swimmer import CONTROL_S
+from sim2real.arrays import Array, Index
+from sim2real.velocity import body_velocity
+
+BANDS_HZ = (0.35, 1.8)
+"""Limits between the bands slow, beat and fast."""
+_LEAK = 0.003
+"""Share of a block's mean power that is added at every frequency (spectral leakage)."""
+_DRAWS = 12
+_STEP_RAD = 0.0012
+"""Least noise of a joint's angle, due to rounding."""
+
+ORDER = 3
+"""Largest order of the polynomials in time of the error of the speed."""
+_SLOW = 51
+"""Samples of the moving average that separates a signal's mean from its oscillation."""
+SHARE, LATE_S = 0.1, 0.01
+"""Relative error, and delay in s, of the change that an effect makes."""
+HEAD = (
+    *(f"error.surge_{n}" for n in range(ORDER + 1)), "error.surge_swing", "error.surge_late",
+    "error.sway_swing", "error.sway_late", "error.sway_off",
+    "error.yaw_swing", "error.yaw_late", "error.yaw_slow", "error.yaw_off", "error.yaw_off_1",
+)  # fmt: skip
+"""Shapes of the head's signals; sizes are relative, delays in s, or velocities in m/s and rad/s."""
+JOINT = ("swing", "late", "off")
+"""Shapes of each joint: relative error, delay in s, offset in rad."""
+
+
+def spectrum(signals: Array, edges: Sequence[tuple[int, int]]) -> Array:
+    """Cosine transforms of blocks of signals (..., T, K), along T; orthonormal."""
+    parts = [dct(signals[..., a:b, :], type=2, norm="ortho", axis=-2) for a, b in edges]
+    return np.concatenate(parts, axis=-2)
+
+
+def _local_power(coefficients: Array, edges: Sequence[tuple[int, int]]) -> Array:
+    squares = coefficients**2
+    power = np.empty_like(squares)
+    for a, b in edges:
+        smooth = uniform_filter1d(squares[a:b], 5, axis=0, mode="nearest")
+        power[a:b] = smooth + _LEAK * squares[a:b].mean(axis=0)
+    return power
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Cosine transform of one swim, and the variances of its coefficients.
+
+    Attributes:
+        edges: First sample and end of each block.
+        block: Block of each coefficient, shape (T,).
+        band: Its band, shape (T,): 0, 1 or 2.
+        noise: Variance of the recording's noise in each coefficient, shape (T, K).
+        power: Power of the signals around each coefficient, shape (T, K).
+        seen: Cosine transform of the recorded signals, shape (T, K).
+    """
+
+    edges: tuple[tuple[int, int], ...]
+    block: Index
+    band: Index
+    noise: Array
+    power: Array
+    seen: Array
+
+    @classmethod
+    def of(cls, swim: Swim) -> Blocks:
+        """The blocks of a recording."""
+        period = float(swim.t[1] - swim.t[0])
+        edges = tuple(block_bounds(swim.t.size, period))
+        sizes = [b - a for a, b in edges]
+        hertz = np.concatenate([np.arange(n) / (2 * n * period) for n in sizes])
+        transformed = spectrum(np.nan_to_num(swim.signals), edges)
+        pose_noise = swim.pose_noise or PoseNoise(np.zeros(3))
+        samples = pose_noise.drawn(np.random.default_rng(0), (_DRAWS, swim.t.size), period)
+        noise_power = (spectrum(body_velocity(swim.t, samples), edges) ** 2).mean(axis=0)
+        noise = np.empty_like(transformed)
+        for a, b in edges:
+            noise[a:b, :3] = uniform_filter1d(noise_power[a:b], 9, axis=0, mode="nearest")
+        if swim.pose_noise is None:
+            noise[:, :3] = swim.noise_sd[:3] ** 2
+        noise[:, 3:] = swim.noise_sd[3:] ** 2 + _STEP_RAD**2
+        noise[:, np.isnan(swim.signals).all(axis=0)] = np.inf  # not measured
+        return cls(
+            edges,
+            np.repeat(np.arange(len(edges)), sizes),
+            np.searchsorted(BANDS_HZ, hertz),
+            noise,
+            _local_power(transformed, edges),
+            transformed,
+        )
+
+    def weights(self, shares: Array, more: Array | float = 0.0) -> Array:
+        """Reciprocal standard deviations (T, K), with the twin's error by signal and band, (4, 3).
+
+        The last row of ``shares`` is that of joints; ``more`` is additional variance, (T, K).
+        """
+        rows = np.minimum(np.arange(self.noise.shape[1]), 3)
+        share = shares[rows][:, self.band].T
+        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + more + 1e-12))
+
+    def about(self, signals: Array) -> Array:
+        """Power of signals (T, K) around each coefficient, shape (T, K)."""
+        return _local_power(spectrum(np.nan_to_num(signals), self.edges), self.edges)
+
+    def errors(self, signals: Array) -> Array:
+        """Cosine transforms of simulated minus recorded signals, (..., T, K)."""
+        return spectrum(np.nan_to_num(signals, nan=10.0), self.edges) - self.seen
+
+    def weighted(self, signals: Array, weights: Array) -> Array:
+        """Columns (m, T, K) of signals, transformed and weighted as in a fit, shape (T K, m)."""
+        return np.asarray((spectrum(signals, self.edges) * weights).reshape(len(signals), -1).T)
+
+
+def names(joints: int) -> tuple[str, ...]:
+    """Names of all shapes of a robot's error."""
+    return (*HEAD, *(f"error.joint{j}.{shape}" for j in range(joints) for shape in JOINT))
+
+
+def shapes(signals: Array) -> dict[str, Array]:
+    """Shapes of unit size for the signals (T, 3 + J) of a simulated swim, by name.
+
+    They are computed from simulated signals: the noise of recorded ones would seem to explain
+    itself.
+    """
+    T, K = signals.shape
+    slow = uniform_filter1d(signals, _SLOW, axis=0, mode="nearest")
+    swing = signals - slow
+    late = -np.gradient(swing, CONTROL_S, axis=0)
+    polynomials = legvander(np.linspace(-1.0, 1.0, T), ORDER).T
+    head = [
+        *((0, wave * slow[:, 0]) for wave in polynomials), (0, swing[:, 0]), (0, late[:, 0]),
+        (1, swing[:, 1]), (1, late[:, 1]), (1, polynomials[0]),
+        (2, swing[:, 2]), (2, late[:, 2]), (2, slow[:, 2]), (2, polynomials[0]),
+        (2, polynomials[1]),
+    ]  # fmt: skip
+    joints = [
+        (k, shape) for k in range(3, K) for shape in (swing[:, k], late[:, k], polynomials[0])
+    ]
+    out = {}
+    for name, (k, shape) in zip(names(K - 3), (*head, *joints), strict=True):
+        out[name] = np.zeros((T, K))
+        out[name][:, k] = shape
+    return out
+
+
+def of_changes(joints: int) -> dict[str, float]:
+    """Standard deviations of the shapes of error in the change that an effect makes, by name."""
+    return {
+        n.removeprefix("error."): LATE_S if n.endswith("late") else SHARE
+        for n in names(joints)
+        if "off" not in n
+    }

@@ -1,0 +1,212 @@
+"""Swims, measured and simulated before and after a fit: panels, sections of pages, scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim.inference.law_error import LAW_ERROR
+from sim.inference.swims import (
+    HELD_OUT_SHARE,
+    SIGNALS,
+    UNITS,
+    Simulator,
+    Swim,
+    SwimSimulator,
+    simulated,
+)
+from sim2real.arrays import Array
+from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
+from sim2real.model import Model
+from sim2real.recording import Recording
+from sim2real.report.page import Block, Note, Section, Table, Text
+from sim2real.report.quantity import change_text
+from sim2real.report.series import Panel, series_block
+from sim2real.robot import Robot
+from sim2real.units import readable, readable_name
+from sim2real.viewers.scenes import MEASURED, POSE, Scene, SignalGroup, recorded
+
+_LEAD = "Which physics of the body or the camera does the simulator leave out of these swims?"
+_SENTENCES = {
+    "consistent": "These swims show no missing effect.",
+    "explained": "What was missing from the simulation is identified.",
+    "partly_explained": "A part of what is missing is identified; another part is not.",
+    "unexplained": "Something is missing that no effect of the catalogue explains.",
+    "ambiguous": "Something is missing; these swims do not distinguish its candidates.",
+}
+_CALIBRATION = (
+    "A swim of thirty seconds in the reduced-order twin; the fit does not use its last third. "
+    "The next section diagnoses errors that no parameter of the body corrects."
+)
+_TABLE = (
+    "Root mean square error on the held-out part of the swim, size (root mean square) of the "
+    "measured signal there, and change of the error on the fitted part."
+)
+_ERRORS = "Root mean square error on the end of the swims, fitted to the part before; SI units."
+_COMPARED = (
+    "{swim}: measured, and simulated before and after; both models were fitted to all of it."
+)
+_PLOTTED = 3
+"""Largest number of swims that are plotted."""
+
+
+def swim_panels(
+    swim: Swim,
+    models: tuple[Model, Model],
+    simulator: Simulator,
+    robot: Robot,
+    *,
+    label: str = "calibrated",
+    held_out: float = HELD_OUT_SHARE,
+) -> list[Panel]:
+    """Surge, sway, yaw rate and the first joint, with the held-out part shaded.
+
+    Args:
+        swim: The recorded swim.
+        models: The models before and after the fit.
+        simulator: Simulator of both.
+        robot: The robot.
+        label: Name of the fitted model.
+        held_out: Share, at the end, that it did not use.
+    """
+    before, after = simulated(swim, list(models), simulator)
+    end = float(swim.t[-1])
+    shaded = [(end * (1 - held_out), end)] if held_out else []
+    panels = []
+    named = [*zip(SIGNALS, UNITS, strict=True), (robot.joints[0].name, "rad")]
+    for k, (name, unit) in enumerate(named):
+        signals = {MEASURED: swim.signals[:, k], "before": before[:, k], label: after[:, k]}
+        group = SignalGroup((swim.name, name), unit, swim.t, signals)
+        panels.append(Panel(group, f"{name}, {unit}", shaded))
+    return panels
+
+
+def calibration_section(
+    swim: Swim,
+    models: tuple[Model, Model],
+    errors: tuple[Array, Array],
+    simulator: Simulator,
+    robot: Robot,
+) -> Section:
+    """The measured swim, its simulations before and after, and the errors.
+
+    Args:
+        swim: The fitted swim, whose end was held out.
+        models: The models before and after a calibration with this swim alone.
+        errors: Errors before and after of each signal on held-out and on fitted samples, (2, S).
+        simulator: Simulator of the calibration.
+        robot: The robot.
+    """
+    panels = swim_panels(swim, models, simulator, robot)
+    caption = f"{swim.name}: measured (simulated with other physics), before and after."
+    first = round(swim.t.size * (1 - HELD_OUT_SHARE))
+    sizes = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
+    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
+    units = [*UNITS, *("rad" for _ in robot.joints)]
+    rows = []
+    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
+        held_out, fitted = (of_part[:, k].tolist() for of_part in errors)
+        numbers = [f"{x:.3f}" for x in (sizes[k], *held_out)]
+        rows.append((f"{name}\n{unit}", *numbers, change_text(*held_out), change_text(*fitted)))
+    header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
+    plot = series_block(panels, swim.name, caption)
+    return Section("Calibration", _CALIBRATION, (plot, Table(header, rows, _TABLE)))
+
+
+def swims_section(
+    diagnosis: Diagnosis, swims: Sequence[Swim], simulate: SwimSimulator | None, robot: Robot
+) -> Section:
+    """The verdict, the effects with their probabilities, the rivals, and the errors.
+
+    Args:
+        diagnosis: The diagnosis.
+        swims: Its swims; the first few are plotted if the models differ.
+        simulate: Simulator of the search; without plots where None.
+        robot: The robot.
+    """
+    good = diagnosis.verdict in ("consistent", "explained")
+    blocks: list[Block] = [Note("good" if good else "info", _SENTENCES[diagnosis.verdict])]
+    least = LAW_ERROR.decisions["likely"]
+    rows = [
+        (
+            e.statement,
+            percent(e.probability),
+            "; ".join(
+                f"{readable_name(name)} {readable(name, x.mean)} "
+                f"({readable(name, x.q05)} to {readable(name, x.q95)})"
+                for name, x in e.parameters.items()
+            ),
+        )
+        for e in diagnosis.effects
+        if e.probability >= least
+    ]
+    if rows:
+        header = ("what is missing", "probability", "parameters with 90 % intervals")
+        blocks.append(Table(header, rows))
+    plain, enriched = (
+        {name: float(e["heldout"] or 0.0) for name, e in fit.items()}
+        for fit in (diagnosis.baseline_fit, diagnosis.enriched_fit)
+    )
+    errors = [
+        (name, f"{x:.4g}", f"{enriched[name]:.4g}", change_text(x, enriched[name]))
+        for name, x in plain.items()
+    ]
+    blocks.append(Table(("signal", "before", "with what is named", ""), errors, _ERRORS))
+    if simulate is not None and diagnosis.baseline is not None and enriched != plain:
+        models = (diagnosis.baseline, diagnosis.model)
+        for swim in swims[:_PLOTTED]:
+            panels = swim_panels(
+                swim, models, _of(simulate, swim), robot, label="with what is named", held_out=0.0
+            )
+            caption = _COMPARED.format(swim=swim.name)
+            blocks.append(series_block(panels, f"{swim.name}: measured and simulated", caption))
+    unlikely = [e for e in diagnosis.effects if e.probability < least]
+    considered: list[NamedEffect | Rival] = [*unlikely, *diagnosis.rivals]
+    others = [(e.effect, e.component, percent(e.probability)) for e in considered]
+    if others:
+        blocks.append(Table(("considered as well", "of", "probability"), others))
+    return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in diagnosis.gate)])
+
+
+def _of(simulate: SwimSimulator, swim: Swim) -> Simulator:
+    return lambda models, *_: simulate(models, swim)
+
+
+def swims_scene(
+    diagnosis: Diagnosis,
+    recordings: Sequence[Recording],
+    swims: Sequence[Swim],
+    simulate: SwimSimulator | None,
+    robot: Robot,
+) -> Scene:
+    """The recordings, and the swims of the plain and of the enriched model from the same start.
+
+    Args:
+        diagnosis: The diagnosis.
+        recordings: Its recordings.
+        swims: The same recordings, prepared for the simulator.
+        simulate: The simulator; only the recordings are shown where None.
+        robot: The robot.
+    """
+    scene = sum((recorded(recording, robot) for recording in recordings), start=Scene())
+    if simulate is None or diagnosis.baseline is None:
+        return scene
+    models = {"plain": diagnosis.baseline, "enriched": diagnosis.model}
+    for recording, swim in zip(recordings, swims, strict=True):
+        tracks = simulate(list(models.values()), swim)
+        for name, track in zip(models, tracks, strict=True):
+            scene += recorded(_as_recording(recording, swim, track, robot), robot, name)
+    return scene
+
+
+def _as_recording(recording: Recording, swim: Swim, track: Array, robot: Robot) -> Recording:
+    """A simulated track (T, 3 + J) at the times of its recording."""
+    since_start = recording.t - recording.t[0]
+    values = np.column_stack([np.interp(since_start, swim.t, column) for column in track.T])
+    names = [joint.name for joint in robot.joints]
+    position = np.full_like(recording.position, np.nan)
+    position[:, [recording.joints.index(name) for name in names]] = values[:, 3:]
+    columns = dict(zip(POSE, values[:, :3].T, strict=True))
+    return replace(recording, position=position, columns=columns)

@@ -1,0 +1,168 @@
+"""``sim2real scan`` and ``sim2real virtual-servo``: servos on a bus, real and simulated."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from tqdm import tqdm
+
+from sim2real.commands.command import numbers
+from sim2real.errors import InputError, one_of
+from sim2real.hardware.bench import scan as scanned
+from sim2real.hardware.bench import table
+from sim2real.hardware.buses import bus_class, connection
+from sim2real.hardware.mounting import check_ids
+from sim2real.hardware.process import interruption, priority
+from sim2real.hardware.servo_models import model_named, servo_models
+from sim2real.hardware.shared_key import shared_key
+from sim2real.hardware.virtual_bus import Law, VirtualBus, VirtualServo
+from sim2real.hardware.virtual_link import serve_terminal, serve_udp
+from sim2real.hardware.virtual_servos import VirtualDynamixel, VirtualFeetech, VirtualLx
+from sim2real.model import read_model
+
+LOCAL_S, NETWORK_S = 0.01, 0.05  # delay of an adapter or a radio
+EXCHANGE_BITS = 32 * 10  # a request and its reply on the wire
+_RESET = ": switch their supply off and on again"
+_PASS = ": pass it as --baud to other commands"
+_WITH_MODELS = {
+    "dynamixel": ("XL330-M288", VirtualDynamixel),
+    "feetech": ("STS3215", VirtualFeetech),
+}
+"""Usual model and simulated servo of the buses with models."""
+
+
+def scan(options: argparse.Namespace) -> int:
+    """Print a table of the servos that answer.
+
+    Returns:
+        0 if one did, 1 if none.
+    """
+    kind = bus_class(options.bus)
+    ids = _ids(options.ids, kind.protocol.largest_id)
+    network = "://" in options.port
+    rates = kind.baud_rates[: 1 if network else None] if options.baud is None else (options.baud,)
+    for baud in rates:
+        patience = (NETWORK_S if network else LOCAL_S) + EXCHANGE_BITS / baud
+        with connection(options.bus, options.port, baud) as link:
+            try:
+                bar = tqdm(ids, desc=f"{baud} baud", unit="id", disable=None)
+                servos, garbled = scanned(link.bus, bar, patience)
+            except OSError as error:
+                reason = error.strerror or error
+                print(f"sim2real scan: the port was lost ({reason})", file=sys.stderr)
+                return 1
+        for servo_id in garbled:
+            print(f"id {servo_id}: a corrupted answer, possibly of two servos with this id")
+        if servos:
+            options.result = servos
+            print(table(servos))
+            if baud != kind.baud_rates[0] and options.baud is None:
+                print(f"They answer at {baud} baud{_RESET if options.bus == 'lx' else _PASS}.")
+            return 0
+    tried = ", ".join(str(baud) for baud in rates)
+    print(
+        f"sim2real scan: no servo answers on {options.port} ({options.bus}, {tried} baud): "
+        "check supply, --bus, --baud and --ids",
+        file=sys.stderr,
+    )
+    return 1
+
+
+def _ids(text: str, largest: int) -> list[int]:
+    """The identities in a list such as ``1,2,10-20``."""
+    ids: list[int] = []
+    try:
+        for part in text.split(","):
+            first, _, last = part.partition("-")
+            ids += range(int(first), int(last or first) + 1)
+    except ValueError:
+        ids = []
+    if not ids or not all(0 <= k <= largest for k in ids):
+        raise InputError("--ids", "", repr(text), f"numbers from 0 to {largest}, as 1,2,10-20")
+    return list(dict.fromkeys(ids))
+
+
+def virtual_servo(options: argparse.Namespace) -> int:
+    """Simulate servos on a bus until Ctrl-C; the first line printed is the port."""
+    kind = bus_class(options.bus)
+    for name in ("loss", "noise"):
+        share = getattr(options, name)
+        if not 0 <= share < 1:
+            raise InputError(f"--{name}", "", f"{share:g}", "a share from 0 up to 1")
+    ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
+    check_ids(ids, kind.protocol.largest_id)
+    baud = kind.baud_rates[0] if options.baud is None else options.baud
+    if baud <= 0:
+        raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
+    make = _maker(options)
+    now = time.monotonic()
+    health = {
+        "supply_V": options.supply,
+        "temperature_C": options.temperature,
+        "heating_C_per_s": options.heating,
+    }
+    laws = zip(ids, _laws(options, len(ids)), strict=True)
+    servos = [make(servo_id, law, now, **health) for servo_id, law in laws]
+    rng = np.random.default_rng(options.seed)
+    bus = VirtualBus(
+        servos,
+        kind.protocol,
+        rng,
+        noise=options.noise,
+        loss=0.0 if options.udp else options.loss,
+        echo=options.echo,
+        baud=baud,
+        fast=options.fast,
+    )
+
+    def announce(port: str) -> None:
+        print(f"port: {port}", flush=True)
+
+    with interruption() as stop, priority():
+        if options.udp:
+            key, where = shared_key(), _address(options.udp)
+            serve_udp(bus, where, announce, stop, rng=rng, loss=options.loss, key=key)
+        else:
+            serve_terminal(bus, announce, stop)
+    return 0
+
+
+def _maker(options: argparse.Namespace) -> Callable[..., VirtualServo]:
+    """What makes a servo of the bus."""
+    if options.bus not in _WITH_MODELS:
+        return VirtualLx
+    usual, servo = _WITH_MODELS[options.bus]
+    name = options.servo or usual
+    model = model_named(options.bus, name)
+    if model is None:
+        known = [model.name for model in servo_models(options.bus)]
+        raise InputError("--servo", "", repr(name), one_of(name, known))
+    return partial(servo, model)
+
+
+def _laws(options: argparse.Namespace, count: int) -> list[Law]:
+    """The law of each servo: the joints of a model in order, or the options for all."""
+    if options.model is None:
+        for name in ("kp", "kd", "latency", "inertia"):
+            value = getattr(options, name)
+            if not 0 <= value < np.inf or (name == "inertia" and value == 0):
+                raise InputError(f"--{name}", "", f"{value:g}", "a number of at least 0")
+        return [Law(options.kp, options.kd, options.latency, options.inertia)] * count
+    joints = list(read_model(options.model).joints.values())
+    if len(joints) < count:
+        raise InputError(options.model, "joints", f"{len(joints)}", f"{count}, as many as --ids")
+    return [
+        Law(j.kp_Nm_per_rad, j.kd_Nms_per_rad, j.latency_s, j.inertia_kgm2) for j in joints[:count]
+    ]
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise InputError("--udp", "", repr(text), "HOST:PORT, as 127.0.0.1:0")
+    return host or "127.0.0.1", int(port)

@@ -1,0 +1,155 @@
+"""``sim2real track`` and ``sim2real calibrate-camera``: an overhead camera."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from sim2real.arrays import Picture
+from sim2real.commands.command import numbers
+from sim2real.errors import InputError
+from sim2real.hardware.camera import (
+    calibrate,
+    charuco_board,
+    read_camera,
+    stand,
+    views,
+    write_camera,
+)
+from sim2real.hardware.plots import track_figure
+from sim2real.hardware.sync import correlated, flash, joined
+from sim2real.hardware.tracker import Track, open_video, read_picture, track
+from sim2real.output import beside, check_writable
+from sim2real.recording import Recording, read_recording, write_recording
+from sim2real.report.drawing import save_png
+from sim2real.velocity import body_velocity
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+_SURE = 0.3
+"""Smallest share of the yaw rate's variance that the joints must explain at a valid lag."""
+_CALIBRATE = "calibrate-camera"
+
+
+def track_video(options: argparse.Namespace) -> int:
+    """Track, join a servo recording if there is one, write recording and picture."""
+    out = check_writable(options.out)
+    camera = read_camera(options.camera)
+    servo = read_recording(options.servo) if options.servo else None
+    with tqdm(desc="track", unit="frame", disable=None) as bar:
+        seen = track(options.video, camera, progress=lambda: bar.update(1))
+    if servo is None:
+        recording = _poses_only(seen, options.joints)
+    else:
+        recording = _with_servos(seen, servo, options)
+    enough = seen.seen.sum() >= 5
+    speed = body_velocity(seen.t, seen.pose) if enough else np.zeros((1, 3))
+    source = recording.source or f"sim2real track {options.video}"
+    write_recording(replace(recording, name=out.stem, source=source), out)
+    picture = beside(out, f"{out.stem}.png")
+    save_png(track_figure(seen, camera.corners_m), picture)
+    print(f"seen in {int(seen.seen.sum())} of {seen.t.size} frames")
+    print(
+        f"mean surge {speed[:, 0].mean():.3f} m/s, largest yaw rate "
+        f"{np.abs(speed[:, 2]).max():.2f} rad/s"
+    )
+    print(f"recording: {out}\npicture: {picture}")
+    return 0
+
+
+def _poses_only(seen: Track, joints: Sequence[str]) -> Recording:
+    """A pool recording of poses, one row per frame, without joint angles."""
+    names = ("body.x_m", "body.y_m", "body.yaw_rad")
+    nothing = np.full((seen.t.size, len(joints)), np.nan)
+    return Recording(
+        name="",
+        kind="pool",
+        joints=tuple(joints),
+        t=seen.t,
+        command=nothing,
+        position=nothing,
+        medium="water",
+        columns=dict(zip(names, seen.pose.T, strict=True)),
+    )
+
+
+def _with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> Recording:
+    """The servo recording with the body's columns, on a common clock.
+
+    Raises:
+        InputError: If the clocks cannot be synchronised.
+    """
+    try:
+        if options.sync == "correlate":
+            start, share = correlated(seen, servo)
+            print(f"video begins at {start:.3f} s; joints explain {100 * share:.0f} % of the yaw")
+            if share < _SURE:
+                raise ValueError(f"the joints explain {100 * share:.0f} % of the yaw rate")
+        elif options.sync == "flash":
+            start = float(servo.t[0]) - flash(seen)
+        else:
+            start = -float(options.sync)
+    except ValueError as error:
+        expected = "correlate, flash, or the video's time in s at the recording's 0"
+        found = f"{options.sync} ({error})"
+        raise InputError("track", "--sync", found, expected) from None
+    columns = {**servo.columns, **joined(seen, servo, start)}
+    if not np.isfinite(columns["body.x_m"]).any():
+        raise InputError(options.video, "", "no frame of the recording's time", "one that overlaps")
+    return replace(servo, kind="pool", loads={}, medium="water", columns=columns)
+
+
+def calibrate_camera(options: argparse.Namespace) -> int:
+    """Calibrate the lens, place the pool, write ``camera.toml``."""
+    out = check_writable(options.out)
+    board = board_of(options.board, options.dictionary)
+    with tqdm(desc=_CALIBRATE, unit="picture", disable=None) as bar:
+        seen, size = views(_pictures(options.pictures), board, progress=lambda: bar.update(1))
+    try:
+        lens = calibrate(seen, size)
+    except ValueError as error:
+        where = options.pictures[0]
+        raise InputError(where, "", str(error), "the board at many places and angles") from None
+    length, width = _numbers(options.pool, 2, "--pool")
+    known = np.array([[0, 0], [length, 0], [length, width], [0, width]], dtype=np.float64)
+    corners = np.array([_numbers(pair, 2, "--corners") for pair in options.corners])
+    try:
+        plane = stand(lens, corners, known)
+    except ValueError as error:
+        raise InputError(_CALIBRATE, "--corners", str(error), "corners in order") from None
+    write_camera(out, lens, corners, known)
+    print(f"{len(seen)} views of the board, reprojection error {lens.rms_px:.2f} px")
+    x, y, z = plane.position
+    within = np.sqrt(np.mean(np.sum((plane.pixels(known) - corners) ** 2, axis=1)))
+    print(f"camera at {x:.2f}, {y:.2f}, {z:.2f} m; corners within {within:.2f} px")
+    print(f"camera: {out}")
+    return 0
+
+
+def board_of(text: str, dictionary: str) -> Any:  # noqa: ANN401 - OpenCV's
+    """OpenCV's board from ``ACROSS,DOWN,SQUARE,MARKER``."""
+    across, down, square, marker = _numbers(text, 4, "--board")
+    whole = across == int(across) and down == int(down)
+    if not (whole and min(across, down) >= 3 and 0 < marker < square):
+        raise InputError(_CALIBRATE, "--board", text, "as 7,5,0.04,0.03: sides in m")
+    return charuco_board((int(across), int(down)), square, marker, dictionary)
+
+
+def _numbers(text: str, count: int, option: str) -> list[float]:
+    return numbers(option, text, float, f"{count} numbers, commas between", count=count)
+
+
+def _pictures(paths: list[Path]) -> Iterator[Picture]:
+    for path in paths:
+        if path.suffix.lower() in PICTURES:
+            yield read_picture(path)
+        else:
+            frames, rate = open_video(path)
+            for k, frame in enumerate(frames):
+                if k % max(1, round(rate / 5)) == 0:
+                    yield frame
