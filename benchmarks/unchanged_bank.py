@@ -45,8 +45,8 @@ def main() -> None:
             effect: max(float(g) for g, n in zip(shares, by.names, strict=True) if n == effect)
             for effect in dict.fromkeys(by.names)
         }
-        usual = largest_jump(of, range(of.references))
-        ratio = largest_jump(of, of.case) / usual if usual > 0 else 0.0
+        usual = largest_jump(of, case=False)
+        ratio = largest_jump(of) / usual if usual > 0 else 0.0
         found[of.way].append((null, ratio))
         largest = max(null.values())
         print(f"{name:24} {of.way:6} jump {ratio:.2f}  largest {largest:.2f}")

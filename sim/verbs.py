@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from sim2real.errors import InputError, check_choice, check_effort, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
@@ -318,10 +318,10 @@ def _telling_apart(
     progress: Progress,
 ) -> RivalDesign:
     """The recording that tells the rivals of a diagnosis apart: of servos, or a swim."""
+    from sim2real.design.tell_apart import Request, design_for_rivals
     from sim2real.diagnose.swim_rivals import swim_rivals_of_file
 
-    options: Any = {"seconds": seconds, "again": again, "seed": seed, "file": diagnosis,
-                    "progress": progress}  # fmt: skip
+    request = Request(seconds, again, seed, diagnosis, progress)
     swims = swim_rivals_of_file(diagnosis)
     if swims is not None:
         from sim.inference.design_swim import design_swim
@@ -332,13 +332,12 @@ def _telling_apart(
         rivals, file = swims
         fitted = model_of(Path(diagnosis).parent / file)
         check_joints(fitted, robot)
-        return design_swim(rivals, fitted, robot, **options)
+        return design_swim(rivals, fitted, robot, request)
     from sim2real.design.contexts import read_contexts
-    from sim2real.design.tell_apart import design_for_rivals
     from sim2real.diagnose.rival_sets import rivals_of_file
 
     offered = () if contexts is None else read_contexts(contexts)
-    return design_for_rivals(rivals_of_file(diagnosis), robot, contexts=offered, **options)
+    return design_for_rivals(rivals_of_file(diagnosis), robot, request, offered)
 
 
 def check_joints(model: Model, robot: Robot) -> None:

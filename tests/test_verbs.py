@@ -134,7 +134,7 @@ def test_a_diagnosis_prints_each_signal_in_its_unit() -> None:
     speed = Mismatch("body.surge", "body", 0.012, 0.003, 0.9, {}, "")
     assert str(joint) == "j1: RMSE 5.00 mrad, noise 1.00 mrad; always"
     assert str(speed) == "surge: RMSE 0.0120 m/s, noise 0.0030 m/s"
-    none = {key: {} for key in ("unknown", "baseline_fit", "enriched_fit", "ladders")}
+    none = {key: {} for key in ("unknown", "baseline_fit", "enriched_fit")}
     found = Diagnosis(
         verdict="unexplained", mismatch=(joint, speed), effects=(), rivals=(), **none,
         detection_limits=(), next_experiment=None, gate=(),

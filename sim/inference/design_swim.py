@@ -11,26 +11,24 @@ is assumed, so that distances are divided by the temperature of the diagnosis, a
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
-from scipy.fft import idct
 
 from sim.fluid.fluid import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
 from sim.inference.signal_error import Blocks
-from sim.inference.swim_commands import SwimLimits, draw, usual, within
+from sim.inference.swim_commands import SwimLimits, draw, usual
 from sim.inference.swims import SUBSTEPS, PoseNoise, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS
 from sim2real.design.limits import check_seconds, limits_of
-from sim2real.design.rivals import distances, left_by_refits, remaining_entropy
+from sim2real.design.rivals import distances, remaining_entropy
 from sim2real.design.search import best
-from sim2real.design.tell_apart import OPEN, Advance, RivalDesign, forecast
+from sim2real.design.tell_apart import Request, RivalDesign, forecast
 from sim2real.diagnose.rival_sets import entropy
 from sim2real.diagnose.swim_rivals import SwimRivals
 from sim2real.errors import InputError
@@ -74,15 +72,11 @@ def design_swim(
     rivals: SwimRivals,
     model: Model,
     robot: Robot,
+    request: Request,
     *,
-    seconds: float = 30.0,
-    again: bool = False,
-    seed: int = 0,
-    file: str | os.PathLike[str] = "diagnosis",
     drawn: int = 96,
     rounds: int = 4,
     threads: int = 2,
-    progress: Advance = lambda share: None,
 ) -> SwimDesign:
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
@@ -93,21 +87,17 @@ def design_swim(
         rivals: The sets that are open.
         model: The model of the diagnosis: servos, and the twin's law and error.
         robot: The robot, for the limits of its commands.
-        seconds: Duration of the swim, s.
-        again: Whether to go on where one set of effects is left.
-        seed: Seed of the search.
-        file: The file that the sets come from, for messages.
+        request: Duration, seed, and which sets count.
         drawn: Number of random swims.
         rounds: Number of batches of 16 variations of the best.
         threads: CPU threads.
-        progress: Called with the share that is done.
 
     Raises:
         InputError: If fewer than two sets are probable, the robot is another one, the duration is
             too short, or no swim that was tried keeps within the limits.
     """
-    least = 0.0 if again else OPEN
-    if sum(one.probability >= least for one in rivals.sets) < 2:
+    seconds, file = request.seconds, request.file
+    if not request.leaves_open(rivals):
         none = "fewer than two probable sets of effects"
         raise InputError(file, "swim_rivals", none, "a diagnosis that leaves some open")
     if rivals.joint_sd_rad.size != len(robot.joints):
@@ -123,8 +113,8 @@ def design_swim(
         check_seconds(seconds, joint)
     objective = SwimObjective(rivals, model, robot, limits, threads=threads, file=file)
     result = best(
-        objective, limits, seconds, rng=np.random.default_rng(seed), draw=draw, within=within,
-        drawn=drawn, rounds=rounds, batch=16, start=usual(limits, seconds), progress=progress,
+        objective, limits, seconds, rng=np.random.default_rng(request.seed), draw=draw, drawn=drawn,
+        rounds=rounds, batch=16, start=usual(limits, seconds), progress=request.progress,
     )  # fmt: skip
     for limit, excess in objective.excesses(result.command[None]).items():
         if excess[0] > 0:
@@ -132,7 +122,7 @@ def design_swim(
             raise InputError(robot.path or robot.name, "limits", found, "a shorter swim")
     names = tuple(joint.joint for joint in limits.joints)
     body = forecast(objective, result.command, achieved=1.0)  # not measured for swims
-    return SwimDesign(AS_IT_IS, (body,), least, moved_joints=names)
+    return SwimDesign(AS_IT_IS, (body,), request.least, moved_joints=names)
 
 
 class SwimObjective:
@@ -216,20 +206,6 @@ class SwimObjective:
         tracks = self._tracks(commands)
         return np.array([self._apart(*pair) for pair in zip(commands, tracks, strict=True)])
 
-    def difference(self, command: Array, i: int, j: int) -> Array:
-        """Difference of two sets' predictions over time that refitted parameters leave, (T,).
-
-        For set-points (T, J): the norm over all signals, in standard deviations of the noise.
-        """
-        rows, blocks = self._whitened(command, self._tracks(command[None])[0])
-        vectors, M = rows.T @ self._vectors, self.probability.size
-        of_set = np.split(vectors[:, M:], M, axis=1)
-        left = left_by_refits(vectors[:, i] - vectors[:, j], np.hstack([of_set[i], of_set[j]]))
-        over_time = left.reshape(len(command), -1)
-        for a, b in blocks.edges:
-            over_time[a:b] = idct(over_time[a:b], type=2, norm="ortho", axis=0)
-        return np.asarray(np.linalg.norm(over_time, axis=1))
-
     def _tracks(self, commands: Array) -> Array:
         """Tracks of the likeliest set in the pool, shape (N, T, 3 + J), from standstill."""
         model = self._coordinates.model_at(self._points[0])
@@ -244,14 +220,14 @@ class SwimObjective:
 
     def _apart(self, command: Array, track: Array) -> Array:
         """Distances of all pairs of sets, shape (M, M), for one command (T, J) and its track."""
-        rows, _ = self._whitened(command, track)
+        rows = self._whitened(command, track)
         M = self.probability.size
         if not np.isfinite(rows).all():
             return np.full((M, M), np.nan)
         products = self._vectors.T @ (rows @ rows.T) @ self._vectors
         return np.asarray(distances(products[None], M)[0]) / self.rivals.temperature
 
-    def _whitened(self, command: Array, track: Array) -> tuple[Array, Blocks]:
+    def _whitened(self, command: Array, track: Array) -> Array:
         """Signals of all points less those of the first, transformed and whitened, (R, T K)."""
         period, rivals = self._limits.period_s, self.rivals
         swim = Swim(
@@ -264,7 +240,7 @@ class SwimObjective:
             self._blocks = Blocks.of(swim)
         blocks = replace(self._blocks, power=self._blocks.about(signals[0]))
         weights = blocks.weights(rivals.shares)
-        return blocks.weighted(signals - signals[0], weights).T, blocks
+        return blocks.weighted(signals - signals[0], weights).T
 
     def _expansion(self, file: str) -> tuple[Array, Array]:
         """Points to simulate, and how predictions and their spreads follow from their signals.

@@ -91,7 +91,7 @@ def diagnose_recorded_swims(
     # what designed recordings were expected to tell, and what they showed
     rivals = diagnosis.swim_rivals
     assert rivals is not None
-    found = {frozenset(one.effects): one.probability for one in rivals.sets}
+    found = {one.effects: one.probability for one in rivals.sets}
     told = separations(rivals.component, design_of(recordings, rivals.component), found)
     # the search draws nothing at random, so that there is no seed
     origin = provenance([*recordings, *references, in_water, robot, model], None)
@@ -250,7 +250,6 @@ def _named(
         parameters=parameters,
         heldout={**speed, "recoverable_removed": None},
         baseline_shift=shift,
-        stability=1.0,
         statement=f"{title[0].upper()}{title[1:]}{where}: {sizes}.{or_else}",
     )
 

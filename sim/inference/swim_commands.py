@@ -16,7 +16,6 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
-from sim2real.design.limits import within as joint_within
 
 
 @dataclass(frozen=True)
@@ -49,18 +48,17 @@ class SwimLimits:
         """Largest distances of the set-points from rest, rad, shape (J,)."""
         return np.array([joint.reach_rad for joint in self.joints])
 
-
-def within(commands: Array, limits: SwimLimits) -> Array:
-    """Set-points (N, T, J) changed as little as needed to keep the limits of each joint."""
-    pairs = zip(np.moveaxis(commands, 2, 0), limits.joints, strict=True)
-    return np.stack([joint_within(command, joint) for command, joint in pairs], axis=2)
+    def within(self, commands: Array) -> Array:
+        """Set-points (N, T, J) changed as little as needed to keep the limits of each joint."""
+        pairs = zip(np.moveaxis(commands, 2, 0), self.joints, strict=True)
+        return np.stack([joint.within(command) for command, joint in pairs], axis=2)
 
 
 def draw(rng: np.random.Generator, count: int, limits: SwimLimits, seconds: float) -> Array:
     """Random commands of a swim within the limits, shape (N, T, J)."""
     t, joints = limits.joints[0].times(seconds), len(limits.joints)
     shapes = np.array([_swim(rng, t, joints) for _ in range(count)])
-    return within(limits.rest_rad + limits.reach_rad * shapes, limits)
+    return limits.within(limits.rest_rad + limits.reach_rad * shapes)
 
 
 def _swim(rng: np.random.Generator, t: Array, joints: int, *, most: int = 6) -> Array:

@@ -23,14 +23,13 @@ from scipy.signal import cont2discrete, lfilter
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
 from sim2real.identification.priors import motor_prior
-from sim2real.identification.problem import plain_row
+from sim2real.identification.problem import ServoProblem, plain_row
 from sim2real.inference.normal import Z90
-from sim2real.inference.parameters import column, kronecker
+from sim2real.inference.parameters import Parameter, column, kronecker
 from sim2real.model import JointModel, Model
 from sim2real.recording import PER_INERTIA, Load
 from sim2real.robot import Robot, Servo
 from sim2real.servo.parameters import BASE, COLUMNS, LINE, ROTOR, ROTOR_INERTIA, joint_row
-from sim2real.servo.rollout import Simulator
 from sim2real.servo.trace import Trace, shows_inertia
 
 GAINS = BASE[:3]
@@ -56,7 +55,7 @@ class ServoPrior:
     """Draws of a servo, its parameters that the next recording is to determine, and the noise."""
 
     names: tuple[str, ...]  # columns of the F parameters (``servo.parameters``)
-    rows: Array  # parameters of D servos, shape (D, P)
+    rows: Array  # parameters of D servos, which differ in these only, shape (D, P)
     # standard deviations of the logarithm of each parameter in the prior of the fit, infinite where
     # there is none, shape (F,)
     sd: Array
@@ -64,9 +63,9 @@ class ServoPrior:
     noise: AngleError  # errors of the measured angle
 
     @property
-    def columns(self) -> list[int]:
-        """Indices of the F parameters in a row."""
-        return [COLUMNS.index(name) for name in self.names]
+    def values(self) -> Array:
+        """The F parameters of each servo, shape (D, F)."""
+        return self.rows[:, [COLUMNS.index(name) for name in self.names]]
 
 
 def prior_of(
@@ -95,28 +94,31 @@ def prior_of(
     # usual noise of a sensor and the quantisation that the data sheet states
     white = float(np.hypot(1e-3, limits.resolution_rad / np.sqrt(12)))
     if model is None or fitted is None:
+        load = load or PER_INERTIA
+        names, rows = _from_sheet(joint.servo, load, draws, rng)
         noise = AngleError(white, white)
-        return _from_sheet(joint.servo, noise, load or PER_INERTIA, draws, rng)
-    figures = model.fit.get(f"{limits.joint}.position_rad", {})
-    white = float(figures.get("noise") or white)
-    train = float(figures.get("train") or white)
-    noise = AngleError(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
-    for effect in (*fitted.effects, *model.effects):
-        if effect.effect == "packet_loss":
-            noise = replace(noise, lost=max(noise.lost, effect.parameters["probability"]))
-    return _from_model(fitted, joint.servo, load, noise, draws, rng)
+    else:
+        names, rows = _from_model(fitted, load, draws, rng)
+        own = PER_INERTIA if fitted.per_inertia else Load(fitted.inertia_kgm2)
+        load = load or fitted.load or own
+        figures = model.fit.get(f"{limits.joint}.position_rad", {})
+        white = float(figures.get("noise") or white)
+        train = float(figures.get("train") or white)
+        noise = AngleError(white, float(np.sqrt(max(train**2 - white**2, (0.3 * white) ** 2))))
+        for effect in (*fitted.effects, *model.effects):
+            if effect.effect == "packet_loss":
+                noise = replace(noise, lost=max(noise.lost, effect.parameters["probability"]))
+    return ServoPrior(names, rows, _prior_sd(names, joint.servo, load), load, noise)
 
 
 def _from_model(
     joint: JointModel,
-    servo: Servo,
     load: Load | None,
-    noise: AngleError,
     draws: int,
     rng: np.random.Generator,
     *,
     widest_sd: float = 0.5,
-) -> ServoPrior:
+) -> tuple[tuple[str, ...], Array]:
     """Draws from the intervals of a fitted joint and their correlations, as logarithms."""
     row = joint_row(joint, load)
     known = [n for n in joint.interval if n in COLUMNS and row[COLUMNS.index(n)] > 0]
@@ -136,13 +138,11 @@ def _from_model(
     offset[0] = 0.0
     rows = np.tile(row, (draws, 1))
     rows[:, columns] = row[columns] * np.exp(offset)
-    stated = load or joint.load or (PER_INERTIA if joint.per_inertia else Load(joint.inertia_kgm2))
-    return ServoPrior(names, rows, _prior_sd(names, servo, stated), stated, noise)
+    return names, rows
 
 
 def _from_sheet(
     servo: Servo,
-    noise: AngleError,
     load: Load,
     draws: int,
     rng: np.random.Generator,
@@ -150,15 +150,15 @@ def _from_sheet(
     frequency_rad_s: tuple[float, float] = (12.0, 50.0),
     damping_ratio: tuple[float, float] = (0.4, 1.3),
     latency_s: tuple[float, float] = (0.01, 0.08),
-) -> ServoPrior:
+) -> tuple[tuple[str, ...], Array]:
     """Servos that the data sheet allows, of usual frequencies, damping ratios and latencies."""
     points = kronecker(draws, 6, rng)
     low, high = np.log([frequency_rad_s, damping_ratio, latency_s]).T
     frequency, damping, latency = np.exp(low + points[:, :3] * (high - low)).T
-    names: tuple[str, ...] = GAINS
+    line: tuple[str, ...] = ()
     rows = np.tile(plain_row(0.0, 0.0, 0.0), (draws, 1))
     if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
-        still = _still(load)
+        still = command_trace(load, np.zeros(2), 1.0)
         line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
         prior = motor_prior(servo, [still])
         parameters = [prior[name] for name in line]
@@ -167,28 +167,27 @@ def _from_sheet(
         share = np.sqrt(12) * (points[:, 3 : 3 + len(line)] - middle)
         motor = np.exp(column(parameters, "nominal") + share * column(parameters, "prior_sd"))
         rows[:, [COLUMNS.index(name) for name in line]] = motor
-        names = (*GAINS, *line)
     inertia = load.inertia_kgm2 + rows[:, ROTOR_INERTIA]
     rows[:, 0] = frequency**2 * inertia
     rows[:, 1] = 2 * damping * frequency * inertia
     rows[:, 2] = latency
     rows[:, 3:5] = load.inertia_kgm2, load.gravity_Nm
-    return ServoPrior(names, rows, _prior_sd(names, servo, load), load, noise)
+    return (*GAINS, *line), rows
 
 
 def _prior_sd(names: tuple[str, ...], servo: Servo, load: Load) -> Array:
     """Standard deviations of the logarithms in the prior of the fit, shape (F,)."""
-    sd = np.full(len(names), np.inf)
+    known: dict[str, float] = {}
     if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
-        known = {p.name: p.prior_sd for p in motor_prior(servo, [_still(load)]).parameters if p.log}
-        sd = np.array([known.get(name, np.inf) for name in names])
-    return sd
+        prior = motor_prior(servo, [command_trace(load, np.zeros(2), 1.0)])
+        known = {p.name: p.prior_sd for p in prior.parameters if p.log}
+    return np.array([known.get(name, np.inf) for name in names])
 
 
-def _still(load: Load) -> Trace:
-    """A trace that states a load, for the prior of a motor."""
-    none = np.zeros(2)
-    return Trace("next", "next", np.array([0.0, 1.0]), none, none, load, np.ones(2, dtype=bool))
+def command_trace(load: Load, command: Array, period_s: float) -> Trace:
+    """A command (T,) as if recorded, all angles 0."""
+    t = period_s * np.arange(command.size, dtype=np.float64)
+    return Trace("next", "next", t, command, np.zeros(t.size), load, np.ones(t.size, dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -211,8 +210,6 @@ class Information:
 
     prior: ServoPrior  # prior of the servo
     limits: CommandLimits  # limits of the commands
-    substep_s: float = 0.004  # longest sub-step of the rollouts, s
-    difference: float = 1e-3  # step of the forward differences, relative to a parameter
     features: int = 16  # number of Fourier features of the errors that repeat with the angle
     every: int = 2  # number of samples per sample at which these errors are evaluated
     # weight of the mean logarithm of all widths; that of the widest of the gains is 1
@@ -238,8 +235,7 @@ class Information:
         """
         precision = self.precision_of(statistics)
         log_width = np.log(np.maximum(precision.half_width, 1e-9))
-        gains = [k for k, name in enumerate(self.prior.names) if name in GAINS]
-        worst = log_width[:, :, gains].max(axis=2)
+        worst = log_width[:, :, : len(GAINS)].max(axis=2)
         score = -(worst + self.others * log_width.mean(axis=2)).mean(axis=1)
         known = self.prior.load is not PER_INERTIA
         excess = precision.rms_torque_Nm / (self.limits.rms_torque_Nm if known else np.inf) - 1
@@ -256,10 +252,8 @@ class Information:
         second, so that the parts of different commands, joined, have about the sum of theirs.
         """
         angle, slopes = self.sensitivities(commands)
-        load, period, (number, phase) = self.prior.load, self.limits.period_s, self._waves
-        acceleration = np.diff(angle, 2, axis=2, append=0.0, prepend=0.0) / period**2
-        acceleration[:, :, [0, -1]] = 0.0
-        torque2 = (load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle)) ** 2
+        load, (number, phase) = self.prior.load, self._waves
+        torque2 = load_torque(load, angle, self.limits.period_s) ** 2
         by_command = self._by_command(slopes)
         change2 = np.diff(commands, axis=1, prepend=commands[:, :1])[:, None, :, None] ** 2
         found = []
@@ -278,7 +272,7 @@ class Information:
 
     def precision_of(self, statistics: Array) -> Precision:
         """Expected precision after commands with these statistics (N, K)."""
-        noise, D, F = self.prior.noise, len(self.prior.rows), len(self.prior.names)
+        noise, D, F = self.prior.noise, *self.prior.values.shape
         each = statistics.reshape(len(statistics), D, -1)
         gram = each[:, :, : F * F].reshape(-1, D, F, F)
         by_loss = each[:, :, F * F : 2 * F * F].reshape(-1, D, F, F)
@@ -292,20 +286,16 @@ class Information:
 
     def sensitivities(self, commands: Array) -> tuple[Array, Array]:
         """Angles in rad, shape (N, D, T), and derivatives by logarithms, shape (N, D, T, F)."""
-        prior = self.prior
-        t = self.limits.times(commands.shape[1] * self.limits.period_s)
-        still, used = np.zeros(t.size), np.ones(t.size, dtype=bool)
-        traces = [Trace("next", "next", t, c, still, prior.load, used) for c in commands]
-        D, F = len(prior.rows), len(prior.names)
-        rows = np.repeat(prior.rows[:, None], 1 + F, axis=1)
-        for k, at in enumerate(prior.columns):
-            rows[:, 1 + k, at] *= 1 + self.difference
-        simulator = Simulator(traces, threads=2)
-        flat = rows.reshape(D * (1 + F), -1)
-        substep = np.inf if simulator.is_linear(flat) else self.substep_s
-        angles = np.array(simulator.angles(flat, substep)).reshape(len(commands), D, 1 + F, t.size)
-        slopes = (angles[:, :, 1:] - angles[:, :, :1]) / self.difference
-        return angles[:, :, 0], np.moveaxis(slopes, 2, 3)
+        prior, period = self.prior, self.limits.period_s
+        traces = [command_trace(prior.load, command, period) for command in commands]
+        free = tuple(Parameter(name, 1e-12, 1e12, 1.0, log=True) for name in prior.names)
+        problem = ServoProblem(traces, prior.rows[0], free)
+        angle, slopes = problem.slopes(np.log(np.maximum(prior.values, 1e-12)))
+        shape = len(prior.rows), *commands.shape
+        return (
+            np.moveaxis(angle.reshape(shape), 1, 0),
+            np.moveaxis(slopes.reshape(*shape, -1), 1, 0),
+        )
 
     def _by_command(self, slopes: Array) -> Array:
         """Sum over time of slopes (N, D, T, F) times the response to one set-point, same shape."""
@@ -317,3 +307,10 @@ class Information:
             backwards = slopes[:, d, ::-1]
             out[:, d] = lfilter(numerator.ravel(), denominator, backwards, axis=1)[:, ::-1]
         return out
+
+
+def load_torque(load: Load, angle: Array, period_s: float) -> Array:
+    """Torque that moves a load along angles (..., T), N m, same shape."""
+    acceleration = np.zeros_like(angle)
+    acceleration[..., 1:-1] = np.diff(angle, 2, axis=-1) / period_s**2
+    return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))

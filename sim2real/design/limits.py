@@ -70,13 +70,33 @@ class CommandLimits:
     @property
     def reach_rad(self) -> float:
         """Largest distance of a set-point from rest, rad."""
-        low, high = self.ticks
-        rest = round((low + high) / 2)
-        return max(high - rest, rest - low) * self.resolution_rad
+        low, high = np.array(self.ticks) * self.resolution_rad
+        return float(max(high - self.rest_rad, self.rest_rad - low))
 
     def times(self, seconds: float) -> Array:
         """Times of the set-points, s, shape (T,)."""
         return np.asarray(np.arange(round(seconds / self.period_s)) * self.period_s)
+
+    def within(self, commands: Array) -> Array:
+        """Set-points changed as little as needed to keep the limits, shape (N, T).
+
+        They are clipped to the range, held at rest at both ends, rounded to the resolution, and
+        their rate is limited; towards the end the range narrows so that rest is reached in time.
+        """
+        low, high = self.ticks
+        rest, most, T = round((low + high) / 2), self.most_ticks, commands.shape[1]
+        still = round(self.rest_s / self.period_s)
+        until_end = np.maximum(np.arange(T)[::-1] + 1 - still, 0) * most
+        wanted: Integers = np.clip(np.round(commands / self.resolution_rad), low, high).astype(int)
+        lowest, highest = np.maximum(low, rest - until_end), np.minimum(high, rest + until_end)
+        wanted = np.clip(wanted, lowest, highest)
+        wanted[:, :still] = rest
+        limited = np.empty_like(wanted)
+        limited[:, 0] = now = wanted[:, 0]
+        for k in range(1, T):
+            now = now + np.clip(wanted[:, k] - now, -most, most)
+            limited[:, k] = now
+        return np.asarray(limited * self.resolution_rad)
 
 
 def limits_of(robot: Robot, joint: str | None = None) -> CommandLimits:
@@ -152,29 +172,6 @@ def holding(limits: CommandLimits, load: Load, robot: Robot) -> CommandLimits:
         )
         raise InputError(servo.where[0], f"{servo.where[1]}.max_torque_Nm", found, expected)
     return narrowed
-
-
-def within(commands: Array, limits: CommandLimits) -> Array:
-    """Set-points changed as little as needed to keep the limits, shape (N, T).
-
-    They are clipped to the range, held at rest at both ends, rounded to the resolution, and their
-    rate is limited; towards the end the range narrows so that rest is reached in time.
-    """
-    low, high = limits.ticks
-    rest, most = round((low + high) / 2), limits.most_ticks
-    N, T = commands.shape
-    still = round(limits.rest_s / limits.period_s)
-    until_end = np.maximum(np.arange(T)[::-1] + 1 - still, 0) * most
-    steps = np.clip(np.round(commands / limits.resolution_rad), low, high)
-    wanted: Integers = steps.astype(np.int32)
-    wanted = np.clip(wanted, np.maximum(low, rest - until_end), np.minimum(high, rest + until_end))
-    wanted[:, :still] = rest
-    limited = np.empty_like(wanted)
-    limited[:, 0] = now = wanted[:, 0]
-    for k in range(1, T):
-        now = now + np.clip(wanted[:, k] - now, -most, most)
-        limited[:, k] = now
-    return np.asarray(limited * limits.resolution_rad)
 
 
 def _joint(robot: Robot, name: str | None) -> Joint:

@@ -74,7 +74,7 @@ class JointDesign:
         """What is expected, for the JSON file."""
         torque = float(self.precision.rms_torque_Nm.mean())
         determined, expected = self.determined, dict[str, dict[str, Any]]()
-        values = dict(zip(self.prior.names, self.prior.rows[0, self.prior.columns], strict=True))
+        values = dict(zip(self.prior.names, self.prior.values[0], strict=True))
         for name, width in self.expected.items():
             expected[name] = {"relative_half_width": width, "determined": determined[name]}
             if self.origin == MODEL:

@@ -1,41 +1,33 @@
 """Commands that tell rival sets of effects apart: the entropy over sets that a recording leaves.
 
-Each set of effects predicts the angles of a recording, with a covariance for what its parameters,
-fitted to the recordings so far, may still be: y ~ N(m_i, I + U_i U_i'), whitened by the noise (Box
-and Hill, Technometrics 9 (1967) 57-71). Two sets are as far apart as the Bhattacharyya distance
+Each set predicts y ~ N(m_i, I + U_i U_i'), whitened by the noise, with what its parameters, fitted
+to the recordings so far, may still be (Box and Hill, Technometrics 9 (1967) 57-71). Two sets are as
+far apart as the Bhattacharyya distance
 
-    d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j,
+    d_ij = r' S^-1 r / 8 + log(|S| / sqrt(|S_i| |S_j|)) / 2,   S = (S_i + S_j) / 2,  r = m_i - m_j;
 
-in which refitted parameters take up what they can of the difference (Atkinson and Fedorov,
-Biometrika 62 (1975) 57-70). With probabilities p the entropy that remains is at most
-
-    sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
-
-(Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10, with Chernoff's alpha = 1/2). A diagnosis
-fits the noise to what a set leaves: the evidence of n samples against the wrong set is at most
-n/2 log(1 + r'r / n) (Kolmogorov's formula: Brockwell and Davis, Time Series, 1991, section 5.8, and
-Jensen's inequality), which stands for r'r / 2 here. The law of an effect is wrong by a share q of
-its own response, so that a diagnosis trusts a share 1 / (1 + q**2 E) of the evidence
-(``effect_probabilities.trusted_share``), with E half the energy that a refitted plain servo leaves
-of a set's effects, summed over all recordings. Distances are multiplied by its mean over sets.
+with probabilities p the entropy that remains is at most sum_i p_i log(sum_j p_j exp(-d_ij) / p_i)
+(Kolchinsky and Tracey, Entropy 19 (2017) 361, eq. 10). As the noise is fitted, the evidence of n
+samples is at most n/2 log(1 + r'r / n) (Brockwell and Davis, Time Series, 1991, section 5.8), and a
+diagnosis trusts a share of it (``effect_probabilities.trusted_share``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sim2real.arrays import Array, Index
 from sim2real.design.contexts import AS_IT_IS, Context
+from sim2real.design.information import command_trace, load_torque
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.diagnose.screening import NUISANCES
 from sim2real.recording import PER_INERTIA
 from sim2real.servo.batch import Batch, Problems
 from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
-from sim2real.servo.trace import Trace
 
 
 class RivalObjective:
@@ -57,7 +49,7 @@ class RivalObjective:
         known = context.load(rivals) is not PER_INERTIA
         self._torque2 = rms_torque_Nm**2 if known else np.inf
         self.probability = np.array([one.probability for one in rivals.sets])
-        self._expansion = _expansion(rivals)
+        self._theta, self._vectors, self._spreads = _expansion(rivals)
         self._gain = np.array([one.gain for one in rivals.sets])
 
     def __call__(self, commands: Array) -> Array:
@@ -74,27 +66,20 @@ class RivalObjective:
         Inner products of whitened predictions and derivatives, then the most probable set's squared
         torque over the number of samples, N2 m2, and the number of samples of the part.
         """
-        N, theta = len(commands), self._expansion.theta
-        batch = self._batch(commands, threads=2)
-        rows = np.repeat(theta[None], N, axis=0)
+        N, load, batch = len(commands), self.context.load(self.rivals), self._batch(commands)
+        rows = np.repeat(self._theta[None], N, axis=0)
         problems = Problems(np.arange(N, dtype=np.int32), rows, np.ones(rows.shape[:2]))
-        noise = np.repeat(self._noise(batch)[None], N, axis=0)
+        noise, known = np.zeros((N, batch.lags)), self.rivals.autoregression[: batch.lags]
+        noise[:, : known.size] = known
         seen = batch.evaluate(problems, blocks=parts, autoregression=noise, keep=True)
         assert seen.residual is not None
         with np.errstate(over="ignore"):  # of a simulation that diverges
             products = seen.gram.reshape(N, parts, -1) / self.rivals.noise_rad**2
-        square = self._torque(seen.residual[:, 0]) ** 2
+        square = load_torque(load, seen.residual[:, 0], self.rivals.period_s) ** 2
         in_parts = np.array_split(square, parts, axis=1)
         torque2 = np.stack([part.sum(axis=1) for part in in_parts], axis=1) / commands.shape[1]
         count = np.broadcast_to([part.shape[1] for part in in_parts], torque2.shape)
         return np.concatenate([products, torque2[..., None], count[..., None]], axis=2)
-
-    def _torque(self, angle: Array) -> Array:
-        """Torque that moves the load along angles (N, T), N m, same shape."""
-        load = self.context.load(self.rivals)
-        acceleration = np.zeros_like(angle)
-        acceleration[:, 1:-1] = np.diff(angle, 2, axis=1) / self.rivals.period_s**2
-        return np.asarray(load.inertia_kgm2 * acceleration + load.gravity_Nm * np.sin(angle))
 
     def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
         """Scores of N commands from their sums (N, K * K + 2), shape (N,).
@@ -111,77 +96,36 @@ class RivalObjective:
         """Bhattacharyya distances of all pairs of sets, shape (N, M, M); NaN where it diverges."""
         return self._distances(self.statistics(commands, 1)[:, 0])
 
-    def trusted(self, commands: Array) -> Array:
-        """Share of the evidence that a diagnosis is expected to trust, shape (N,)."""
-        statistics = self.statistics(commands, 1)[:, 0]
-        return self._trusted(self._products(statistics), statistics[:, -1])
-
     def _products(self, statistics: Array) -> Array:
-        """Inner products (N, V, V) of what ``_Derivatives.vectors`` combine, from all sums."""
-        vectors = self._expansion.vectors
-        K = len(vectors)
-        return np.asarray(vectors.T @ statistics[:, :-2].reshape(-1, K, K) @ vectors)
+        """Inner products (N, V, V) of what the vectors of ``_expansion`` combine, from sums."""
+        grams = statistics[:, :-2].reshape(-1, len(self._theta), len(self._theta))
+        return np.asarray(self._vectors.T @ grams @ self._vectors)
 
     def _distances(self, statistics: Array) -> Array:
         """Distances (N, M, M) from sums (N, K * K + 2); NaN where a simulation diverged."""
-        M, F = self.probability.size, self._expansion.spreads
+        M, F = self.probability.size, self._spreads
         diverged = np.logical_not(np.all(np.abs(statistics) < 1e14, axis=1))
-        products = self._products(np.where(diverged[:, None], 0.0, statistics))
-        count, used = statistics[:, -1], M * (1 + F)
+        statistics = np.where(diverged[:, None], 0.0, statistics)
+        products, count, used = self._products(statistics), statistics[:, -1], M * (1 + F)
         distance = distances(products[:, :used, :used], M, lambda x: _fitted_noise(x, count))
-        distance = distance * self._trusted(products, count)[:, None, None]
+        distance = distance * self.trusted(statistics)[:, None, None]
         return np.where(diverged[:, None, None], np.nan, distance)
 
-    def _trusted(self, products: Array, count: Array) -> Array:
-        """Share of the evidence that counts, (N,), from inner products (N, V, V)."""
-        M, F = self.probability.size, self._expansion.spreads
+    def trusted(self, statistics: Array) -> Array:
+        """Share of the evidence that a diagnosis trusts, from sums (N, K * K + 2), shape (N,)."""
+        M, F, products = self.probability.size, self._spreads, self._products(statistics)
         bare = M * (1 + F) + np.arange(M)
         plain = np.tile(np.arange(M * (2 + F), products.shape[1]), (M, 1))
         square = _whitened(products, np.arange(M), bare, plain)[0]
-        energy = self._gain + _fitted_noise(square, count) / 2
+        energy = self._gain + _fitted_noise(square, statistics[:, -1]) / 2
         return np.asarray(1 / (1 + DECISION.law_error**2 * energy) @ self.probability)
 
-    def difference(self, command: Array, i: int, j: int) -> Array:
-        """Difference over time of the predictions of sets i and j that refitted parameters leave.
-
-        S^-1 r of the module for set-points (T,) in rad, in standard deviations of the noise, (T,).
-        """
-        theta = self._expansion.theta
-        K = len(theta)
-        batch = self._batch(command[None], threads=1)
-        problems = Problems(np.zeros(K, dtype=np.int32), theta[:, None], np.zeros((K, 1)))
-        noise = np.repeat(self._noise(batch)[None], K, axis=0)
-        seen = batch.evaluate(problems, autoregression=noise, keep=True).whitened
-        assert seen is not None
-        vectors = (seen[:, 0] - seen[0, 0]).T / self.rivals.noise_rad
-        M, F = self.probability.size, self._expansion.spreads
-        means, spreads, _ = np.split(self._expansion.vectors, [M, M * (1 + F)], axis=1)
-        of_set = np.split(spreads, M, axis=1)
-        both = vectors @ np.hstack([of_set[i], of_set[j]])
-        return left_by_refits(vectors @ (means[:, i] - means[:, j]), both)
-
-    def _noise(self, batch: Batch) -> Array:
-        """Coefficients that whiten the noise, at the lags of a batch, shape (lags,)."""
-        noise, known = np.zeros(batch.lags), self.rivals.autoregression[: batch.lags]
-        noise[: known.size] = known
-        return noise
-
-    def _batch(self, commands: Array, threads: int) -> Batch:
+    def _batch(self, commands: Array) -> Batch:
         """The commands as if recorded, with all angles 0."""
-        count = commands.shape[1]
-        plan = Trace(
-            name="next",
-            file="next",
-            t=self.rivals.period_s * np.arange(count, dtype=np.float64),
-            command=np.zeros(count),
-            position=np.zeros(count),
-            load=self.context.load(self.rivals),
-            used=np.ones(count, dtype=bool),
-            supply_ratio=self.context.supply,
-            gain_ratio=self.context.gain,
-        )
+        plan = command_trace(self.context.load(self.rivals), commands[0], self.rivals.period_s)
+        plan = replace(plan, supply_ratio=self.context.supply, gain_ratio=self.context.gain)
         traces = [[replace(plan, command=command)] for command in commands]
-        return Batch(traces, "cpu", threads, period=self.rivals.period_s)
+        return Batch(traces, "cpu", 2, period=self.rivals.period_s)
 
 
 def _whitened(
@@ -203,23 +147,19 @@ def _fitted_noise(square: Array, count: Array) -> Array:
     return np.asarray(count[:, None] * np.log1p(mean))
 
 
-@dataclass(frozen=True)
-class _Derivatives:
-    """Rows to simulate, and how predictions and their spreads follow from them."""
+def _expansion(rivals: JointRivals, *, step: float = 0.05) -> tuple[Array, Array, int]:
+    """Rows to simulate, and how predictions and their spreads follow from them.
 
-    # parameter rows: those of the sets, then one a free parameter, then those of the sets without
-    # their effects, shape (K, P)
-    theta: Array
-    # coefficients of the differences of the rows' angles from those of the first row: the
-    # predictions of the M sets, then for each set its derivatives times a root of the covariance,
-    # padded to F columns, then the M predictions without effects, and the derivatives by the B
-    # parameters of a plain servo times these parameters, shape (K, M + M F + M + B)
-    vectors: Array
-    spreads: int  # F
+    Derivatives by each free parameter are taken at the most probable set that has it.
 
-
-def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
-    """Derivatives by each free parameter, at the most probable set that has it."""
+    Returns:
+        Parameter rows: those of the sets, then one a free parameter, then those of the sets without
+        their effects, shape (K, P); coefficients of the differences of the rows' angles from those
+        of the first row: the predictions of the M sets, then for each set its derivatives times a
+        root of the covariance, padded to F columns, then the M predictions without effects, and the
+        derivatives by the B parameters of a plain servo times these parameters, shape
+        (K, M + M F + M + B); and F.
+    """
     sets, M = rivals.sets, len(rivals.sets)
     free = [_free_columns(one) for one in sets]
     owner: dict[int, int] = {}
@@ -230,7 +170,8 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
     bare = M + len(owner) + np.arange(M)
     K = M + len(owner) + M
     rows = [one.theta for one in sets] + [sets[i].theta for i in owner.values()]
-    theta = np.array(rows + [_without_effects(one) for one in sets])
+    without = [np.where(np.isin(_OWNERS, one.effects), 0.0, one.theta) for one in sets]
+    theta = np.array(rows + without)
     derivatives = np.zeros((K, len(owner)))
     for (column, i), n in zip(owner.items(), place.values(), strict=True):
         at = sets[i].columns.tolist().index(column)
@@ -251,21 +192,17 @@ def _expansion(rivals: JointRivals, *, step: float = 0.05) -> _Derivatives:
         left, size, _ = np.linalg.svd(root, full_matrices=False)
         spread = derivatives[:, [place[column] for column in columns]] @ (left * size)
         vectors[:, M + i * F : M + i * F + len(columns)] = spread
-    return _Derivatives(theta, vectors, F)
+    return theta, vectors, F
 
 
-def _without_effects(one: RivalSet) -> Array:
-    """Parameters of a set's servo without its effects, shape (P,)."""
-    owners = np.array([name.partition(".")[0] for name in COLUMNS])
-    return np.where(np.isin(owners, one.effects), 0.0, one.theta)
+_OWNERS = np.array([name.partition(".")[0] for name in COLUMNS])
+"""Effect of each column of a row."""
 
 
 def _free_columns(one: RivalSet) -> list[int]:
     """Columns of a set's free parameters without waves of the angle that every servo has."""
-    owners = [COLUMNS[column].partition(".")[0] for column in one.columns]
     alike = {effect.name for effect in NUISANCES} - set(one.effects)
-    pairs = zip(one.columns.tolist(), owners, strict=True)
-    return [column for column, owner in pairs if owner not in alike]
+    return [column for column in one.columns.tolist() if _OWNERS[column] not in alike]
 
 
 def _root(precision: Array) -> Array:
@@ -292,16 +229,6 @@ def distances(products: Array, M: int, evidence: Callable[[Array], Array] = np.a
     out = np.zeros((len(products), M, M))
     out[:, i, j] = np.maximum(distance, 0.0)
     return np.asarray(out + out.transpose(0, 2, 1))
-
-
-def left_by_refits(difference: Array, spreads: Array) -> Array:
-    """The part S^-1 r of a difference of two whitened predictions (n,) that refits leave, (n,).
-
-    ``spreads`` has the columns U_i and U_j of both sets, shape (n, 2 F).
-    """
-    both = spreads / np.sqrt(2)
-    inner = np.eye(both.shape[1]) + both.T @ both
-    return np.asarray(difference - both @ np.linalg.solve(inner, both.T @ difference))
 
 
 def remaining_entropy(probability: Array, distances: Array) -> Array:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from sim2real.arrays import Array
-from sim2real.design.limits import CommandLimits, within
+from sim2real.design.limits import CommandLimits
 
 Family = Callable[[np.random.Generator, Array, float], Array]
 """A function of the generator, the times (T,) in s from 0 and the highest frequency in Hz, which
@@ -25,6 +25,10 @@ returns a signal of about -1 to 1, shape (T,)."""
 HIGHEST_HZ = 8.0
 """Highest frequency of the commands; natural frequencies of servos are mostly below it."""
 SLOWEST_HZ = 0.1
+_PART_S = 2.0
+"""Length of the parts of commands that are exchanged, s."""
+_ELITE = 8
+"""Number of the best commands that are varied."""
 
 
 def multisine(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
@@ -35,19 +39,6 @@ def multisine(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     size = frequency ** -rng.uniform(0.0, 1.5)
     phase = 2 * np.pi * (np.outer(frequency, t) + rng.random((count, 1)))
     return _scaled(size @ np.sin(phase), rng)
-
-
-def fourier(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
-    """A periodic Fourier series with random coefficients, of several periods.
-
-    Source: Swevers et al., IEEE Trans. Robot. Autom. 13 (1997) 730-740.
-    """
-    base = float(_log_uniform(rng, SLOWEST_HZ, 1.0, 1)[0])
-    count = min(int(rng.integers(3, 13)), max(int(highest_hz / base), 1))
-    harmonic = np.arange(1, count + 1)
-    angle = 2 * np.pi * base * np.outer(harmonic, t)
-    a, b = rng.standard_normal((2, count)) / harmonic ** rng.uniform(0.0, 1.0)
-    return _scaled(a @ np.sin(angle) + b @ np.cos(angle), rng)
 
 
 def chirp(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
@@ -69,14 +60,6 @@ def holds(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     return np.asarray((side * size)[place])
 
 
-def binary(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
-    """Alternates between two levels after random times."""
-    shortest, longest = np.sort(_log_uniform(rng, 0.5 / highest_hz, 1.0, 2))
-    levels, place = _intervals(rng, t, shortest, longest)
-    size = rng.choice([1.0, rng.uniform(0.3, 1.0)], levels)
-    return np.asarray((np.where(np.arange(levels) % 2, -1.0, 1.0) * size)[place])
-
-
 def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     """A cubic spline through random knots."""
     spacing = float(_log_uniform(rng, 0.5 / highest_hz, 0.6, 1)[0])
@@ -85,7 +68,7 @@ def spline(rng: np.random.Generator, t: Array, highest_hz: float) -> Array:
     return _scaled(make_interp_spline(knots, np.sign(size) * np.abs(size) ** 0.5)(t), rng)
 
 
-FAMILIES: tuple[Family, ...] = (multisine, fourier, chirp, holds, binary, spline)
+FAMILIES: tuple[Family, ...] = (multisine, chirp, holds, spline)
 
 
 def draw(
@@ -104,7 +87,7 @@ def draw(
     t = limits.times(seconds)
     size = limits.reach_rad * rng.uniform(0.4, 1.1, (count, 1))
     shapes = [_shape(rng, t, k, mixed, highest_hz) for k in range(count)]
-    return within(limits.rest_rad + size * np.array(shapes), limits)
+    return limits.within(limits.rest_rad + size * np.array(shapes))
 
 
 def _shape(rng: np.random.Generator, t: Array, k: int, mixed: float, highest_hz: float) -> Array:
@@ -136,25 +119,11 @@ def _scaled(wave: Array, rng: np.random.Generator) -> Array:
     return np.asarray(wave / np.abs(wave).max() * rng.choice([1.0, 1.5, 3.0]))
 
 
-Objective = Callable[[Array], Array]
-"""A function of commands (N, T) in rad that returns their scores (N,); larger is better, and
--inf excludes a command."""
 Limits = Any
 """``CommandLimits`` of one joint, or limits of several with the same attributes."""
 Draw = Callable[[np.random.Generator, int, Limits, float], Array]
 """A function of a generator, a number N, limits and a duration in s that returns random commands
 within the limits, shape (N, T), or (N, T, J) of several joints."""
-
-
-@runtime_checkable
-class Additive(Protocol):
-    """An objective that depends on sums over time."""
-
-    def statistics(self, commands: Array, parts: int) -> Array:
-        """Sums over equal parts of commands (N, T), shape (N, parts, K)."""
-
-    def scores(self, statistics: Array) -> Array:
-        """Scores (N,) of commands whose parts have these sums (N, K) together."""
 
 
 @dataclass(frozen=True)
@@ -163,23 +132,19 @@ class SearchResult:
 
     command: Array  # the best command in rad, shape (T,), or (T, J) of several joints
     score: float
-    scores: tuple[float, ...]  # best score after each batch
     evaluated: int  # number of commands that were evaluated
 
 
 def best(
-    objective: Objective,
+    objective: Any,  # noqa: ANN401 - see below
     limits: Limits,
     seconds: float,
     *,
     rng: np.random.Generator,
     draw: Draw = draw,
-    within: Callable[[Array, Limits], Array] = within,
     drawn: int = 256,
     rounds: int = 8,
     batch: int = 32,
-    elite: int = 8,
-    part_s: float = 2.0,
     assemblies: int = 8,
     start: Array | None = None,
     progress: Callable[[float], None] = lambda share: None,
@@ -187,63 +152,56 @@ def best(
     """The command with the highest score among random ones, assemblies of their parts, variations.
 
     Args:
-        objective: Scores of commands (N, T), or (N, T, J) of several joints; if it is
-            ``Additive``, parts are exchanged.
+        objective: A function of commands (N, T), or (N, T, J) of several joints, in rad that
+            returns their scores (N,); -inf excludes a command. If it depends on sums over time,
+            ``statistics`` returns these for equal parts of commands, shape (N, parts, K), and
+            ``scores`` the scores of sums (N, K); then parts are exchanged.
         limits: Limits of the commands.
         seconds: Duration, s.
         rng: Random number generator.
         draw: Draws commands.
-        within: Changes commands as little as needed to keep the limits.
         drawn: Number of random commands of the first stage.
         rounds: Number of batches of variations.
         batch: Number of commands that are evaluated together.
-        elite: Number of the best commands that are varied.
-        part_s: Length of the parts that are exchanged, s.
         assemblies: Number of the best commands whose parts are exchanged.
         start: Commands (M, T) that are evaluated in addition to the random ones.
         progress: Called with the share that is done.
     """
     pool = draw(rng, drawn, limits, seconds)
     if start is not None:
-        pool = np.concatenate([within(start, limits), pool])
+        pool = np.concatenate([limits.within(start), pool])
     batches = np.array_split(pool, max(1, -(-len(pool) // batch)))
     total, evaluated = len(batches) + rounds + 1, len(pool)
-    additive = objective if isinstance(objective, Additive) else None
-    parts = max(round(seconds / part_s), 1)
+    additive = hasattr(objective, "statistics")
     scores: list[Array] = []
     sums: list[Array] = []
     for k, some in enumerate(batches):
-        if additive is None:
-            scores.append(objective(some))
-        else:
-            sums.append(additive.statistics(some, parts))
-            scores.append(additive.scores(sums[-1].sum(axis=1)))
+        if additive:
+            sums.append(objective.statistics(some, max(round(seconds / _PART_S), 1)))
+        scores.append(objective.scores(sums[-1].sum(axis=1)) if additive else objective(some))
         progress((k + 1) / total)
     score = np.concatenate(scores)
-    history = [float(score.max())]
     finite = np.isfinite(score)  # parts of simulations that diverge are not exchanged
-    if additive is not None and finite.any():
+    if additive and finite.any():
         simulated = pool[finite], np.concatenate(sums)[finite], score[finite]
-        assembled = within(_assembled(additive, *simulated, rng, copies=assemblies), limits)
+        assembled = limits.within(_assembled(objective, *simulated, rng, copies=assemblies))
         pool, score = np.vstack([pool, assembled]), np.append(score, objective(assembled))
         evaluated += len(assembled)
-        history.append(float(score.max()))
     for k in range(rounds):
-        order = np.argsort(-score)[:elite]
+        order = np.argsort(-score)[:_ELITE]
         pool, score = pool[order], score[order]
         parents = np.minimum(rng.geometric(0.35, batch) - 1, len(pool) - 1)
         varied = [_varied(pool[p], pool, limits, rng, draw) for p in parents]
-        kept = within(np.array(varied), limits)
+        kept = limits.within(np.array(varied))
         pool, score = np.concatenate([pool, kept]), np.append(score, objective(kept))
         evaluated += batch
-        history.append(float(score.max()))
         progress((len(batches) + 2 + k) / total)
     first = int(np.argmax(score))
-    return SearchResult(pool[first], float(score[first]), tuple(history), evaluated)
+    return SearchResult(pool[first], float(score[first]), evaluated)
 
 
 def _assembled(
-    objective: Additive,
+    objective: Any,  # noqa: ANN401 - as of ``best``
     pool: Array,
     sums: Array,
     score: Array,

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from itertools import count as counter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS, Context
-from sim2real.design.limits import CommandLimits, check_seconds, holding, limits_of
+from sim2real.design.limits import check_seconds, holding, limits_of
 from sim2real.design.plan import next_recording
 from sim2real.design.rivals import RivalObjective, remaining_entropy
 from sim2real.design.search import SearchResult, best
@@ -27,47 +27,48 @@ from sim2real.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Advance = Callable[[float], None]
-OPEN = 0.05
+_OPEN = 0.05
 """Probability from which a set of effects is one of several that remain."""
 _LISTED = 6
 """Pairs of sets of a joint that are listed."""
 
 
-class SetObjective(Protocol):
-    """What commands tell of sets of effects, as ``forecast`` states it."""
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a recording that tells rival sets apart."""
+
+    seconds: float = 30.0  # its duration
+    # whether to go on where one set of effects is left: then the commands are to show effects that
+    # the recordings so far would have left hidden
+    again: bool = False
+    seed: int = 0  # of the search
+    file: str | os.PathLike[str] = "diagnosis"  # that the sets come from, for messages
+    progress: Callable[[float], None] = lambda share: None  # called with the share that is done
 
     @property
-    def rivals(self) -> OpenSets:
-        """The sets."""
+    def least(self) -> float:
+        """Probability from which a set counts as open."""
+        return 0.0 if self.again else _OPEN
 
-    @property
-    def probability(self) -> Array:
-        """Their probabilities, shape (M,)."""
-
-    def distances(self, commands: Array) -> Array:
-        """Bhattacharyya distances of all pairs of sets, shape (N, M, M)."""
-
-    def difference(self, command: Array, i: int, j: int) -> Array:
-        """Difference over time of two sets' predictions that refitted parameters leave, (T,)."""
+    def leaves_open(self, rivals: OpenSets) -> bool:
+        """Whether several sets count as open."""
+        return sum(one.probability >= self.least for one in rivals.sets) > 1
 
 
 @dataclass(frozen=True)
 class ExpectedSeparation:
     """Two rival sets of effects, and how surely the recording is expected to tell them apart."""
 
-    component: str  # the joint or the body
     first: tuple[str, ...]  # effects of the more probable set
     second: tuple[str, ...]  # effects of the other
-    probability: tuple[float, float]
     distance: float  # Bhattacharyya distance of their predictions
     expected: float
     """Probability that the evidence will favour the true one of both, Phi(sqrt(2 distance)) for
     predictions of equal covariance."""
 
     def __str__(self) -> str:
-        """The sets, and the expected probability of distinguishing them."""
-        return f"{self.component}: {task(self.first, self.second)} with {self.expected:.2f}"
+        """How the sets differ, and the expected probability of distinguishing them."""
+        return f"{task(self.first, self.second)} with {self.expected:.2f}"
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,6 @@ class JointForecast:
     remaining: float  # entropy that is expected to remain, nats
     command: Array  # the set-points, rad, shape (T,), or (T, J) of all joints for the body
     pairs: tuple[ExpectedSeparation, ...]  # all pairs of sets, those that matter most first
-    # for each of the first few pairs the whitened difference of predictions over time that refitted
-    # parameters leave, in standard deviations of the noise, (pairs, T)
-    differences: Array
 
     def content(self) -> dict[str, Any]:
         """An entry of ``rivals`` in the recording's JSON."""
@@ -90,15 +88,7 @@ class JointForecast:
             "entropy_before_nats": self.entropy,
             "entropy_after_nats": self.remaining,
             "sets": [one.content() for one in self.rivals.sets],
-            "pairs": [
-                {
-                    "first": list(pair.first),
-                    "second": list(pair.second),
-                    "distance": pair.distance,
-                    "expected": pair.expected,
-                }
-                for pair in self.pairs
-            ],
+            "pairs": [asdict(pair) for pair in self.pairs],
         }
 
 
@@ -108,7 +98,7 @@ class RivalDesign(NotebookDisplay):
 
     context: Context  # what to change besides the commands
     joints: tuple[JointForecast, ...]  # what it is expected to tell, joint by joint
-    least: float = OPEN  # probability from which a set counts as open
+    least: float = _OPEN  # probability from which a set counts as open
     # as returned by ``sim2real.output.provenance``
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -135,7 +125,7 @@ class RivalDesign(NotebookDisplay):
         }
 
     def plot(self, joint: str | None = None) -> Figure:
-        """Commands of one joint, and over time the differences of what its rival sets predict."""
+        """Commands of one joint."""
         by_name = {one.rivals.component: one for one in self.joints}
         chosen = self.joints[0] if joint is None else by_name[joint]
         figure: Figure = from_report("design_plot.rivals_figure")(chosen)
@@ -149,43 +139,47 @@ class RivalDesign(NotebookDisplay):
     @property
     def informative(self) -> bool:
         """Whether some pair of open sets is expected to be distinguished."""
-        return any(pair.expected >= SEPARATED for pair in self._open())
+        return self._best()[1].expected >= SEPARATED
 
-    def _open(self) -> list[ExpectedSeparation]:
-        pairs = [pair for joint in self.joints for pair in joint.pairs]
-        return [pair for pair in pairs if min(pair.probability) >= self.least]
+    def _best(self) -> tuple[str, ExpectedSeparation]:
+        """The pair of open sets that is told apart best, and its component."""
+        pairs = []
+        for joint in self.joints:
+            open_sets = {x.effects for x in joint.rivals.sets if x.probability >= self.least}
+            pairs += [
+                (joint.rivals.component, pair)
+                for pair in joint.pairs
+                if open_sets.issuperset((pair.first, pair.second))
+            ]
+        return max(pairs, key=lambda pair: pair[1].expected)
 
     def __str__(self) -> str:
         """What is expected, one line a joint and one a pair."""
         if not self.informative:
-            best = max(self._open(), key=lambda pair: pair.expected)
+            component, best = self._best()
             return (
                 "Nothing more can be distinguished within these limits: no command that was tried "
-                f"separates two sets with {SEPARATED:g}. The best: {best}."
+                f"separates two sets with {SEPARATED:g}. The best: {component}: {best}."
             )
         lines = [self.setting]
         for joint in self.joints:
-            before, after = np.exp([joint.entropy, joint.remaining])
+            component, before = joint.rivals.component, np.exp(joint.entropy)
             lines.append(
-                f"{joint.rivals.component}: {before:.1f} equally probable sets of effects are "
-                f"expected to become {after:.1f}"
+                f"{component}: {before:.1f} equally probable sets of effects are expected to "
+                f"become {np.exp(joint.remaining):.1f}"
             )
-            lines += [f"  {pair}" for pair in joint.pairs[:_LISTED]]
+            lines += [f"  {component}: {pair}" for pair in joint.pairs[:_LISTED]]
         return "\n".join(lines)
 
 
 def design_for_rivals(
     rivals: Sequence[JointRivals],
     robot: Robot,
-    *,
+    request: Request,
     contexts: Sequence[Context] = (),
-    seconds: float = 30.0,
-    again: bool = False,
-    seed: int = 0,
-    file: str | os.PathLike[str] = "diagnosis",
+    *,
     samples: float = 6e5,
     change_gain: float = 0.02,
-    progress: Advance = lambda share: None,
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
 
@@ -195,34 +189,30 @@ def design_for_rivals(
     Args:
         rivals: The sets that are open, by joint.
         robot: The robot, for the limits of its commands.
+        request: Duration, seed, and which sets count.
         contexts: Contexts that are to be had besides the bench as it is.
-        seconds: Duration of the recording, s.
-        again: Whether to go on where one set of effects is left: then the commands are to show
-            effects that the recordings so far would have left hidden.
-        seed: Seed of the search.
-        file: The file that the sets come from, for messages.
         samples: Number of set-points that are simulated for a joint, over all commands: a third of
             them for random commands, in all contexts, the rest for variations of the best.
         change_gain: Entropy in nats that a change of context must save to be asked for.
-        progress: Called with the share that is done.
 
     Raises:
         InputError: If no joint has several sets that are probable, the robot lacks one of these
             joints, or its limits allow no command.
     """
-    least = 0.0 if again else OPEN
-    rivals = [one for one in rivals if sum(x.probability >= least for x in one.sets) > 1]
+    rivals = [one for one in rivals if request.leaves_open(one)]
     if not rivals:
         none = "no joint with several probable sets of effects"
-        raise InputError(file, "rival_sets", none, "a diagnosis that leaves some open")
-    _check_joints(rivals, contexts, robot, file)
-    rng = np.random.default_rng(seed)
-    offered = [AS_IT_IS, *contexts]
-    limits = {one.component: _limits(robot, one, seconds) for one in rivals}
-    for context in contexts:
-        for name in context.loads.keys() & limits.keys():
-            limits[name] = holding(limits[name], context.loads[name], robot)
-    count = max(limits[one.component].times(seconds).size for one in rivals)
+        raise InputError(request.file, "rival_sets", none, "a diagnosis that leaves some open")
+    _check_joints(rivals, contexts, robot, request.file)
+    seconds, offered, limits = request.seconds, [AS_IT_IS, *contexts], {}
+    for one in rivals:
+        own = replace(limits_of(robot, one.component), period_s=one.period_s)
+        check_seconds(seconds, own)
+        for context in contexts:
+            if one.component in context.loads:
+                own = holding(own, context.loads[one.component], robot)
+        limits[one.component] = own
+    count = max(own.times(seconds).size for own in limits.values())
     commands = int(np.clip(samples / count, 64, 800))
     few = max(commands // 3 // len(offered), 16)
     stages, done = len(rivals) * (len(offered) + 1), counter()
@@ -230,11 +220,13 @@ def design_for_rivals(
     def found(one: JointRivals, context: Context, **options: Any) -> tuple[Any, SearchResult]:  # noqa: ANN401
         """The objective and the best commands of a joint; two commands' parts are exchanged."""
         k, own = next(done), limits[one.component]
+        # the same random commands in every context
+        rng = np.random.default_rng([request.seed, list(limits).index(one.component)])
         objective = RivalObjective(one, context, rms_torque_Nm=own.rms_torque_Nm)
         # eight assemblies took 37 s and two 16 s on the bench that was measured, for the same
         return objective, best(
             objective, own, seconds, rng=rng, drawn=few, assemblies=2,
-            progress=lambda share: progress((k + share) / stages), **options,
+            progress=lambda share: request.progress((k + share) / stages), **options,
         )  # fmt: skip
 
     looks = [
@@ -249,7 +241,7 @@ def design_for_rivals(
         start = first.command[None]
         objective, last = found(one, offered[k], rounds=commands // 2 // 32, start=start)
         joints.append(forecast(objective, last.command))
-    return RivalDesign(offered[k], tuple(joints), least)
+    return RivalDesign(offered[k], tuple(joints), request.least)
 
 
 def _check_joints(
@@ -271,43 +263,28 @@ def _check_joints(
 
 
 def forecast(
-    objective: SetObjective, command: Array, *, achieved: float = 0.4, drawn_pairs: int = 3
+    objective: Any,  # noqa: ANN401 - of servos or of a swim
+    command: Array,
+    *,
+    achieved: float = 0.4,
 ) -> JointForecast:
     """What a command (T,), or (T, J) of the body, is expected to tell of a joint or of the body.
 
-    ``achieved`` is the share of the computed reduction of entropy that is expected of a recording:
-    the computation assumes that one of the sets is the full truth. That of servos is from a
-    regression over 65 development benches (``reports/design/rivals.md``).
+    ``objective`` has the sets (``rivals``), their ``probability`` (M,), and the Bhattacharyya
+    ``distances`` (N, M, M) that commands put between them. ``achieved`` is the share of the
+    computed reduction of entropy that is expected of a recording: the computation assumes that one
+    of the sets is the full truth. That of servos is from a regression over 65 development benches
+    (``reports/design/rivals.md``).
     """
-    rivals, p = objective.rivals, objective.probability
-    distances = objective.distances(command[None])
-    places = list(combinations(range(len(rivals.sets)), 2))
+    p, distances = objective.probability, objective.distances(command[None])
+    sets = [one.effects for one in objective.rivals.sets]
+    places = list(combinations(range(len(sets)), 2))
     places.sort(key=lambda pair: -p[pair[0]] * p[pair[1]])
-    pairs = [
-        ExpectedSeparation(
-            rivals.component,
-            rivals.sets[i].effects,
-            rivals.sets[j].effects,
-            (float(p[i]), float(p[j])),
-            float(distances[0, i, j]),
-            float(ndtr(np.sqrt(2 * distances[0, i, j]))),
-        )
-        for i, j in places
-    ]
-    before, bound = entropy(p), float(remaining_entropy(p, distances)[0])
-    return JointForecast(
-        rivals,
-        before,
-        before - achieved * (before - bound),
-        command,
-        tuple(pairs),
-        np.array([objective.difference(command, i, j) for i, j in places[:drawn_pairs]]),
+    apart = [(i, j, float(distances[0, i, j])) for i, j in places]
+    pairs = tuple(
+        ExpectedSeparation(sets[i], sets[j], distance, float(ndtr(np.sqrt(2 * distance))))
+        for i, j, distance in apart
     )
-
-
-def _limits(robot: Robot, rivals: JointRivals, seconds: float) -> CommandLimits:
-    """Limits of the commands of a joint, at the period of the recordings so far."""
-    limits = limits_of(robot, rivals.component)
-    limits = replace(limits, period_s=rivals.period_s)
-    check_seconds(seconds, limits)
-    return limits
+    before, bound = entropy(p), float(remaining_entropy(p, distances)[0])
+    remaining = before - achieved * (before - bound)
+    return JointForecast(objective.rivals, before, remaining, command, pairs)

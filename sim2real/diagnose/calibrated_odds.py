@@ -175,7 +175,7 @@ def judged(finding: Finding, unseen: Errors, *, link_probability: float = 0.0) -
     ]
     coarse = [g for g in finding.groups if g.members == (ROUNDING,)]
     if finding.link is not None:
-        groups.append(Group((finding.link.effect,), stated(link_probability), 1.0))
+        groups.append(Group((finding.link.effect,), stated(link_probability)))
     probable = [g for g in groups if g.probability >= DECISION.named]
     matters = [g for g in probable if finding.changes(unseen, g.members[0]) >= DECISION.negligible]
     mismatch = ODDS["mismatch"].probability(whole) >= DECISION.mismatch_probability

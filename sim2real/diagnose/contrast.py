@@ -2,51 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION
-from sim2real.diagnose.explained import DIFFERENCE, GAINS, Explained
-from sim2real.diagnose.screening import candidate, candidates
+from sim2real.diagnose.explained import GAINS, Explained, simulated
+from sim2real.diagnose.screening import candidates
 from sim2real.effects import named
+from sim2real.identification.priors import gains, of_effects
+from sim2real.identification.problem import ServoProblem
+from sim2real.identification.search import search
 from sim2real.inference.evidence import student
-from sim2real.inference.least_squares import Expansion, expansion, minimise, stacked
 from sim2real.servo.parameters import COLUMNS
-from sim2real.structured import Fields, read_json
+from sim2real.servo.trace import Trace
+from sim2real.structured import read_json
 
 BANK = Path(__file__).with_name("unchanged.json")
-
-
-@dataclass(frozen=True)
-class Unchanged:
-    """What recordings look like in which nothing has changed, by the way they are explained."""
-
-    known: float  # how many of them there are
-    # null size of each effect, mean squares over the references' residual
-    null: Mapping[str, float]
-    jump: float  # largest step of the residual, over the references', that is no sign of anything
-
-
-def _read_bank() -> dict[str, Unchanged]:
-    ways = Fields(BANK, "", read_json(BANK, "sim2real.unchanged/1")).table("ways")
-    entries = {way: ways.table(way) for way in ways.content}
-    nulls = {way: entry.table("null") for way, entry in entries.items()}
-    return {
-        way: Unchanged(
-            entry.number("known"),
-            {name: nulls[way].number(name) for name in nulls[way].content},
-            entry.number("jump"),
-        )
-        for way, entry in entries.items()
-    }
-
-
-BANKS = _read_bank()
-"""Recordings in which nothing has changed, as ``benchmarks/unchanged_bank.py`` found them."""
+BANKS = read_json(BANK, "sim2real.unchanged/1")["ways"]
+"""What recordings look like in which nothing has changed, by the way they are explained, as
+``benchmarks/unchanged_bank.py`` found them: ``known``, how many there are; ``null``, for each
+effect the mean square that it takes away, over the references' residual; ``jump``, the largest step
+of the residual, over the references', that is no sign of anything."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +37,7 @@ class Directions:
     names: tuple[str, ...]  # effect or parameter of each, of which there are K
     rows: Array  # the servo with it, shape (K, P)
     signed: Mask  # whether it means something backwards, too, shape (K,)
-    moved: tuple[Array, ...]  # how it moves the angles of each recording, (K, T) each
+    moved: Array  # how it moves the angles of all recordings, shape (K, n)
 
 
 def directions(of: Explained) -> Directions:
@@ -74,15 +55,14 @@ def directions(of: Explained) -> Directions:
             rows.append(of.row.copy())
             rows[-1][option.columns] = start
             names.append(option.effect.name)
-    table = np.array(rows)
-    angles = of.simulated(table, range(len(of.traces)))
-    moved = tuple(np.nan_to_num(a[1:] - a[:1]) for a in angles)
+    angles = simulated(of.traces, np.array(rows), of.row)
     signed = np.array([n in GAINS or named(n).either_sign for n in names])
-    return Directions(tuple(names), table[1:], signed, moved)
+    moved = np.nan_to_num(angles[1:] - angles[:1])
+    return Directions(tuple(names), np.array(rows[1:]), signed, moved)
 
 
-def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array, Array, Array]:
-    """Free each direction in the recordings ``own`` only, what the law shares in all.
+def first_look(of: Explained, by: Directions, own: Mask) -> tuple[Array, Array, Array]:
+    """Free each direction at the samples ``own`` (n,) only, what the law shares in all.
 
     Least squares, linear in all parameters, one variance for all recordings. Where it is free in
     references, the case is left out: what changed there is nothing that references leave.
@@ -91,35 +71,23 @@ def first_look(of: Explained, by: Directions, own: Sequence[int]) -> tuple[Array
         What it takes away from them, as a mean square in rad2, its size in multiples of the start,
         and the mean square that is left of them, each of shape (K,).
     """
-    K, F = len(by.names), of.precision.shape[0]
-    normal, slope = of.variance * of.precision, np.zeros(F)
-    cross, along, square = np.zeros((F, K)), np.zeros(K), np.zeros(K)
-    for r in {*range(of.references), *own}:
-        seen = of.seen(r)
-        J, e = of.shared[r][seen], of.residuals[r][seen]
-        normal = normal + J.T @ J
-        slope = slope + J.T @ e
-        if r in own:
-            D = by.moved[r][:, seen]
-            cross += J.T @ D.T
-            along += D @ e
-            square += (D**2).sum(axis=1)
-    count = of.count(own)
-    if not count:
-        return np.zeros(K), np.zeros(K), np.zeros(K)
-    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) if F else normal
-    along = along - cross.T @ (inverse @ slope)
+    every = own | ~of.case
+    J, e = of.shared[every], of.residual[every]
+    inverse = np.linalg.pinv(of.variance * of.precision + J.T @ J, rcond=1e-12, hermitian=True)
+    slope = J.T @ e
+    D, J, e = by.moved[:, own], of.shared[own], of.residual[own]
+    if not e.size:
+        none = np.zeros(len(by.names))
+        return none, none, none
+    cross, square = J.T @ D.T, (D**2).sum(axis=1)
+    along = D @ e - cross.T @ (inverse @ slope)
     free = square - np.einsum("fk,fg,gk->k", cross, inverse, cross)
     visible = free > 1e-6 * square + 1e-30
     size = np.where(visible, along / np.where(visible, free, 1.0), 0.0)
     size[(size < 0) & ~by.signed] = 0.0
     law = inverse @ (slope[:, None] - cross * size)
-    remaining = np.zeros(K)
-    for r in own:
-        seen = of.seen(r)
-        error = of.residuals[r][seen][:, None] - of.shared[r][seen] @ law
-        remaining += ((error - by.moved[r][:, seen].T * size) ** 2).sum(axis=0)
-    return np.where(visible, size * along, 0.0) / count, size, remaining / count
+    remaining = ((e[:, None] - J @ law - D.T * size) ** 2).mean(axis=0)
+    return np.where(visible, size * along, 0.0) / e.size, size, remaining
 
 
 @dataclass(frozen=True)
@@ -136,6 +104,12 @@ class Contrast:
     known: tuple[float, float]  # unchanged recordings behind the null sizes, of the bank and in all
     scale2: float  # mean square residual of the references
     law: bool = False  # whether these are explained by a law, which may fit few of them too well
+
+    def __getitem__(self, order: Index) -> Contrast:
+        """Some of the changes."""
+        arrays = {k: x for k, x in vars(self).items() if isinstance(x, np.ndarray)}
+        parts: dict[str, Any] = {k: x[order] for k, x in arrays.items()}
+        return replace(self, effects=tuple(self.effects[k] for k in order), **parts)
 
     @property
     def null(self) -> Array:
@@ -162,19 +136,20 @@ class Contrast:
 
 def contrast(of: Explained, by: Directions) -> Contrast:
     """Weigh a change of each effect against none, to first order."""
-    unchanged = BANKS[of.way]
+    bank = BANKS[of.way]
     names = tuple(dict.fromkeys(by.names))
     place = [np.flatnonzero([n == name for n in by.names]) for name in names]
     gone, size, remaining = first_look(of, by, of.case)
     # Of several starts that which needs no far extrapolation.
     near = gone / np.maximum(np.abs(size) / straight(of), 1.0) ** 2
     best = np.array([mine[np.argmax(near[mine])] for mine in place])
-    seen = [r for r in range(of.references) if of.seen(r).any()]
-    middle = float(np.median(list(unchanged.null.values())))
-    usual = np.array([unchanged.null.get(name, middle) for name in names])
+    seen = [mine for r in range(of.references) if (mine := of.recording == r).any()]
+    middle = float(np.median(list(bank["null"].values())))
+    usual = np.array([bank["null"].get(name, middle) for name in names])
     if of.way == "repeat":
-        usual *= np.mean([at_any_time(of.residuals[r], by.moved[r][best]) for r in seen], axis=0)
-    looks = [first_look(of, by, [r])[0] for r in seen]
+        shares = [at_any_time(of.residual[mine], by.moved[best][:, mine]) for mine in seen]
+        usual *= np.mean(shares, axis=0)
+    looks = [first_look(of, by, mine)[0] for mine in seen]
     return Contrast(
         effects=names,
         gone=gone[best],
@@ -183,7 +158,7 @@ def contrast(of: Explained, by: Directions) -> Contrast:
         rows=of.row + (by.rows[best] - of.row) * np.clip(size[best], -1, 1)[:, None],
         usual=usual,
         in_references=np.array([sum(float(x[mine].max()) for x in looks) for mine in place]),
-        known=(unchanged.known, unchanged.known + len(seen)),
+        known=(bank["known"], bank["known"] + len(seen)),
         scale2=of.scale2,
         law=of.way == "law",
     )
@@ -206,54 +181,41 @@ def unit(law: bool, scale2: float, remaining: Array) -> Array:
 def at_any_time(residual: Array, moved: Array) -> Array:
     """Share of a reference's residual (T,) that directions (N, T) take away at a random time, (N,).
 
-    The mean over all times, by the theorem of Wiener and Khinchin. NaN are not looked at.
+    The mean over all times, by the theorem of Wiener and Khinchin.
     """
-    seen = np.isfinite(residual)
-    shown = np.where(seen, residual, 0.0), np.where(seen, moved, 0.0)
-    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in shown)
+    power, other = (np.abs(np.fft.fft(x)) ** 2 for x in (residual, moved))
     weight = power.sum() * other.sum(axis=1)
     share = np.ones(len(moved))
     np.divide(other @ power, weight, out=share, where=weight > 0)
     return share
 
 
-def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], tuple[Array, float]]:
-    """Each pair of effects as the case is explained best, to first order, the best pair first.
+def first_pairs(of: Explained, by: Directions) -> dict[frozenset[str], Array]:
+    """The servo (P,) with each pair of effects that explains the case, to first order, best first.
 
     By least squares; no law shares anything.
-
-    Returns:
-        For each pair the servo with it, shape (P,), and the mean square that it leaves, rad2;
-        infinite where one lies farther than its start, as no straight line leads there.
     """
-    seen = np.concatenate([of.seen(r) for r in of.case])
-    e = np.concatenate([of.residuals[r] for r in of.case])[seen]
-    D = np.concatenate([by.moved[r] for r in of.case], axis=1)[:, seen]
+    e, D = of.residual[of.case], by.moved[:, of.case]
     gram, along = D @ D.T, D @ e
     square = np.diag(gram)
-    free = square[:, None] * square - gram**2
-    visible = free > 1e-6 * square[:, None] * square
+    both = np.outer(square, square)
+    free = both - gram**2
     size = along[:, None] * square - along * gram  # of the first of two, times ``free``
-    size = np.divide(size, free, out=np.zeros_like(size), where=visible)
+    size = np.divide(size, free, out=np.zeros_like(size), where=free > 1e-6 * both)
     gone = size * along[:, None]
-    gone = gone + gone.T
-    wrong = (size < 0) & ~by.signed[:, None]
-    plain = np.isin(by.names, GAINS)
-    gone[wrong | wrong.T | ~visible | plain[:, None] | plain] = 0.0
-    far = np.abs(size) > 1
-    remaining = np.where(far | far.T, np.inf, np.maximum(e @ e - gone, 0.0) / max(e.size, 1))
-    pairs: dict[frozenset[str], tuple[Array, float]] = {}
+    gone += gone.T
+    never = (size < 0) & ~by.signed[:, None] | np.isin(by.names, GAINS)
+    gone[never | never.T] = 0.0
+    pairs: dict[frozenset[str], Array] = {}
     for i, j in zip(*np.unravel_index(np.argsort(-gone, axis=None), gone.shape), strict=True):
         pair = frozenset((by.names[i], by.names[j]))
         if gone[i, j] > 0 and len(pair) == 2 and pair not in pairs:
             more = size[i, j] * (by.rows[i] - of.row) + size[j, i] * (by.rows[j] - of.row)
-            pairs[pair] = of.row + more, float(remaining[i, j])
+            pairs[pair] = of.row + more
     return pairs
 
 
-def fitted(
-    of: Explained, effects: Sequence[str], starts: Sequence[Array], *, evaluations: int = 40
-) -> tuple[Array, float]:
+def fitted(of: Explained, effects: Sequence[str], starts: Sequence[Array]) -> tuple[Array, float]:
     """Fit effects, or parameters of the plain servo, to the case; the servo itself stays.
 
     ``starts`` are servos to start from, shape (P,) each.
@@ -261,44 +223,22 @@ def fitted(
     Returns:
         The servo with these effects, shape (P,), and the mean square that it leaves, rad2.
     """
-    bounds = zip(*(_bounds(of, name) for name in effects), strict=True)
-    columns, low, high, scale = (np.concatenate(x) for x in bounds)
-    columns = columns.astype(int)
-    low, high = low / scale, high / scale
-    base = of.simulated(of.row[None], of.case)
-    noise = np.sqrt(of.scale2)
-
-    def residuals(x: Array) -> Array:
-        rows = np.tile(of.row, (len(x), 1))
-        rows[:, columns] = x * scale
-        moved = [a - b for a, b in zip(of.simulated(rows, of.case), base, strict=True)]
-        parts = [(of.residuals[r] - m)[:, of.seen(r)] for r, m in zip(of.case, moved, strict=True)]
-        return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e3)
-
-    def about(x: Array) -> Expansion:
-        step = np.where(x + DIFFERENCE > high, -DIFFERENCE, DIFFERENCE)
-        error, *others = residuals(np.vstack([x, x + np.diag(step)])) / noise
-        return expansion(error, ((np.array(others) - error) / step[:, None]).T)
-
-    minimum = minimise(
-        lambda points, _: stacked([about(x) for x in points]),
-        np.array([start[columns] / scale for start in starts]),
-        *(np.tile(ends, (len(starts), 1)) for ends in (low, high)),
-        evaluations=evaluations,
-        settled=1e-3,
-    )
-    k = int(np.argmin(minimum.expansion.loss))
-    best = of.row.copy()
-    best[columns] = minimum.x[k] * scale
-    return best, 2 * float(minimum.expansion.loss[k]) * of.scale2 / max(of.count(of.case), 1)
+    inertia = of.traces[0].load.inertia_kgm2
+    free = [p for p in gains(inertia) if p.name in effects]
+    free += of_effects([named(name) for name in effects if name not in GAINS], of.row, inertia)
+    case, residual = of.traces[of.references :], of.residual[of.case]
+    problem = ServoProblem(case, of.row, tuple(free))
+    parts = problem.by_trace(problem.row_residuals(of.row[None])[0] + residual)
+    case = tuple(_beyond(*pair) for pair in zip(case, parts, strict=True))
+    problem = replace(problem, traces=case)
+    noise = max(float(np.sqrt(of.energy)), 1e-9), 1.0
+    x, _, _, _ = search(problem, problem.searched(np.array(starts)), noise, 40)
+    left = problem.residuals(x[:1])
+    return problem.rows(x[:1])[0], float(np.mean(left**2))
 
 
-def _bounds(of: Explained, name: str) -> tuple[Array, Array, Array, Array]:
-    """Columns of an effect's parameters, their bounds, and their natural sizes, shape (K,) each."""
-    if name not in GAINS:
-        option = candidate(named(name), float(of.row[0]), of.traces[0].load.inertia_kgm2)
-        return option.columns.astype(float), option.low, option.high, option.unit
-    column = GAINS.index(name)
-    value = max(float(of.row[column]), 1e-6)
-    high, size = (0.5, 0.02) if name == "latency_s" else (30 * value, value)
-    return np.array([column]), np.zeros(1), np.array([high]), np.array([size])
+def _beyond(trace: Trace, more: Array) -> Trace:
+    """A trace whose used angles are larger by ``more`` (n,)."""
+    position = trace.position.copy()
+    position[trace.used] += more
+    return replace(trace, position=position)

@@ -19,7 +19,6 @@ class Group:
 
     members: tuple[str, ...]  # the effects that it may be, most probable first
     probability: float  # that one of them is there
-    stability: float  # share of bootstraps in which a set with one of them came first
 
 
 @dataclass(frozen=True)
@@ -28,11 +27,11 @@ class EffectPosterior:
 
     sets: tuple[Set, ...]  # the sets, most probable first
     probability: Array  # of each, shape (M,)
-    first: Array  # share of bootstraps in which it came first, shape (M,)
 
     def inclusion(self, *effects: str) -> float:
         """Probability that at least one of these effects is there."""
-        return float(self.probability[self._with(effects)].sum())
+        has = np.array([not s.isdisjoint(effects) for s in self.sets], dtype=bool)
+        return float(self.probability[has].sum())
 
     def groups(self, base: Set) -> tuple[Group, ...]:
         """The effects of the most probable set, each with those that could stand in for it."""
@@ -50,13 +49,8 @@ class EffectPosterior:
             rivals = [f for f in sorted(rivals, key=lambda f: -swaps[f]) if f not in taken]
             taken.update(rivals)
             members = (effect, *rivals)
-            first = float(self.first[self._with(members)].sum())
-            groups.append(Group(members, self.inclusion(*members), first))
+            groups.append(Group(members, self.inclusion(*members)))
         return tuple(groups)
-
-    def _with(self, effects: Sequence[str]) -> Array:
-        """Mask of the sets that have one of these effects, shape (M,)."""
-        return np.array([not s.isdisjoint(effects) for s in self.sets], dtype=bool)
 
 
 def posteriors(found: Sequence[Tried], rng: np.random.Generator) -> list[EffectPosterior]:
@@ -111,9 +105,8 @@ def posterior(
     share = np.exp(total - total.max(axis=0))
     share /= share.sum(axis=0)
     probability = share.mean(axis=1)
-    first = np.bincount(total.argmax(axis=0), minlength=len(tried)) / bootstraps
     order = np.argsort(-probability)
-    return EffectPosterior(tuple(tried[k].members for k in order), probability[order], first[order])
+    return EffectPosterior(tuple(tried[k].members for k in order), probability[order])
 
 
 def trusted_share(best: Hypothesis, plain: Hypothesis) -> float:

@@ -7,18 +7,19 @@ it is mostly seen at rest (``rest``), or the servo's law with the references' pa
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array, Index, Mask
 from sim2real.diagnose.decision import DECISION
 from sim2real.effects import CATALOGUE
 from sim2real.identification.priors import motor_prior
+from sim2real.identification.problem import ServoProblem
 from sim2real.inference.correlated_noise import correlation_samples
 from sim2real.noise import noise_floor
 from sim2real.robot import Servo
@@ -27,59 +28,70 @@ from sim2real.servo.rollout import LONGEST_SUBSTEP_S, Simulator
 from sim2real.servo.trace import Trace
 
 Way = Literal["repeat", "rest", "law"]
-Rest = tuple[float, float]
-"""Set-point in rad, and the side from which the servo came, 0 if unknown."""
-
-DIFFERENCE = 1e-3
-"""Step of the forward differences, in units of the parameter."""
 GAINS = BASE[:3]
 
 
 @dataclass(frozen=True)
 class Explained:
-    """Recordings of a joint, the references first, and their residuals."""
+    """Recordings of a joint, the references first, and their residuals at n samples."""
 
     way: Way  # how they are explained
-    traces: tuple[Trace, ...]  # the recordings
+    traces: tuple[Trace, ...]  # the recordings; what is looked at is ``used``
     references: int  # number of references
-    # measured minus explained angles in rad, NaN where not looked at, (T,) each
-    residuals: tuple[Array, ...]
+    residual: Array  # measured minus explained angles of all in turn, rad, shape (n,)
     row: Array  # parameters of the servo, shape (P,)
-    # derivatives of the angles by what the law shares among all, (T, F) each; F is 0 where no law
+    # derivatives of the angles by what the law shares among all, shape (n, F); F is 0 where no law
     # explains them
-    shared: tuple[Array, ...]
+    shared: Array
     precision: Array  # precision of the prior of these parameters, shape (F, F)
     variance: float  # variance of a sample relative to that prior, with correlation counted, rad2
     scale2: float  # mean square residual of the references, at least that of rounding, rad2
 
+    @cached_property
+    def recording(self) -> Index:
+        """Place of the recording of each sample, shape (n,)."""
+        counts = [int(trace.used.sum()) for trace in self.traces]
+        return np.repeat(np.arange(len(counts)), counts)
+
     @property
-    def case(self) -> list[int]:
-        """Places of the recordings in question."""
-        return list(range(self.references, len(self.traces)))
+    def case(self) -> Mask:
+        """Samples of the recordings in question, shape (n,)."""
+        return np.asarray(self.recording >= self.references)
 
-    def seen(self, r: int) -> Mask:
-        """Samples of a recording that are looked at, shape (T,)."""
-        return np.isfinite(self.residuals[r])
+    def without(self, row: Array) -> Explained:
+        """The recordings less what a change of the servo to ``row`` (P,) does in the case."""
+        rows, residual = np.array([self.row, row]), self.residual.copy()
+        before, after = simulated(self.traces[self.references :], rows, self.row)
+        residual[self.case] -= after - before
+        return replace(self, residual=residual)
 
-    def count(self, places: Sequence[int]) -> int:
-        """Number of samples of some recordings that are looked at."""
-        return sum(int(np.count_nonzero(self.seen(r))) for r in places)
+    @property
+    def energy(self) -> float:
+        """Mean square residual of the case, rad2; 0 where nothing is looked at."""
+        return _mean_square(self.residual[self.case])
 
-    def simulated(self, rows: Array, places: Sequence[int]) -> list[Array]:
-        """Angles of servos (B, P) in some of the recordings, (B, T) each."""
-        return simulated([self.traces[r] for r in places], rows, self.row)
+    @property
+    def loss(self) -> float:
+        """Sum of squared residuals of all recordings, what they share at its best, rad2."""
+        return float(self.residual @ self.settled.residual)
+
+    @property
+    def settled(self) -> Explained:
+        """The same, less what the law explains better with what it shares at its best."""
+        J = self.shared
+        normal = self.variance * self.precision + J.T @ J
+        law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (J.T @ self.residual)
+        return replace(self, residual=self.residual - J @ law)
 
 
-def simulated(
-    traces: Sequence[Trace], rows: Array, servo: Array, *, substeps: int = 8
-) -> list[Array]:
-    """Angles of servos (B, P) with the sub-step of one of them, (B, T) for each trace."""
+def simulated(traces: Sequence[Trace], rows: Array, servo: Array, *, substeps: int = 8) -> Array:
+    """Angles of servos (B, P) at the used samples, with the sub-step of one of them, (B, n)."""
     simulator = Simulator(traces, threads=1)
     # A sensor's filter may be shorter than a sample, and no sub-step longer than that.
-    period = min(trace.period_s for trace in traces)
-    longest = min(LONGEST_SUBSTEP_S, period / substeps)
+    longest = min(LONGEST_SUBSTEP_S, min(trace.period_s for trace in traces) / substeps)
     step = float(simulator.substeps(servo[None], longest_s=longest).min())
-    return simulator.angles(rows, min(step, longest))
+    angles = simulator.angles(rows, min(step, longest))
+    return np.hstack([a[:, trace.used] for a, trace in zip(angles, traces, strict=True)])
 
 
 def way_of(references: Sequence[Trace], case: Sequence[Trace]) -> Way:
@@ -98,7 +110,6 @@ def explained(
     """Explain recordings of a joint by its references, and by a servo of a row (P,)."""
     traces, R = (*references, *case), len(references)
     way, step = way_of(references, case), servo.position_step_rad
-    shared, precision = tuple(np.zeros((trace.t.size, 0)) for trace in traces), np.zeros((0, 0))
     smallest2, predicted = 1e-18, [True] * R
     if way == "rest":
         residuals, spread2 = beside_rest(traces, R, step)
@@ -113,20 +124,23 @@ def explained(
         if not any(predicted):
             noise = max(noise_floor(t.t, t.command, t.position) for t in references)
             smallest2 = max(smallest2, 4 * noise**2)
+    looked = [replace(t, used=np.isfinite(x)) for t, x in zip(traces, residuals, strict=True)]
+    parts = [x[trace.used] for x, trace in zip(residuals, looked, strict=True)]
+    known = [x for x, is_known in zip(parts, predicted, strict=False) if is_known]
+    scale2 = max(_mean_square(np.concatenate([*known, np.zeros(0)])), smallest2)
+    residual, variance = np.concatenate(parts), scale2
+    shared, precision = np.zeros((residual.size, 0)), np.zeros((0, 0))
     if way == "law":
-        shared, precision = _derivatives(traces, row, servo)
-    known = [
-        x[np.isfinite(x)] for x, is_known in zip(residuals, predicted, strict=False) if is_known
-    ]
-    scale2 = max(_mean_square(known), smallest2)
-    correlated = [correlation_samples(x) for x in known] if way == "law" else []
-    variance = scale2 * (float(np.mean(correlated)) if correlated else 1.0)
-    return Explained(way, traces, R, tuple(residuals), row, shared, precision, variance, scale2)
+        used = [name for name, x in zip(COLUMNS, row, strict=True) if name in GAINS or x > 0]
+        law = ServoProblem(looked, row, motor_prior(servo, traces).of(used))
+        x = law.searched(row[None])
+        shared, (prior,) = law.slopes(x)[1][0], law.prior_slopes(x)[1]
+        precision = prior.T @ prior
+        variance *= float(np.mean([correlation_samples(x) for x in known]))
+    return Explained(way, tuple(looked), R, residual, row, shared, precision, variance, scale2)
 
 
-def _mean_square(parts: Sequence[Array]) -> float:
-    """Mean square of all values; 0 without any."""
-    values = np.concatenate([*parts, np.zeros(0)])
+def _mean_square(values: Array) -> float:
     return float(np.mean(values**2)) if values.size else 0.0
 
 
@@ -143,56 +157,15 @@ def _law_errors(
     rate = np.real((kd - np.sqrt(complex(kd**2 - 4 * kp * total))) / (2 * total))
     memory_s = float(np.clip(latency + 12 / max(rate, 1e-9), *limits_s))
     errors = []
-    for trace, angle in zip(traces, simulated(traces, row[None], row), strict=True):
+    full = [replace(trace, used=np.ones(trace.t.size, dtype=bool)) for trace in traces]
+    angles = np.split(simulated(full, row[None], row)[0], np.cumsum([t.t.size for t in traces]))
+    for trace, angle in zip(traces, angles, strict=False):
         apart = np.diff(trace.t, prepend=trace.t[0])
         gap = apart > 1.5 * float(np.median(apart[1:]))
         last = np.maximum.accumulate(np.where(gap, np.arange(gap.size), 0))
         counts = trace.used & (trace.t - trace.t[last] > memory_s)
-        errors.append(np.where(counts, trace.position - angle[0], np.nan))
+        errors.append(np.where(counts, trace.position - angle, np.nan))
     return errors
-
-
-def _derivatives(
-    traces: Sequence[Trace], row: Array, servo: Servo
-) -> tuple[tuple[Array, ...], Array]:
-    """Derivatives of angles by the gains and the motor's parameters, in units; their precision."""
-    prior = motor_prior(servo, traces)
-    parameters = [p for p in prior.parameters if p.name in GAINS or row[COLUMNS.index(p.name)] > 0]
-    rows = np.tile(row, (1 + len(parameters), 1))
-    for k, p in enumerate(parameters):
-        column, step = COLUMNS.index(p.name), DIFFERENCE * p.typical
-        now = rows[1 + k, column]
-        rows[1 + k, column] = now * np.exp(step) if p.log else now + step
-    slopes = [(a[1:] - a[:1]).T / DIFFERENCE for a in simulated(traces, rows, row)]
-    return tuple(slopes), np.diag([(p.typical / p.prior_sd) ** 2 for p in parameters])
-
-
-def energy(of: Explained) -> float:
-    """Mean square residual of the case, rad2; 0 where nothing is looked at."""
-    return _mean_square([of.residuals[r][of.seen(r)] for r in of.case])
-
-
-def loss(of: Explained) -> float:
-    """Sum of squared residuals of all recordings, what they share at its best, rad2."""
-    return _refit(of)[1]
-
-
-def settled(of: Explained) -> Explained:
-    """The same, less what the law explains better with what it shares at its best."""
-    law, _ = _refit(of)
-    pairs = zip(of.residuals, of.shared, strict=True)
-    return replace(of, residuals=tuple(residual - slopes @ law for residual, slopes in pairs))
-
-
-def _refit(of: Explained) -> tuple[Array, float]:
-    """Shared parameters that explain all recordings best, (F,), and the sum of squares, rad2."""
-    normal, slope, total = of.variance * of.precision, np.zeros(of.precision.shape[0]), 0.0
-    for r, residual in enumerate(of.residuals):
-        seen = of.seen(r)
-        J, e = of.shared[r][seen], residual[seen]
-        normal, slope, total = normal + J.T @ J, slope + J.T @ e, total + float(e @ e)
-    law = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope
-    return law, total - float(slope @ law)
 
 
 def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
@@ -206,21 +179,21 @@ def misstated(of: Explained) -> tuple[tuple[str, ...], Array, float] | None:
         difference, shape (P,), and the gain in log-likelihood with the references' load; None where
         the loads do not differ.
     """
-    known, stated = of.traces[0].load, of.traces[of.references].load
-    references, case = of.traces[: of.references], of.traces[of.references :]
-    if any(t.load != known for t in references) or any(t.load != stated for t in case):
+    loads, row, effects = [trace.load for trace in of.traces], of.row.copy(), []
+    known, stated, case = loads[0], loads[-1], of.traces[of.references :]
+    if len({*loads[: of.references]}) > 1 or len({*loads[of.references :]}) > 1:
         return None
-    row, effects = of.row.copy(), []
     for effect in CATALOGUE:
         if effect.load and (more := getattr(known, effect.load) - getattr(stated, effect.load)):
             row[COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")] += more
             effects.append(effect.name)
     if not effects:
         return None
-    case = tuple(replace(trace, load=known) for trace in case)
-    residuals = (*of.residuals[: of.references], *_law_errors(case, of.row))
-    with_known = replace(of, traces=(*references, *case), residuals=residuals)
-    return tuple(effects), row, 0.5 * (loss(of) - loss(with_known)) / of.variance
+    residual, one = of.residual.copy(), of.row[None]
+    with_known = [replace(trace, load=known) for trace in case]
+    residual[of.case] += (simulated(case, one, of.row) - simulated(with_known, one, of.row))[0]
+    gain = 0.5 * (of.loss - replace(of, residual=residual).loss) / of.variance
+    return tuple(effects), row, gain
 
 
 def freed_of_the_common(
@@ -268,15 +241,13 @@ def alignment(trace: Trace, other: Trace, *, lags_tried: int = 61) -> tuple[floa
 
     largest = DECISION.change.same_command_lag_s
     lags = np.linspace(-largest, largest, lags_tried)
-    coarse = [difference(float(lag)) for lag in lags]
-    k, step = int(np.argmin(coarse)), float(lags[1] - lags[0])
-    if not np.isfinite(coarse[k]):
+    coarse, lag = min((difference(float(lag)), float(lag)) for lag in lags)
+    if not np.isfinite(coarse):
         return 0.0, np.inf
-    ends = (float(lags[k]) - step, float(lags[k]) + step)
+    step = float(lags[1] - lags[0])
+    ends = (lag - step, lag + step)
     fine = minimize_scalar(difference, bounds=ends, method="bounded", options={"xatol": 1e-5})
-    if fine.fun < coarse[k]:
-        return float(fine.x), float(fine.fun)
-    return float(lags[k]), coarse[k]
+    return (float(fine.x), float(fine.fun)) if fine.fun < coarse else (lag, coarse)
 
 
 def beside_rest(
@@ -290,31 +261,25 @@ def beside_rest(
         and the mean square by which angles of one reference differ after one set-point, rad2.
     """
     rests = [_rests(trace, step_rad) for trace in traces]
-    levels = []
-    for trace, keys in zip(traces[:references], rests, strict=False):
-        angles: defaultdict[Rest, list[float]] = defaultdict(list)
-        for k, key in keys.items():
-            angles[key].append(float(trace.position[k]))
-        levels.append({key: np.array(values) for key, values in angles.items()})
-    spread = [values - values.mean() for level in levels for values in level.values()]
-    within = float(np.mean(np.concatenate(spread) ** 2)) if spread else 0.0
-    differences = []
-    for r, (trace, keys) in enumerate(zip(traces, rests, strict=True)):
-        difference = np.full(trace.t.size, np.nan)
-        for k, key in keys.items():
-            same = [
-                np.concatenate(values).mean()
-                for q, level in enumerate(levels)
-                if q != r and (values := [x for at, x in level.items() if _same_rest(at, key)])
-            ]
-            if same:
-                difference[k] = trace.position[k] - np.mean(same)
-        differences.append(difference)
-    return differences, within
+    grid, differences, spread = DECISION.change.same_set_point_rad, [], [np.zeros(0)]
+    for r, (trace, (at, command, side)) in enumerate(zip(traces, rests, strict=True)):
+        levels = [np.full(at.size, np.nan)]
+        for q, (known, there, other_side) in enumerate(rests[:references]):
+            angle, apart = traces[q].position[known], np.abs(command[:, None] - there)
+            if q == r:
+                same = (apart == 0) & (side[:, None] == other_side)
+                spread.append(angle - same @ angle / same.sum(axis=1))
+            else:
+                same = (apart < 2 * grid) & (side[:, None] * other_side >= 0)
+                levels.append(same @ angle / np.where(same.any(axis=1), same.sum(axis=1), np.nan))
+        level = np.ma.masked_invalid(levels).mean(axis=0).filled(np.nan)
+        differences.append(np.full(trace.t.size, np.nan))
+        differences[-1][at] = trace.position[at] - level
+    return differences, _mean_square(np.concatenate(spread))
 
 
-def _rests(trace: Trace, step_rad: float) -> dict[int, Rest]:
-    """The samples of a recording that are at rest."""
+def _rests(trace: Trace, step_rad: float) -> tuple[Index, Array, Array]:
+    """Samples at rest, with their set-points in rad and the sides they came from, 0 if unknown."""
     change = np.diff(trace.command, prepend=trace.command[:1])
     settling = DECISION.change.settling_samples
     recent = np.convolve(change != 0, np.ones(settling + 1))[: change.size] > 0
@@ -323,12 +288,5 @@ def _rests(trace: Trace, step_rad: float) -> dict[int, Rest]:
     still = trace.used & ~recent & np.append(True, quiet) & np.append(quiet, True)
     still[:settling] = False
     last = np.maximum.accumulate(np.where(change != 0, np.arange(change.size), 0))
-    grid = DECISION.change.same_set_point_rad
-    command, side = np.round(trace.command / grid) * grid, np.sign(change[last])
-    return {int(k): (float(command[k]), float(side[k])) for k in np.flatnonzero(still)}
-
-
-def _same_rest(rest: Rest, other: Rest) -> bool:
-    """Whether two rests have one set-point and sides that may be the same."""
-    near = abs(rest[0] - other[0]) < 2 * DECISION.change.same_set_point_rad
-    return near and rest[1] * other[1] >= 0
+    grid, at = DECISION.change.same_set_point_rad, np.flatnonzero(still)
+    return at, np.round(trace.command[at] / grid) * grid, np.sign(change[last[at]])

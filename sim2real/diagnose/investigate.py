@@ -198,7 +198,7 @@ def _groups(groups: Sequence[Group], best: Hypothesis, joint: JointCase) -> tupl
             group = replace(group, members=(*group.members, _DRY))
         found.append(group)
     if joint.step_rad is not None:
-        found.append(Group((ROUNDING,), DECISION.most_certain, 1.0))
+        found.append(Group((ROUNDING,), DECISION.most_certain))
     return tuple(found)
 
 
@@ -245,7 +245,7 @@ def _with_link(
         remaining = min(remaining, finding.excess)
         unexplained = remaining > DECISION.structured_excess
         groups = () if instead else finding.groups
-        group = Group((link.effect,), DECISION.most_certain, 1.0)
+        group = Group((link.effect,), DECISION.most_certain)
         explained[j] = replace(
             finding,
             mismatch=not lacks_rows or unexplained or bool(groups),

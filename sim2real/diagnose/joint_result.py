@@ -73,29 +73,31 @@ class JointFindings:
     @property
     def error(self) -> float:
         """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
-        unseen = self.unseen.get(self.finding.tried.base)
-        return unseen.rmse if unseen else self._train(self.before)
+        fit = self.fit(enriched=False)
+        return fit["train"] or 0.0 if fit["heldout"] is None else fit["heldout"]
 
     def fit(self, *, enriched: bool) -> dict[str, float | None]:
-        """Errors on fitted and on held-out data, rad."""
-        unseen = self.unseen.get(self.offered.members if enriched else self.finding.tried.base)
-        train = self._train(self.after if enriched else self.before)
-        return {"train": train, "heldout": None if unseen is None else unseen.rmse}
+        """Errors on fitted and on held-out data, and the noise, rad."""
+        servo = self.offered.members if enriched else self.finding.tried.base
+        pairs = zip(self.after if enriched else self.before, self.joint.traces, strict=False)
+        train = rms([row[: t.t.size][t.used] for row, t in pairs])
+        return {"train": train, "heldout": self._unseen(servo), "noise": self.joint.noise}
 
     def heldout(self) -> dict[str, float | None]:
         """Errors on held-out data, and the share of the removable that is removed."""
-        plain, enriched = (
-            self.unseen.get(s) for s in (self.finding.tried.base, self.enriched.members)
-        )
+        plain, enriched = map(self._unseen, (self.finding.tried.base, self.enriched.members))
+        removed = None
         if plain is None or enriched is None:
-            return {"rmse_before": None, "rmse_after": None, "recoverable_removed": None}
-        removable = plain.rmse - min(self.floor, plain.rmse)
-        removed = (plain.rmse - enriched.rmse) / removable if removable > 0 else 0.0
-        return {
-            "rmse_before": plain.rmse,
-            "rmse_after": enriched.rmse,
-            "recoverable_removed": float(np.clip(removed, -1.0, 1.0)),
-        }
+            plain = enriched = None
+        else:
+            removable = plain - min(self.floor, plain)
+            share = (plain - enriched) / removable if removable > 0 else 0.0
+            removed = float(np.clip(share, -1.0, 1.0))
+        return {"rmse_before": plain, "rmse_after": enriched, "recoverable_removed": removed}
+
+    def _unseen(self, members: Set) -> float | None:
+        unseen = self.unseen.get(members)
+        return None if unseen is None else unseen.rmse
 
     @property
     def floor(self) -> float:
@@ -179,10 +181,6 @@ class JointFindings:
             low, high = max(low, float(servos.low[0, k])), min(high, float(servos.high[0, k]))
             estimates[name] = Estimate(mean, sd, min(low, mean), max(high, mean))
         return estimates
-
-    def _train(self, residual: Array) -> float:
-        pairs = zip(residual, self.joint.traces, strict=False)
-        return rms([row[: t.t.size][t.used] for row, t in pairs])
 
 
 def law_error(servo: Hypothesis, effect: str) -> float:

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from sim2real.diagnose.case import JointCase
 from sim2real.diagnose.decision import DECISION, LOG_PRIOR
 from sim2real.diagnose.effect_probabilities import trusted_share
 from sim2real.diagnose.investigate import Finding, is_no_finding
-from sim2real.diagnose.joint_result import JointFindings
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
 from sim2real.identification.servo_problem import Hypothesis
 from sim2real.inference.normal import NINE_IN_TEN
@@ -51,13 +51,11 @@ def _representatives(
     joint: JointCase, finding: Finding, most: int, *, behind: float = 15.0
 ) -> Iterator[tuple[tuple[str, ...], float, Hypothesis]]:
     """Names, probability and the best fit of the sets; sets of the same names are one."""
-    tried, weight = finding.tried.tried, dict[tuple[str, ...], float]()
+    tried, weight = finding.tried.tried, set_probabilities(joint, finding)
     trust = trusted_share(finding.best, finding.tried.plain)
     chosen: dict[tuple[str, ...], Hypothesis] = {}
-    for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
-        names = _stated_effects(joint, finding, tried[members])
-        weight[names] = weight.get(names, 0.0) + float(p)
-        chosen.setdefault(names, tried[members])
+    for members in finding.posterior.sets:
+        chosen.setdefault(_stated_effects(joint, finding, tried[members]), tried[members])
     ranked = sorted(weight, key=lambda names: -weight[names])
     first = [names for names in ranked if weight[names] > DECISION.report.rival_min_probability]
     first = first[:most] or ranked[:1]
@@ -118,10 +116,7 @@ def _hidden(
         theta = known.theta.copy()
         theta[option.columns] = option.starts[seen.start[start]]
         spread = np.maximum(np.abs(theta[option.columns]), 1e-3 * option.unit)
-        size, added = known.columns.size, option.columns.size
-        information = np.zeros((size + added, size + added))
-        information[:size, :size] = known.information
-        information[range(size, size + added), range(size, size + added)] = spread**-2.0
+        information = block_diag(known.information, np.diag(spread**-2.0))
         columns = np.concatenate([known.columns, option.columns]).astype(np.int32)
         # Evidence of the effect at the size that fits best, as far as these recordings show it.
         gain = float(seen.gain[seen.candidate == k].max())
@@ -130,11 +125,10 @@ def _hidden(
     return sorted(found, key=lambda one: -one.probability)[:most]
 
 
-def set_probabilities(joint: JointFindings) -> dict[frozenset[str], float]:
+def set_probabilities(joint: JointCase, finding: Finding) -> dict[tuple[str, ...], float]:
     """Probabilities of the sets of stated effects of a joint; sets of the same names are one."""
-    finding = joint.finding
-    weight: dict[frozenset[str], float] = {}
+    weight: dict[tuple[str, ...], float] = {}
     for members, p in zip(finding.posterior.sets, finding.posterior.probability, strict=True):
-        names = frozenset(_stated_effects(joint.joint, finding, finding.tried.tried[members]))
+        names = _stated_effects(joint, finding, finding.tried.tried[members])
         weight[names] = weight.get(names, 0.0) + float(p)
     return weight

@@ -23,7 +23,7 @@ Verdict = Literal[
     "consistent", "unchanged", "explained", "ambiguous", "partly_explained", "unexplained"
 ]
 Errors = Mapping[str, Mapping[str, float | None]]
-"""By signal, ``train`` and ``heldout`` error, rad."""
+"""By signal, ``train`` and ``heldout`` error and ``noise``, rad."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,6 @@ class NamedEffect:
     """``rmse_before``, ``rmse_after`` in rad and ``recoverable_removed``, from refits that do not
     use the recording they are scored on."""
     baseline_shift: Mapping[str, float]  # change of the plain servo when the effect is added
-    stability: float  # share of block bootstraps in which one of the group was the most probable
     statement: str  # the finding, in one sentence
 
 
@@ -123,15 +122,6 @@ class Experiment:
     file: str | None = None  # commands that ``record`` can play, relative to the diagnosis
     t: Array | None = None  # times of the commands, s, shape (T,)
     signal: Array | None = None  # the commands, rad, shape (T,)
-
-
-@dataclass(frozen=True)
-class Ladder:
-    """Held-out errors of the plain servo and of the enriched model, and the noise, rad."""
-
-    baseline: float
-    enriched: float
-    noise: float
 
 
 def to_design(groups: Iterable[tuple[str, Sequence[str]]]) -> Experiment | None:
@@ -175,7 +165,6 @@ class Diagnosis(NotebookDisplay):
     model: Model
     """The enriched model: with the reported effects, or with all of the most probable set of
     effects if that predicts held-out recordings better."""
-    ladders: Mapping[str, Ladder] = field(default_factory=dict)  # by signal
     detection_limits: tuple[DetectionLimit, ...] = ()
     next_experiment: Experiment | None = None  # if a group has several members
     gate: tuple[str, ...] = ()  # findings about timing, gaps and units of the data, as sentences
@@ -219,14 +208,14 @@ class Diagnosis(NotebookDisplay):
         """Joints without a mismatch whose error is far above their noise, each with a sentence."""
         differing = {mismatch.component for mismatch in self.mismatch}
         sentences = {}
-        for signal, errors in self.ladders.items():
+        for signal, errors in self.baseline_fit.items():
             joint = signal.rpartition(".")[0]
-            if joint not in differing and errors.baseline >= ABOVE_NOISE * errors.noise > 0:
+            error, noise = errors.get("heldout"), errors.get("noise") or 0.0
+            if joint not in differing and error is not None and error >= ABOVE_NOISE * noise > 0:
                 sentences[joint] = (
-                    f"{joint}: RMSE {1e3 * errors.baseline:.1f} mrad, "
-                    f"{errors.baseline / errors.noise:.0f} times the noise of "
-                    f"{1e3 * errors.noise:.1f} mrad, although no effect explains it: single "
-                    "readings or times of samples may be wrong."
+                    f"{joint}: RMSE {1e3 * error:.1f} mrad, {error / noise:.0f} times the noise of "
+                    f"{1e3 * noise:.1f} mrad, although no effect explains it: single readings or "
+                    "times of samples may be wrong."
                 )
         return sentences
 
@@ -276,7 +265,6 @@ def _content(diagnosis: Diagnosis) -> dict[str, Any]:
         **{name: entries(name) for name in ("effects", "negligible", "rivals")},
         "unknown": dict(diagnosis.unknown),
         "fit": {"baseline": diagnosis.baseline_fit, "enriched": diagnosis.enriched_fit},
-        "heldout_ladder": {signal: asdict(x) for signal, x in diagnosis.ladders.items()},
         "detection_limits": entries("detection_limits"),
         "next_experiment": {k: x for k, x in plan.items() if k not in ("t", "signal")} or None,
         "separations": entries("separations"),

@@ -279,7 +279,7 @@ class Separation:
 def separations(
     component: str,
     stated: Iterable[Fields],
-    probability: Mapping[frozenset[str], float],
+    probability: Mapping[tuple[str, ...], float],
     *,
     most: int = 6,
     least: float = 1e-3,
@@ -304,10 +304,12 @@ def separations(
 
 
 def _weight(
-    probability: Mapping[frozenset[str], float], own: tuple[str, ...], other: tuple[str, ...]
+    probability: Mapping[tuple[str, ...], float], own: tuple[str, ...], other: tuple[str, ...]
 ) -> float:
     """Probability of the sets that have what ``own`` has more than ``other``, and no converse."""
     needed, excluded = set(own) - set(other), set(other) - set(own)
     return sum(
-        p for effects, p in probability.items() if needed <= effects and not excluded & effects
+        p
+        for effects, p in probability.items()
+        if needed.issubset(effects) and excluded.isdisjoint(effects)
     )

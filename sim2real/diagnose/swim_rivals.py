@@ -14,18 +14,11 @@ from sim2real.structured import Fields, read_json
 
 @dataclass(frozen=True)
 class SwimSet(OpenSet):
-    """One set of effects of body and camera, fitted to the swims.
+    """One set of effects of body and camera, that of a material as ``effect.material``."""
 
-    An effect of a material is named ``effect.material``.
-
-    Attributes:
-        coordinates: Its free parameters by name, in ``sim.inference.coordinates``: servos, force
-            law and the effects of the set, F of them.
-        information: Their precision, given the swims and the prior, in the inverse of the product
-            of their units, shape (F, F).
-    """
-
+    # its F free parameters by name, in ``sim.inference.coordinates``
     coordinates: Mapping[str, float]
+    # their precision, in the inverse of the product of their units, shape (F, F)
     information: Array
 
     def content(self) -> dict[str, Any]:
@@ -35,29 +28,19 @@ class SwimSet(OpenSet):
 
 @dataclass(frozen=True, kw_only=True)
 class SwimRivals(OpenSets):
-    """The sets of effects that swims of one robot leave open.
+    """The sets of effects that swims of one robot leave open."""
 
-    Attributes:
-        pose_sd: Standard deviation of the noise of x, y (m) and heading (rad), shape (3,).
-        pose_lag_s: Time constant of a filter of that noise; 0 without a filter.
-        joint_sd_rad: Standard deviation of the noise of each joint's angle, shape (J,).
-        shares: Error of the simulator as a share of a signal's size, by signal (surge, sway, yaw
-            rate, joints) and frequency band (slow, beat, fast), shape (4, 3).
-        imitation: By coordinate, the standard deviation between swims of the size that the
-            simulator's error imitates.
-        relative: Standard deviation between swims of an effect's size, relative to the size.
-        temperature: Factor by which evidence is divided in the probabilities of the sets.
-        sets: The sets, most probable first.
-    """
-
-    pose_sd: Array
-    pose_lag_s: float
-    joint_sd_rad: Array
+    pose_sd: Array  # standard deviation of the noise of x, y (m) and heading (rad), shape (3,)
+    pose_lag_s: float  # time constant of a filter of that noise; 0 without a filter
+    joint_sd_rad: Array  # standard deviation of the noise of each joint's angle, shape (J,)
+    # error of the simulator as a share of a signal's size, by signal (surge, sway, yaw rate,
+    # joints) and frequency band (slow, beat, fast), shape (4, 3)
     shares: Array
+    # by coordinate, the standard deviation between swims of the size that this error imitates
     imitation: Mapping[str, float]
-    relative: float
-    temperature: float
-    sets: tuple[SwimSet, ...]
+    relative: float  # standard deviation between swims of an effect's size, relative to the size
+    temperature: float  # factor by which evidence is divided in the probabilities of the sets
+    sets: tuple[SwimSet, ...]  # the sets, most probable first
 
     def content(self) -> dict[str, Any]:
         """The field ``swim_rivals`` of ``diagnosis.json``."""

@@ -142,7 +142,7 @@ def with_stated_line(
     rows = np.tile(row, (1 + _LARGER.size, 1))
     rows[1:, LINE_COLUMNS[0]] = servo.max_torque_Nm * _LARGER
     rows[1:, LINE_COLUMNS[1]] = servo.no_load_speed_rad_s
-    residuals = ServoProblem(traces, row, ()).row_residuals(rows)
+    residuals = ServoProblem(traces, rows[1], ()).row_residuals(rows)
     squares = np.sum(residuals**2, axis=1)
     allowed = 0.5 * residuals.shape[1] * np.log(squares[1:] / squares[0]) < largest_cost
     return np.asarray(rows[1 + np.argmax(allowed)] if allowed.any() else row)

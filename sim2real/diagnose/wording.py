@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim2real.arrays import Array
 from sim2real.diagnose.case import Case
 from sim2real.diagnose.decision import DECISION
 from sim2real.diagnose.joint_result import JointFindings
@@ -18,7 +17,6 @@ from sim2real.diagnose.result import (
     Diagnosis,
     Estimate,
     JointSeries,
-    Ladder,
     Mismatch,
     NamedEffect,
     to_design,
@@ -107,15 +105,16 @@ def _named_effect(results: Mapping[str, JointFindings], entry: Named) -> NamedEf
         parameters=parameters,
         heldout=result.heldout(),
         baseline_shift={name: float(after[k] - before[k]) for k, name in enumerate(BASE[:3])},
-        stability=group.stability,
         statement=_statement(entry, parameters, result) + _of_link(entry, result),
     )
 
 
 def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
     """Precision-weighted means of what several joints say."""
+    if len(estimates) < 2:
+        return dict(*estimates)
     combined = {}
-    for name in estimates[0] if estimates else ():
+    for name in estimates[0]:
         means = np.array([entry[name].mean for entry in estimates])
         sds = np.array([entry[name].sd for entry in estimates])
         # An unbounded standard deviation keeps a weight, so that not all weights are 0.
@@ -123,8 +122,7 @@ def _combined(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate
         mean = float(np.sum(weight * means) / weight.sum())
         # Never narrower than the joints' own disagreement.
         spread = float(np.sqrt(np.average((means - mean) ** 2, weights=weight)))
-        several = len(estimates) > 1
-        sd = float(max(1 / np.sqrt(weight.sum()), spread)) if several else float(sds[0])
+        sd = float(max(1 / np.sqrt(weight.sum()), spread))
         low = min(mean, max(mean - Z90 * sd, min(e[name].q05 for e in estimates)))
         high = max(mean, min(mean + Z90 * sd, max(e[name].q95 for e in estimates)))
         combined[name] = Estimate(mean, sd, low, high)
@@ -236,12 +234,14 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         warnings=case.warnings,
         evidence=tuple(series for joint in joints for series in _evidence(joint)),
         detection_limits=tuple(limit for joint in joints for limit in _limits(joint)),
-        ladders={joint.signal: x for joint in joints if (x := _ladder(joint)) is not None},
         separations=tuple(
-            separation
+            pair
             for joint in joints
-            if (stated := design_of(case.recordings, joint.name))
-            for separation in separations(joint.name, stated, set_probabilities(joint))
+            for pair in separations(
+                joint.name,
+                design_of(case.recordings, joint.name),
+                set_probabilities(joint.joint, joint.finding),
+            )
         ),
         rival_sets=tuple(
             rival_sets(joint.joint, joint.finding)
@@ -251,12 +251,6 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         next_experiment=repeat([j.joint for j in joints])
         or to_design((e.component, e.group) for e in found.effects if not case.references),
     )
-
-
-def _ladder(joint: JointFindings) -> Ladder | None:
-    """Held-out errors of the plain and the enriched servo; None where nothing is held out."""
-    before, after = (joint.fit(enriched=enriched)["heldout"] for enriched in (False, True))
-    return None if before is None or after is None else Ladder(before, after, joint.joint.noise)
 
 
 def _evidence(joint: JointFindings) -> list[JointSeries]:
@@ -299,33 +293,21 @@ def detection_limits(
     """The smallest strength of each effect that could be noticed.
 
     The score of an effect grows with its strength; between the strengths that were simulated it is
-    interpolated, both on logarithmic scales.
+    interpolated, both on logarithmic scales, and below them proportional.
     """
     needed = float(np.sqrt(2 * DECISION.detection_gain)) + NINE_IN_TEN
     limits = []
     for k, option in enumerate(candidates):
-        mine = seen.candidate == k
+        mine = (seen.candidate == k) & (seen.visible > 0)
         strength = np.abs(option.starts[seen.start[mine], 0])
-        smallest = _crossing(strength, seen.visible[mine], needed)
-        effect = option.effect
-        limits.append(DetectionLimit(effect.name, component, {effect.parameters[0].name: smallest}))
+        levels = np.unique(strength)
+        score = np.array([np.median(seen.visible[mine][strength == x]) for x in levels])
+        smallest = None
+        if score.max(initial=0.0) >= needed:
+            order, sign = np.argsort(score), 1.0 if score[-1] >= score[0] else -1.0
+            log_score, log_level = np.log([score[order], levels[order]])
+            at = float(np.interp(np.log(needed), log_score, log_level))
+            smallest = float(np.exp(at + sign * min(np.log(needed) - log_score[0], 0.0)))
+        name = option.effect.parameters[0].name
+        limits.append(DetectionLimit(option.effect.name, component, {name: smallest}))
     return limits
-
-
-def _crossing(strength: Array, visible: Array, needed: float) -> float | None:
-    """Strength at which the score reaches what is needed; None where no start does."""
-    levels = np.unique(strength)
-    score = np.array([np.median(visible[strength == level]) for level in levels])
-    enough = np.flatnonzero(score >= needed)
-    if not enough.size:
-        return None
-    weaker_is_larger = score[0] > score[-1]
-    at = int(enough[-1] if weaker_is_larger else enough[0])
-    beyond = at + 1 if weaker_is_larger else at - 1
-    if not 0 <= beyond < levels.size or score[beyond] <= 0:
-        # Beyond the strengths tried the score is taken as proportional.
-        ratio = needed / score[at]
-        return float(levels[at] / ratio if weaker_is_larger else levels[at] * ratio)
-    ends = np.array([at, beyond])
-    ends = ends[np.argsort(score[ends])]
-    return float(np.exp(np.interp(np.log(needed), np.log(score[ends]), np.log(levels[ends]))))

@@ -32,13 +32,9 @@ _RIVALS_LEAD = (
     "A recording to make next, with the commands that leave the least expected uncertainty over "
     "the sets of effects that the diagnosis left open."
 )
-_RIVALS_CAPTION = (
-    "Above: the set-points of {joint}, of the body those of all joints. Below: what refitted "
-    "parameters leave of the differences of the predictions of pairs of sets, whitened, in "
-    "standard deviations of a sample's noise."
-)
+_RIVALS_CAPTION = "The set-points of {joint}, of the body those of all joints."
 _PART_S = 0.5
-_LISTED, _DRAWN = 10, 3
+_LISTED = 10
 
 
 def section_of(design: Design | RivalDesign) -> Section:
@@ -124,24 +120,13 @@ def rivals_section(design: RivalDesign) -> Section:
 
 
 def rivals_figure(joint: JointForecast) -> Drawing:
-    """Plot the commands and the differences of the rivals' predictions over time."""
-    label = f"{joint.rivals.component}: commands, and where rivals differ"
-    return series_figure(_rival_panels(joint), label)
+    """Plot the commands."""
+    return series_figure(_rival_panels(joint), f"{joint.rivals.component}: commands")
 
 
 def _rival_panels(joint: JointForecast) -> list[Panel]:
     t = np.asarray(joint.rivals.period_s * np.arange(len(joint.command), dtype=np.float64))
     columns = joint.command.reshape(t.size, -1).T
     names = [COMMAND] if len(columns) == 1 else [f"{COMMAND} {k + 1}" for k in range(len(columns))]
-    pairs = [task(pair.first, pair.second) for pair in joint.pairs[:_DRAWN]]
-    differences = dict(zip(pairs, joint.differences, strict=False))
-    name = joint.rivals.component
-    return [
-        Panel(
-            SignalGroup((name,), "rad", t, dict(zip(names, columns, strict=True))), "command, rad"
-        ),
-        Panel(
-            SignalGroup((name, "difference"), "", t, differences),
-            "difference of predictions, standard deviations of the noise",
-        ),
-    ]
+    commands = dict(zip(names, columns, strict=True))
+    return [Panel(SignalGroup((joint.rivals.component,), "rad", t, commands), "command, rad")]

@@ -200,15 +200,12 @@ def _sound(diagnosis: Diagnosis) -> list[Block]:
         return warnings
     errors = []
     for joint in sound:
-        signal = f"{joint}.position_rad"
-        ladder, fit = diagnosis.ladders.get(signal), diagnosis.baseline_fit.get(signal, {})
+        fit = diagnosis.baseline_fit.get(f"{joint}.position_rad", {})
         rmse = fit.get("train") if (heldout := fit.get("heldout")) is None else heldout
-        if ladder is not None:
-            noise = milliradians(ladder.noise)
-            error = milliradians(ladder.baseline)
-            errors.append(f"{joint} has an error of {error}, with {noise} of noise")
-        elif rmse is not None:
-            errors.append(f"{joint} has an error of {milliradians(rmse)}")
+        if rmse is not None:
+            noise = fit.get("noise")
+            with_noise = "" if noise is None else f", with {milliradians(noise)} of noise"
+            errors.append(f"{joint} has an error of {milliradians(rmse)}{with_noise}")
     follow = "follow" if len(sound) > 1 else "follows"
     sentence = f"{listed(sound)} {follow} the plain servo down to the noise"
     text = ": ".join(filter(None, [sentence, "; ".join(errors)]))
@@ -249,12 +246,14 @@ def _written(diagnosis: Diagnosis) -> list[str]:
 def _ladders(diagnosis: Diagnosis) -> list[Block]:
     differing = {mismatch.signal for mismatch in diagnosis.mismatch}
     rows = []
-    for signal, ladder in diagnosis.ladders.items():
-        joint = signal.rpartition(".")[0]
+    for signal, fit in diagnosis.baseline_fit.items():
+        joint, before, noise = signal.rpartition(".")[0], fit.get("heldout"), fit.get("noise")
+        after = diagnosis.enriched_fit.get(signal, {}).get("heldout")
+        if signal not in differing or before is None or after is None or noise is None:
+            continue
         named = any(e.component in (joint, "supply", "link") for e in diagnosis.effects)
-        if signal in differing:
-            after = milliradians(ladder.enriched) if named else "–"
-            rows.append((joint, milliradians(ladder.baseline), after, milliradians(ladder.noise)))
+        with_effects = milliradians(after) if named else "–"
+        rows.append((joint, milliradians(before), with_effects, milliradians(noise)))
     header = ("error of", "plain servo", "with the named effects", "sensor noise")
     return [Table(header, rows, _LADDER)] if rows else []
 

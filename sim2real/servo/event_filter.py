@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.signal import lfilter
 
 from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.inference.correlated_noise import whitened
@@ -225,51 +224,6 @@ class EventFilter:
 
 def _zeros(shape: tuple[int, ...], dtype: type = wp.float64) -> Any:  # noqa: ANN401
     return wp.zeros(shape, dtype=dtype, device="cpu")
-
-
-def sampled(
-    group: Sequence[Channel], arrivals: Arrivals, rng: np.random.Generator, draws: int
-) -> list[Array]:
-    """S draws from the model that the filter evaluates, for channels that share their events.
-
-    For each channel the simulated minus the measured angle in rad, shape (S, T).
-    """
-    K = min(_slots(channel) for channel in group)
-    chance, active = rng.random((K, draws)), np.zeros((K, draws), dtype=np.int32)
-    for k in range(1, K):
-        after_loss = active[k - 1] < k - 1
-        lost = chance[k] < np.where(after_loss, arrivals.repeated_loss, arrivals.loss)
-        active[k] = np.where(lost, active[k - 1], k)
-    return [_sampled_channel(channel, active, arrivals, rng) for channel in group]
-
-
-def _sampled_channel(
-    channel: Channel, active: Integers, arrivals: Arrivals, rng: np.random.Generator
-) -> Array:
-    """Residuals (S, T) of a channel with these set-points in force (K, S)."""
-    (K, draws), T = active.shape, channel.t.size
-    within, tail, first = _timeline(channel)
-    ends = np.append(first, T)
-    angle, speed, delay = np.zeros(draws), np.zeros(draws), np.zeros(draws)
-    deviation = np.zeros((T, draws))
-    force = channel.command[active]
-    for k in range(K):
-        if arrivals.delay_sd_s:
-            keep = arrivals.correlation if k else 0.0
-            kick = np.sqrt(1 - keep**2) * arrivals.delay_sd_s * rng.standard_normal(draws)
-            delay = keep * delay + kick
-            speed = speed + channel.modes.gain * (force[k] - force[max(k - 1, 0)]) * delay
-        below = channel.command[k] - force[k]
-        for step, i in [*((within[i], i) for i in range(ends[k], ends[k + 1])), (tail[k], -1)]:
-            angle, speed = (
-                step[0] * angle + step[1] * speed + step[4] * below,
-                step[2] * angle + step[3] * speed + step[5] * below,
-            )
-            if i >= 0:
-                deviation[i] = angle
-    sd = np.sqrt(channel.variance) * np.where(channel.scale > 0, channel.scale, 1.0)
-    noise = sd * rng.standard_normal((draws, T))
-    return deviation.T + lfilter([1.0], np.append(1.0, -channel.autoregression), noise, axis=1)
 
 
 def _innovations(channel: Channel) -> Array:

@@ -1,12 +1,14 @@
-"""``sim2real design``: what it writes, that the recorder plays it, and what it refuses."""
+"""``sim2real design``, with and without a diagnosis: what it writes, and what it refuses."""
 
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
+from rival_pair import RIVALS
 
 from sim2real.cli import main
+from sim2real.diagnose.result import DESIGN, to_design
 from sim2real.model import JointModel, Model, write_model
 from sim2real.recording import read_commands, read_recording
 
@@ -39,6 +41,14 @@ def write_robot(folder, limits="[-0.8, 0.8]", speed="5.24"):
 
 def design(*more):
     return main(["design", "--robot", "robot.toml", "--out", "next.csv", *more])
+
+
+def refused(folder, capsys, *parts):
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1
+    for part in parts:
+        assert part in said.err
+    assert not list(folder.glob("next*"))
 
 
 def test_what_is_written_is_played_and_predicted(folder, capsys):
@@ -76,14 +86,66 @@ def test_what_is_written_is_played_and_predicted(folder, capsys):
 def test_bad_input_is_one_line_and_nothing_is_written(folder, capsys, limits, speed, more, parts):
     write_robot(folder, limits, speed)
     assert design(*more) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1
-    for part in parts:
-        assert part in said.err
-    assert not list(folder.glob("next*"))
+    refused(folder, capsys, *parts)
 
 
 def test_a_model_of_other_joints_is_refused(folder, capsys):
     write_model(Model({"tail": JointModel(*TRUTH.values(), INERTIA)}), "model.json")
     assert design("--model", "model.json") == 2
     assert "tail" in capsys.readouterr().err
+
+
+def tell_apart(folder, rivals, *more):
+    content = {"schema": "sim2real.diagnosis/1", "rival_sets": rivals}
+    (folder / "diagnosis.json").write_text(json.dumps(content))
+    return design("--diagnosis", "diagnosis.json", "--seconds", "3.5", "--no-page", *more)
+
+
+def noise(**changes):
+    return {"noise": RIVALS.content()["noise"] | changes}
+
+
+def test_a_group_of_several_members_asks_for_a_design():
+    plan = to_design([("j1", ("backlash",)), ("j2", ("command_filter", "sensor_filter"))])
+    assert (plan.component, plan.separates) == ("j2", ("command_filter", "sensor_filter"))
+    assert plan.command == DESIGN and plan.statement.endswith(DESIGN)
+    assert to_design([("j1", ("backlash",))]) is None
+
+
+def test_commands_context_and_what_they_are_to_tell_are_written(folder, capsys):
+    (folder / "contexts.toml").write_text(
+        '[[contexts]]\nname = "softer"\ngain_ratio = 0.2\nsupply_ratio = 0.9\n'
+    )
+    assert tell_apart(folder, [RIVALS.content()], "--contexts", "contexts.toml") == 0
+    assert "separate Coulomb friction from" in capsys.readouterr().out
+    assert read_commands("next.csv").t.size == 175
+    stated = json.loads((folder / "next.json").read_text())
+    (joint,) = stated["rivals"]
+    assert joint["component"] == "j1"
+    assert 0 < joint["entropy_after_nats"] < joint["entropy_before_nats"]
+    chosen = stated["context"]
+    assert chosen["name"] in ("softer", "as it is")
+    assert chosen["gain_ratio"] == (0.2 if chosen["name"] == "softer" else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda rivals: [rivals | {"component": "k9"}], ("diagnosis.json", "'k9'", "j1")),
+        (lambda rivals: [], ("diagnosis.json", "rival_sets", "leaves some open")),
+        (lambda rivals: [rivals | {"noise": {}}], ("diagnosis.json", "rival_sets[0].noise")),
+        (lambda rivals: [rivals | noise(period_s=0)], ("noise.period_s", "above 0")),
+        (lambda rivals: [rivals | noise(innovation_sd_rad=-1)], ("innovation_sd_rad", "above 0")),
+        (lambda rivals: [rivals | noise(autoregression=[1e300])], ("autoregression", "1e75")),
+    ],
+)
+def test_a_diagnosis_that_does_not_fit_is_one_line(folder, capsys, change, parts):
+    assert tell_apart(folder, change(RIVALS.content())) == 2
+    refused(folder, capsys, *parts)
+
+
+def test_options_that_exclude_each_other_are_one_line(folder, capsys):
+    assert tell_apart(folder, [RIVALS.content()], "--inertia", "j1=0.002") == 2
+    refused(folder, capsys, "--inertia", "--diagnosis")
+    assert design("--again") == 2
+    refused(folder, capsys, "--again", "--diagnosis")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from violations import violations
 
-from sim2real.design.limits import holding, limits_of, within
+from sim2real.design.limits import holding, limits_of
 from sim2real.design.search import FAMILIES, draw
 from sim2real.errors import InputError
 from sim2real.recording import Load
@@ -21,10 +21,10 @@ def robot(speed=5.24, limits=(-0.8, 0.8), step=0.00419, torque=1.67):
 def test_any_signal_is_brought_within_the_limits_and_then_left_alone(limits):
     bounds = limits_of(robot(limits=limits))
     wild = 3 * np.random.default_rng(0).normal(size=(6, 400))
-    commands = within(wild, bounds)
+    commands = bounds.within(wild)
     assert any(violations(wild, bounds))
     assert violations(commands, bounds) == [[]] * 6
-    np.testing.assert_array_equal(within(commands, bounds), commands)
+    np.testing.assert_array_equal(bounds.within(commands), commands)
 
 
 def test_the_recorder_plays_the_commands_unchanged():

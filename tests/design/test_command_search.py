@@ -39,7 +39,6 @@ def test_any_objective_can_be_searched():
 
     found = best(reversals, LIMITS, 6.0, rng=np.random.default_rng(2), **SMALL)
     assert found.score > reversals(draw(np.random.default_rng(2), 24, LIMITS, 6.0)).max()
-    assert list(found.scores) == sorted(found.scores)
     assert violations(found.command[None], LIMITS) == [[]]
 
 

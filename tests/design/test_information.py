@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim2real.design.information import AngleError, Information, ServoPrior, prior_of
-from sim2real.design.limits import limits_of, within
+from sim2real.design.limits import limits_of
 from sim2real.design.search import draw
 from sim2real.identification.plain_fit import refitted
 from sim2real.identification.problem import plain_row
@@ -42,7 +42,7 @@ def commands():
 
 @pytest.mark.parametrize("load", [LOAD, Load(0.004, 0.4, 0.1)])
 def test_derivatives_are_those_of_the_symbolic_law(commands, load):
-    information = Information(plain(AngleError(1e-3, 0.0), load), LIMITS, substep_s=0.001)
+    information = Information(plain(AngleError(1e-3, 0.0), load), LIMITS)
     _, slopes = information.sensitivities(commands[:2])
     t = LIMITS.times(6.0)
     for command, found in zip(commands[:2], slopes[:, 0], strict=True):
@@ -75,7 +75,7 @@ def test_lost_set_points_cost_commands_that_change_all_the_time_most(commands):
         )
         return (lossy.half_width / safe.half_width).max()
 
-    steps = within(0.5 * (np.arange(300)[None] // 75 % 2), LIMITS)[0]
+    steps = LIMITS.within(0.5 * (np.arange(300)[None] // 75 % 2))[0]
     assert ratio(commands[0]) > 1.2 * ratio(steps) > 1.2
 
 

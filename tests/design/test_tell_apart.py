@@ -1,5 +1,6 @@
 """The recording that tells rivals apart: within the limits, in the context that tells most."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,15 +13,16 @@ from violations import violations
 from sim2real.design.contexts import AS_IT_IS, Context
 from sim2real.design.limits import limits_of
 from sim2real.design.rivals import RivalObjective
-from sim2real.design.tell_apart import design_for_rivals, forecast
+from sim2real.design.tell_apart import Request, design_for_rivals, forecast
 from sim2real.recording import PER_INERTIA, read_recording, write_recording
 
 SECONDS = 6.0
+ASKED = Request(SECONDS, file="d.json")
 
 
 def designed(rivals=RIVALS, contexts=(), **given):
     few = {"samples": 6e4} | given
-    return design_for_rivals([rivals], robot("j1"), contexts=contexts, seconds=SECONDS, **few)
+    return design_for_rivals([rivals], robot("j1"), ASKED, contexts, **few)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def test_it_keeps_the_limits_and_can_be_played(plain, tmp_path):
     write_recording(plain.recording(), tmp_path / "next.csv")
     again = read_recording(tmp_path / "next.csv")
     np.testing.assert_allclose(again.command[:, 0], command, atol=1e-6)
-    assert again.metadata["rivals"] == [joint.content() for joint in plain.joints]
+    assert again.metadata["rivals"] == json.loads(json.dumps([x.content() for x in plain.joints]))
     assert again.loads["j1"] == RIVALS.load
 
 
@@ -67,7 +69,7 @@ def test_where_nothing_can_be_told_it_says_so():
 
 
 def test_another_robot_is_refused():
-    message(lambda: design_for_rivals([RIVALS], robot("k1"), seconds=SECONDS), "'j1'", "k1")
+    message(lambda: design_for_rivals([RIVALS], robot("k1"), ASKED), "'j1'", "k1")
 
 
 def test_a_load_is_known_of_all_recordings_or_of_none():
@@ -81,4 +83,4 @@ def test_no_rivals_left_is_said_in_one_line():
     sure, other = RIVALS.sets
     sets = (replace(sure, probability=0.98), replace(other, probability=0.02))
     known = replace(RIVALS, sets=sets)
-    message(lambda: design_for_rivals([known], robot("j1"), file="d.json"), "d.json", "rival_sets")
+    message(lambda: design_for_rivals([known], robot("j1"), ASKED), "d.json", "rival_sets")

@@ -66,22 +66,14 @@ def made_up(strengths, visible):
     return value
 
 
-def test_between_strengths_that_were_tried_it_is_interpolated():
+@pytest.mark.parametrize(
+    ("truth", "power"),
+    [(0.012, 1), (0.03, 1), (0.1, 1), (0.012, 2), (0.03, 2), (0.1, 2), (0.005, 1), (0.05, -1)],
+)
+def test_between_strengths_it_is_interpolated_and_below_in_proportion(truth, power):
+    """A score that falls with the strength is that of a limit."""
     strengths = np.array([0.01, 0.04, 0.16])
-    for truth in (0.012, 0.03, 0.1):
-        assert made_up(strengths, NEEDED * strengths / truth) == pytest.approx(truth)
-        squared = NEEDED * (strengths / truth) ** 2
-        assert made_up(strengths, squared) == pytest.approx(truth)
-
-
-def test_beyond_them_the_score_is_proportional():
-    strengths = np.array([0.02, 0.04])
-    assert made_up(strengths, NEEDED * strengths / 0.005) == pytest.approx(0.005)
-
-
-def test_what_is_weak_where_it_is_large_is_seen_from_below():
-    limits = np.array([0.5, 1.0, 4.0])
-    assert made_up(limits, NEEDED * 2.0 / limits) == pytest.approx(2.0)
+    assert made_up(strengths, NEEDED * (strengths / truth) ** power) == pytest.approx(truth)
 
 
 def test_what_no_strength_shows_has_no_limit():

@@ -97,7 +97,7 @@ def test_expectation_and_outcome_stand_side_by_side(explained_joint):
     _, (joint,) = explained_joint
     recording = designed([(DRY,), ("deadband",)], [("deadband",), ("rate_limit",)])
     stated = design_of([recording], "j1")
-    first, second = separations("j1", stated, set_probabilities(joint))
+    first, second = separations("j1", stated, set_probabilities(joint.joint, joint.finding))
     assert first.favoured == (DRY,)
     assert first.found > 0.9
     assert str(first).startswith("j1: expected to separate Coulomb friction from")

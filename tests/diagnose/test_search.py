@@ -25,20 +25,6 @@ from sim2real.servo.batch import Batch
 from sim2real.servo.trace import trace
 
 
-def test_the_plain_servo_comes_back(nothing):
-    np.testing.assert_allclose(nothing.plain.servos.theta[0, :3], [KP, KD, LATENCY], rtol=0.02)
-    left = np.sqrt(nothing.plain.error2 / nothing.plain.count)
-    np.testing.assert_allclose(left, 0.0015, rtol=0.06)
-
-
-def test_coulomb_friction_is_found(rubbing):
-    best = rubbing.tried.best
-    assert best.members == {"coulomb_friction"}
-    theta = best.fit.servos.theta[0]
-    assert theta[column("coulomb_friction.torque_Nm")] == pytest.approx(0.05, rel=0.03)
-    np.testing.assert_allclose(theta[:3], [KP, KD, LATENCY], rtol=0.02)
-
-
 def test_what_a_search_has_missed_is_found_again(rubbing):
     ledger = replace(rubbing.tried, tried={frozenset(): rubbing.tried.plain})
     search_again(rubbing.search, [ledger])
@@ -72,13 +58,6 @@ def test_every_effect_that_would_show_is_tried_where_something_is_missing(rubbin
     expected -= {effect.name for effect in FITTED if effect.everywhere}
     assert expected & hidden, "the plain servo hides some"
     assert {frozenset({name}) for name in expected} <= set(rubbing.tried.tried)
-
-
-def test_filters_before_and_behind_look_alike(filtered):
-    tried = filtered.tried.tried
-    two = [tried[frozenset({name})].evidence for name in ("command_filter", "sensor_filter")]
-    assert two[0] == pytest.approx(two[1], abs=5)
-    assert min(two) > filtered.tried.plain.evidence + 100
 
 
 def test_a_model_that_is_given_is_a_start_as_well():

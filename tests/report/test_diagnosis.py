@@ -12,7 +12,6 @@ from sim2real.diagnose.result import (
     Estimate,
     Experiment,
     JointSeries,
-    Ladder,
     Mismatch,
     NamedEffect,
     Rival,
@@ -70,9 +69,15 @@ NAMED = NamedEffect(
     parameters={"torque_Nm": Estimate(0.0312, 0.0012, 0.0292, 0.0332)},
     heldout={"rmse_before": 0.0047, "rmse_after": 0.0017, "recoverable_removed": 0.94},
     baseline_shift={"kp_Nm_per_rad": -0.24, "kd_Nms_per_rad": 0.0001, "latency_s": 0.008},
-    stability=0.96,
     statement="j2: dry friction of 0.0312 N m holds the shaft.",
 )
+
+
+def fits(**heldout):
+    """Errors of joints."""
+    return {f"{j}.position_rad": {"heldout": x, "noise": NOISE} for j, x in heldout.items()}
+
+
 CONSISTENT = Diagnosis(
     verdict="consistent",
     mismatch=(),
@@ -81,7 +86,6 @@ CONSISTENT = Diagnosis(
     unknown={"j1": 0.0, "j2": 0.0, "j3": 0.0},
     baseline_fit={},
     enriched_fit={},
-    ladders={},
     detection_limits=(),
     next_experiment=None,
     gate=(),
@@ -94,10 +98,8 @@ EXPLAINED = replace(
     effects=(NAMED,),
     rivals=(Rival("stribeck_friction", "j2", 0.012), Rival("backlash", "j2", 0.003)),
     unknown={"j1": 0.0, "j2": 0.02, "j3": 0.0},
-    ladders={
-        "j1.position_rad": Ladder(0.0016, 0.0016, NOISE),
-        "j2.position_rad": Ladder(0.0047, 0.0017, NOISE),
-    },
+    baseline_fit=fits(j1=0.0016, j2=0.0047),
+    enriched_fit=fits(j1=0.0016, j2=0.0017),
     detection_limits=tuple(
         DetectionLimit(effect, name, {parameter: value})
         for name in ("j1", "j2", "j3")
@@ -227,18 +229,16 @@ def test_joints_without_mismatch_get_one_sentence():
 
 
 def test_consistent_joints_are_told_with_error_and_noise():
-    ladder = Ladder(0.0016, 0.0016, NOISE)
-    ladders = {f"{name}.position_rad": ladder for name in CONSISTENT.model.joints}
-    text, _ = said(replace(CONSISTENT, ladders=ladders))
+    errors = fits(**dict.fromkeys(CONSISTENT.model.joints, 0.0016))
+    text, _ = said(replace(CONSISTENT, baseline_fit=errors))
     assert "j1, j2 and j3 follow the plain servo down to the noise" in text
     assert text.count("has an error of 1.6 mrad, with 1.5 mrad of noise") == 3
-    fits = {"j3.position_rad": {"train": 0.0015, "heldout": None}}
-    assert "noise: j3 has an error of 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=fits))[0]
+    train = {"j3.position_rad": {"train": 0.0015, "heldout": None}}
+    assert "noise: j3 has an error of 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=train))[0]
 
 
 def test_an_error_far_above_the_noise_is_no_good_news():
-    far = {"j1.position_rad": Ladder(0.0112, 0.0112, NOISE)}
-    found = replace(CONSISTENT, ladders=far)
+    found = replace(CONSISTENT, baseline_fit=fits(j1=0.0112))
     sentence = "j1: RMSE 11.2 mrad, 7 times the noise of 1.5 mrad, although no effect explains it"
     text, blocks = said(found)
     assert sentence in text
@@ -290,7 +290,8 @@ def test_empty_parts_do_no_harm(whole):
         ),
         rivals=(),
         unknown={},
-        ladders={"j2.position_rad": Ladder(0.004, 0.004, NOISE)},
+        baseline_fit=fits(j2=0.004),
+        enriched_fit=fits(j2=0.004),
         next_experiment=whole.next_experiment and replace(whole.next_experiment, t=None),
         model=Model({}),
     )
@@ -318,9 +319,7 @@ def test_only_joints_with_a_finding_show_what_it_is_worth():
     other = replace(MISMATCH, signal="j1.position_rad", component="j1")
     _, blocks = said(EXPLAINED)
     assert table(blocks, "error of").rows == [("j2", "4.7 mrad", "1.7 mrad", "1.5 mrad")]
-    ladder = Ladder(0.0016, 0.0016, NOISE)
-    both = {"j1.position_rad": ladder, "j2.position_rad": EXPLAINED.ladders["j2.position_rad"]}
-    _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other), ladders=both))
+    _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other)))
     assert [row[2] for row in table(blocks, "error of").rows] == ["–", "1.7 mrad"]
 
 
