@@ -16,11 +16,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from sim2real.diagnose.changed.contrast import first_look
 
 from benchmarks.harness import ROOT, real_recordings
 from sim2real.diagnose.change import largest_jump
-from sim2real.diagnose.contrast import BANK, directions, unit
+from sim2real.diagnose.contrast import BANK, directions, first_look, unit
 from sim2real.diagnose.explained import Explained, explained
 from sim2real.diagnose.references import law_of
 from sim2real.output import write_json
