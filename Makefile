@@ -35,7 +35,7 @@ bench: .venv/installed   ## speed and memory, as ratios; first how fast the mach
 	$(BIN)/python -m benchmarks.fluid_speed
 
 yardstick: .venv/installed   ## what moved in the answers of the verbs since benchmarks/yardstick.json was written
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/yardstick.py
+	$(BIN)/python -m benchmarks.yardstick
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
