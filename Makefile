@@ -25,7 +25,7 @@ docs: .venv/installed   ## the documentation, in build/site; a warning is an err
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for finer cells
-	$(BIN)/python -m benchmarks.coverage
+	$(BIN)/python -m benchmarks.coverage --no-posterior
 	$(BIN)/python -m benchmarks.real_servos --seeds 0 1 2 3
 	$(BIN)/python -m benchmarks.validation --device $(DEVICE)
 
