@@ -25,7 +25,7 @@ docs: .venv/installed   ## the documentation, in build/site; a warning is an err
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 validate: .venv/installed   ## accuracy: known servos recovered, real ones fitted, published cases; DEVICE=cuda:0 for finer cells
-	$(BIN)/python -m benchmarks.coverage
+	$(BIN)/python -m benchmarks.coverage --no-posterior
 	$(BIN)/python -m benchmarks.real_servos --seeds 0 1 2 3
 	$(BIN)/python -m benchmarks.validation --device $(DEVICE)
 
@@ -35,7 +35,7 @@ bench: .venv/installed   ## speed and memory, as ratios; first how fast the mach
 	$(BIN)/python -m benchmarks.fluid_speed
 
 yardstick: .venv/installed   ## what moved in the answers of the verbs since benchmarks/yardstick.json was written
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/yardstick.py
+	$(BIN)/python -m benchmarks.yardstick
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

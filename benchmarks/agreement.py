@@ -30,6 +30,7 @@ from tqdm import tqdm
 from benchmarks.harness import command_line
 from sim2real.arrays import Array
 from sim2real.effects import CATALOGUE
+from sim2real.exporters.mujoco import HAS
 from sim2real.exporters.simulators import TARGETS
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
@@ -98,8 +99,6 @@ def parts() -> dict[str, Model]:
 
 def with_effects() -> dict[str, Model]:
     """The parts, a pendulum, and each effect that a MuJoCo model has."""
-    from sim2real.exporters.mujoco import HAS
-
     effects = {name: servo(LOAD, name) for name in sorted((*HAS, "torque_saturation"))}
     return parts() | {"pendulum": servo(Load(0.004, 0.1, 0.1))} | effects
 
@@ -112,10 +111,10 @@ def without_friction() -> dict[str, Model]:
     return {"plain": servo(LOAD)} | {name: Model({"j1": one}) for name, one in models.items()}
 
 
-def made_by(text: str) -> dict[str, Any]:
-    """The names that an exported text defines."""
+def made_by(simulator: str, model: Model) -> dict[str, Any]:
+    """The names that the exported text for a simulator defines."""
     made: dict[str, Any] = {}
-    exec(text, made)  # noqa: S102 - the very text that users get
+    exec(TARGETS[simulator].write(model).text, made)  # noqa: S102 - the text that users get
     return made
 
 
@@ -133,7 +132,6 @@ def sampled(times: Array, grid: Array, rows: Sequence[Array]) -> Array:
 
 def mujoco(models: Sequence[Model], times: Array, commands: Array, options: Any) -> Array:  # noqa: ANN401
     """Each exported MJCF, by itself, from where ``predict`` starts."""
-    from sim2real.exporters.mujoco import mujoco as exported
     from sim2real.exporters.mujoco_bench import simulate
 
     step_s = 1e-3 * options.step_ms if options.step_ms else None
@@ -141,7 +139,8 @@ def mujoco(models: Sequence[Model], times: Array, commands: Array, options: Any)
     angles = []
     for model, sent in zip(models, commands.T, strict=True):
         start = {"j1": float(predict(model, times[:2], {"j1": sent[:2]})["j1"][0])}
-        angles.append(simulate(exported(model).text, times, {"j1": sent}, start, **given)["j1"])
+        text = TARGETS["mujoco"].write(model).text
+        angles.append(simulate(text, times, {"j1": sent}, start, **given)["j1"])
     return np.stack(angles, axis=1)
 
 
@@ -161,9 +160,7 @@ def genesis(models: Sequence[Model], times: Array, commands: Array, _: Any) -> A
             entities.append(scene.add_entity(morph))
         scene.build()
     pairs = zip(models, entities, strict=True)
-    dofs = [
-        made_by(TARGETS["genesis"].write(model).text)["set_actuators"](one) for model, one in pairs
-    ]
+    dofs = [made_by("genesis", model)["set_actuators"](one) for model, one in pairs]
     grid, _ = held(times, STEP_S)
     latencies = np.array([model.joints["j1"].latency_s for model in models])
     late = np.searchsorted(times, grid[:, None] - STEP_S - latencies, side="right") - 1
@@ -191,7 +188,7 @@ def newton(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Ar
         link = builder.add_link(mass=0.1, inertia=wp.mat33(load, 0, 0, 0, load, 0, 0, 0, load))
         hinge = builder.add_joint_revolute(parent=-1, child=link, axis=newton.Axis.Y, label=name)
         builder.add_articulation([hinge])
-    made_by(TARGETS["newton"].write(Model(joints)).text)["add_actuators"](builder, STEP_S)
+    made_by("newton", Model(joints))["add_actuators"](builder, STEP_S)
     model = builder.finalize(device="cpu")
     physics = {"use_mujoco_cpu": True, "integrator": "implicitfast", "disable_contacts": True}
     solver = SolverMuJoCo(model, **physics)
@@ -220,7 +217,7 @@ def mjlab(models: Sequence[Model], times: Array, commands: Array, _: Any) -> Arr
     from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
 
     def entity(model: Model) -> Any:  # noqa: ANN401
-        made, inertia = made_by(TARGETS["mjlab"].write(model).text), model.joints["j1"].inertia_kgm2
+        made, inertia = made_by("mjlab", model), model.joints["j1"].inertia_kgm2
 
         def spec() -> Any:  # noqa: ANN401
             link = mujoco.MjSpec.from_string(MJCF.format(inertia=inertia))
@@ -265,7 +262,7 @@ def isaaclab(models: Sequence[Model], times: Array, commands: Array, options: An
     grid, rows = held(times, step_s)
     angles = []
     for model, command in zip(models, commands.T, strict=True):
-        given = made_by(TARGETS["isaaclab"].write(model).text)["actuators"](step_s)["j1"]
+        given = made_by("isaaclab", model)["actuators"](step_s)["j1"]
         more = {"stiffness": given.stiffness, "damping": given.damping, "device": "cpu"}
         actuator = given.class_type(given, joint_names=["j1"], joint_ids=[0], num_envs=1, **more)
         actuator.reset([0])

@@ -10,10 +10,10 @@ the verdicts are written.
 
 from __future__ import annotations
 
+import itertools
 import json
 import random
 import traceback
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from sim2real.diagnose.joint_result import JointFindings
 
 Row = dict[str, Any]
-Group = tuple[str, list[Row]]
-"""Cases whose simulations share launches on a device."""
 SHARED = ("supply", "link")
 
 
@@ -35,7 +33,7 @@ def main() -> None:
     """Examine the cases of a set until the time is over."""
     parser = command_line(
         __doc__, steps=(False, "only how finely sensors read, of all"), processes=1,
-        seconds=(float("inf"), "then stop starting"), together=(12, "cases of a launch on a GPU"),
+        seconds=(float("inf"), "then stop starting"),
         devices=(["cpu"], "Warp devices, each as often as it is to have processes"),
     )  # fmt: skip
     parser.add_argument("set", type=Path, metavar="SET")
@@ -52,59 +50,38 @@ def main() -> None:
     known = {row["case"] for row in read_lines(options.rows)}
     left = [answer for answer in answers if answer["case"] not in known]
     examine = partial(measured, options.set, options.verdicts)
-    if left:  # the first alone, as it compiles the kernels for all
-        list(kept(options.rows, examine((options.devices[0], left[:1]))))
-    groups = alike(options.set, left[1:], options.devices, options.together)
-    each = spread(examine, groups, options.processes, in_order=False, seconds=options.seconds)
+    random.Random(0).shuffle(left)
+    jobs = list(zip(itertools.cycle(options.devices), left, strict=False))
+    if jobs:  # the first alone, as it compiles the kernels for all
+        list(kept(options.rows, examine(jobs[0])))
+    each = spread(examine, jobs[1:], options.processes, in_order=False, seconds=options.seconds)
     list(kept(options.rows, (row for rows in each for row in rows)))
     print(f"{len({row['case'] for row in read_lines(options.rows)})} of {len(answers)} cases")
 
 
-def alike(
-    challenge: Path, answers: Sequence[Row], devices: Sequence[str], together: int
-) -> list[Group]:
-    """In random order, but on a GPU so many of like sampling period together."""
-
-    def period(answer: Row) -> float:
-        lines = (challenge / "inputs" / answer["case"] / "a.csv").read_text().splitlines()
-        return float(lines[-1].partition(",")[0]) / (len(lines) - 2)
-
-    ranked = sorted(answers, key=period)
-    size = 1 if set(devices) == {"cpu"} else together
-    chunks = [ranked[k : k + size] for k in range(0, len(ranked), size)]
-    random.Random(0).shuffle(chunks)
-    return [(devices[k % len(devices)], chunk) for k, chunk in enumerate(chunks)]
-
-
-def measured(challenge: Path, verdicts: Path, group: Group) -> list[Row]:
-    """What is known of each joint of some cases; their verdicts are written along."""
+def measured(challenge: Path, verdicts: Path, job: tuple[str, Row]) -> list[Row]:
+    """What is known of each joint of a case, on a device; its verdict is written along."""
     from sim2real.diagnose.decision import DECISION
     from sim2real.diagnose.diagnose import examined
     from sim2real.diagnose.result import write_diagnosis
     from sim2real.diagnose.wording import diagnosis
     from sim2real.model import write_model
 
-    device, answers = group
-    cases = [read_case(challenge / "inputs" / answer["case"]) for answer in answers]
-    rows = []
+    device, answer = job
     try:
-        for answer, (case, joints) in zip(answers, examined(cases, device=device), strict=True):
-            found = diagnosis(case, joints, DECISION.negligible, 0)
-            target = verdicts / answer["case"]
-            target.mkdir(parents=True, exist_ok=True)
-            write_diagnosis(found, target / "diagnosis.json", "enriched.json")
-            write_model(found.model, target / "enriched.json")
-            if found.baseline is not None:
-                write_model(found.baseline, target / "baseline.json")
-            if "effects" in answer:
-                rows += [_row(answer, one, case) for one in joints]
-            else:
-                rows.append(answer)
+        case, joints = examined(read_case(challenge / "inputs" / answer["case"]), device=device)
+        found = diagnosis(case, joints, DECISION.negligible, 0)
+        target = verdicts / answer["case"]
+        target.mkdir(parents=True, exist_ok=True)
+        write_diagnosis(found, target / "diagnosis.json", "enriched.json")
+        write_model(found.model, target / "enriched.json")
+        if found.baseline is not None:
+            write_model(found.baseline, target / "baseline.json")
+        return [_row(answer, one, case) for one in joints] if "effects" in answer else [answer]
     except Exception:
-        print(f"failed: {', '.join(answer['case'] for answer in answers)}", flush=True)
+        print(f"failed: {answer['case']}", flush=True)
         traceback.print_exc()
         return []
-    return rows
 
 
 def stepped(challenge: Path, answer: Row) -> list[Row]:

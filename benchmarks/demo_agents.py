@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.harness import ROOT, command_line
 from rl.commands.demo_pool import PRETRAINED, QUICK, SEEDS, SWIM, agents_in
 from rl.experiments.ablation import PAPER, write_pretrained
-from rl.sac.train import Plan
+from rl.sac.plan import Plan
 from sim2real.errors import InputError
 from sim2real.model import read_model
 from sim2real.output import provenance

@@ -26,16 +26,15 @@ from benchmarks.harness import command_line, spread
 from sim.inference.coordinates import ERROR, Coordinates
 from sim.inference.in_water import robot_in_water
 from sim.inference.law_error import (
-    BANDS,
     FILE,
     IN_WATER,
     NEVER,
     RELATIVE,
-    ROWS,
     LawError,
     read_law_error,
 )
 from sim.inference.searched import together
+from sim.inference.swim_decision import BANDS, ROWS
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import SwimSimulator, swim_of
 from sim2real.arrays import Array

@@ -46,12 +46,11 @@ from rl.controllers.classical import (
 )
 from rl.experiments.episodes import Episodes, spent
 from rl.experiments.reality import Starts
-from rl.experiments.testbeds import Controllers
+from rl.experiments.testbeds import Controllers, SimulationSettings, simulate
 from rl.make import draws_of, make_world
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values
-from sim.simulation import Simulated
 from sim.twin.twin import Coefficients
 from sim2real.arrays import Array
 from sim2real.model import Model
@@ -309,9 +308,10 @@ def swum(gains: dict[Any, Array], options: argparse.Namespace, seed: int) -> dic
     starts = IN_TRIALS.place(np.random.default_rng(seed), S, len(LIMITS))
     n = len(SEARCHES) * C
     tiled = Starts(*(np.tile(x, (n, *[1] * (x.ndim - 1))) for x in starts))
-    testbed = Simulated("fluid", own * n, options.fidelity, options.cell_m, {}, options.device)
-    episodes = testbed.swim(
-        Controllers(controllers, n * S // len(controllers)), ROBOT, IN_TRIALS, tiled, seed
+    settings = SimulationSettings(options.fidelity, options.device, cell_m=options.cell_m)
+    steering = Controllers(controllers, n * S // len(controllers))
+    episodes = simulate(
+        ROBOT, IN_TRIALS, tiled, own * n, steering, settings, seed=seed, name="trials"
     )
     table = costs(episodes, np.concatenate(price)).reshape(len(SEARCHES), C, S)
     return dict(zip(SEARCHES, table, strict=True))

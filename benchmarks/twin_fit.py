@@ -255,8 +255,8 @@ def fit() -> None:
 
 
 if __name__ == "__main__":
-    fluid = (False, "swim in the fluid, fit nothing")
-    options = command_line(__doc__, fluid=fluid, device="cpu", cell_m=0.01).parse_args()
+    only = (False, "swim in the fluid, fit nothing")
+    options = command_line(__doc__, fluid=only, device="cpu", cell_m=0.01).parse_args()
     if options.fluid:
         fluid(options.device, options.cell_m)
     else:

@@ -1,8 +1,8 @@
 """What moved in the answers of the verbs to a fixed set of cases, against ``yardstick.json``.
 
     make yardstick                                  # a quarter of an hour on two cores
-    python benchmarks/yardstick.py --only swim/ --processes 16
-    python benchmarks/yardstick.py --write          # store today's answers
+    python -m benchmarks.yardstick --only swim/ --processes 16
+    python -m benchmarks.yardstick --write          # store today's answers
 
 A line for every verdict, set of names of at least 90 %, probability, estimate (in standard
 deviations of the stored interval), held-out error and refusal that moved, and whether it came
@@ -13,7 +13,6 @@ same code are kept in ``build/yardstick``, so that an interrupted run goes on.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import hashlib
 import io
@@ -21,16 +20,15 @@ import json
 import math
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
-from yardstick_cases import ROOT, Case, cases
 
+from benchmarks.harness import ROOT, command_line, spread
+from benchmarks.yardstick_cases import Case, cases
 from sim2real import cli, predict
 from sim2real.recording import read_commands
 
@@ -144,9 +142,16 @@ def report(before: Answers, after: Answers, truths: dict[str, Any]) -> Iterator[
         yield f"processor time of {verb}: {old:.0f} -> {new:.0f} s, {ratio:.2f} at equal pace"
 
 
+def answer_all(job: tuple[Case, Path]) -> None:
+    """Write the answers of the verbs of a case, whose files are beside."""
+    case, file = job
+    warmed_up()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(answers(case, file.parent)))
+
+
 def answers(case: Case, out: Path) -> dict[str, Any]:
     """Answers of the verbs of a case, in files under ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
     found: dict[str, Any] = {INPUTS: inputs(case)}
     for verb in case.verbs:
         command, file = verb.split()[0], out / f"{verb.split()[-1]}.json"
@@ -244,6 +249,7 @@ def cpu_s(of_case: dict[str, Any]) -> float:
     return sum(answer["cpu_s"] for verb, answer in of_case.items() if verb != INPUTS)
 
 
+@cache
 def warmed_up() -> None:
     """Import and compile what the verbs share, so that no case counts it."""
     folder = ROOT / "datasets" / "servo_steps"
@@ -268,21 +274,17 @@ def run(todo: list[Case], processes: int) -> Answers:
     packages = [p for name in ("sim2real", "sim") for p in (ROOT / name).rglob("*.py")]
     kept = BUILD / sha(*(path.read_bytes() for path in sorted(packages)))
     files = {case.name: kept / case.name / f"{inputs(case)}.json" for case in todo}
-    missing = [case for case in todo if not files[case.name].exists()]
-    with ProcessPoolExecutor(processes, get_context("spawn"), warmed_up) as pool:
-        jobs = {pool.submit(answers, case, kept / case.name): case.name for case in missing}
-        for job in tqdm(as_completed(jobs), total=len(jobs), desc="yardstick", disable=None):
-            files[jobs[job]].write_text(json.dumps(job.result()))
+    missing = [(case, files[case.name]) for case in todo if not files[case.name].exists()]
+    list(spread(answer_all, missing, processes, in_order=False))
     return {name: json.loads(path.read_text()) for name, path in files.items()}
 
 
 def main() -> None:
     """Run, compare or write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", default="", metavar="PATTERN", help="cases with this in the name")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--write", action="store_true", help="store today's answers")
-    options = parser.parse_args()
+    options = command_line(
+        __doc__, only=("", "cases with this in the name"), processes=2,
+        write=(False, "store today's answers"),
+    ).parse_args()  # fmt: skip
     chosen = [case for case in cases(BUILD) if options.only in case.name]
     stored = json.loads(STORED.read_text()) if STORED.exists() else {}
     chosen.sort(key=lambda case: -cpu_s(stored.get(case.name, {})))

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.harness import ROOT
+
 if TYPE_CHECKING:
     from drawn import Drawn, Effects
 
-ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 POOL = ROOT / "datasets" / "pool"
 SEED = 63

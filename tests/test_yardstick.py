@@ -1,10 +1,10 @@
 """The yardstick reports what moved between two answers, and nothing else."""
 
-import importlib
 from copy import deepcopy
-from pathlib import Path
 
 import pytest
+
+from benchmarks import yardstick
 
 NAMES = {"j1 backlash": 0.97, "j1 coulomb_friction|stribeck_friction": 0.6}
 ANSWER = {
@@ -23,24 +23,18 @@ TRUTH = {
 }
 
 
-@pytest.fixture
-def yardstick(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
-    return importlib.import_module("yardstick")
-
-
 def changed(**parts):
     """An answer with other parts."""
     return deepcopy(ANSWER) | parts
 
 
-def moved(yardstick, after):
+def moved(after):
     return [(move.kind, move.nearer) for move in yardstick.moves(ANSWER, after, TRUTH)]
 
 
-def test_the_same_answer_did_not_move(yardstick):
+def test_the_same_answer_did_not_move():
     small = changed(estimates={"j1.kp_Nm_per_rad": [2.02, 0.2]}, errors={"j1 in c": 0.00405})
-    assert moved(yardstick, small) == []
+    assert moved(small) == []
 
 
 @pytest.mark.parametrize(
@@ -56,11 +50,11 @@ def test_the_same_answer_did_not_move(yardstick):
         ({"names": {**NAMES, "j1 cogging": 0.95}}, [("names", None), ("probability", None)]),
     ],
 )
-def test_each_kind_of_change_is_reported(yardstick, parts, expected):
-    assert moved(yardstick, changed(**parts)) == expected
+def test_each_kind_of_change_is_reported(parts, expected):
+    assert moved(changed(**parts)) == expected
 
 
-def test_the_report_counts_what_held(yardstick):
+def test_the_report_counts_what_held():
     worse = changed(verdict="ambiguous", errors={"j1 in c": 0.008}, cpu_s=8.0, pace_s=0.04)
     before = {"foreign/1": {"diagnose": ANSWER}, "foreign/2": {"diagnose": ANSWER}}
     after = {"foreign/1": {"diagnose": worse}, "foreign/2": {"diagnose": ANSWER}}
@@ -73,13 +67,13 @@ def test_the_report_counts_what_held(yardstick):
     assert not any(line.startswith("foreign/2") for line in lines)
 
 
-def test_refused_input_is_an_answer(yardstick, tmp_path):
+def test_refused_input_is_an_answer(tmp_path):
     call = ["identify", "steps.csv", "--robot", "none.toml", "--out", str(tmp_path / "model.json")]
     message, _ = yardstick.called(call)
     assert message.startswith("sim2real identify: none.toml: found no such file")
 
 
-def test_an_estimate_without_a_whole_interval_has_no_deviation(yardstick):
+def test_an_estimate_without_a_whole_interval_has_no_deviation():
     gains = {"kp_Nm_per_rad": 2.0, "kd_Nms_per_rad": 0.1, "latency_s": 0.02}
     intervals = {"kp_Nm_per_rad": [1.671, 2.329], "kd_Nms_per_rad": [0.05, None]}
     model = {"joints": {"j1": {**gains, "interval": intervals}}, "body": {}}

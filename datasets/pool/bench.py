@@ -12,7 +12,7 @@ Simulated, not measured: the servos of ``servos.py`` turn the loads of ``model.j
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,9 @@ LENGTH_S, REST_S = 20.0, 0.5
 
 def main() -> None:
     """Turn, record, write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("out", type=Path)
+    out = parser.parse_args().out
     rng = np.random.default_rng(20261126)
     joints = read_model(Path(__file__).with_name("model.json")).joints
     inertia = np.array([joint.inertia_kgm2 for joint in joints.values()])
@@ -53,7 +56,7 @@ def main() -> None:
         loads={n: Load(float(i)) for n, i in zip(names, inertia, strict=True)},
         source="Simulated, not measured: datasets/pool/bench.py. MIT licence.",
     )  # fmt: skip
-    write_recording(recording, Path(sys.argv[1]) / "bench.csv")
+    write_recording(recording, out / "bench.csv")
 
 
 if __name__ == "__main__":

@@ -34,9 +34,9 @@ from measures import (
 )
 from tqdm import tqdm
 
-from sim.inference.coordinates import SwimSimulator, signals_of
+from sim.inference.coordinates import signals_of
 from sim.inference.in_water import by_twin_in_water, read_water_swims, robot_in_water
-from sim.inference.swims import swim_of
+from sim.inference.swims import SwimSimulator, swim_of
 from sim2real.model import Model, read_model
 from sim2real.output import write_json, write_whole
 from sim2real.recording import Recording, read_recording
