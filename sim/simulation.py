@@ -59,12 +59,9 @@ class SupersonicFlow(FloatingPointError):
 
 @dataclass(frozen=True)
 class Simulated(NotebookDisplay):
-    """Swims of a model.
+    """Swims of a model."""
 
-    Attributes:
-        swims: Pool recordings: commands, measured joint angles and the head's pose, every 20 ms.
-    """
-
+    # pool recordings: commands, measured joint angles and the head's pose, every 20 ms
     swims: tuple[Recording, ...]
 
     def __str__(self) -> str:

@@ -289,19 +289,12 @@ def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs
 
 @dataclass(frozen=True)
 class Tank:
-    """Cells and walls of one box.
+    """Cells and walls of one box."""
 
-    Attributes:
-        size: Cells (nx, ny, nz), walls included; nz is 1 in two dimensions.
-        walls: Kind of each cell, shape ``size``.
-        normals: Direction out of the fluid at the free surface, shape ``size``.
-        sponge: Width in cells of the absorbing layer; 0 where walls close the box.
-    """
-
-    size: tuple[int, int, int]
-    walls: Picture
-    normals: Integers
-    sponge: int
+    size: tuple[int, int, int]  # cells (nx, ny, nz), walls included; nz is 1 in two dimensions
+    walls: Picture  # kind of each cell, shape ``size``
+    normals: Integers  # direction out of the fluid at the free surface, shape ``size``
+    sponge: int  # width in cells of the absorbing layer; 0 where walls close the box
 
 
 def window(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:

@@ -33,40 +33,31 @@ MEMORY = 40.0
 
 @wp.struct
 class Touch:
-    """Parameters of a wall model for the kernels; lengths in cells.
+    """Parameters of a wall model for the kernels; lengths in cells."""
 
-    Attributes:
-        line: Number of the friction line in ``LINES``.
-        reynolds: Reynolds number of one cell per step over the body's length, in water.
-        length: The body's length.
-        edge: ``Wall.edge``.
-    """
-
-    line: int
-    reynolds: float
-    length: float
-    edge: float
+    line: int  # number of the friction line in ``LINES``
+    reynolds: float  # reynolds number of one cell per step over the body's length, in water
+    length: float  # the body's length
+    edge: float  # ``Wall.edge``
 
 
 @dataclass(frozen=True)
 class Wall:
     """Wall model of bodies.
 
-    Attributes:
-        slip: Whether the water slips along the surface, by ghost cells, which exchange nothing
-            along it. Added mass is then right within 2 % for a spheroid of 8 cells of thickness,
-            friction is 0.84 to 0.95 of that of its line with 2 to 8 cells, and both drag and
-            friction fall with the length of the time step (``reports/resolution``).
-        line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
-            ``surface_friction`` adds to it, link by link.
-        edge: Distance in cells by which the edges of a sheet are moved inwards where it slips.
-
     Raises:
         InputError: If there is no such line.
     """
 
+    # whether the water slips along the surface, by ghost cells, which exchange nothing along it.
+    # Added mass is then right within 2 % for a spheroid of 8 cells of thickness, friction is 0.84
+    # to 0.95 of that of its line with 2 to 8 cells, and both drag and friction fall with the length
+    # of the time step (``reports/resolution``).
     slip: bool
+    # friction line of a smooth surface where it slips, one of ``LINES``; a model's
+    # ``surface_friction`` adds to it, link by link
     line: str = "none"
+    # distance in cells by which the edges of a sheet are moved inwards where it slips
     edge: float = EDGE
 
     def __post_init__(self) -> None:

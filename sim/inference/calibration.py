@@ -81,27 +81,18 @@ class FluidSettings:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Parameters fitted to swims.
+    """Parameters fitted to swims."""
 
-    Attributes:
-        model: The calibrated model.
-        free: The F fitted parameters.
-        best: Their values, shape (F,).
-        covariance: Their covariance, shape (F, F).
-        rmse: Held-out root mean square error of each signal, before and after, shape (2, 3 + J).
-        train: Likewise on the fitted part.
-        noise: Standard deviation of the recordings' noise, shape (3 + J,); 0 in the twin.
-        grid: Shift of each parameter relative to cells of twice the size, shape (F,); None if that
-            was not requested, or such cells stop the robot.
-    """
-
-    model: Model
-    free: tuple[Parameter, ...]
-    best: Array
-    covariance: Array
+    model: Model  # the calibrated model
+    free: tuple[Parameter, ...]  # the F fitted parameters
+    best: Array  # their values, shape (F,)
+    covariance: Array  # their covariance, shape (F, F)
+    # held-out root mean square error of each signal, before and after, shape (2, 3 + J)
     rmse: Array
-    train: Array
-    noise: Array
+    train: Array  # likewise on the fitted part
+    noise: Array  # standard deviation of the recordings' noise, shape (3 + J,); 0 in the twin
+    # shift of each parameter relative to cells of twice the size, shape (F,); None if that was not
+    # requested, or such cells stop the robot
     grid: Array | None = None
 
     def interval(self, level: float = 0.9) -> Array:
@@ -247,25 +238,15 @@ def _errors(
 
 @dataclass(frozen=True)
 class Calibration(NotebookDisplay):
-    """Result of a calibration.
+    """Result of a calibration."""
 
-    Attributes:
-        model: The calibrated model, with intervals (``body``) and errors (``fit``).
-        before: The model before the calibration.
-        robot: The robot.
-        swims: The fitted swims, whose last parts were held out.
-        twin: Parameters, covariance and errors of the fit in the twin.
-        in_fluid: Likewise for the fit in the fluid, if there was one.
-        fluid: Settings of the fluid.
-    """
-
-    model: Model
-    before: Model
-    robot: Robot
-    swims: tuple[Swim, ...]
-    twin: Calibrated
-    in_fluid: Calibrated | None = None
-    fluid: FluidSettings = FluidSettings()
+    model: Model  # the calibrated model, with intervals (``body``) and errors (``fit``)
+    before: Model  # the model before the calibration
+    robot: Robot  # the robot
+    swims: tuple[Swim, ...]  # the fitted swims, whose last parts were held out
+    twin: Calibrated  # parameters, covariance and errors of the fit in the twin
+    in_fluid: Calibrated | None = None  # likewise for the fit in the fluid, if there was one
+    fluid: FluidSettings = FluidSettings()  # settings of the fluid
 
     @property
     def fitted(self) -> Calibrated:

@@ -67,24 +67,17 @@ _PLACED = {_PULL: Products(10.0, 0.05, 0.4, 1e-4), _AREA: Products(0.2, 1e-4, 2e
 
 @dataclass(frozen=True)
 class Column:
-    """One coordinate.
+    """One coordinate."""
 
-    Attributes:
-        name: Name of its parameter.
-        effect: The effect it belongs to, as ``(name, component)``; None for what every fit varies.
-        nominal: Its value without missing effects.
-        low, high: Its bounds.
-        step: Step of derivatives.
-        prior_sd: Standard deviation of the prior of an effect that is present.
-    """
-
-    name: str
+    name: str  # name of its parameter
+    # the effect it belongs to, as ``(name, component)``; None for what every fit varies
     effect: tuple[str, str] | None
-    nominal: float
+    nominal: float  # its value without missing effects
+    # low, high: its bounds
     low: float
     high: float
-    step: float
-    prior_sd: float = np.inf
+    step: float  # step of derivatives
+    prior_sd: float = np.inf  # standard deviation of the prior of an effect that is present
 
     @property
     def shown(self) -> bool:
@@ -103,22 +96,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """All columns of a robot.
+    """All columns of a robot."""
 
-    Attributes:
-        model: The servos, and the law where the model has one.
-        columns: F of them.
-        effects: Effects that may be missing.
-        seems: Apparent values in reference swims in which nothing is missing, shape (F,): the
-            simulator's error (``learned``), which is added in simulations.
-        place: Index of each column by name.
-    """
-
-    model: Model
-    columns: tuple[Column, ...]
-    effects: tuple[Candidate, ...] = ()
+    model: Model  # the servos, and the law where the model has one
+    columns: tuple[Column, ...]  # F of them
+    effects: tuple[Candidate, ...] = ()  # effects that may be missing
+    # apparent values in reference swims in which nothing is missing, shape (F,): the simulator's
+    # error (``learned``), which is added in simulations
     seems: Array | float = 0.0
-    place: Mapping[str, int] = field(init=False)
+    place: Mapping[str, int] = field(init=False)  # index of each column by name
 
     def __post_init__(self) -> None:
         """Index the columns."""

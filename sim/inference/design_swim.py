@@ -41,12 +41,9 @@ from sim2real.robot import Robot
 
 @dataclass(frozen=True)
 class SwimDesign(RivalDesign):
-    """A swim to make next, from standstill in the middle of the pool, heading along x.
+    """A swim to make next, from standstill in the middle of the pool, heading along x."""
 
-    Attributes:
-        moved_joints: The joints that ``command`` of the forecast moves, in its order.
-    """
-
+    # the joints that ``command`` of the forecast moves, in its order
     moved_joints: tuple[str, ...] = field(default=())
 
     @property

@@ -67,19 +67,15 @@ RESIMULATED = (
 
 @dataclass(frozen=True)
 class InWater:
-    """Simulations of swims in the fluid.
+    """Simulations of swims in the fluid."""
 
-    Attributes:
-        names: Names of the V variants of the fluid.
-        steps: For each swim, by ``key``: mean velocity forward, to the left (m/s) and of the
-            heading (rad/s) in each period, and the joints' angles, shape (1 + V, T - 1, 3 + J):
-            the first simulation, then the differences of the variants, that of ``cells`` from the
-            first simulation, the others from ``cells``.
-        law: Coefficients of the twin fitted to these simulations, if they were fitted.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of the V variants of the fluid
+    # for each swim, by ``key``: mean velocity forward, to the left (m/s) and of the heading (rad/s)
+    # in each period, and the joints' angles, shape (1 + V, T - 1, 3 + J): the first simulation,
+    # then the differences of the variants, that of ``cells`` from the first simulation, the others
+    # from ``cells``
     steps: Mapping[bytes, Array]
+    # coefficients of the twin fitted to these simulations, if they were fitted
     law: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, model: Model) -> Model:

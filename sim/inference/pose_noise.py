@@ -27,17 +27,12 @@ _LEAST = 64
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """Noise of x, y and heading.
+    """Noise of x, y and heading."""
 
-    Attributes:
-        sd: Standard deviation before the filter, shape (3,).
-        lag_s: Time constant of the filter; 0 without a filter.
-        colour: Log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were
-            resampled or lost, which smooths them too.
-    """
-
-    sd: Array
-    lag_s: float = 0.0
+    sd: Array  # standard deviation before the filter, shape (3,)
+    lag_s: float = 0.0  # time constant of the filter; 0 without a filter
+    # log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were resampled or
+    # lost, which smooths them too
     colour: Array | None = None
 
     def log_ratio(self, lag_s: float) -> float:

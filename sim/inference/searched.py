@@ -154,25 +154,17 @@ class HeldOutErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class Searched:
-    """Result of a search, before decisions.
+    """Result of a search, before decisions."""
 
-    Attributes:
-        problem: The swims.
-        plain: The fit without effects.
-        found: Every set that was tried, best first.
-        best: The best set with an effect, likely or not.
-        nameless: Evidence that unnamed shapes add to the plain fit and to the best.
-        held: Held-out errors of each set.
-        misfit: Mean square of the best fit's weighted errors by signal and band, less the estimated
-            error of the twin, shape (4, 3).
-    """
-
-    problem: SwimSearch
-    plain: Hypothesis[Fit]
-    found: list[Hypothesis[Fit]]
-    best: Hypothesis[Fit]
+    problem: SwimSearch  # the swims
+    plain: Hypothesis[Fit]  # the fit without effects
+    found: list[Hypothesis[Fit]]  # every set that was tried, best first
+    best: Hypothesis[Fit]  # the best set with an effect, likely or not
+    # evidence that unnamed shapes add to the plain fit and to the best
     nameless: dict[str, dict[str, float]]
-    held: dict[Members, HeldOutErrors]
+    held: dict[Members, HeldOutErrors]  # held-out errors of each set
+    # mean square of the best fit's weighted errors by signal and band, less the estimated error of
+    # the twin, shape (4, 3)
     misfit: Array
 
 

@@ -69,23 +69,14 @@ def _local_power(coefficients: Array, edges: Sequence[tuple[int, int]]) -> Array
 
 @dataclass(frozen=True)
 class Blocks:
-    """Cosine transform of one swim, and the variances of its coefficients.
+    """Cosine transform of one swim, and the variances of its coefficients."""
 
-    Attributes:
-        edges: First sample and end of each block.
-        block: Block of each coefficient, shape (T,).
-        band: Its band, shape (T,): 0, 1 or 2.
-        noise: Variance of the recording's noise in each coefficient, shape (T, K).
-        power: Power of the signals around each coefficient, shape (T, K).
-        seen: Cosine transform of the recorded signals, shape (T, K).
-    """
-
-    edges: tuple[tuple[int, int], ...]
-    block: Index
-    band: Index
-    noise: Array
-    power: Array
-    seen: Array
+    edges: tuple[tuple[int, int], ...]  # first sample and end of each block
+    block: Index  # block of each coefficient, shape (T,)
+    band: Index  # its band, shape (T,): 0, 1 or 2
+    noise: Array  # variance of the recording's noise in each coefficient, shape (T, K)
+    power: Array  # power of the signals around each coefficient, shape (T, K)
+    seen: Array  # cosine transform of the recorded signals, shape (T, K)
 
     @classmethod
     def of(cls, swim: Swim) -> Blocks:

@@ -21,13 +21,9 @@ from sim2real.design.limits import within as joint_within
 
 @dataclass(frozen=True)
 class SwimLimits:
-    """Limits of the commands of a swim.
+    """Limits of the commands of a swim."""
 
-    Attributes:
-        joints: Those of each of J joints, of equal periods.
-    """
-
-    joints: tuple[CommandLimits, ...]
+    joints: tuple[CommandLimits, ...]  # those of each of J joints, of equal periods
 
     @property
     def period_s(self) -> float:

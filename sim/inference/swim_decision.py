@@ -28,63 +28,38 @@ Numbers = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Named:
-    """One reported effect.
+    """One reported effect."""
 
-    Attributes:
-        name: Effect and component.
-        group: Effects that these swims do not distinguish from it, itself first.
-        probability: Probability that one of the group is present.
-        gain: Evidence that it adds to the others.
-        terms: Terms of its log odds.
-    """
-
-    name: Name
-    group: tuple[Name, ...]
-    probability: float
-    gain: float
-    terms: Terms
+    name: Name  # effect and component
+    group: tuple[Name, ...]  # effects that these swims do not distinguish from it, itself first
+    probability: float  # probability that one of the group is present
+    gain: float  # evidence that it adds to the others
+    terms: Terms  # terms of its log odds
 
 
 @dataclass(frozen=True)
 class Decided:
-    """Decisions from one search.
+    """Decisions from one search."""
 
-    Attributes:
-        verdict: The verdict.
-        named: Reported effects, the largest gain first.
-        offered: Effects of the enriched model; empty where no effect is likely.
-        rivals: Other effects and their probabilities, likeliest first.
-        unlisted: Probability of an effect that the catalogue lacks.
-        shape: The unnamed shape with the largest evidence.
-        terms: Terms of the log odds of ``unlisted``.
-        sets: Probabilities of the sets that were tried.
-    """
-
-    verdict: Verdict
-    named: tuple[Named, ...]
-    offered: Names
-    rivals: tuple[tuple[Name, float], ...]
-    unlisted: float
-    shape: str
-    terms: Terms
-    sets: Mapping[Names, float]
+    verdict: Verdict  # the verdict
+    named: tuple[Named, ...]  # reported effects, the largest gain first
+    offered: Names  # effects of the enriched model; empty where no effect is likely
+    rivals: tuple[tuple[Name, float], ...]  # other effects and their probabilities, likeliest first
+    unlisted: float  # probability of an effect that the catalogue lacks
+    shape: str  # the unnamed shape with the largest evidence
+    terms: Terms  # terms of the log odds of ``unlisted``
+    sets: Mapping[Names, float]  # probabilities of the sets that were tried
 
 
 @dataclass(frozen=True)
 class _Sets:
-    """The sets of a search.
+    """The sets of a search."""
 
-    Attributes:
-        evidence: Evidence of each set, less the cost of its effects.
-        probability: Probability of each set.
-        held_out: Loss, and error of the speed, on the end of the swims, of the best's subsets.
-        numbers: The thresholds.
-    """
-
-    evidence: dict[Names, float]
-    probability: dict[Names, float]
+    evidence: dict[Names, float]  # evidence of each set, less the cost of its effects
+    probability: dict[Names, float]  # probability of each set
+    # loss, and error of the speed, on the end of the swims, of the best's subsets
     held_out: dict[Names, tuple[float, float]]
-    numbers: Numbers
+    numbers: Numbers  # the thresholds
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], numbers: Numbers) -> _Sets:

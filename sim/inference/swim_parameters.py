@@ -22,17 +22,11 @@ from sim2real.robot import Robot
 
 
 class Candidate(NamedTuple):
-    """An effect of the body or of the camera that a simulator may leave out.
+    """An effect of the body or of the camera that a simulator may leave out."""
 
-    Attributes:
-        name: Its identifier in the catalogue.
-        component: The material that it belongs to, or ``body`` or ``camera``.
-        free: Its parameters.
-    """
-
-    name: str
-    component: str
-    free: tuple[Parameter, ...]
+    name: str  # its identifier in the catalogue
+    component: str  # the material that it belongs to, or ``body`` or ``camera``
+    free: tuple[Parameter, ...]  # its parameters
 
 
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")

@@ -46,18 +46,14 @@ class SwimPrior:
 
     The error of the twin looks like effects that are not there. A part of it is common to all swims
     of a robot and is learned from reference swims; the rest differs from swim to swim.
-
-    Attributes:
-        mean: Mean of each parameter; for effects the apparent size in reference swims, shape (F,).
-        covariance: Covariance for a swim in which nothing is missing, shape (F, F).
-        imitation: Standard deviation between swims of one robot, shape (F,).
-        shares: Relative error of the twin by signal and frequency band, shape (4, 3); of this robot
-            where reference swims are given.
     """
 
+    # mean of each parameter; for effects the apparent size in reference swims, shape (F,)
     mean: Array
-    covariance: Array
-    imitation: Array
+    covariance: Array  # covariance for a swim in which nothing is missing, shape (F, F)
+    imitation: Array  # standard deviation between swims of one robot, shape (F,)
+    # relative error of the twin by signal and frequency band, shape (4, 3); of this robot where
+    # reference swims are given
     shares: Array
 
 
@@ -71,54 +67,35 @@ class Slope:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fit of a hypothesis.
+    """Fit of a hypothesis."""
 
-    Attributes:
-        x: The point, shape (F,): 0 for effects that are not in the hypothesis.
-        rows: Weighted errors there, shape (n,).
-        loss: Negative logarithm of likelihood times prior.
-        near: Linear model that the fit used.
-        local: Whether the linear model was computed at this point.
-    """
-
-    x: Array
-    rows: Array
-    loss: float
-    near: Slope
-    local: bool = False
+    x: Array  # the point, shape (F,): 0 for effects that are not in the hypothesis
+    rows: Array  # weighted errors there, shape (n,)
+    loss: float  # negative logarithm of likelihood times prior
+    near: Slope  # linear model that the fit used
+    local: bool = False  # whether the linear model was computed at this point
 
 
 @dataclass
 class SwimProblem:
-    """Swims of one robot as a problem of fits and of the search.
+    """Swims of one robot as a problem of fits and of the search."""
 
-    Attributes:
-        coordinates: Coordinates of the robot.
-        swims: Its recordings.
-        simulate: The simulator.
-        prior: Prior of the parameters.
-        doubted: Change that effects make in each swim by the twin, (T, 3 + J), which has an error
-            in proportion to its size.
-        cost: Log-evidence that is subtracted for each effect.
-        blocks, weights: Transformed swims, and reciprocal standard deviations of their errors.
-        is_error: Whether each column is a shape of the twin's error, shape (F,).
-        first_fit: First linearised fit without effects.
-        kept: Rows that a fit uses, shape (n,); all where None.
-        rollouts: Number of swims that were simulated.
-    """
-
-    coordinates: Coordinates
-    swims: Sequence[Swim]
-    simulate: SwimSimulator
-    prior: SwimPrior
+    coordinates: Coordinates  # coordinates of the robot
+    swims: Sequence[Swim]  # its recordings
+    simulate: SwimSimulator  # the simulator
+    prior: SwimPrior  # prior of the parameters
+    # change that effects make in each swim by the twin, (T, 3 + J), which has an error in
+    # proportion to its size
     doubted: Sequence[Array] = ()
-    cost: float = 0.0
+    cost: float = 0.0  # log-evidence that is subtracted for each effect
+    # blocks, weights: transformed swims, and reciprocal standard deviations of their errors
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
+    # whether each column is a shape of the twin's error, shape (F,)
     is_error: Mask = field(init=False)
-    first_fit: Fit | None = None
-    kept: Mask | None = None
-    rollouts: int = 0
+    first_fit: Fit | None = None  # first linearised fit without effects
+    kept: Mask | None = None  # rows that a fit uses, shape (n,); all where None
+    rollouts: int = 0  # number of swims that were simulated
     _doubts: Array | None = field(default=None, init=False, repr=False)
     _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
 

@@ -46,30 +46,20 @@ Simulator = Callable[[Sequence[Model], Array, Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Swim:
-    """One pool recording on the grid of control periods.
+    """One pool recording on the grid of control periods."""
 
-    Attributes:
-        name: Name of the recording.
-        t: Times in s, shape (T,), every 20 ms.
-        command: Set-points in force when each period begins, shape (T, J).
-        start: First pose: x, y, heading.
-        signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
-        noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
-            it is not known.
-        pose: Measured poses, shape (T, 3); None if they are not known.
-        repeated: Share of the poses that are identical to those of the sample before.
-        pose_noise: Noise of the poses; None where it is not known.
-    """
-
-    name: str
-    t: Array
-    command: Array
-    start: Array
+    name: str  # name of the recording
+    t: Array  # times in s, shape (T,), every 20 ms
+    command: Array  # set-points in force when each period begins, shape (T, J)
+    start: Array  # first pose: x, y, heading
+    # surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing
     signals: Array
+    # standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where it is not
+    # known
     noise: Array | float = 0.0
-    pose: Array | None = None
-    repeated: float = 0.0
-    pose_noise: PoseNoise | None = None
+    pose: Array | None = None  # measured poses, shape (T, 3); None if they are not known
+    repeated: float = 0.0  # share of the poses that are identical to those of the sample before
+    pose_noise: PoseNoise | None = None  # noise of the poses; None where it is not known
 
     @property
     def heading(self) -> Array:

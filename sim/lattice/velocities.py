@@ -12,19 +12,12 @@ from itertools import product
 
 @dataclass(frozen=True)
 class Lattice:
-    """A velocity set whose directions 2k+1 and 2k+2 are opposite; direction 0 rests.
+    """A velocity set whose directions 2k+1 and 2k+2 are opposite; direction 0 rests."""
 
-    Attributes:
-        name: Name in the literature.
-        dimensions: 2 or 3.
-        velocities: Q triples of -1, 0, 1.
-        weights: Q weights that sum to 1.
-    """
-
-    name: str
-    dimensions: int
-    velocities: tuple[tuple[int, int, int], ...]
-    weights: tuple[float, ...]
+    name: str  # name in the literature
+    dimensions: int  # 2 or 3
+    velocities: tuple[tuple[int, int, int], ...]  # Q triples of -1, 0, 1
+    weights: tuple[float, ...]  # Q weights that sum to 1
 
     @property
     def Q(self) -> int:  # noqa: D102 - the letter of the field
@@ -69,19 +62,12 @@ WATER_M2_S = 1.0e-6
 
 @dataclass(frozen=True)
 class Units:
-    """Sizes of one cell and one step.
+    """Sizes of one cell and one step."""
 
-    Attributes:
-        cell_m: Side of a cell.
-        step_s: Duration of a step.
-        depth_m: Depth that a cell represents in two dimensions; its side in three.
-        density_kg_m3: Density of the fluid.
-    """
-
-    cell_m: float
-    step_s: float
-    depth_m: float
-    density_kg_m3: float = WATER_KG_M3
+    cell_m: float  # side of a cell
+    step_s: float  # duration of a step
+    depth_m: float  # depth that a cell represents in two dimensions; its side in three
+    density_kg_m3: float = WATER_KG_M3  # density of the fluid
 
     @property
     def speed_m_s(self) -> float:

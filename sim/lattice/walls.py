@@ -22,18 +22,13 @@ Velocity = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Mirror:
-    """One reflection at a free-slip wall, between two of its cells or, with 0 across, at one.
+    """One reflection at a free-slip wall, between two of its cells or, with 0 across, at one."""
 
-    Attributes:
-        normal: Direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z.
-        one, two: Velocities with which populations arrive at the wall.
-        across: From the cell at which ``two`` arrives to that of ``one``.
-    """
-
-    normal: int
+    normal: int  # direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z
+    # one, two: velocities with which populations arrive at the wall
     one: Velocity
     two: Velocity
-    across: Velocity
+    across: Velocity  # from the cell at which ``two`` arrives to that of ``one``
 
 
 def mirrors(lattice: Lattice) -> tuple[Mirror, ...]:

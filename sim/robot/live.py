@@ -21,52 +21,33 @@ from sim2real.robot import Robot
 
 @dataclass(frozen=True)
 class State:
-    """State of the robots, copied from the device; world frame, SI units.
+    """State of the robots, copied from the device; world frame, SI units."""
 
-    Attributes:
-        pose: x, y of the head's centre of mass and its heading, shape (E, 3).
-        velocity: Surge, sway and yaw rate of the head, in its body frame, shape (E, 3).
-        joint: Joint angles, shape (E, J).
-        rate: Joint rates, shape (E, J).
-        measured: Angles measured by the joints' sensors, shape (E, J).
-        torque: Torques of the servos in N m, shape (E, J).
-        force: Force of the fluid on each link in N and torque about its centre of mass in N m,
-            world frame, shape (E, L, 3).
-        time: Seconds since the start, shape (E,).
-        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,).
-    """
-
-    pose: Array
-    velocity: Array
-    joint: Array
-    rate: Array
-    measured: Array
-    torque: Array
+    pose: Array  # x, y of the head's centre of mass and its heading, shape (E, 3)
+    velocity: Array  # surge, sway and yaw rate of the head, in its body frame, shape (E, 3)
+    joint: Array  # joint angles, shape (E, J)
+    rate: Array  # joint rates, shape (E, J)
+    measured: Array  # angles measured by the joints' sensors, shape (E, J)
+    torque: Array  # torques of the servos in N m, shape (E, J)
+    # force of the fluid on each link in N and torque about its centre of mass in N m, world frame,
+    # shape (E, L, 3)
     force: Array
-    time: Array
-    stopped: Integers
+    time: Array  # seconds since the start, shape (E,)
+    stopped: Integers  # cell of supersonic flow at which a box was stopped, or -1, shape (E,)
 
 
 @dataclass(frozen=True)
 class Live:
-    """Warp arrays that a simulator reads and writes; take them by DLPack, without a copy.
+    """Warp arrays that a simulator reads and writes; take them by DLPack, without a copy."""
 
-    Attributes:
-        command: Set-points of the next period in rad, shape (E, J), float64; write here.
-        q: x, y of the head's centre of mass and heading in the water's frame, joint angles,
-            shape (E, 3 + J), float64.
-        v: Their rates, likewise.
-        measured: Angles measured by the joints' sensors, shape (E, J), float64.
-        clock: Seconds since the robot's start, shape (E,), float64.
-        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,), int32.
-    """
-
-    command: Any
+    command: Any  # set-points of the next period in rad, shape (E, J), float64; write here
+    # x, y of the head's centre of mass and heading in the water's frame, joint angles, shape (E, 3
+    # + J), float64
     q: Any
-    v: Any
-    measured: Any
-    clock: Any
-    stopped: Any
+    v: Any  # their rates, likewise
+    measured: Any  # angles measured by the joints' sensors, shape (E, J), float64
+    clock: Any  # seconds since the robot's start, shape (E,), float64
+    stopped: Any  # cell of supersonic flow at which a box was stopped, or -1, shape (E,), int32
 
 
 class Simulator(Protocol):

@@ -23,17 +23,11 @@ from sim2real.servo.rollout import active_effects
 
 @dataclass(frozen=True)
 class Masses:
-    """Masses of the links; shape (E, L) or (L,), SI.
+    """Masses of the links; shape (E, L) or (L,), SI."""
 
-    Attributes:
-        mass: Mass in kg.
-        inertia: Moment of inertia about the centre of mass in kg m2.
-        com: Distance of the centre of mass from the link's front end in m.
-    """
-
-    mass: Array
-    inertia: Array
-    com: Array
+    mass: Array  # mass in kg
+    inertia: Array  # moment of inertia about the centre of mass in kg m2
+    com: Array  # distance of the centre of mass from the link's front end in m
 
 
 _KINDS: Mapping[str, Any] = {

@@ -26,17 +26,11 @@ _NOSE, _TIP = 0.6, 0.3
 
 @dataclass(frozen=True)
 class Hull:
-    """Shape of each link.
+    """Shape of each link."""
 
-    Attributes:
-        length: From joint to joint in m, shape (L,).
-        half_width: At the front, middle and back of each link in m, shape (L, 3).
-        half_height: Likewise; unused in two dimensions.
-    """
-
-    length: Array
-    half_width: Array
-    half_height: Array
+    length: Array  # from joint to joint in m, shape (L,)
+    half_width: Array  # at the front, middle and back of each link in m, shape (L, 3)
+    half_height: Array  # likewise; unused in two dimensions
 
     @property
     def body_length(self) -> float:

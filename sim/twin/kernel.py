@@ -28,40 +28,35 @@ POINTS = wp.constant(twin_law.POINTS)
 
 @wp.struct
 class Water:
-    """Coefficients and state of the force law, with their shapes.
+    """Coefficients and state of the force law, with their shapes."""
 
-    Attributes:
-        place: Distance of each point ahead of the link's centre of mass in m, (E, L, POINTS).
-        added: Added mass across the link at each point in kg, (E, L, POINTS).
-        broad: Quadratic drag across the link at each point in N s2/m2, (E, L, POINTS).
-        reach: Distance in m over which that drag grows at each point, (E, L, POINTS).
-        slow: Linear drag across the link at each point in N s/m, (E, L, POINTS).
-        along: Linear and quadratic drag along each link in N s/m and N s2/m2, (E, L).
-        axial: Added mass of each link along its axis in kg, (E, L).
-        tip: Added mass per length at the tail's end in kg/m, and distance in m of this end behind
-            the last link's centre of mass, (E,).
-        wake: Share of a link's velocity that the water around it approaches, and the time constant
-            in s, (E,).
-        wall: Relative increase of the thrust by a wall one body length away, (E,).
-        pool: Half the pool's length and width in m, and the body's length.
-        carried: Momentum and angular momentum of the added mass in the last step, (E, L).
-        moved: Velocity of the water around each link in m/s, in the world frame, (E, L).
-        late: Delayed velocity across each point in m/s, for the quadratic drag, (E, L, POINTS).
-    """
-
+    # distance of each point ahead of the link's centre of mass in m, (E, L, POINTS)
     place: wp.array3d(dtype=wp.float64)
+    # added mass across the link at each point in kg, (E, L, POINTS)
     added: wp.array3d(dtype=wp.float64)
+    # quadratic drag across the link at each point in N s2/m2, (E, L, POINTS)
     broad: wp.array3d(dtype=wp.float64)
+    # distance in m over which that drag grows at each point, (E, L, POINTS)
     reach: wp.array3d(dtype=wp.float64)
+    # linear drag across the link at each point in N s/m, (E, L, POINTS)
     slow: wp.array3d(dtype=wp.float64)
+    # linear and quadratic drag along each link in N s/m and N s2/m2, (E, L)
     along: wp.array2d(dtype=wp.vec2d)
-    axial: wp.array2d(dtype=wp.float64)
+    axial: wp.array2d(dtype=wp.float64)  # added mass of each link along its axis in kg, (E, L)
+    # added mass per length at the tail's end in kg/m, and distance in m of this end behind the last
+    # link's centre of mass, (E,)
     tip: wp.array(dtype=wp.vec2d)
+    # share of a link's velocity that the water around it approaches, and the time constant in s,
+    # (E,)
     wake: wp.array(dtype=wp.vec2d)
+    # relative increase of the thrust by a wall one body length away, (E,)
     wall: wp.array(dtype=wp.float64)
-    pool: wp.vec3d
+    pool: wp.vec3d  # half the pool's length and width in m, and the body's length
+    # momentum and angular momentum of the added mass in the last step, (E, L)
     carried: wp.array2d(dtype=wp.vec3d)
+    # velocity of the water around each link in m/s, in the world frame, (E, L)
     moved: wp.array2d(dtype=wp.vec2d)
+    # delayed velocity across each point in m/s, for the quadratic drag, (E, L, POINTS)
     late: wp.array3d(dtype=wp.float64)
 
 

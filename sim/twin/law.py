@@ -29,41 +29,36 @@ class Coefficients:
     """Coefficients of the force law; without unit where none is given, relative where so described.
 
     The first five are those of the first version; the others have no effect at their defaults.
-
-    Attributes:
-        across: Drag coefficient of a link that moves across its axis, for the wetted height. It is
-            larger in oscillating than in steady flow: 4 to 8 for amplitudes of a few heights or
-            less (Keulegan and Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
-        along: Drag coefficient of the head along its axis, for its cross-section.
-        added_mass: Added mass relative to that of an ellipse (Lamb, Hydrodynamics, 1932, art. 71).
-        thrust: Reactive force at the tail's end relative to Lighthill's.
-        linear: Drag along the links in N s/m, divided among them in proportion to their lengths.
-        slender: Linear drag across the links, relative to that along them; 2 for a slender body in
-            slow flow (Cox, J. Fluid Mech. 44 (1970) 791).
-        head: Added mass of the head relative to that of a section far from the ends: water can
-            flow around the nose.
-        axial: Added mass of a link along its axis, relative to the displaced water; Lamb's k1 for a
-            spheroid (art. 114), to which the boundary layer adds.
-        wake: Share of a link's velocity that the water around it approaches; drag depends on the
-            velocity relative to this water.
-        wake_s: Time constant of the wake in s.
-        tail: Drag coefficient of the last link across its axis, relative to ``across``: a fin has
-            sharp edges.
-        lag: Distance through the water, in wetted heights, over which the vortices of a section,
-            and so the drag of ``across``, grow.
     """
 
+    # drag coefficient of a link that moves across its axis, for the wetted height. It is larger in
+    # oscillating than in steady flow: 4 to 8 for amplitudes of a few heights or less (Keulegan and
+    # Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
     across: float = 1.5
-    along: float = 0.3
+    along: float = 0.3  # drag coefficient of the head along its axis, for its cross-section
+    # added mass relative to that of an ellipse (Lamb, Hydrodynamics, 1932, art. 71).
     added_mass: float = 1.0
-    thrust: float = 1.0
+    thrust: float = 1.0  # reactive force at the tail's end relative to Lighthill's
+    # drag along the links in N s/m, divided among them in proportion to their lengths
     linear: float = 0.0
+    # linear drag across the links, relative to that along them; 2 for a slender body in slow flow
+    # (Cox, J. Fluid Mech. 44 (1970) 791).
     slender: float = 1.0
+    # added mass of the head relative to that of a section far from the ends: water can flow around
+    # the nose
     head: float = 1.0
+    # added mass of a link along its axis, relative to the displaced water; Lamb's k1 for a spheroid
+    # (art. 114), to which the boundary layer adds.
     axial: float = 0.0
+    # share of a link's velocity that the water around it approaches; drag depends on the velocity
+    # relative to this water
     wake: float = 0.0
-    wake_s: float = 1.0
+    wake_s: float = 1.0  # time constant of the wake in s
+    # drag coefficient of the last link across its axis, relative to ``across``: a fin has sharp
+    # edges
     tail: float = 1.0
+    # distance through the water, in wetted heights, over which the vortices of a section, and so
+    # the drag of ``across``, grow
     lag: float = 0.0
 
     @classmethod
@@ -91,31 +86,19 @@ FITTED = Coefficients(**read_json(FILE))
 
 @dataclass(frozen=True)
 class Sections:
-    """Geometry of a robot's links for the force law, at quadrature points.
+    """Geometry of a robot's links for the force law, at quadrature points."""
 
-    Attributes:
-        place: Distance of the points from the link's front end over its length, shape (POINTS,).
-        weight: Weights of the points, with sum 1, shape (POINTS,).
-        added: Added mass of the elliptic sections in kg, shape (L, POINTS).
-        broad: Half the density times the wetted side area in kg/m, shape (L, POINTS).
-        frontal: Half the density times the head's wetted cross-section in kg/m.
-        displaced: Water displaced by each link in kg, shape (L,).
-        height: Wetted heights in m, shape (L, POINTS).
-        tip: Added mass per length of the section at the tail's end in kg/m.
-        end: Distance of the tail's end behind the last joint in m.
-        share: Length of each link over the sum of lengths, shape (L,).
-    """
-
+    # distance of the points from the link's front end over its length, shape (POINTS,)
     place: Array
-    weight: Array
-    added: Array
-    broad: Array
-    frontal: float
-    displaced: Array
-    height: Array
-    tip: float
-    end: float
-    share: Array
+    weight: Array  # weights of the points, with sum 1, shape (POINTS,)
+    added: Array  # added mass of the elliptic sections in kg, shape (L, POINTS)
+    broad: Array  # half the density times the wetted side area in kg/m, shape (L, POINTS)
+    frontal: float  # half the density times the head's wetted cross-section in kg/m
+    displaced: Array  # water displaced by each link in kg, shape (L,)
+    height: Array  # wetted heights in m, shape (L, POINTS)
+    tip: float  # added mass per length of the section at the tail's end in kg/m
+    end: float  # distance of the tail's end behind the last joint in m
+    share: Array  # length of each link over the sum of lengths, shape (L,)
 
 
 def hull_in_water(robot: Robot, hull: Hull) -> tuple[Hull, float]:
