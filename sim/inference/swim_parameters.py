@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from sim.robot.effects import area_sd
 from sim.robot.swimmer import least_viscosity
-from sim.twin.law import Coefficients
-from sim.twin.twin import FITTED
+from sim.twin.law import FITTED, Coefficients
 from sim2real.body import body_effect
 from sim2real.effects import BODY, CAMERA
 from sim2real.effects.body_effect import BodyEffect, CameraEffect

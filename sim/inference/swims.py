@@ -15,7 +15,8 @@ from tqdm import tqdm
 from sim.inference.pose_noise import PoseNoise, pose_noise
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.kernel import start_twin
-from sim.twin.twin import Coefficients, Twin
+from sim.twin.law import Coefficients
+from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
@@ -261,7 +262,7 @@ def _carry(twin: Twin, pose: Array) -> None:
     turn = pose[2] - q[:, 2]
     c, s = np.cos(turn), np.sin(turn)
     v[:, 0], v[:, 1] = c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]
-    q[:, :2] = pose[:2] - twin.outside.current * clock[:, None]
+    q[:, :2] = pose[:2] - twin.current * clock[:, None]
     q[:, 2] = pose[2]
     twin.motion.q.assign(q)
     twin.motion.v.assign(v)

@@ -8,7 +8,7 @@ import warp as wp
 from sim.lattice.cell import BODY, GHOST, Box
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
-from sim.robot.chain import RING, Chain, Motion
+from sim.robot.chain import RING, Chain, Motion, Reals, Reals2
 from sim2real.servo.effect_chain import (
     arrival_time,
     command_in_force,
@@ -48,38 +48,19 @@ def factorise(e: int, first: int, size: int, s: Motion) -> int:
 
 
 @wp.func
-def solve(e: int, size: int, s: Motion) -> int:
-    """Replace b by the solution."""
+def solve(size: int, A: Reals2, x: Reals) -> int:
+    """Replace x by the solution, with the Cholesky factor of the matrix below the diagonal of A."""
     for i in range(size):
-        x = s.b[e, i]
+        y = x[i]
         for k in range(i):
-            x -= s.A[e, i, k] * s.b[e, k]
-        s.b[e, i] = x / s.A[e, i, i]
+            y -= A[i, k] * x[k]
+        x[i] = y / A[i, i]
     for r in range(size):
         i = size - 1 - r
-        x = s.b[e, i]
+        y = x[i]
         for k in range(i + 1, size):
-            x -= s.A[e, k, i] * s.b[e, k]
-        s.b[e, i] = x / s.A[e, i, i]
-    return 0
-
-
-@wp.func
-def response(e: int, column: int, size: int, s: Motion) -> int:
-    """Column of the inverse, into ``inverse``."""
-    for i in range(size):
-        x = wp.float64(0.0)
-        if i == column:
-            x = wp.float64(1.0)
-        for k in range(i):
-            x -= s.A[e, i, k] * s.inverse[e, column, k]
-        s.inverse[e, column, i] = x / s.A[e, i, i]
-    for r in range(size):
-        i = size - 1 - r
-        x = s.inverse[e, column, i]
-        for k in range(i + 1, size):
-            x -= s.A[e, k, i] * s.inverse[e, column, k]
-        s.inverse[e, column, i] = x / s.A[e, i, i]
+            y -= A[k, i] * x[k]
+        x[i] = y / A[i, i]
     return 0
 
 
@@ -166,9 +147,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
 
 
 @wp.func
-def stop_joints(
-    e: int, size: int, h: wp.float64, friction: wp.array(dtype=wp.float64), chain: Chain, s: Motion
-) -> int:
+def stop_joints(e: int, size: int, h: wp.float64, friction: Reals, chain: Chain, s: Motion) -> int:
     """Apply impulses of dry friction and of the joints' limits to the velocities in ``b``."""
     J = size - 3
     any_bound = bool(False)
@@ -179,7 +158,10 @@ def stop_joints(
     if not any_bound:
         return 0
     for k in range(J):
-        response(e, 3 + k, size, s)
+        for i in range(size):
+            s.inverse[e, 3 + k, i] = wp.float64(0.0)
+        s.inverse[e, 3 + k, 3 + k] = wp.float64(1.0)
+        solve(size, s.A[e], s.inverse[e, 3 + k])
         s.impulse[e, k] = wp.float64(0.0)
         s.stop[e, k] = wp.float64(0.0)
     largest = wp.float64(1.0)

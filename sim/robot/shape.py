@@ -109,21 +109,23 @@ def _too_light(mass_kg: float, appendages_m3: float) -> InputError:
     return InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
 
 
-def afloat(
-    hull: Hull, mass_kg: float, flat: bool, appendages: tuple[Appendage, ...] = ()
-) -> tuple[Hull, float]:
-    """The hull with its heights scaled so that the robot displaces its own mass, under water.
+def submerged(robot: Robot, hull: Hull, flat: bool, deep: float) -> tuple[Hull, float, float]:
+    """The hull in the water, the depth that replaces its heights in 2D, and that of its middle, m.
 
-    Returns:
-        The hull, and the depth in m that replaces its heights in two dimensions.
+    A robot floats at the draught of its mass. One that would sink, and any in two dimensions, has
+    its heights scaled so that it displaces its own mass, under water at the depth ``deep``.
     """
+    mass_kg, appendages = sum(link.mass_kg for link in robot.links), robot.appendages
+    depth_m = None if flat else draught(hull, mass_kg, appendages)
+    if depth_m is not None:
+        return hull, 0.0, depth_m
     fine = float(hull.half_width.min()) / 2
     volume = displaced(hull, max(fine, hull.extent / 150), 0.0, flat)[:, 0].sum()
     carried = sum(appendage.displaced_m3(np.inf) for appendage in appendages)
     share = (mass_kg / WATER_KG_M3 - carried) / float(volume)
     if share <= 0:
         raise _too_light(mass_kg, carried)
-    return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
+    return hull if flat else replace(hull, half_height=share * hull.half_height), share, deep
 
 
 def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:

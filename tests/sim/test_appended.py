@@ -11,9 +11,9 @@ from sim.inference.coordinates import Coordinates
 from sim.inference.swim_parameters import appendage_parameters, candidates
 from sim.inference.swims import Swim, by_twin, simulated, with_values
 from sim.lattice.velocities import WATER_KG_M3 as WATER
-from sim.robot.shape import displaced, draught, hull_of
-from sim.robot.swimmer import Swimmer
-from sim.twin.law import Coefficients, hull_in_water
+from sim.robot.shape import displaced, draught, hull_of, submerged
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.law import Coefficients
 from sim.twin.twin import Twin
 from sim2real.appendages import Appendage
 from sim2real.body import listed
@@ -45,7 +45,7 @@ def glide(robot, model, seconds, velocity):
     twin.adopt(np.array([0]), [model])
     _start(twin)
     states = [twin.state()]
-    for _ in range(round(seconds / twin.period_s)):
+    for _ in range(round(seconds / CONTROL_S)):
         twin.step(np.zeros(3))
         states.append(twin.state())
     return twin, states
@@ -167,7 +167,7 @@ def test_a_box_carries_a_part_of_the_weight():
 def test_links_of_any_size_are_measured_on_a_grid_of_bounded_size(size, value):
     head, *others = FISH.links
     fish = replace(FISH, links=(replace(head, **{size: value}), *others))
-    hull, above = hull_in_water(fish, hull_of(fish))
+    hull, _, above = submerged(fish, hull_of(fish), False, np.inf)
     assert np.isfinite(hull.half_height).all()
     assert above > -hull.extent
 

@@ -13,6 +13,7 @@ from sim.fluid.wall import Wall
 from sim.lattice.cell import GHOST, KIND
 from sim.lattice.velocities import D2Q9, D3Q19, Units
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
+from sim.robot.effects import outside
 from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced
 from sim.robot.swimmer import Swimmer
@@ -190,7 +191,12 @@ def test_hard_commands_do_not_stop_a_light_robot():
     swimmer = Swimmer(FISH, servos(), wall=SLIPS, box_m=(0.9, 0.7, 0.3))
     usual = masses(FISH, [servos()], swimmer.hull)
     light = Masses(usual.mass / 2, usual.inertia / 2, usual.com)
-    swimmer.bodies.adopt(np.arange(1), light, servo_rows(FISH, [servos()]), swimmer.outside)
+    swimmer.bodies.adopt(
+        np.arange(1),
+        light,
+        servo_rows(FISH, [servos()]),
+        outside(FISH, [servos()], swimmer.hull, swimmer.surface_m),
+    )
     for together in 1.3 * commands(1.6, 3, np.random.default_rng(5))[:, 0]:
         swimmer.step(together)
     assert (swimmer.state().stopped < 0).all()
