@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from sim.inference.twin_search import SwimPrior
 
 from sim.inference.diagnose_swims import diagnosis_of, likely_model
 from sim.inference.in_water import (
@@ -32,6 +31,7 @@ from sim.inference.in_water import (
 )
 from sim.inference.law_error import FILE, IN_WATER, LawError, read_law_error
 from sim.inference.searched import learned, raw, searched
+from sim.inference.swim_problem import SwimPrior
 from sim.inference.swims import swim_of
 from sim2real.body import values
 from sim2real.commands.placement import add_executor, where_jobs_run

@@ -37,8 +37,6 @@ WATER = ("cells", "viscosity", "eddies", "friction", "box")
 """Variants of the fluid's settings (``in_water``)."""
 ERROR = "error"
 """Prefix of columns that are shapes of the simulator's error (``signal_error``)."""
-DOUBT = "error.doubt"
-"""Prefix of columns that are shapes of the error in the changes that effects make."""
 WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass", "appendage_drag")
 """Effects of drag and added mass. They are not negative: negative friction would drive a robot, and
 too much drag of a law is corrected by its own coefficients. Other errors of a law can look like
@@ -136,13 +134,6 @@ class Coordinates:
     def of_parameters(cls, model: Model, free: Sequence[Parameter]) -> Coordinates:
         """The columns of a calibration, which varies all of them."""
         return cls(model, tuple(_base(free)))
-
-    def doubting(self) -> Coordinates:
-        """With columns for the error of the changes that effects make, which need no simulation."""
-        sizes = signal_error.of_changes(len(self.model.joints))
-        added = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in sizes]
-        seems = np.append(np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(added)))
-        return replace(self, columns=(*self.columns, *added), seems=seems)
 
     def of_effect(self, effect: Candidate) -> list[int]:
         """Columns of an effect."""

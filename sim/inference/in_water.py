@@ -12,7 +12,7 @@ share of each change is fitted (``water.viscosity`` and so on), as a gain is.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -155,28 +155,24 @@ def simulate_again(
     return replace(water, steps=steps)
 
 
-def resimulation(
+def resimulated(
     robot: Robot,
     model: Model,
     swims: Sequence[Swim],
     water: InWater,
+    fitted: Model,
     **options: Any,  # noqa: ANN401
-) -> Callable[[Model], tuple[SwimSimulator, Model] | None]:
-    """A function that simulates swims in the fluid again, with the effects of a fitted model.
+) -> tuple[SwimSimulator, Model] | None:
+    """The simulator corrected by simulations with the effects of a fitted model, and their model.
 
-    It returns the simulator corrected by these simulations and the model that they used; None where
-    no effect of the fitted model can be simulated. ``model`` is that from ``InWater.of``, other
-    arguments are those of ``simulate_again``.
+    None where no effect of the fitted model can be simulated. ``model`` is that from
+    ``InWater.of``, other arguments are those of ``simulate_again``.
     """
-
-    def simulate(fitted: Model) -> tuple[SwimSimulator, Model] | None:
-        with_effects = with_fluid_effects(model, fitted)
-        if not values(with_effects):
-            return None
-        again = simulate_again(robot, [with_effects] * len(swims), swims, water, **options)
-        return by_twin_in_water(robot, with_effects, again), with_effects
-
-    return simulate
+    with_effects = with_fluid_effects(model, fitted)
+    if not values(with_effects):
+        return None
+    again = simulate_again(robot, [with_effects] * len(swims), swims, water, **options)
+    return by_twin_in_water(robot, with_effects, again), with_effects
 
 
 def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any) -> InWater:  # noqa: ANN401

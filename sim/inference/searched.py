@@ -7,7 +7,7 @@ with servos and force law. One batch of rollouts predicts the gain of every effe
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 
 from sim.inference.coordinates import Coordinates, signals_of
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
-from sim.inference.signal_error import SHARE
+from sim.inference.signal_error import SHARE, of_changes
 from sim.inference.swim_parameters import Candidate
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem, repeated
 from sim.inference.swims import Swim, SwimSimulator
@@ -167,6 +167,10 @@ class Searched:
     # the twin, shape (4, 3)
     misfit: Array
 
+    def of(self, names: Collection[tuple[str, str]]) -> Hypothesis[Fit]:
+        """The set of these effects, by names and components."""
+        return next(h for h in self.found if set(names_of(h.members)) == set(names))
+
 
 def names_of(members: Members) -> tuple[tuple[str, str], ...]:
     """Names and components of the effects of a set, sorted."""
@@ -270,11 +274,12 @@ def searched(
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     order, best = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
-        doubted = changed(problem, best.fit.x, simulated)
-        parts = zip(doubted, problem.blocks, problem.weights, strict=True)
+        changes = changed(problem, best.fit.x, simulated)
+        parts = zip(changes, problem.blocks, problem.weights, strict=True)
         size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
         if 0.5 * SHARE**2 * size > _DOUBTFUL:
-            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior, doubted)
+            wider = doubtful(problem, changes)
+            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
             order, best = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in order}
     plain = tried[frozenset()]
@@ -342,6 +347,20 @@ def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> l
     return [pair[0] - pair[1] for pair in signals]
 
 
+def doubtful(problem: SwimProblem, changes: Sequence[Array]) -> SwimPrior:
+    """The prior with larger errors of the simulator, in proportion to these changes."""
+    recorded, prior = [swim.signals for swim in problem.swims], problem.prior
+    size, of_signal = (
+        np.sqrt(np.nanmean(np.concatenate(x) ** 2, axis=0)) for x in (changes, recorded)
+    )
+    ratio = np.nan_to_num(size / of_signal)
+    sd = of_changes(size.size - 3, ratio)
+    more = np.array([sd.get(column.name, 0.0) for column in problem.coordinates.columns])
+    covariance = prior.covariance + np.diag(more**2)
+    shares = np.hypot(prior.shares, SHARE * np.append(ratio[:3], ratio[3:].mean())[:, None])
+    return SwimPrior(prior.mean, covariance, np.hypot(prior.imitation, more), shares)
+
+
 def _subsets(members: Members) -> list[Members]:
     """Every subset of a set, the empty set first, the set itself last."""
     effects = sorted(members, key=str)
@@ -382,5 +401,4 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
         "misfit": found.misfit.tolist(),
         "referred": referred,
         "repeated": repeated(found.problem.swims),
-        "rollouts": found.problem.rollouts,
     }  # fmt: skip

@@ -14,6 +14,7 @@ part common to all swims of a robot and one for each swim (Kennedy and O'Hagan, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -105,14 +106,14 @@ class Blocks:
             transformed,
         )
 
-    def weights(self, shares: Array, more: Array | float = 0.0) -> Array:
+    def weights(self, shares: Array) -> Array:
         """Reciprocal standard deviations (T, K), with the twin's error by signal and band, (4, 3).
 
-        The last row of ``shares`` is that of joints; ``more`` is additional variance, (T, K).
+        The last row of ``shares`` is that of joints.
         """
         rows = np.minimum(np.arange(self.noise.shape[1]), 3)
         share = shares[rows][:, self.band].T
-        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + more + 1e-12))
+        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + 1e-12))
 
     def about(self, signals: Array) -> Array:
         """Power of signals (T, K) around each coefficient, shape (T, K)."""
@@ -159,10 +160,14 @@ def shapes(signals: Array) -> dict[str, Array]:
     return out
 
 
-def of_changes(joints: int) -> dict[str, float]:
-    """Standard deviations of the shapes of error in the change that an effect makes, by name."""
+def of_changes(joints: int, ratio: Array) -> dict[str, float]:
+    """Standard deviations of the shapes due to an error in the changes that effects make, by name.
+
+    ``ratio`` is the size of the changes relative to each signal, shape (3 + J,).
+    """
+    signal = {"surge": 0, "sway": 1, "yaw": 2} | {f"joint{j}": 3 + j for j in range(joints)}
     return {
-        n.removeprefix("error."): LATE_S if n.endswith("late") else SHARE
+        n: (LATE_S if n.endswith("late") else SHARE) * float(ratio[signal[re.split("[._]", n)[1]]])
         for n in names(joints)
         if "off" not in n
     }

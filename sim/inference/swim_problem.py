@@ -12,13 +12,12 @@ of the imitation (MacKay, Information Theory, Inference, and Learning Algorithms
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from sim.inference import signal_error
-from sim.inference.coordinates import DOUBT, ERROR, LATENCY, SUBSTEP_S, Coordinates, signals_at
+from sim.inference.coordinates import ERROR, LATENCY, SUBSTEP_S, Coordinates, signals_at
 from sim.inference.signal_error import Blocks
 from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array, Index, Mask
@@ -28,9 +27,6 @@ from sim2real.inference.selection import Hypothesis, Members
 LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
 _STEPS = 6
 """Evaluations of a fit with the same derivatives."""
-_IN_DOUBT = 0.05
-"""Relative error of the twin in the change that an effect makes, independent for each coefficient;
-the persistent part of this error is in ``signal_error.of_changes``."""
 _AT_MOST = 3.0
 """Largest imitation of an absent effect by the twin's error, in standard deviations: larger values
 are not due to the error, and the linear model does not hold there."""
@@ -84,9 +80,6 @@ class SwimProblem:
     swims: Sequence[Swim]  # its recordings
     simulate: SwimSimulator  # the simulator
     prior: SwimPrior  # prior of the parameters
-    # change that effects make in each swim by the twin, (T, 3 + J), which has an error in
-    # proportion to its size
-    doubted: Sequence[Array] = ()
     cost: float = 0.0  # log-evidence that is subtracted for each effect
     # blocks, weights: transformed swims, and reciprocal standard deviations of their errors
     blocks: list[Blocks] = field(init=False)
@@ -95,8 +88,6 @@ class SwimProblem:
     is_error: Mask = field(init=False)
     first_fit: Fit | None = None  # first linearised fit without effects
     kept: Mask | None = None  # rows that a fit uses, shape (n,); all where None
-    rollouts: int = 0  # number of swims that were simulated
-    _doubts: Array | None = field(default=None, init=False, repr=False)
     _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -105,34 +96,11 @@ class SwimProblem:
         seems[self.coordinates.base] = 0.0
         self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        more: list[Array | float] = [0.0] * len(self.blocks)
-        for k, change in enumerate(self.doubted):
-            more[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
-        shares, pairs = self.prior.shares, zip(self.blocks, more, strict=True)
-        self.weights = [blocks.weights(shares, extra) for blocks, extra in pairs]
-        if self.doubted:
-            self._doubt()
+        self.weights = [blocks.weights(self.prior.shares) for blocks in self.blocks]
         self.is_error = np.array([c.name.startswith(ERROR) for c in self.coordinates.columns])
-
-    def _doubt(self) -> None:
-        """Add parameters, with a prior, for the error of the twin in the changes by effects."""
-        sizes = signal_error.of_changes(len(self.coordinates.model.joints))
-        self.coordinates = self.coordinates.doubting()
-        sd, prior = np.array(list(sizes.values())), self.prior
-        self.prior = SwimPrior(
-            np.append(prior.mean, 0 * sd), block_diag(prior.covariance, np.diag(sd**2)),
-            np.append(prior.imitation, sd), prior.shares,
-        )  # fmt: skip
-        parts = []
-        for blocks, weight, change in zip(self.blocks, self.weights, self.doubted, strict=True):
-            shapes = signal_error.shapes(change)
-            signals = np.array([shapes[f"{ERROR}.{name}"] for name in sizes])
-            parts.append(blocks.weighted(signals, weight))
-        self._doubts = np.concatenate(parts)
 
     def rows(self, points: Array) -> Array:
         """Weighted errors at points (E, F), shape (E, n); of all rows, also those not fitted."""
-        self.rollouts += len(points) * len(self.swims)
         parts = []
         for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
             error = blocks.errors(signals_at(self.coordinates, swim, points, self.simulate))
@@ -162,16 +130,12 @@ class SwimProblem:
         With a slope from nearby, only columns that a fit with these members varies are recomputed.
         """
         points, base = self.coordinates.about(x)
-        moved = np.array([not c.name.startswith(DOUBT) for c in self.coordinates.columns])
-        if nearby is not None:
-            moved &= self.coordinates.in_fit(members)
+        moved = np.ones(x.size, dtype=bool) if nearby is None else self.coordinates.in_fit(members)
         fresh = np.flatnonzero(moved)
         rows = self.rows(self.coordinates.clipped(points[np.concatenate([[0], fresh + 1])]))
         base_rows = np.searchsorted(fresh + 1, base[fresh]) + (base[fresh] > 0)
         slope = np.empty((rows.shape[1], x.size)) if nearby is None else nearby.slope.copy()
         slope[:, fresh] = ((rows[1:] - rows[base_rows]) / self.coordinates.steps(x)[fresh, None]).T
-        if self._doubts is not None:
-            slope[:, -self._doubts.shape[1] :] = self._doubts
         return rows[0], Slope(slope, slope.T @ slope)
 
     def at(self, x: Array, members: Members = frozenset(), nearby: Slope | None = None) -> Fit:
@@ -320,12 +284,10 @@ class SwimProblem:
             np.repeat(blocks.block < round((1 - share) * len(blocks.edges)), weight.shape[1])
             for blocks, weight in zip(self.blocks, self.weights, strict=True)
         ]
-        self.kept = np.concatenate(first)
-        try:
-            (fitted,) = self.fitted([(members, fit)])
-        finally:
-            kept, self.kept = self.kept, None
-        return fitted, ~kept
+        part = copy(self)
+        part.kept = np.concatenate(first)
+        (fitted,) = part.fitted([(members, fit)])
+        return fitted, ~part.kept
 
     def fitted(self, initial: Sequence[tuple[Members, Fit]]) -> list[Fit]:
         """Continue fits by their linear models, with one batch of simulations per step."""

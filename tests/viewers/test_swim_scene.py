@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from sim.inference.recorded_swims import simulator_of
 
+from sim.inference.diagnose_swims import simulator_of
 from sim.inference.swims import swim_of
 from sim.view.swim_scene import swims_scene
 from sim2real.diagnose.result import Diagnosis
