@@ -1,6 +1,5 @@
-"""The verbs of ``sim2real.verbs`` that need the fluid or its twin.
+"""The verbs of ``sim2real.verbs`` that need the fluid or its twin; loaded when used.
 
-They are called like the others; ``import sim2real`` has them too, and loads them when used.
 Like ``sim2real.verbs``, this module imports nothing heavy.
 """
 

@@ -1,11 +1,9 @@
 """Coupling of bodies and fluid by the solid share of each cell, where the water does not slip.
 
-Direct forcing of the volume: within a step the velocity of the fluid in a cell is set to the body's
-in proportion to the solid share of the cell. Before that, the impulses of this forcing are summed
-for each link; ``multibody.advance`` solves for the velocity at which body and fluid agree, so that
-the exchange is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput.
-Phys. 209 (2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid
-share).
+The velocity of the fluid in a cell is set to the body's in proportion to the solid share of the
+cell; the impulses of this forcing are summed for each link before, so that the exchange is implicit
+(``multibody.advance``). Sources: Uhlmann, J. Comput. Phys. 209 (2005) 448 (direct forcing);
+Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share).
 """
 
 from functools import cache

@@ -120,10 +120,7 @@ class Fluid:
         return wp.array(values, dtype=kind, device=self.device)
 
     def _close(
-        self,
-        walls: NDArray[np.uint8] | None,
-        normals: Integers | None,
-        velocity: Array32 | None,
+        self, walls: NDArray[np.uint8] | None, normals: Integers | None, velocity: Array32 | None
     ) -> None:
         flags = np.zeros(self.size, dtype=np.uint8) if walls is None else walls.reshape(self.size)
         flags = flags.copy()
@@ -210,9 +207,7 @@ class Fluid:
         water = [self.f, self.flags, self.box]
         self._launch(self.kernels.weigh, columns, [*water, self.t, self._net])
         self._launch(
-            self.kernels.level,
-            (self.boxes, self.cells),
-            [*water, self.fluid_cells, self._net],
+            self.kernels.level, (self.boxes, self.cells), [*water, self.fluid_cells, self._net]
         )
         self._net.zero_()
 

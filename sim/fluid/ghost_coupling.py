@@ -1,14 +1,11 @@
 """Coupling of bodies and fluid by ghost cells (``ghost``), implicit in the bodies' velocity.
 
-Ghost cells exchange with the water outside what they send to it and what arrives in them. What they
-send is linear in the body's velocity. Its sums over each link are those of ``coupling``: E v is
-part of what they send to the water, R v + b what they send to each other, which arrives in them in
-the next step, and a the rest of both less all that arrives in them. So the momentum of bodies and
-water is conserved. The mass that all links together would bring into the water, as a mean over
-``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains;
-what covered and uncovered cells leave over is taken from walled boxes by ``Fluid.level``.
-Friction acts on the water within a cell of the surface, in proportion to the surface's area, not to
-that of the layer of cells around it; perimeters of ellipses grow as the sum of their half-axes.
+What ghost cells send to the water is linear in the body's velocity, and its sums over each link are
+those of ``coupling``: E v is part of what they send to the water, R v + b what they send to each
+other, which arrives in them in the next step, and a the rest of both less all that arrives in them.
+So the momentum of bodies and water is conserved. The mass that all links together would bring into
+the water, as a mean over ``wall.MEMORY`` steps, is taken out again over the whole surface. Friction
+acts on the water within a cell of the surface, in proportion to the surface's area.
 """
 
 from functools import cache

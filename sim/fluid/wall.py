@@ -1,12 +1,10 @@
 """Wall models: water at a surface takes the body's velocity, or only its component across it.
 
-At the Reynolds numbers of swimming robots, 1e4 to 1e6, the boundary layer is millimetres thick,
-thinner than any affordable cell. A wall that sets the whole velocity (``NO_SLIP``, ``coupling``)
-smears the layer over a cell: drag is then several times too large. ``SLIP`` sets only the velocity
-across the surface, by ghost cells inside the body (``ghost_coupling``), and adds the layer's
-friction as a stress along it, by a plate's friction line: a wall model in the sense of Malaspinas
-and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is thicker than the cells, in creeping
-flow and the published cases at low Reynolds numbers, the water does not slip.
+A swimming robot's boundary layer is thinner than any affordable cell. ``NO_SLIP`` (``coupling``)
+sets the whole velocity and smears the layer over a cell: right only where cells resolve it.
+``SLIP`` sets only the velocity across the surface, by ghost cells (``ghost_coupling``), and adds
+the layer's friction as a stress by a plate's friction line (Malaspinas and Sagaut, J. Comput. Phys.
+275 (2014) 25).
 """
 
 from __future__ import annotations

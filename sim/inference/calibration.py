@@ -1,15 +1,10 @@
 """A body calibrated to swims, in the reduced-order twin and then in the fluid.
 
-The fit is that of ``swim_problem`` without the shapes of the simulator's error, so that the model
-predicts these swims as well as it can. Its intervals take the larger one of two covariances: that
-of the normal model, and the sandwich of White, Econometrica 48 (1980) 817, with the scores of
-blocks of some seconds, which errors of the simulator correlate.
-
-In the fluid an ``Emulator`` is fitted. A second fit in cells of twice the size is a
-grid-convergence study: for errors of first order in the size of a cell, the shift of a parameter
-from coarse to fine cells equals its remaining error (Roache, J. Fluids Eng. 116 (1994) 405). The
-order cannot be determined here (``reports/resolution``), so the whole shift is added to the
-intervals in quadrature.
+The fit is that of ``swim_problem`` without the shapes of the simulator's error. Intervals take the
+larger one of two covariances: that of the normal model, and the sandwich of White, Econometrica 48
+(1980) 817, with the scores of blocks of some seconds. In the fluid an ``emulator`` is fitted; the
+shift of a parameter relative to cells of twice the size, its error if errors are of first order in
+the cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature.
 """
 
 from __future__ import annotations
@@ -17,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -120,14 +116,15 @@ def calibrate(
         held_out: Share of each swim, at its end, that is held out.
     """
     parts = [swim.first(1 - held_out) for swim in swims]
-
-    def simulate(models: Sequence[Model], swim: Swim) -> Array:
-        return simulator(models, swim.command, swim.start)
-
-    fitted, best, covariance = _fit(parts, model, free, simulate)
+    fitted, best, covariance = _fit(parts, model, free, partial(_tracks, simulator))
     start = with_values(model, {p.name: p.nominal for p in free})
     train, held, noise = _errors(swims, [start, fitted], simulator, held_out)
     return Calibrated(fitted, tuple(free), best, covariance, held, train, 0 * noise)
+
+
+def _tracks(simulator: Simulator, models: Sequence[Model], swim: Swim) -> Array:
+    """Tracks of the commands of a swim from its start."""
+    return simulator(models, swim.command, swim.start)
 
 
 def calibrate_in_fluid(
@@ -317,29 +314,27 @@ def calibrate_body(
     return replace(result, model=calibrated, in_fluid=in_fluid, fluid=fluid)
 
 
-def _signals(robot: Robot) -> list[tuple[str, str]]:
-    """Names and units of the signals."""
-    return [*zip(SIGNALS, UNITS, strict=True), *((joint.name, "rad") for joint in robot.joints)]
-
-
-def _values(fit: Calibrated) -> list[tuple[str, str, str]]:
-    """Parameters with their values and 90 % intervals."""
-    parts = zip(fit.free, fit.best, fit.interval(), strict=True)
-    return [(p.name, f"{x:.4g}", f"{low:.4g} to {high:.4g}") for p, x, (low, high) in parts]
-
-
-def _errors_of(fit: Calibrated, robot: Robot) -> list[tuple[str, str, str, str]]:
-    """Signals with their held-out errors before and after, and units."""
-    parts = zip(_signals(robot), fit.rmse.T, strict=True)
-    return [(name, f"{a:.4f}", f"{b:.4f}", unit) for (name, unit), (a, b) in parts]
+def _rows(fit: Calibrated, robot: Robot) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Parameters with 90 % intervals; signals with held-out errors before and after, and units."""
+    parameters: list[tuple[str, ...]] = [
+        (p.name, f"{x:.4g}", f"{low:.4g} to {high:.4g}")
+        for p, x, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
+    ]
+    signals = [*zip(SIGNALS, UNITS, strict=True), *((joint.name, "rad") for joint in robot.joints)]
+    errors: list[tuple[str, ...]] = [
+        (name, f"{before:.4f}", f"{after:.4f}", unit)
+        for (name, unit), (before, after) in zip(signals, fit.rmse.T, strict=True)
+    ]
+    return parameters, errors
 
 
 def _lines(fit: Calibrated, robot: Robot) -> list[str]:
     """Parameters and held-out errors; where the noise is known, the change beyond it as well."""
-    lines = [f"  {name:34s} {x:>10s}   90 % {interval}" for name, x, interval in _values(fit)]
+    parameters, errors = _rows(fit, robot)
+    lines = [f"  {name:34s} {x:>10s}   90 % {interval}" for name, x, interval in parameters]
     lines.append("  held-out error            before     after")
     beyond = np.sqrt(np.maximum(fit.rmse**2 - fit.noise**2, 0.0))
-    for k, (name, before, after, unit) in enumerate(_errors_of(fit, robot)):
+    for k, (name, before, after, unit) in enumerate(errors):
         change = change_text(*fit.rmse[:, k])
         line = f"    {name:18s} {before:>10s} {after:>10s} {unit:6s} {change}"
         if fit.noise[k] > 0:
@@ -351,30 +346,26 @@ def _lines(fit: Calibrated, robot: Robot) -> list[str]:
 
 @result_section.register
 def _calibration(calibration: Calibration) -> Section:
-    fit, robot = calibration.fitted, calibration.robot
+    parameters, errors = _rows(calibration.fitted, calibration.robot)
     blocks = (
-        Table(("parameter", "value", "90 % interval"), _values(fit)),
-        Table(("signal", "held-out RMSE before", "after", "unit"), _errors_of(fit, robot)),
+        Table(("parameter", "value", "90 % interval"), parameters),
+        Table(("signal", "held-out RMSE before", "after", "unit"), errors),
     )
     return Section("Calibration", "", blocks)
 
 
 def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> Model:
     """The calibrated model with the intervals of its parameters and its errors."""
-    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    names += [f"{joint.name}.position_rad" for joint in robot.joints]
-    figures = np.stack([fit.train[1], fit.rmse[1], fit.rmse[0]], axis=1).tolist()
-    keys = ("train", "heldout", "heldout_before")
-    errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}
-    intervals = zip(fit.free, fit.interval().tolist(), strict=True)
-    interval = {p.name: bounds for p, bounds in intervals}
-    posterior = {
-        "cell_m": cell_m,
-        "names": list(interval),
-        "mean": fit.best.tolist(),
-        "covariance": fit.covariance.tolist(),
-    }
-    body = {**fit.model.body, "interval": interval, "posterior": posterior}
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
+    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    figures = zip(fit.train[1].tolist(), fit.rmse[1].tolist(), fit.rmse[0].tolist(), strict=True)
+    keys = ("train", "heldout", "heldout_before")
+    errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}
+    free = [p.name for p in fit.free]
+    posterior = {"cell_m": cell_m, "names": free, "mean": fit.best.tolist()}
+    posterior["covariance"] = fit.covariance.tolist()
+    interval = dict(zip(free, fit.interval().tolist(), strict=True))
+    body = {**fit.model.body, "interval": interval, "posterior": posterior}
     return replace(fit.model, body=body, fit={**fit.model.fit, **errors})

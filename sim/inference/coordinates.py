@@ -1,10 +1,8 @@
 """Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
 
-One column for each number: gains and latencies, the twin's law, every effect of the body and the
-camera. The coordinates of a tether are its stiffness and stiffness times anchor, those of an
-appendage its area and area times place, those of a viscoelastic skin a fast and a slow stiffness.
-A current is added to a simulation in still water, with the measured heading: a uniform current
-carries the body with it.
+The coordinates of a tether are its stiffness and stiffness times anchor, those of an appendage its
+area and area times place, those of a viscoelastic skin a fast and a slow stiffness. A current is
+added to a simulation in still water: it carries the body with it.
 """
 
 from __future__ import annotations
@@ -16,12 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.inference import signal_error
-from sim.inference.swim_parameters import (
-    Candidate,
-    candidates,
-    law_parameters,
-    servo_parameters,
-)
+from sim.inference.swim_parameters import Candidate, candidates, law_parameters, servo_parameters
 from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, seen, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients

@@ -1,19 +1,11 @@
 """The swim that tells apart the sets of effects that a diagnosis of swims left open.
 
-As ``sim2real.design.rivals`` for servos: each set predicts the signals of a swim in the twin, with
-a spread for what its parameters may still be. Signals are transformed and whitened as in the
-diagnosis (``sim.inference.signal_error``): pose noise, and the error of the twin as a share of a
-signal's size. The rest of this error imitates effects, differently in each swim: every coordinate
-has the variance of that imitation besides that of its estimate. So drag, friction or added mass
-that the error imitates do not count as distinguished. The rest of the error is not independent, as
-is assumed, so that distances are divided by the temperature of the diagnosis, as its evidence is.
-
-A swim consists of parts: travelling waves of random frequency, amplitude, phase lag and bias (the
-gaits of a fish: Videler, Fish Swimming, Chapman and Hall, 1993) and square waves. Their ranges are
-those of the swims on which the error of the twin was measured (``law_error``): outside of them,
-with beats above 1.5 Hz, joints that move independently or long glides, residuals were 1.5 times as
-large, and both of two effects were found less often after designed swims than after usual ones
-(``reports/design/swims.md``). The search that varies these commands may leave the ranges.
+As ``sim2real.design.rivals`` for servos, with signals whitened as in the diagnosis
+(``signal_error``). The error of the twin imitates effects, differently in each swim: every
+coordinate has the variance of that imitation besides that of its estimate, so that drag, friction
+or added mass that the error imitates do not count as distinguished. Commands are travelling waves
+(the gaits of a fish: Videler, Fish Swimming, Chapman and Hall, 1993) and square waves, in the
+ranges of the swims on which that error was measured (``reports/design/swims.md``).
 """
 
 from __future__ import annotations
@@ -29,8 +21,9 @@ from scipy.fft import idct
 from sim.fluid.fluid import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
+from sim.inference.pose_noise import PoseNoise
 from sim.inference.signal_error import Blocks
-from sim.inference.swims import SUBSTEPS, PoseNoise, Swim, by_followed_twin
+from sim.inference.swims import SUBSTEPS, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS

@@ -1,10 +1,8 @@
 """Diagnosis of swims in a pool: which effects of the body or the camera does the twin leave out?
 
-The search (``searched``) fits every effect of the catalogue together with servos and force law, and
-the error of the twin counts as noise. An effect is reported if it predicts the end of each swim
-better when fitted to the beginning. Effects that imitate one another form a group. Where an unnamed
-shape (``unlisted``) fits better than all effects, the diagnosis abstains. Thresholds are in
-``law_error.json``.
+An effect is reported if it predicts the end of each swim better when fitted to the beginning.
+Effects that imitate one another form a group. Where an unnamed shape (``unlisted``) fits better
+than all effects, the diagnosis abstains. Thresholds are in ``law_error.json``.
 """
 
 from __future__ import annotations
@@ -27,14 +25,7 @@ from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
-from sim2real.diagnose.result import (
-    Diagnosis,
-    Estimate,
-    Mismatch,
-    NamedEffect,
-    Rival,
-    to_design,
-)
+from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, to_design
 from sim2real.diagnose.rival_sets import design_of, separations
 from sim2real.diagnose.swim_rivals import SwimRivals, SwimSet
 from sim2real.inference.selection import Hypothesis

@@ -1,12 +1,9 @@
 """Simulations of swims in the fluid, which the twin corrects for changes of parameters.
 
-The error of the twin is about three standard deviations of a camera's noise; that of the fluid is
-one or two, but the fluid is slow. So the fluid simulates the recorded commands once, with the
-identified servos, and the twin predicts only differences, e.g. those made by an effect or a gain (a
-control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev. 60 (2018) 550). The error due to
-the size of the cells, the viscosity, the sub-grid constant, the friction line and the size of the
-box is treated as a difference as well: the fluid is also simulated with other settings, and the
-share of each change is fitted (``water.viscosity`` and so on), as a gain is.
+The fluid simulates the recorded commands once, with the identified servos, and the twin predicts
+only differences, e.g. those made by an effect (a control variate; Peherstorfer, Willcox and
+Gunzburger, SIAM Rev. 60 (2018) 550). It is also simulated with other cells, viscosity and so on,
+and the share of each change is fitted (``water.viscosity``), as a gain is.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Measured error of the twin, which counts as noise in a diagnosis.
 
 ``law_error.json`` has the error of a twin that was calibrated on a robot's swims, on other swims of
-the same robot in which nothing is missing: relative to each signal by frequency band, and as the
-size of each effect that it imitates; with the number of swims and robots that it was measured on.
-``benchmarks/pool_law_error.py`` measures it on the nulls of development sets,
-``benchmarks/pool_decisions.py`` chooses the thresholds.
+the same robot in which nothing is missing (``benchmarks/pool_law_error.py``), and the thresholds
+(``benchmarks/pool_decisions.py``).
 """
 
 from __future__ import annotations

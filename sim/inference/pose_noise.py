@@ -1,8 +1,7 @@
 """Noise of measured poses: its size, and whether a filter smoothed it.
 
-At 9 Hz and above the poses hold only noise, as a robot does not move that fast. White noise is
-equal at all frequencies; a filter of the poses smooths their noise too, so its time constant is
-estimated from these frequencies (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
+At 9 Hz and above the poses hold only noise. White noise is equal at all frequencies; a filter's
+time constant is estimated from them (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
 """
 
 from __future__ import annotations

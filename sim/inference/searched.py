@@ -1,8 +1,7 @@
 """Search for the effects that are missing in swims, before probabilities are computed.
 
-The search is ``sim2real.inference.selection``: every effect of the catalogue is fitted together
-with servos and force law. One batch of rollouts predicts the gain of every effect near a fit
-(``SwimSearch.look``), and the most promising are fitted. Thresholds are in ``law_error.json``.
+Every effect of the catalogue is fitted together with servos and force law. One batch of rollouts
+predicts the gain of every effect near a fit, and the most promising are fitted.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
 """Errors of a swim's signals: their variances by band of frequency, and persistent shapes.
 
-An error of the head's swing is at the beat frequency and carries no information about a current; an
-error of the drag is in the mean. So each block of about 2.5 s is transformed by an orthonormal
-cosine transform. The variance of a coefficient is that of the recording's noise plus a share, by
-signal and band, of the signal's power: the measured error of the twin (``law_error.json``).
-
-Other errors of the simulated fluid, wake and force law persist because a wake does: the speed is
-wrong for seconds, an oscillation has a relative error or a delay. Such an error is no effect of the
-catalogue but can be mistaken for one. So each such shape is a column of the fit, whose size has one
-part common to all swims of a robot and one for each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B
-63 (2001) 425).
+Each block of about 2.5 s is transformed by an orthonormal cosine transform. The variance of a
+coefficient is that of the recording's noise plus a share, by signal and band, of the signal's
+power: the measured error of the twin. Errors of wake and force law persist for seconds: each such
+shape is a column of the fit, whose size has one part common to all swims of a robot and one for
+each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
 """
 
 from __future__ import annotations

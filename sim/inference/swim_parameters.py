@@ -1,7 +1,4 @@
-"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera.
-
-Here are their bounds, sizes and priors; ``coordinates`` has those of products of parameters.
-"""
+"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera."""
 
 from __future__ import annotations
 

@@ -1,12 +1,9 @@
 """Swims of one robot as a least-squares problem, for the search for effects and for calibrations.
 
-Near a fit a swim is linear in all coordinates, so fits follow the derivatives of one batch of
-rollouts with one rollout per step, all in one batch (``sim2real.inference.least_squares``). The
-error of the simulator counts as noise: residuals have the variance of ``Blocks``, shapes of the
-error are columns that are marginalised and not fitted, and effects that a hypothesis does not
-contain have a prior as wide as the error imitates them. So the evidence is that of a normal model
-with all columns in every hypothesis: those of its effects have the effects' priors, the others that
-of the imitation (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch. 28).
+Fits follow the derivatives of one batch of rollouts. Shapes of the simulator's error are columns
+that are marginalised and not fitted; effects that a hypothesis does not contain have a prior as
+wide as the error imitates them, so that the evidence is that of a normal model with all columns in
+every hypothesis (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch. 28).
 """
 
 from __future__ import annotations

@@ -323,25 +323,3 @@ def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
         body["twin"] = law
     body["effects"] = listed(effects)
     return replace(model, joints=joints, body=body)
-
-
-def values_of(model: Model, names: Sequence[str]) -> Array:
-    """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect.
-
-    Raises:
-        KeyError: If the model has no value of a parameter of the twin or the water.
-    """
-    effects = values(model)
-    out = []
-    for name in names:
-        head, _, tail = name.partition(".")
-        if head in model.joints:
-            out.append(float(getattr(model.joints[head], tail)))
-        elif head in ("twin", "water"):
-            out.append(float(model.body[head][tail]))
-        else:
-            out.append(effects.get(name, 0.0))
-    return np.array(out)
-
-
-__all__ = ["Coefficients", "PoseNoise", "Simulator", "Swim", "SwimSimulator"]

@@ -1,9 +1,7 @@
 """Unnamed shapes of residuals, as alternatives to the effects of the catalogue.
 
-Each family adds a few columns with a prior to those of a fit, and so has an evidence: a flow that
-changes in the world frame (waves, a gust), poses that follow a joint (a marker that is not on the
-head), a heading that drifts (a camera mount), a robot whose parameters change during a swim (a
-leak, a loose part). They are not findings, but effects of the catalogue must fit better than they.
+Each family adds a few columns with a prior to those of a fit, and so has an evidence. They are not
+findings, but effects of the catalogue must fit better than they.
 """
 
 from __future__ import annotations

@@ -1,16 +1,10 @@
 """Populations: their layout in memory, their streaming, and their moments.
 
-They are stored once and in place (the esoteric pull): in each step a cell reads from and writes to
-a set of slots that no other cell uses, so cells may be processed in any order. Slots of solid cells
-are not processed and return the populations that arrive: bounce-back. Source: Lehmann, Computation
-10 (2022) 92. The stored numbers are f - w, whose rounding error is relative to the deviation from
-rest: Skordos, Phys. Rev. E 48 (1993) 4823.
-
-Memory is an array of one dimension below 2^31 slots, the limit of 32-bit indices. Above it is wide:
-an array of two dimensions, (Q, cells), whose offsets Warp computes in 64 bits.
-
-Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t parity of the step;
-c velocity of a direction.
+They are stored once and in place (the esoteric pull: Lehmann, Computation 10 (2022) 92): in each
+step a cell uses slots that no other cell uses. Slots of solid cells return the populations that
+arrive: bounce-back. The stored numbers are f - w (Skordos, Phys. Rev. E 48 (1993) 4823). From 2^31
+slots on memory is wide: (Q, cells), whose offsets Warp computes in 64 bits. Symbols: n cell,
+counted through all boxes; row one of the Q slots of a cell; t parity of the step; c velocity.
 """
 
 from functools import cache

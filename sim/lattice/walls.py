@@ -1,8 +1,7 @@
 """Boundary conditions at walls, applied to populations before they return.
 
-A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285). At a wall at rest, which
-needs no kernel, populations return after two steps. A free-slip wall reflects them specularly
-within one (Kruger et al. (2017), Sec. 5.3.7), like the mirror image of the water: after two, the
+A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285). A free-slip wall reflects
+populations within one step (Kruger et al. (2017), Sec. 5.3.7): after two, as at walls at rest, the
 flow around ghost cells of a body that pierces the surface is unstable.
 """
 

@@ -18,14 +18,7 @@ from sim2real.servo.effect_chain import (
     motor_torque,
     shaft_inertia,
 )
-from sim2real.servo.motor import (
-    MOTOR_BIT,
-    Push,
-    gear_friction,
-    motor_push,
-    read_motor,
-    resistance,
-)
+from sim2real.servo.motor import MOTOR_BIT, Push, gear_friction, motor_push, read_motor, resistance
 from sim2real.servo.torques import pd_torque
 
 _SWEEPS, _SETTLED = 100, wp.constant(wp.float64(1e-12))

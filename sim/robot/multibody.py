@@ -1,22 +1,17 @@
 """A free chain of links in the plane: its motion in one step, solved in joint coordinates.
 
-Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. The state
-carried from step to step are the links' momenta in the world frame, projected on the Jacobian of
-the new pose, so no term for centrifugal forces is needed. With M the links' mass, C, a and p the
-fluid's sums (``coupling``), P the momentum of the water inside the links, V the links' velocities,
-the new coordinates' velocities v solve
+Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. With M the
+links' mass, C, a and p the fluid's sums (``coupling``), P the momentum of the water inside the
+links, V the links' velocities, J the Jacobian of the new pose, T the servos' torques with implicit
+gains and h the step, the new coordinates' velocities v solve
 
     sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
-C is the symmetric part of the matrix of the sums; the rest of it, which only ghost cells have, acts
-on V, and what this neglects is made up for in the next step.
-
+C is the symmetric part of the matrix of the sums; the rest, which only ghost cells have, acts on V.
 Where the water does not slip, M is the mass minus that of the water inside, p and P are 0, and B is
-a virtual mass on both sides that cancels at constant acceleration. T are the servos' torques, with
-implicit gains, and h is the step. Dry friction and joint limits are impulses that can stop a joint
-but not reverse it, computed by projected Gauss-Seidel sweeps (Acary and
-Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). The virtual mass:
-Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413. All float64, SI.
+a virtual mass on both sides (Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020)
+103413). Dry friction and joint limits are impulses, computed by projected Gauss-Seidel sweeps
+(Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). SI.
 """
 
 import warp as wp

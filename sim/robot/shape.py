@@ -1,8 +1,7 @@
 """The robot's hull: round links with a continuous surface, whose width and height follow the body.
 
 A link is the set of points nearer to its axis than a radius that varies along it, closed by round
-ends; neighbours share the radius at their joint, so that the surface has no gap at any angle. In
-plan view the radius is half the width; across, sections are ellipses.
+ends; neighbours share the radius at their joint. Across, sections are ellipses.
 """
 
 from __future__ import annotations

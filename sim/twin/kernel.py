@@ -1,17 +1,13 @@
 """The kernels of the reduced-order twin: a chain of links in water described by a force law.
 
-Each link has added mass across and along its axis (Kirchhoff's impulse, with the turning moment
-that follows from it), and drag across and along it. Water that leaves the tail's end carries its
-momentum away, which gives the reactive thrust of elongated bodies (Lighthill, Proc. R. Soc. B 179
-(1971) 125): with added mass m per length and velocities w across and u along the tail, the force is
-- m w u across the tail and + m w w / 2 along it. Drag is that of Morison et al. (1950) plus a term
-linear in the velocity, integrated implicitly. It depends on the velocity relative to the wake: the
-water around a link approaches a share of the link's velocity V with time constant T, d moved / dt =
-(share V - moved) / T, in the world frame. Without the wake a robot accelerates too fast, and a
-turning robot swims too fast through the water that it has set in motion. The quadratic drag across,
-C |w| w, grows with the vortices that cause it: it is C |w| late, where late follows w over a
-distance, as lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that
-of ``sim.robot.multibody``.
+Each link has added mass across and along its axis. Water that leaves the tail's end carries its
+momentum away (Lighthill, Proc. R. Soc. B 179 (1971) 125): with added mass m per length and
+velocities w across and u along the tail, the force is - m w u across the tail and + m w w / 2 along
+it. Drag is that of Morison et al. (1950) plus a term linear in the velocity, implicit, by the
+velocity relative to the wake: the water around a link approaches a share of the link's velocity V
+with time constant T, d moved / dt = (share V - moved) / T. The quadratic drag across, C |w| w,
+grows with the vortices that cause it: it is C |w| late, where late follows w over a distance, as
+lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17).
 """
 
 import warp as wp

@@ -1,7 +1,6 @@
 """The force law of the twin: its coefficients, and the forces for a robot's shape.
 
-For a floating robot only the submerged part counts. The surface is flat, so that the water moves as
-if the wetted shape were mirrored in it.
+Of a floating robot only the submerged part counts, as if it were mirrored in the flat surface.
 """
 
 from __future__ import annotations

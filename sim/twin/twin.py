@@ -1,8 +1,6 @@
 """The twin: the robots and servos of the swimmer, with a reduced-order force law for the fluid.
 
-Thousands of times faster than the fluid, for fits, sampling, tests and quick training. Its
-coefficients are fitted to the fluid (``benchmarks/twin_fit.py`` states the error). Of a floating
-robot, the forces act on the submerged part.
+Thousands of times faster than the fluid, to which its coefficients are fitted (``reports/twin``).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sim.calibration.calibration import Calibration
+from sim.inference.calibration import Calibration
 
 from sim.simulation import Simulated
 from sim2real import Model, Recording, read_robot
