@@ -43,7 +43,6 @@ class Fluid:
         boxes: Number of boxes E.
         device: Warp device.
         wide: Whether there are too many populations for 32-bit indices.
-        t: Parity of the next step.
     """
 
     def __init__(
@@ -87,7 +86,6 @@ class Fluid:
         self.size = (int(size[0]), int(size[1]), int(size[2]) if len(size) > 2 else 1)
         self.device = find_device(device)
         self.cells = int(np.prod(self.size))
-        self.t = 0
         viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
@@ -100,7 +98,7 @@ class Fluid:
         self._mirror, self._walls = wall_kernels(lattice, self.wide)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
-        self.box.cells, self.box.total = self.cells, boxes * self.cells
+        self.box.cells, self.box.total, self.box.t = self.cells, boxes * self.cells, 0
         self.magic, self.smagorinsky = magic, smagorinsky
         self.f: Any = allocate(lattice, self.wide, self.box.total, self.device)
         above = viscous / CS2
@@ -109,10 +107,8 @@ class Fluid:
         self._rates = self._put(rates.astype(np.float32), wp.vec2)
         self._driven = False
         self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
-        self.stopped: Any = wp.full(boxes, -1, dtype=wp.int32, device=self.device)
+        self.stopped = self.box.stopped = self._put(np.full(boxes, -1), wp.int32)
         self.covered = Covered()
-        self.twist: Any = wp.zeros((1, 1), dtype=wp.vec4, device=self.device)
-        self.centre: Any = wp.zeros((1, 1), dtype=wp.vec2, device=self.device)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._close(walls, normals, wall_velocity)
 
@@ -128,7 +124,7 @@ class Fluid:
             edge = np.moveaxis(flags, axis, 0)
             edge[[0, -1]] |= EDGE
         flat = flatten(flags)
-        self.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
+        self.flags = self.box.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
         kind = flat & KIND
         direction = np.zeros(flat.size, dtype=np.int32)
         if normals is not None:
@@ -171,28 +167,17 @@ class Fluid:
         else:
             edges = np.linspace(0, total, self.threads + 1).astype(int)
             list(self._pool.map(self._collide, edges[:-1], np.diff(edges)))
-        self.t = 1 - self.t
-        water = [self.f, self.flags, self.box, self.t]
-        if self._slips[0].shape[0]:
-            self._launch(
-                self._mirror, (self.boxes, self._slips[0].shape[0]), [*water, *self._slips]
-            )
-        if self._moving[0].shape[0]:
-            self._launch(
-                self._walls, (self.boxes, self._moving[0].shape[0]), [*water, *self._moving]
-            )
+        self.box.t = 1 - self.box.t
+        for kernel, (cells, *more) in ((self._mirror, self._slips), (self._walls, self._moving)):
+            if cells.shape[0]:
+                inputs = [self.f, self.box, cells, *more]
+                self._launch(kernel, (self.boxes, cells.shape[0]), inputs)
 
     def _collide(self, first: int, count: int) -> None:
-        self._launch(
-            self.kernels.step,
-            int(count),
-            [
-                self.f, self.flags, self.box, int(first), self.t, self.tau, self._rates, self.magic,
-                self.smagorinsky**2, int(self._driven), self.drive, self.covered, self.twist,
-                self.centre, self.stopped,
-            ],
-            block_dim=BLOCK,
-        )  # fmt: skip
+        relaxation = [self.tau, self._rates, self.magic, self.smagorinsky**2]
+        pushes = [int(self._driven), self.drive, self.covered]
+        inputs = [self.f, self.box, int(first), *relaxation, *pushes]
+        self._launch(self.kernels.step, int(count), inputs, block_dim=BLOCK)
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], **more: Any) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, **more)
@@ -204,11 +189,9 @@ class Fluid:
         cells, which changes neither the momentum nor the differences of pressure.
         """
         columns = self.boxes, self.size[0] * self.size[1]
-        water = [self.f, self.flags, self.box]
-        self._launch(self.kernels.weigh, columns, [*water, self.t, self._net])
-        self._launch(
-            self.kernels.level, (self.boxes, self.cells), [*water, self.fluid_cells, self._net]
-        )
+        self._launch(self.kernels.weigh, columns, [self.f, self.box, self._net])
+        inputs = [self.f, self.box, self.fluid_cells, self._net]
+        self._launch(self.kernels.level, (self.boxes, self.cells), inputs)
         self._net.zero_()
 
     def set(
@@ -231,14 +214,9 @@ class Fluid:
         strain = np.zeros((0, 6), dtype=np.float32)
         if strain_rate is not None:
             strain = self._flat(np.broadcast_to(strain_rate, (*shape, 6)))
-        self._launch(
-            self.kernels.initialise,
-            self.boxes * self.cells,
-            [
-                self.f, self.flags, self.box, self.t, self.tau, self._put(self._flat(rest)),
-                self._put(self._flat(u), wp.vec3), self._put(strain),
-            ],
-        )  # fmt: skip
+        state = [self._put(self._flat(rest)), self._put(self._flat(u), wp.vec3), self._put(strain)]
+        inputs = [self.f, self.box, self.tau, *state]
+        self._launch(self.kernels.initialise, self.boxes * self.cells, inputs)
         self.stopped.fill_(-1)
 
     def _flat(self, field: NDArray[Any]) -> Array32:
@@ -249,9 +227,7 @@ class Fluid:
         density: Any = wp.empty(self.boxes * self.cells, dtype=wp.float32, device=self.device)
         velocity: Any = wp.empty(self.boxes * self.cells, dtype=wp.vec3, device=self.device)
         self._launch(
-            self.kernels.fields,
-            self.boxes * self.cells,
-            [self.f, self.flags, self.box, self.t, density, velocity],
+            self.kernels.fields, self.boxes * self.cells, [self.f, self.box, density, velocity]
         )
         nx, ny, nz = self.size
         rho = density.numpy().reshape(self.boxes, nz, ny, nx).transpose(0, 3, 2, 1) + 1.0

@@ -11,23 +11,36 @@ cells wrap."""
 
 @wp.struct
 class Box:
-    """The shape of the boxes: cells along each axis, cells of one box, and of all."""
+    """The boxes: cells along each axis, cells of one box, and of all."""
 
     nx: int
     ny: int
     nz: int
     cells: int
     total: int
+    t: int  # parity of the next step
+    flags: wp.array(dtype=wp.uint8)  # kind and bits of each cell, (total,)
+    stopped: wp.array(dtype=wp.int32)  # cell of supersonic flow that stopped a box, or -1, (E,)
 
 
 @wp.struct
 class Covered:
-    """The cells that bodies cover, in a square around each body, layer by layer."""
+    """Bodies of L links, in cells, and the cells that they cover, layer by layer in a square."""
 
+    middle: float  # height of the bodies' middle
+    length: wp.array(dtype=wp.float32)  # of the links, (L,)
+    half_width: wp.array(dtype=wp.vec3)  # of each link at its front, middle and back, (L,)
+    half_height: wp.array(dtype=wp.vec3)
+    pose: wp.array2d(
+        dtype=wp.vec4
+    )  # front end of each link, cosine and sine of its heading, (E, L)
+    centre: wp.array2d(dtype=wp.vec2)  # its centre of mass, (E, L)
+    twist: wp.array2d(dtype=wp.vec4)  # its velocity along x and y and of its heading, (E, L)
+    sums: wp.array3d(dtype=wp.int64)  # the fluid's sums over it (``coupling``), (E, L, SUMS)
+    kept: wp.array(dtype=wp.float32)  # ``leak`` of all links, a mean over steps, (E,)
     side: int  # cells along a side of the squares
-    # low, tall: lowest layer, and number of layers
-    low: int
-    tall: int
+    low: int  # lowest layer
+    tall: int  # number of layers
     layers: int  # layers of a column that one thread takes, where threads share columns
     lanes: int  # threads that share the listed cells of a body
     # first cell of each body's square in the plane, and its extent, (E,)

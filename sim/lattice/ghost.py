@@ -41,15 +41,7 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
 
     @wp.func
     def water_at(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        e: int,
-        x: float,
-        y: float,
-        z: float,
-        otherwise: wp.vec4,
+        f: Stored, box: Box, e: int, x: float, y: float, z: float, otherwise: wp.vec4
     ) -> wp.vec4:
         """Linear in the cells around the point; ``otherwise`` where none of them is water."""
         x0 = int(wp.floor(x))
@@ -68,9 +60,9 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
                 share *= 1.0 - wp.abs(z - float(z0 + m))
             n = e * box.cells + within(x0 + i, box.nx) + box.nx * within(y0 + k, box.ny)
             n += box.nx * box.ny * within(z0 + m, box.nz)
-            flag = int(flags[n])
+            flag = int(box.flags[n])
             if share > 0.0 and (flag & wp.static(KIND | GHOST)) == wp.static(FLUID):
-                u = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                u = moments(load(f, n, neighbours(n, flag, box), box))
                 inverse = 1.0 / (1.0 + u[0])
                 total += share * wp.vec4(u[0], inverse * u[1], inverse * u[2], inverse * u[3])
                 weight += share

@@ -104,20 +104,20 @@ def populations(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namesp
         return j
 
     @wp.func
-    def load(f: Stored, n: int, j: Cells, t: int, total: int) -> Vector:
+    def load(f: Stored, n: int, j: Cells, box: Box) -> Vector:
         p = Vector()
-        p[0] = read(f, 0, n, total)
+        p[0] = read(f, 0, n, box.total)
         for k in range(wp.static(pairs)):
-            p[2 * k + 1] = read(f, wp.static(2 * k + 2) - t, n, total)
-            p[2 * k + 2] = read(f, wp.static(2 * k + 1) + t, j[k], total)
+            p[2 * k + 1] = read(f, wp.static(2 * k + 2) - box.t, n, box.total)
+            p[2 * k + 2] = read(f, wp.static(2 * k + 1) + box.t, j[k], box.total)
         return p
 
     @wp.func
-    def store(f: Stored, n: int, j: Cells, t: int, total: int, p: Vector) -> int:
-        write(f, 0, n, total, p[0])
+    def store(f: Stored, n: int, j: Cells, box: Box, p: Vector) -> int:
+        write(f, 0, n, box.total, p[0])
         for k in range(wp.static(pairs)):
-            write(f, wp.static(2 * k + 1) + t, j[k], total, p[2 * k + 1])
-            write(f, wp.static(2 * k + 2) - t, n, total, p[2 * k + 2])
+            write(f, wp.static(2 * k + 1) + box.t, j[k], box.total, p[2 * k + 1])
+            write(f, wp.static(2 * k + 2) - box.t, n, box.total, p[2 * k + 2])
         return 0
 
     @wp.func

@@ -67,9 +67,7 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
     @wp.kernel(enable_backward=False, module="unique")
     def mirror(
         f: Stored,
-        flags: wp.array(dtype=wp.uint8),
         box: Box,
-        t: int,
         listed: wp.array(dtype=wp.int32),
         normal: wp.array(dtype=wp.int32),
         inside: wp.array(dtype=wp.int32),
@@ -81,40 +79,37 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
         e, k = wp.tid()
         n = e * box.cells + listed[k]
         water = e * box.cells + inside[k]
-        j = neighbours(n, int(flags[n]), box)
+        j = neighbours(n, int(box.flags[n]), box)
         for m in range(wp.static(len(exchanges))):
             if normal[k] == wp.static(exchanges[m].normal):
                 other = n
                 if wp.static(any(exchanges[m].across)):
                     other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
-                if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
+                if (int(box.flags[other]) & wp.static(KIND)) == wp.static(SLIP):
                     beside = other + water - n
-                    one = slot(wp.static(lattice.index(exchanges[m].one)), other, water, t)
-                    two = slot(wp.static(lattice.index(exchanges[m].two)), n, beside, t)
+                    one = slot(wp.static(lattice.index(exchanges[m].one)), other, water, box.t)
+                    two = slot(wp.static(lattice.index(exchanges[m].two)), n, beside, box.t)
                     first = read(f, one[0], one[1], box.total)
                     second = read(f, two[0], two[1], box.total)
-                    if (int(flags[beside]) & wp.static(KIND)) == wp.static(FLUID):
-                        to = slot(wp.static(lattice.opposite(exchanges[m].two)), beside, n, t)
+                    if (int(box.flags[beside]) & wp.static(KIND)) == wp.static(FLUID):
+                        to = slot(wp.static(lattice.opposite(exchanges[m].two)), beside, n, box.t)
                         write(f, to[0], to[1], box.total, first)
-                    if (int(flags[water]) & wp.static(KIND)) == wp.static(FLUID):
-                        to = slot(wp.static(lattice.opposite(exchanges[m].one)), water, other, t)
+                    if (int(box.flags[water]) & wp.static(KIND)) == wp.static(FLUID):
+                        to = slot(
+                            wp.static(lattice.opposite(exchanges[m].one)), water, other, box.t
+                        )
                         write(f, to[0], to[1], box.total, second)
 
     @wp.kernel(enable_backward=False, module="unique")
     def walls(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        listed: wp.array(dtype=wp.int32),
-        velocity: wp.array(dtype=wp.vec3),
+        f: Stored, box: Box, listed: wp.array(dtype=wp.int32), velocity: wp.array(dtype=wp.vec3)
     ):
         """Moving cell k of box e; ``listed`` are the cells, counted in one box."""
         e, k = wp.tid()
         n = e * box.cells + listed[k]
         u = velocity[k]
-        j = neighbours(n, int(flags[n]), box)
-        p = load(f, n, j, t, box.total)
+        j = neighbours(n, int(box.flags[n]), box)
+        p = load(f, n, j, box)
         out = Vector()
         out[0] = p[0]
         for d in range(wp.static(pairs)):
@@ -128,6 +123,6 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
             odd = wp.static(3.0 * w[2 * d + 1]) * cu
             out[2 * d + 1] = b + 2.0 * odd
             out[2 * d + 2] = a - 2.0 * odd
-        store(f, n, j, t, box.total, out)
+        store(f, n, j, box, out)
 
     return mirror, walls

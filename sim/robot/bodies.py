@@ -124,46 +124,39 @@ class Bodies:
         grid.mass, grid.origin = wp.float64(units.mass_kg), wp.vec2d(*origin_m)
         grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
         grid.memory = wp.float32(MEMORY)
-        fluid.twist, fluid.centre = grid.twist, grid.centre
         self.target: Any = wp.zeros((E, L + 2), dtype=wp.float64, device=device)
         self.friction: Any = wp.zeros((E, J), dtype=wp.float64, device=device)
-        high_cells = np.full_like(height, _NO_LIMIT) if flat else height / cell - set_in
-        self._shape: tuple[Any, ...] = tuple(
-            wp.array(values.astype(np.float32), dtype=kind, device=device)
-            for values, kind in (
-                (hull.length / cell, wp.float32),
-                (width / cell - set_in, wp.vec3),
-                (high_cells, wp.vec3),
-            )
-        )
-        self._cover_cells(E, height, flat)
+        high = np.full_like(height, _NO_LIMIT) if flat else height / cell - set_in
+        self._cover_cells(hull.length / cell, width / cell - set_in, high, height)
         self._touch = wall.touch(hull.body_length, units)
         made = ghost_kernels if wall.slip else cover_kernel
         self._cover = made(fluid.lattice, fluid.wide)
         self.place(np.zeros((E, L + 2)))
 
-    def _cover_cells(self, E: int, height: Array, flat: bool) -> None:
-        """Make room for the cells that the robots cover."""
-        hull, cell, nz, cuda = (
-            self.hull, self.units.cell_m, self.fluid.size[2], self.fluid.device.is_cuda,
-        )  # fmt: skip
+    def _cover_cells(self, length: Array, width: Array, high: Array, height: Array) -> None:
+        """Tell the fluid of the robots' shape, in cells, and make room for what they cover."""
+        hull, cell, fluid, grid = self.hull, self.units.cell_m, self.fluid, self.grid
+        E, nz, cuda = fluid.boxes, fluid.size[2], fluid.device.is_cuda
+        flat = fluid.lattice.dimensions == 2
         reach = int(np.ceil(hull.half_width.max() / cell)) + _MARGIN
         side = int(np.ceil(hull.length.sum() / cell)) + 2 * reach + 2
         tall = int(np.ceil(height.max() / cell)) + 1
         low = 0 if flat else max(0, int(self.middle) - tall)
-        high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
-        square = side**2 * (high - low)
+        top = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
+        square = side**2 * (top - low)
         ghosts = E * square if self.wall.slip else 1
-        covered = self.fluid.covered = fill(
-            Covered(), self.fluid.device, share=(E * square,), face=(E * square,), leak=(ghosts,),
+        covered = fluid.covered = fill(
+            Covered(), fluid.device, share=(E * square,), face=(E * square,), leak=(ghosts,),
             back=(ghosts,), water=(ghosts,), beyond=(ghosts,), links=(ghosts,), count=(2 * E,),
-            listed=(2 * E, ghosts // E),
+            listed=(2 * E, ghosts // E), length=length.astype(np.float32),
+            half_width=width.astype(np.float32), half_height=high.astype(np.float32),
         )  # fmt: skip
-        covered.corner = self.grid.corner
-        covered.side, covered.low, covered.tall = side, low, high - low
+        for shared in ("corner", "pose", "centre", "twist", "sums", "kept"):
+            setattr(covered, shared, getattr(grid, shared))
+        covered.middle, covered.damping = self.middle, DAMPING if self.wall.slip else 0.0
+        covered.side, covered.low, covered.tall = side, low, top - low
         covered.layers = 1 if cuda and E * side**2 < _COLUMNS else covered.tall
         covered.lanes = max(1, square // _LISTED) if cuda else 1
-        covered.damping = DAMPING if self.wall.slip else 0.0
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> Rows:
         """The arrays of robots with these masses, servos and effects."""
@@ -209,33 +202,28 @@ class Bodies:
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
         fluid, robots = self.fluid, [self.chain, self.motion, self.grid, mode]
-        water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
+        water = [fluid.f, fluid.box, fluid.covered]
         self._sum_over_covered(water)
         moved = [*robots, self.target, self.friction, fluid.stopped]
         self._launch(advance, fluid.boxes, moved)
         if self.wall.slip:
-            sent = [*water, self.grid.twist, self.grid.centre, fluid.stopped]
-            self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), sent)
+            self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), water)
         fluid.collide_and_stream()
         self._launch(move, fluid.boxes, [*robots, fluid.stopped])
 
     def _sum_over_covered(self, water: list[Any]) -> None:
         """The fluid's sums over each link (``coupling.SUMS``)."""
-        fluid, grid, covered = self.fluid, self.grid, self.fluid.covered
-        place, sums = [grid.pose, grid.twist, grid.centre], [grid.sums, fluid.stopped]
+        boxes, covered = self.fluid.boxes, self.fluid.covered
         columns = covered.side**2
         if not self.wall.slip:
-            inputs = [*water, self.middle, grid.pose, grid.centre, *self._shape, *sums]
-            self._launch(self._cover, (fluid.boxes, columns), inputs, BLOCK)
+            self._launch(self._cover, (boxes, columns), water, BLOCK)
             return
         covered.count.zero_()
-        inputs = [fluid.flags, fluid.box, covered, self.middle, grid.pose, *self._shape]
-        parts = (fluid.boxes, -(-covered.tall // covered.layers), columns)
-        self._launch(self._cover.mark, parts, [*inputs, self._touch, fluid.stopped], BLOCK)
-        listed = (fluid.boxes, covered.lanes)
-        rough = [self._touch, self.chain.rough]
-        self._launch(self._cover.shear, listed, [*water, *rough, *place[1:], *sums])
-        self._launch(self._cover.cover, listed, [*water, *place, grid.kept, *sums])
+        parts = (boxes, -(-covered.tall // covered.layers), columns)
+        self._launch(self._cover.mark, parts, [*water[1:], self._touch], BLOCK)
+        listed = (boxes, covered.lanes)
+        self._launch(self._cover.shear, listed, [*water, self._touch, self.chain.rough])
+        self._launch(self._cover.cover, listed, water)
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device, block_dim=block)

@@ -239,21 +239,15 @@ def calm(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stu
     Stored, write = pop.Stored, pop.write
 
     @wp.kernel(enable_backward=False, module="unique")
-    def calm(
-        mask: wp.array(dtype=wp.int32),
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        stopped: wp.array(dtype=wp.int32),
-    ):
+    def calm(mask: wp.array(dtype=wp.int32), f: Stored, box: Box):
         e, n = wp.tid()
         if mask[e] == 0:
             return
         cell = e * box.cells + n
         for d in range(wp.static(lattice.Q)):
             write(f, d, cell, box.total, 0.0)
-        flags[cell] = wp.uint8(int(flags[cell]) & wp.static(~(BODY | GHOST) & 255))
+        box.flags[cell] = wp.uint8(int(box.flags[cell]) & wp.static(~(BODY | GHOST) & 255))
         if n == 0:
-            stopped[e] = -1
+            box.stopped[e] = -1
 
     return calm

@@ -148,9 +148,8 @@ class Swimmer(Robots):
 
     def _place(self, q: Array, chosen: Mask, on_device: Any) -> None:  # noqa: ANN401
         fluid = self.fluid
-        water = [fluid.f, fluid.flags, fluid.box, fluid.stopped]
         kernel = calm(fluid.lattice, fluid.wide)
-        self._launch(kernel, (self.n_envs, fluid.cells), [on_device, *water])
+        self._launch(kernel, (self.n_envs, fluid.cells), [on_device, fluid.f, fluid.box])
         self.bodies.place(q, mask=chosen)
 
     def _adopt(self, which: Index, models: Sequence[Model], effects: Outside) -> None:
@@ -162,13 +161,13 @@ class Swimmer(Robots):
         device = self.device
         if not device.is_cuda:
             self._period()
-        elif self.fluid.t in self._graphs:
-            wp.capture_launch(self._graphs[self.fluid.t])
+        elif self.fluid.box.t in self._graphs:
+            wp.capture_launch(self._graphs[self.fluid.box.t])
         else:
             self._period()  # compiles every kernel, which a capture must not
             with wp.ScopedCapture(device=device) as capture:
                 self._period()
-            self._graphs[self.fluid.t] = capture.graph
+            self._graphs[self.fluid.box.t] = capture.graph
         self.step_count += 1
 
     def _period(self) -> None:

@@ -122,7 +122,7 @@ def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
     wp.launch(
         slice_kernel(fluid.lattice, fluid.wide),
         dim=(nx, ny),
-        inputs=[fluid.f, fluid.flags, fluid.box, fluid.t, environment, z, velocity],
+        inputs=[fluid.f, fluid.box, environment, z, velocity],
         device=fluid.device,
     )
     return np.asarray(velocity.numpy(), dtype=np.float64)
