@@ -268,27 +268,21 @@ class Tank:
     sponge: int  # width in cells of the absorbing layer; 0 where walls close the box
 
 
-def window(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
-    """A box that follows the robot: periodic sides, water at rest far from the robot.
+def tank(
+    box_m: tuple[float, float, float], cell_m: float, *, closed: bool = False, flat: bool = False
+) -> Tank:
+    """A box whose bottom is the pool's floor (no slip) and whose top is the surface (free slip).
 
-    Its bottom is the pool's floor (no slip), its top the surface (free slip).
+    ``closed`` by the pool's four walls, else periodic, with water at rest far from its robot. One
+    layer of wall cells closes two opposite sides.
     """
-    nx, ny = (max(8, round(side / cell_m)) for side in box_m[:2])
-    return _tank(nx, ny, box_m[2], cell_m, flat, sponge=max(3, round(0.12 * min(nx, ny))))
-
-
-def pool(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
-    """The whole pool: four walls, floor and surface."""
-    nx, ny = (round(side / cell_m) + 1 for side in box_m[:2])
-    tank = _tank(nx, ny, box_m[2], cell_m, flat, sponge=0)
-    tank.walls[0] = tank.walls[:, 0] = SOLID
-    return tank
-
-
-def _tank(nx: int, ny: int, depth_m: float, cell_m: float, flat: bool, sponge: int) -> Tank:
-    """A box; one layer of wall cells closes two opposite sides, as the box is periodic."""
-    nz = 1 if flat else round(depth_m / cell_m) + 1
-    walls, normals = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.int32)
+    nx, ny, nz = (round(side / cell_m) + 1 for side in box_m)
+    if not closed:
+        nx, ny = (max(8, round(side / cell_m)) for side in box_m[:2])
+    shape = nx, ny, 1 if flat else nz
+    walls, normals = np.zeros(shape, np.uint8), np.zeros(shape, np.int32)
     if not flat:
         walls[:, :, 0], normals[:, :, 0] = SLIP, _UP  # the surface for cells below, the floor above
-    return Tank((nx, ny, nz), walls, normals, sponge)
+    if closed:
+        walls[0] = walls[:, 0] = SOLID
+    return Tank(shape, walls, normals, 0 if closed else max(3, round(0.12 * min(nx, ny))))

@@ -111,16 +111,9 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
             if (flag & wp.static(KIND)) == wp.static(FLUID):
                 flag = flag & wp.static(~(GHOST | BODY) & 255)
                 if nearest < wp.static(NEAR):
+                    height = float(z) - covered.middle
                     d, o, other = surface(
-                        float(X),
-                        float(Y),
-                        float(z) - covered.middle,
-                        covered.pose[e, link],
-                        covered.length[link],
-                        covered.half_width[link],
-                        covered.half_height[link],
-                        rest,
-                        touch.edge,
+                        float(X), float(Y), height, e, link, covered, rest, touch.edge
                     )
                     cell = column * covered.tall + layer
                     slot = slot_at(e, cell, covered)

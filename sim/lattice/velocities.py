@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 
+Velocity = tuple[int, int, int]
+
 
 @dataclass(frozen=True)
 class Lattice:
@@ -16,7 +18,7 @@ class Lattice:
 
     name: str  # name in the literature
     dimensions: int  # 2 or 3
-    velocities: tuple[tuple[int, int, int], ...]  # Q triples of -1, 0, 1
+    velocities: tuple[Velocity, ...]  # Q triples of -1, 0, 1
     weights: tuple[float, ...]  # Q weights that sum to 1
 
     @property
@@ -28,11 +30,11 @@ class Lattice:
         """Number of pairs of opposite directions."""
         return self.Q // 2
 
-    def index(self, velocity: tuple[int, int, int]) -> int:
+    def index(self, velocity: Velocity) -> int:
         """Number of the direction with this velocity."""
         return self.velocities.index(velocity)
 
-    def opposite(self, velocity: tuple[int, int, int]) -> int:
+    def opposite(self, velocity: Velocity) -> int:
         """Number of the direction against this velocity."""
         x, y, z = velocity
         return self.index((-x, -y, -z))

@@ -5,47 +5,32 @@ populations within one step (Kruger et al. (2017), Sec. 5.3.7): after two, as at
 flow around ghost cells of a body that pierces the surface is unstable.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from sim.lattice.cell import FLUID, KIND, SLIP, Box
 from sim.lattice.populations import populations
-from sim.lattice.velocities import Lattice
-
-Velocity = tuple[int, int, int]
+from sim.lattice.velocities import Lattice, Velocity
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """One reflection at a free-slip wall, between two of its cells or, with 0 across, at one."""
+def mirrors(lattice: Lattice) -> list[tuple[int, Velocity, Velocity, Velocity]]:
+    """All reflections at free-slip walls, each between two cells of a wall or, with 0 last, at one.
 
-    normal: int  # direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z
-    # one, two: velocities with which populations arrive at the wall
-    one: Velocity
-    two: Velocity
-    across: Velocity  # from the cell at which ``two`` arrives to that of ``one``
-
-
-def mirrors(lattice: Lattice) -> tuple[Mirror, ...]:
-    """All reflections."""
-    exchanges = []
+    The direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z; two velocities with which
+    populations arrive; the way from the cell at which the second arrives to that of the first.
+    """
+    exchanges, unit = [], np.eye(3, dtype=int)
     axes = range(lattice.dimensions)
     for axis, sign, along in product(axes, (1, -1), axes):
-        first, second, across = [0, 0, 0], [0, 0, 0], [0, 0, 0]
-        first[axis] = second[axis] = sign
-        if along != axis:
-            first[along], second[along], across[along] = 1, -1, 1
-        normal = 2 * axis + int(sign < 0)
-        exchanges.append(Mirror(normal, _velocity(first), _velocity(second), _velocity(across)))
-    return tuple(exchanges)
-
-
-def _velocity(x: list[int]) -> Velocity:
-    return x[0], x[1], x[2]
+        aside = unit[along] * (along != axis)
+        ways = (sign * unit[axis] + aside, sign * unit[axis] - aside, aside)
+        one, two, across = (tuple(way.tolist()) for way in ways)
+        exchanges.append((2 * axis + int(sign < 0), one, two, across))
+    return exchanges
 
 
 @cache
@@ -81,23 +66,21 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
         water = e * box.cells + inside[k]
         j = neighbours(n, int(box.flags[n]), box)
         for m in range(wp.static(len(exchanges))):
-            if normal[k] == wp.static(exchanges[m].normal):
+            if normal[k] == wp.static(exchanges[m][0]):
                 other = n
-                if wp.static(any(exchanges[m].across)):
-                    other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
+                if wp.static(any(exchanges[m][3])):
+                    other = j[wp.static(lattice.index(exchanges[m][3]) // 2)]
                 if (int(box.flags[other]) & wp.static(KIND)) == wp.static(SLIP):
                     beside = other + water - n
-                    one = slot(wp.static(lattice.index(exchanges[m].one)), other, water, box.t)
-                    two = slot(wp.static(lattice.index(exchanges[m].two)), n, beside, box.t)
+                    one = slot(wp.static(lattice.index(exchanges[m][1])), other, water, box.t)
+                    two = slot(wp.static(lattice.index(exchanges[m][2])), n, beside, box.t)
                     first = read(f, one[0], one[1], box.total)
                     second = read(f, two[0], two[1], box.total)
                     if (int(box.flags[beside]) & wp.static(KIND)) == wp.static(FLUID):
-                        to = slot(wp.static(lattice.opposite(exchanges[m].two)), beside, n, box.t)
+                        to = slot(wp.static(lattice.opposite(exchanges[m][2])), beside, n, box.t)
                         write(f, to[0], to[1], box.total, first)
                     if (int(box.flags[water]) & wp.static(KIND)) == wp.static(FLUID):
-                        to = slot(
-                            wp.static(lattice.opposite(exchanges[m].one)), water, other, box.t
-                        )
+                        to = slot(wp.static(lattice.opposite(exchanges[m][1])), water, other, box.t)
                         write(f, to[0], to[1], box.total, second)
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from sim.fluid.fluid import WINDOW_M, Fluid, Tank, pool, window
+from sim.fluid.fluid import WINDOW_M, Fluid, tank
 from sim.fluid.wall import SLIP, Wall
 from sim.lattice.velocities import D2Q9, D3Q19, WATER_M2_S, Units
 from sim.robot.bodies import FREE, Bodies
@@ -111,7 +111,7 @@ class Swimmer(Robots):
             viscosities = [m.body.get("water", {}).get("viscosity_m2_s", least) for m in models]
             viscosity_m2_s = np.maximum(viscosities, WATER_M2_S if wall.slip else least)
         self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
-        self.tank: Tank = (pool if walls else window)(box_m, cell_m, flat=flat)
+        self.tank = tank(box_m, cell_m, closed=walls, flat=flat)
         self.fluid = Fluid(
             D2Q9 if flat else D3Q19,
             self.tank.size,
@@ -179,13 +179,13 @@ class Swimmer(Robots):
 
     def _sponge(self) -> None:
         """Damp the water far from the robot, or keep the mass of a box with walls."""
-        tank, fluid = self.tank, self.fluid
-        if not tank.sponge:
+        box, fluid = self.tank, self.fluid
+        if not box.sponge:
             if self.bodies.wall.slip:
                 fluid.level()
             return
-        reach = wp.vec2(*(side / 2 - tank.sponge for side in tank.size[:2]))
-        layer = [self.bodies.grid.position, reach, float(tank.sponge), _SPONGE]
+        reach = wp.vec2(*(side / 2 - box.sponge for side in box.size[:2]))
+        layer = [self.bodies.grid.position, reach, float(box.sponge), _SPONGE]
         self._launch(fluid.kernels.damp, self.n_envs * fluid.cells, [fluid.f, fluid.box, *layer])
 
 
