@@ -7,7 +7,6 @@ import pytest
 from swimming_robots import FISH, servos
 
 from sim.inference.calibration import calibrate
-from sim.inference.coordinates import Coordinates
 from sim.inference.swim_parameters import appendage_parameters, candidates
 from sim.inference.swims import Swim, by_twin, simulated, with_values
 from sim.lattice.velocities import WATER_KG_M3 as WATER
@@ -207,16 +206,3 @@ def test_the_error_of_the_areas_is_fitted_and_reaches_the_ranges():
     interval = {"appendage_area.ratio": [float(low), float(high)]}
     (drawn,) = body_ranges(replace(fit.model, body={**fit.model.body, "interval": interval}))
     assert (drawn.parameter, drawn.first) == ("body.appendage_area.ratio", pytest.approx(low))
-
-
-def test_coordinates_of_an_area_are_it_and_its_moment():
-    c = Coordinates.of(FISH, servos())
-    x = c.nominal
-    x[c.place["appendage_drag.area_m2"]], x[c.place["appendage_drag.x_m"]] = 0.004, 0.0008
-    given = c.parameters(x)
-    assert given["appendage_drag.area_m2"] == 0.004
-    assert given["appendage_drag.x_m"] == pytest.approx(0.2)
-    points, base = c.about(c.nominal)
-    k = c.place["appendage_drag.x_m"]
-    assert base[k] == c.place["appendage_drag.area_m2"] + 1
-    assert c.parameters(points[k + 1])["appendage_drag.x_m"] == pytest.approx(0.1)
