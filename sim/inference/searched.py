@@ -65,7 +65,7 @@ class SwimSearch(SwimProblem):
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects with the largest predicted evidence when added to a set, by its linear model."""
-        fits = [ledger.tried[members].fit, *([] if members else self._first_fits)]
+        fits = [ledger.tried[members].fit, *([] if members else self.first_fits)]
         promise: dict[Candidate, float] = {}
         for effect in self.coordinates.effects:
             if effect not in members:
@@ -73,11 +73,6 @@ class SwimSearch(SwimProblem):
                 promise[effect] = max(self.evidence(more, self.linear(more, fit)) for fit in fits)
         order = sorted(promise, key=lambda effect: -promise[effect])
         return [(effect, fits[0]) for effect in order[: most or FIRST]]
-
-    @property
-    def _first_fits(self) -> list[Fit]:
-        """Another start of single effects: a law adapted to swims that have it is a bad one."""
-        return [] if self.first_fit is None else [self.first_fit]
 
     def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
         """The best fit, with the columns of effects outside ``members`` reset."""
@@ -90,7 +85,7 @@ class SwimSearch(SwimProblem):
         """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
         initial = [(members, fit) for _, members, fit in jobs]
         singles = [members for _, members, _ in jobs if len(members) == 1]
-        initial += [(members, fit) for members in singles for fit in self._first_fits]
+        initial += [(members, fit) for members in singles for fit in self.first_fits]
         initial = self._with_other_sizes(initial)
         best: dict[Members, Fit] = {}
         for (members, _), fit in zip(initial, self.fitted(initial), strict=True):
@@ -306,28 +301,28 @@ def _search(
         (refitted,) = problem.refit([(ledger, subset, problem.start(ledger, subset))])
         if refitted.evidence > best.evidence:
             ledger.keep(refitted)
-    problem.cost = 0.0
-    tried = {
-        members: replace(hypothesis, evidence=hypothesis.evidence + COST * len(members))
-        for members, hypothesis in ledger.tried.items()
-    }
-
-    def worth(hypothesis: Hypothesis[Fit]) -> float:
-        return hypothesis.evidence - COST * len(hypothesis.members)
-
-    finished: set[Members] = set()
+    tried, finished = ledger.tried, set[Members]()
     for _ in range(2):
-        order = sorted((h for h in tried.values() if h.members), key=worth, reverse=True)
-        close = [h for h in order[: _RIVALS + 1] if worth(h) > worth(order[0]) - _CLOSE]
-        smaller = [order[0].members - {effect} for effect in order[0].members]
-        close += [tried[members] for members in smaller if members and members in tried]
-        for members in {h.members: None for h in close}:
-            if members not in finished:
+        first, *others = sorted((h for h in tried.values() if h.members), key=_evidence)
+        close = [first.members]
+        close += [h.members for h in others[:_RIVALS] if h.evidence > first.evidence - _CLOSE]
+        close += [first.members - {effect} for effect in first.members]
+        for members in close:
+            if members and members in tried and members not in finished:
                 tried[members] = problem.converged(tried[members])
                 finished.add(members)
+    problem.cost = 0.0
     progress(1.0)
-    order = sorted(tried.values(), key=worth, reverse=True)
+    order = [
+        replace(h, evidence=h.evidence + COST * len(h.members))
+        for h in sorted(tried.values(), key=_evidence)
+    ]
     return order, next(hypothesis for hypothesis in order if hypothesis.members)
+
+
+def _evidence(hypothesis: Hypothesis[Fit]) -> float:
+    """Key to sort by, best first."""
+    return -hypothesis.evidence
 
 
 def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:

@@ -83,7 +83,9 @@ class SwimProblem:
     weights: list[Array] = field(init=False)
     # whether each column is a shape of the twin's error, shape (F,)
     is_error: Mask = field(init=False)
-    first_fit: Fit | None = None  # first linearised fit without effects
+    # first linearised fit without effects, another start of single effects: a law adapted to swims
+    # that have an effect is a bad one
+    first_fits: list[Fit] = field(default_factory=list, init=False)
     kept: Mask | None = None  # rows that a fit uses, shape (n,); all where None
     _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
 
@@ -251,9 +253,9 @@ class SwimProblem:
         """The hypothesis that nothing is missing, fitted from a point (F,) or the prior's mean."""
         nothing: Members = frozenset()
         x = self.centre(nothing) if x is None else x
-        for number in range(rounds):
+        for _ in range(rounds):
             linearised = self.at(x)
-            self.first_fit = linearised if number == 0 else self.first_fit
+            self.first_fits = self.first_fits or [linearised]
             (fit,) = self.fitted([(nothing, self._shifted(nothing, linearised))])
             x = fit.x
         final = self.at(x)
