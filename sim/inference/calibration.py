@@ -181,9 +181,8 @@ def _fit(
 ) -> tuple[Model, Array, Array]:
     """The fitted model, its parameters (F,), and their covariance, for each the larger one, (F, F).
 
-    A signal counts as one sample per autocorrelation time of its residual, so that the priors keep
-    their weight. Its error is the residual or, with ``share``, that share of the signal in a block,
-    with the noise of the recording.
+    The error is the residual or, with ``share``, that share of the signal in a block, with noise; a
+    signal counts as one sample per autocorrelation time.
     """
     nominal, sd = column(free, "nominal"), column(free, "prior_sd")
     prior = SwimPrior(nominal, np.diag(sd**2), 0 * sd, np.ones((4, 3)))

@@ -64,8 +64,7 @@ class Column:
     # the effect it belongs to, as ``(name, component)``; None for what every fit varies
     effect: tuple[str, str] | None
     nominal: float  # its value without missing effects
-    # low, high: its bounds
-    low: float
+    low: float  # its bounds
     high: float
     step: float  # step of derivatives
     prior_sd: float = np.inf  # standard deviation of the prior of an effect that is present
@@ -214,10 +213,7 @@ class Coordinates:
 
 
 def _base(free: Sequence[Parameter]) -> list[Column]:
-    """Columns of what every fit varies.
-
-    Derivatives by a latency span a sub-step of the twin, at whose multiples errors have kinks.
-    """
+    """Columns of what every fit varies; steps of latencies span a sub-step, as errors have kinks."""
     return [
         Column(
             p.name, None, p.nominal, p.low, p.high,

@@ -301,8 +301,7 @@ class SwimObjective:
             self._robot, model, n_envs=len(commands), substeps=SUBSTEPS, threads=self._threads
         )
         twin.reset(pose=np.zeros((len(commands), 3)))
-        state = twin.state()
-        first = np.concatenate([state.pose, state.measured], axis=1)[:, None]
+        first = twin.track()[:, None]
         track = twin.swim(commands[:, :-1], which=np.arange(len(commands)))
         return np.concatenate([first, track], axis=1)
 

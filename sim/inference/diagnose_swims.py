@@ -240,10 +240,7 @@ def _named(
 def _estimates(
     result: Searched, fitted: Hypothesis[Fit], name: Name, relative: float
 ) -> dict[str, Estimate]:
-    """Estimates of an effect's parameters, by sampling: they are nonlinear in the coordinates.
-
-    ``relative`` is the relative standard deviation of an effect's size due to the twin's error.
-    """
+    """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
     effect = next(e for e in c.effects if (e.name, e.component) == name)
     columns = c.of_effect(effect)

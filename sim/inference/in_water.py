@@ -114,12 +114,10 @@ def simulate_in_water(
             wall=replace(SLIP, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
         swimmer.reset(pose=np.array([swim.start for swim in swims]))
-        track = []
-        for row in [None, *np.stack(padded, axis=1)[:-1]]:
-            if row is not None:
-                swimmer.step(row)
-            state = swimmer.state()
-            track.append(np.concatenate([state.pose, state.measured], axis=1))
+        track = [swimmer.track()]
+        for row in np.stack(padded, axis=1)[:-1]:
+            swimmer.step(row)
+            track.append(swimmer.track())
         waters.append(steps_of(np.moveaxis(np.array(track), 0, 1)))
     simulated = np.stack(waters, axis=1)
     simulated[..., :3] /= CONTROL_S

@@ -156,12 +156,8 @@ def _check(recording: Recording, robot: Robot) -> None:
 
 
 def _noise_sd(signals: Array) -> Array:
-    """Standard deviation of the noise of smooth signals (T, K), shape (K,).
-
-    From third differences, to which the motion of a robot contributes little: those of white noise
-    have 20 times its variance. The median of the absolute value is 0.6745 standard deviations.
-    """
-    third = np.abs(np.diff(signals, 3, axis=0))
+    """Standard deviation of the noise of smooth signals (T, K), from third differences, (K,)."""
+    third = np.abs(np.diff(signals, 3, axis=0))  # of white noise: 20 times its variance
     return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / 0.6745 / np.sqrt(20)))
 
 

@@ -55,10 +55,7 @@ def gains(problem: SwimProblem, members: Members, fit: Fit) -> dict[str, float]:
 
 
 def _shapes(problem: SwimProblem, fit: Fit) -> Iterator[tuple[str, Array]]:
-    """Columns of each shape, in prior standard deviations, weighted, shape (n, m).
-
-    Each swim has its own sizes, but for poses that follow a joint.
-    """
+    """Columns of each shape, in prior standard deviations, weighted, (n, m); sizes of each swim."""
 
     def weighted(shape: Callable[[Swim], Array]) -> list[Array]:
         parts = zip(problem.swims, problem.blocks, problem.weights, strict=True)

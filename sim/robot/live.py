@@ -196,6 +196,11 @@ class Robots(ABC):
             stopped=stopped,
         )
 
+    def track(self) -> Array:
+        """Poses and measured angles, shape (E, 3 + J)."""
+        state = self.state()
+        return np.concatenate([state.pose, state.measured], axis=1)
+
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, moving, servos
 
 from sim.inference.calibration import calibrate
 from sim.inference.swim_parameters import appendage_parameters, candidates
@@ -38,25 +38,13 @@ def glide(robot, model, seconds, velocity):
     """Path of the straight twin that starts with a velocity and no water's force, with rates."""
     twin = Twin(robot, model, substeps=20)
     twin.reset(pose=np.zeros(3))
-    v = np.zeros((1, 6))
-    v[0, :3] = velocity
-    twin.motion.v.assign(v)
     twin.adopt(np.array([0]), [model])
-    _start(twin)
+    moving(twin, [[*velocity, 0.0, 0.0, 0.0]])
     states = [twin.state()]
     for _ in range(round(seconds / CONTROL_S)):
         twin.step(np.zeros(3))
         states.append(twin.state())
     return twin, states
-
-
-def _start(twin):
-    import warp as wp
-
-    from sim.twin.kernel import start_twin
-
-    everyone = wp.ones(1, dtype=wp.int32)
-    wp.launch(start_twin, dim=1, inputs=[twin.chain, twin.motion, twin.water, everyone])
 
 
 def test_a_box_slows_a_glide_as_the_formula_says():

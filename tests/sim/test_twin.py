@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import warp as wp
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, moving, servos
 
 from sim.robot.swimmer import CONTROL_S
-from sim.twin.kernel import start_twin
 from sim.twin.law import FITTED, Coefficients
 from sim.twin.twin import Twin
 from sim2real.body import listed
@@ -30,16 +28,6 @@ def wave(t, scale=1.0):
 def signal(seconds, scale=1.0, sign=1.0):
     times = CONTROL_S * np.arange(round(seconds / CONTROL_S))
     return np.array([sign * min(1.0, t) * wave(t, scale) for t in times])
-
-
-def test_states_are_those_of_the_swimmer():
-    twin = Twin(FISH, servos(), n_envs=3)
-    twin.step(np.zeros(3))
-    state = twin.state()
-    assert state.pose.shape == state.velocity.shape == (3, 3)
-    assert state.joint.shape == state.measured.shape == state.rate.shape == (3, 3)
-    assert state.time == pytest.approx([CONTROL_S] * 3)
-    assert np.abs(state.velocity).max() < 1e-9
 
 
 def test_steps_and_a_whole_swim_are_the_same():
@@ -85,11 +73,7 @@ def test_without_water_momentum_stays():
 def test_water_only_takes_energy_from_slack_joints():
     slack = servos(kp=1e-9, kd=0.0)
     twin = twins(Coefficients(5.0, 5.0, 0.5, 0.0, 0.5), model=slack)
-    q, v = twin.motion.q.numpy(), np.array([[0.3, 0.1, 1.0, 2.0, -2.0, 1.0]])
-    twin.motion.v.assign(v)
-    twin.motion.q.assign(q)
-    ones = wp.array(np.ones(1, np.int32), dtype=wp.int32)
-    wp.launch(start_twin, dim=1, inputs=[twin.chain, twin.motion, twin.water, ones])
+    moving(twin, [[0.3, 0.1, 1.0, 2.0, -2.0, 1.0]])
     energy = []
     for _ in range(50):
         mass, V = twin.chain.mass.numpy()[0], twin.motion.twist.numpy()[0]
@@ -124,14 +108,6 @@ def test_a_wall_effect_drives_harder_near_a_wall():
     assert track[1, -1, 0] > 1.02 * track[0, -1, 0]
 
 
-def test_bad_input_is_refused():
-    twin = Twin(FISH, servos())
-    with pytest.raises(InputError, match="environment 0, expected finite"):
-        twin.step(np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(InputError, match="2 models"):
-        Twin(FISH, [servos()] * 2, n_envs=3)
-
-
 def test_a_body_of_another_robot_is_refused():
     model = servos()
     with pytest.raises(InputError, match=r"body\.normalised_density: found 2 values, expected"):
@@ -155,11 +131,7 @@ def test_the_water_goes_along_and_a_robot_glides_farther():
     straight = np.zeros((100, 3))
     laws = [Coefficients(1.5, 1.0, 1.0, 0.0, 1.0, wake=x, wake_s=0.5) for x in (0.0, 0.6)]
     still = twins(*laws)
-    v = np.zeros((2, 6))
-    v[:, 0] = 0.3
-    still.motion.v.assign(v)
-    ones = wp.array(np.ones(2, np.int32), dtype=wp.int32)
-    wp.launch(start_twin, dim=2, inputs=[still.chain, still.motion, still.water, ones])
+    moving(still, 2 * [[0.3, 0, 0, 0, 0, 0]])
     track = still.swim(straight)
     gone = track[:, -1, 0] - track[:, 0, 0]
     assert gone[1] > 1.1 * gone[0]
