@@ -213,7 +213,7 @@ class Coordinates:
 
 
 def _base(free: Sequence[Parameter]) -> list[Column]:
-    """Columns of what every fit varies; steps of latencies span a sub-step, as errors have kinks."""
+    """Columns of what every fit varies; latencies step by a sub-step, where errors have kinks."""
     return [
         Column(
             p.name, None, p.nominal, p.low, p.high,
