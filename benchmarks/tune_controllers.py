@@ -51,7 +51,7 @@ from rl.make import draws_of, make_world
 from rl.task import CONTROL_S, TASKS, Task
 from rl.world import Draws, World
 from sim.inference.swims import with_values
-from sim.twin.twin import Coefficients
+from sim.twin.law import Coefficients
 from sim2real.arrays import Array
 from sim2real.model import Model
 from sim2real.output import write_whole

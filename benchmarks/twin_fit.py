@@ -23,8 +23,8 @@ from tqdm import tqdm
 import sim2real as s2r
 from benchmarks.harness import ROOT, command_line, spread, table
 from sim.robot.swimmer import CONTROL_S, Swimmer
-from sim.twin.law import FILE
-from sim.twin.twin import Coefficients, Twin
+from sim.twin.law import FILE, Coefficients
+from sim.twin.twin import Twin
 from sim2real.arrays import Array, Index
 from sim2real.model import JointModel, Model
 from sim2real.output import write_json
@@ -171,8 +171,9 @@ class Swims:
 
     def by_twin(self, laws: list[Coefficients], which: Index) -> Array:
         """What the twin shows under each law, shape (laws, which, T, 6)."""
-        each = [law for law in laws for _ in which]
-        twin = Twin(ROBOT, MODEL, n_envs=len(each), coefficients=each)
+        models = [replace(MODEL, body={**MODEL.body, "twin": vars(law)}) for law in laws]
+        each = [model for model in models for _ in which]
+        twin = Twin(ROBOT, each, n_envs=len(each))
         seen = shown(twin.swim(self._sent, np.tile(which, len(laws))))
         return seen.reshape(len(laws), which.size, *seen.shape[1:])
 

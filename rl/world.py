@@ -174,8 +174,7 @@ class World:
         pose, joint = np.zeros((self.n_envs, 3)), np.zeros((self.n_envs, J))
         mask[environments], pose[environments], joint[environments] = True, start, bent
         simulator.reset(mask, pose, joint)
-        current = np.broadcast_to(simulator.outside.current, (self.n_envs, 2))
-        self._current = self._tensor(current)
+        self._current = self._tensor(simulator.current)
         rows = torch.as_tensor(environments, device=self.device)
         self.targets[rows] = self._tensor(targets)
         self.waypoint[rows] = 0

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -59,12 +58,9 @@ class SupersonicFlow(FloatingPointError):
 
 @dataclass(frozen=True)
 class Simulated(NotebookDisplay):
-    """Swims of a model.
+    """Swims of a model."""
 
-    Attributes:
-        swims: Pool recordings: commands, measured joint angles and the head's pose, every 20 ms.
-    """
-
+    # pool recordings: commands, measured joint angles and the head's pose, every 20 ms
     swims: tuple[Recording, ...]
 
     def __str__(self) -> str:
@@ -108,12 +104,10 @@ def simulate_recording(
     model: Model,
     *,
     fidelity: Literal["fluid", "twin"],
-    cell_m: float,
     device: str,
-    dimensions: int,
-    walls: bool,
     plot: File | None = None,
     video: File | None = None,
+    **options: Any,  # noqa: ANN401 - of the swimmer
 ) -> Recording:
     """Simulate the commands of a recording from its first pose; see ``sim.verbs.simulate``.
 
@@ -122,45 +116,41 @@ def simulate_recording(
         SupersonicFlow: If the flow became supersonic.
     """
     validate_commands(recording, robot)
-    t, command = every_period(recording, robot)
-    pose = _first_pose(recording)
+    t, command = _every_period(recording, robot)
+    pose = np.zeros(3)
+    for k, name in enumerate(POSE):
+        column = recording.columns.get(name, np.zeros(0))
+        pose[k] = next(iter(column[np.isfinite(column)]), 0.0)
     if fidelity == "twin":
         track = by_twin(robot, device=device)([model], command, pose)[0]
-        return _as_recording(recording, robot, t, command, track)
-    swimmer = Swimmer(
-        robot,
-        model,
-        device=device,
-        cell_m=cell_m,
-        dimensions=dimensions,
-        walls=walls,
-        threads=THREADS,
+    else:
+        swimmer = Swimmer(robot, model, device=device, threads=THREADS, **options)
+        if POSE[0] in recording.columns:
+            swimmer.reset(pose=pose)
+        track = _swum(swimmer, command, recording.name, video)
+        if plot is not None:
+            from sim.view.render import picture, save_picture
+
+            save_picture(picture(swimmer), plot)
+    if not np.isfinite(track).all():
+        expected = "a robot and a model whose simulation is stable"
+        raise InputError(recording.file, "", "a motion that grows without bound", expected)
+    return Recording(
+        name=recording.name,
+        kind="pool",
+        joints=tuple(joint.name for joint in robot.joints),
+        t=t,
+        command=command,
+        position=track[:, 3:],
+        medium="water",
+        source=f"Simulated, not measured: a model on the commands of {recording.name}.",
+        columns=dict(zip(POSE, track[:, :3].T, strict=True)),
+        metadata={"simulated": True},
     )
-    if POSE[0] in recording.columns:
-        swimmer.reset(pose=pose)
-    with ExitStack() as stack:
-        watch = _filmed(stack, swimmer, video)
-        states = [swimmer.state()]
-        for set_points in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
-            swimmer.step(set_points)
-            states.append(swimmer.state())
-            if states[-1].stopped[0] >= 0:
-                raise SupersonicFlow(recording.name, swimmer, states)
-            watch()
-    if plot is not None:
-        from sim.view.render import picture, save_picture
-
-        save_picture(picture(swimmer), plot)
-    track = np.array([np.concatenate([state.pose[0], state.measured[0]]) for state in states])
-    return _as_recording(recording, robot, t, command, track)
 
 
-def every_period(recording: Recording, robot: Robot) -> tuple[Array, Array]:
-    """Times and set-points of every control period; a set-point holds until the next one.
-
-    Raises:
-        InputError: If a joint of the robot has no set-points, or one is missing.
-    """
+def _every_period(recording: Recording, robot: Robot) -> tuple[Array, Array]:
+    """Times and set-points of every control period; a set-point holds until the next one."""
     t = np.arange(recording.t[0], recording.t[-1] + CONTROL_S / 2, CONTROL_S)
     row = np.searchsorted(recording.t, t + 1e-9, side="right") - 1
     columns = []
@@ -177,47 +167,21 @@ def every_period(recording: Recording, robot: Robot) -> tuple[Array, Array]:
     return t, np.stack(columns, axis=1)
 
 
-def _filmed(stack: ExitStack, swimmer: Swimmer, path: File | None) -> Callable[[], None]:
-    """A function to call after every control period, which adds the frames of a video."""
-    if path is None:
-        return lambda: None
-    from sim.view.render import picture
-    from sim.view.video import FRAMES_PER_S, Video
+def _swum(swimmer: Swimmer, command: Array, name: str, video: File | None) -> Array:
+    """Poses and measured angles at the beginning of each period, (T, 3 + J), filmed if asked."""
+    states = [swimmer.state()]
+    with ExitStack() as stack:
+        if video is not None:
+            from sim.view.render import picture
+            from sim.view.video import FRAMES_PER_S, Video
 
-    video = stack.enter_context(Video(path))
-    periods = round(1 / CONTROL_S / FRAMES_PER_S)  # the video plays in real time
-
-    def add() -> None:
-        if swimmer.step_count % periods == 0:
-            video.add(picture(swimmer, width=video.width))
-
-    return add
-
-
-def _first_pose(recording: Recording) -> Array:
-    pose = np.zeros(3)
-    for k, name in enumerate(POSE):
-        column = recording.columns.get(name, np.zeros(0))
-        finite = column[np.isfinite(column)]
-        pose[k] = finite[0] if finite.size else 0.0
-    return pose
-
-
-def _as_recording(
-    recording: Recording, robot: Robot, t: Array, command: Array, track: Array
-) -> Recording:
-    if not np.isfinite(track).all():
-        expected = "a robot and a model whose simulation is stable"
-        raise InputError(recording.file, "", "a motion that grows without bound", expected)
-    return Recording(
-        name=recording.name,
-        kind="pool",
-        joints=tuple(joint.name for joint in robot.joints),
-        t=t,
-        command=command,
-        position=track[:, 3:],
-        medium="water",
-        source=f"Simulated, not measured: a model on the commands of {recording.name}.",
-        columns=dict(zip(POSE, track[:, :3].T, strict=True)),
-        metadata={"simulated": True},
-    )
+            film = stack.enter_context(Video(video))
+            periods = round(1 / CONTROL_S / FRAMES_PER_S)  # the video plays in real time
+        for set_points in tqdm(command[:-1], desc="simulate", unit="step", disable=None):
+            swimmer.step(set_points)
+            states.append(swimmer.state())
+            if states[-1].stopped[0] >= 0:
+                raise SupersonicFlow(name, swimmer, states)
+            if video is not None and swimmer.step_count % periods == 0:
+                film.add(picture(swimmer, width=film.width))
+    return np.array([np.concatenate([state.pose[0], state.measured[0]]) for state in states])

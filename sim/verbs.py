@@ -1,6 +1,5 @@
-"""The verbs of ``sim2real.verbs`` that need the fluid or its twin.
+"""The verbs of ``sim2real.verbs`` that need the fluid or its twin; loaded when used.
 
-They are called like the others; ``import sim2real`` has them too, and loads them when used.
 Like ``sim2real.verbs``, this module imports nothing heavy.
 """
 
@@ -8,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sim2real.errors import InputError, check_choice, check_effort, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
@@ -76,21 +75,13 @@ def diagnose(
             raise InputError("diagnose", "in_water", found, expected)
         with progress_bar("diagnose") as progress:
             return diagnose_servos(
-                read,
-                machine,
-                model=start,
-                references=earlier,
-                earlier=diagnosis,
-                negligible=negligible,
-                effort=effort,
-                seed=seed,
-                progress=progress,
-            )
+                read, machine, model=start, references=earlier, earlier=diagnosis,
+                negligible=negligible, effort=effort, seed=seed, progress=progress,
+            )  # fmt: skip
     if len(swims) < len(read):
         bench_recording = next(recording for recording in read if recording not in swims)
-        raise InputError(
-            bench_recording.file, "kind", "a recording of a bench", "swims alone, or none"
-        )
+        found, expected = "a recording of a bench", "swims alone, or none"
+        raise InputError(bench_recording.file, "kind", found, expected)
     if start is None:
         raise InputError("diagnose", "model", "none", "the model of the servos, to swim with")
     if diagnosis is not None:
@@ -216,23 +207,12 @@ def simulate(
     if len(read) > 1 and (plot is not None or video is not None):
         raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
     check_joints(fitted, machine)
-    return Simulated(
-        tuple(
-            simulate_recording(
-                recording,
-                machine,
-                fitted,
-                fidelity=fidelity,
-                cell_m=cell_m,
-                device=device,
-                dimensions=dimensions,
-                walls=walls,
-                plot=plot,
-                video=video,
-            )
-            for recording in read
-        )
-    )
+    options: Any = {
+        "fidelity": fidelity, "cell_m": cell_m, "device": device, "dimensions": dimensions,
+        "walls": walls, "plot": plot, "video": video,
+    }  # fmt: skip
+    swims = (simulate_recording(recording, machine, fitted, **options) for recording in read)
+    return Simulated(tuple(swims))
 
 
 def design(

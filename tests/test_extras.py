@@ -93,7 +93,8 @@ def test_the_result_is_printed_and_a_line_says_what_the_rest_needs(command, what
         ("train --robot robot.toml --model model.json --out runs", "no PyTorch"),
         ("scan --port /dev/null", "no pyserial"),
         (
-            "calibrate-camera a.png --pool 1,2 --board 7,5,0.04,0.03 --corners 0,0 1,0 1,1 0,1 --out c.toml",
+            "calibrate-camera a.png --pool 1,2 --board 7,5,0.04,0.03 "
+            "--corners 0,0 1,0 1,1 0,1 --out c.toml",
             "no OpenCV",
         ),
         (f"density {DATA / 'robot.toml'} --plot density.png", "no Matplotlib"),

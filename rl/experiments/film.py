@@ -113,7 +113,7 @@ class _Camera:
             links = plane.links
             canvas = colours(zoomed(plane, x, y) / VORTICITY)
         else:
-            drift = np.broadcast_to(simulator.outside.current, (world.n_envs, 2))[e] * clock
+            drift = simulator.current[e] * clock
             if hasattr(simulator, "links"):  # of a path that differs from the simulated one
                 links = simulator.links(e)
                 links[:, :2] += drift

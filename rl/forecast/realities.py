@@ -18,7 +18,8 @@ import numpy as np
 from rl.forecast.diagnosed import Diagnosed
 from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import Coefficients, by_twin, simulated, swim_of, with_values
+from sim.inference.swims import by_twin, simulated, swim_of, with_values
+from sim.twin.law import Coefficients
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model

@@ -28,7 +28,6 @@ from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
 from rl.task import CONTROL_S, Task
 from rl.world import Draws, World
-from sim.robot.effects import Outside
 from sim.robot.live import Live, Simulator
 from sim.view.plane import front_ends
 from sim.view.video import Video
@@ -227,9 +226,9 @@ class Inexact:
         self._period = 0
 
     @property
-    def outside(self) -> Outside:
-        """Effects on the robots."""
-        return self.simulated.outside
+    def current(self) -> Array:
+        """Velocity of the pool's water, shape (E, 2)."""
+        return self.simulated.current
 
     def live(self) -> Live:
         """The live state, with the changed path."""

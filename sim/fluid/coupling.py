@@ -1,11 +1,9 @@
 """Coupling of bodies and fluid by the solid share of each cell, where the water does not slip.
 
-Direct forcing of the volume: within a step the velocity of the fluid in a cell is set to the body's
-in proportion to the solid share of the cell. Before that, the impulses of this forcing are summed
-for each link; ``multibody.advance`` solves for the velocity at which body and fluid agree, so that
-the exchange is implicit and a body as light as the fluid is stable. Sources: Uhlmann, J. Comput.
-Phys. 209 (2005) 448 (direct forcing); Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid
-share).
+The velocity of the fluid in a cell is set to the body's in proportion to the solid share of the
+cell; the impulses of this forcing are summed for each link before, so that the exchange is implicit
+(``multibody.advance``). Sources: Uhlmann, J. Comput. Phys. 209 (2005) 448 (direct forcing);
+Kajishima et al., JSME Int. J. B 44 (2001) 526 (by the solid share).
 """
 
 from functools import cache
@@ -82,25 +80,11 @@ def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
     Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")
-    def cover(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        covered: Covered,
-        middle: float,
-        pose: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-        length: wp.array(dtype=wp.float32),
-        half_width: wp.array(dtype=wp.vec3),
-        half_height: wp.array(dtype=wp.vec3),
-        sums: wp.array3d(dtype=wp.int64),
-        stopped: wp.array(dtype=wp.int32),
-    ):
+    def cover(f: Stored, box: Box, covered: Covered):
         """One column of cells."""
         e, column = wp.tid()
         base = column_at(e, column, covered, box)
-        if base[2] < 0 or stopped[e] >= 0:
+        if base[2] < 0 or box.stopped[e] >= 0:
             return
         X = base[0]
         Y = base[1]
@@ -110,32 +94,34 @@ def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
         off_axis = float(0.0)
         width = float(0.0)
         height = float(1.0)
-        for k in range(length.shape[0]):
-            at = position_on(float(X), float(Y), pose[e, k], length[k])
-            wide = along(half_width[k], at[0])
+        for k in range(covered.length.shape[0]):
+            at = position_on(float(X), float(Y), covered.pose[e, k], covered.length[k])
+            wide = along(covered.half_width[k], at[0])
             if at[1] - wide < nearest:
                 nearest = at[1] - wide
                 link = k
                 off_axis = at[1]
                 width = wide
-                height = along(half_height[k], at[0])
-        r = wp.vec2(float(X), float(Y)) - centre[e, link]
+                height = along(covered.half_height[k], at[0])
+        r = wp.vec2(float(X), float(Y)) - covered.centre[e, link]
         touched = bool(False)
         pull = float(0.0)
         forcing = wp.vec2()
         for layer in range(covered.tall):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z
-            flag = int(flags[n])
+            flag = int(box.flags[n])
             if (flag & wp.static(KIND)) == wp.static(FLUID):
                 share = float(0.0)
                 if nearest < wp.static(NEAR):
-                    share = solid_share(distance(off_axis, float(z) - middle, width, height))
+                    share = solid_share(
+                        distance(off_axis, float(z) - covered.middle, width, height)
+                    )
                 if share > 0.0:
                     held = float(link) + wp.min(share, wp.static(_MOST_SHARE))
                     share = held - float(link)
-                    flags[n] = wp.uint8(flag | wp.static(BODY))
-                    m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                    box.flags[n] = wp.uint8(flag | wp.static(BODY))
+                    m = moments(load(f, n, neighbours(n, flag, box), box))
                     rho = 1.0 + m[0]
                     u = wp.vec3(m[1], m[2], m[3]) / rho
                     slot = slot_at(e, column * covered.tall + layer, covered)
@@ -145,9 +131,9 @@ def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
                     forcing -= rho * share * wp.vec2(u[0], u[1])
                     touched = bool(True)
                 elif (flag & wp.static(BODY)) != 0:
-                    flags[n] = wp.uint8(flag - wp.static(BODY))
+                    box.flags[n] = wp.uint8(flag - wp.static(BODY))
         if touched:
-            add_matrix(sums, e, link, 0, r, wp.mat22(pull, 0.0, 0.0, pull))
-            add_vector(sums, e, link, 18, r, forcing)
+            add_matrix(covered.sums, e, link, 0, r, wp.mat22(pull, 0.0, 0.0, pull))
+            add_vector(covered.sums, e, link, 18, r, forcing)
 
     return cover

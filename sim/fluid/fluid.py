@@ -43,7 +43,6 @@ class Fluid:
         boxes: Number of boxes E.
         device: Warp device.
         wide: Whether there are too many populations for 32-bit indices.
-        t: Parity of the next step.
     """
 
     def __init__(
@@ -87,7 +86,6 @@ class Fluid:
         self.size = (int(size[0]), int(size[1]), int(size[2]) if len(size) > 2 else 1)
         self.device = find_device(device)
         self.cells = int(np.prod(self.size))
-        self.t = 0
         viscous = np.broadcast_to(np.asarray(viscosity, dtype=np.float64), (boxes,))
         if not np.all(viscous > 0):
             raise InputError("fluid", "viscosity", f"{viscous.min():g}", "above 0")
@@ -100,7 +98,7 @@ class Fluid:
         self._mirror, self._walls = wall_kernels(lattice, self.wide)
         self.box = Box()
         self.box.nx, self.box.ny, self.box.nz = self.size
-        self.box.cells, self.box.total = self.cells, boxes * self.cells
+        self.box.cells, self.box.total, self.box.t = self.cells, boxes * self.cells, 0
         self.magic, self.smagorinsky = magic, smagorinsky
         self.f: Any = allocate(lattice, self.wide, self.box.total, self.device)
         above = viscous / CS2
@@ -109,10 +107,8 @@ class Fluid:
         self._rates = self._put(rates.astype(np.float32), wp.vec2)
         self._driven = False
         self.drive: Any = wp.zeros(boxes, dtype=wp.vec3, device=self.device)
-        self.stopped: Any = wp.full(boxes, -1, dtype=wp.int32, device=self.device)
+        self.stopped = self.box.stopped = self._put(np.full(boxes, -1), wp.int32)
         self.covered = Covered()
-        self.twist: Any = wp.zeros((1, 1), dtype=wp.vec4, device=self.device)
-        self.centre: Any = wp.zeros((1, 1), dtype=wp.vec2, device=self.device)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
         self._close(walls, normals, wall_velocity)
 
@@ -120,10 +116,7 @@ class Fluid:
         return wp.array(values, dtype=kind, device=self.device)
 
     def _close(
-        self,
-        walls: NDArray[np.uint8] | None,
-        normals: Integers | None,
-        velocity: Array32 | None,
+        self, walls: NDArray[np.uint8] | None, normals: Integers | None, velocity: Array32 | None
     ) -> None:
         flags = np.zeros(self.size, dtype=np.uint8) if walls is None else walls.reshape(self.size)
         flags = flags.copy()
@@ -131,7 +124,7 @@ class Fluid:
             edge = np.moveaxis(flags, axis, 0)
             edge[[0, -1]] |= EDGE
         flat = flatten(flags)
-        self.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
+        self.flags = self.box.flags = self._put(np.tile(flat, self.boxes), wp.uint8)
         kind = flat & KIND
         direction = np.zeros(flat.size, dtype=np.int32)
         if normals is not None:
@@ -174,28 +167,17 @@ class Fluid:
         else:
             edges = np.linspace(0, total, self.threads + 1).astype(int)
             list(self._pool.map(self._collide, edges[:-1], np.diff(edges)))
-        self.t = 1 - self.t
-        water = [self.f, self.flags, self.box, self.t]
-        if self._slips[0].shape[0]:
-            self._launch(
-                self._mirror, (self.boxes, self._slips[0].shape[0]), [*water, *self._slips]
-            )
-        if self._moving[0].shape[0]:
-            self._launch(
-                self._walls, (self.boxes, self._moving[0].shape[0]), [*water, *self._moving]
-            )
+        self.box.t = 1 - self.box.t
+        for kernel, (cells, *more) in ((self._mirror, self._slips), (self._walls, self._moving)):
+            if cells.shape[0]:
+                inputs = [self.f, self.box, cells, *more]
+                self._launch(kernel, (self.boxes, cells.shape[0]), inputs)
 
     def _collide(self, first: int, count: int) -> None:
-        self._launch(
-            self.kernels.step,
-            int(count),
-            [
-                self.f, self.flags, self.box, int(first), self.t, self.tau, self._rates, self.magic,
-                self.smagorinsky**2, int(self._driven), self.drive, self.covered, self.twist,
-                self.centre, self.stopped,
-            ],
-            block_dim=BLOCK,
-        )  # fmt: skip
+        relaxation = [self.tau, self._rates, self.magic, self.smagorinsky**2]
+        pushes = [int(self._driven), self.drive, self.covered]
+        inputs = [self.f, self.box, int(first), *relaxation, *pushes]
+        self._launch(self.kernels.step, int(count), inputs, block_dim=BLOCK)
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], **more: Any) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, **more)
@@ -207,13 +189,9 @@ class Fluid:
         cells, which changes neither the momentum nor the differences of pressure.
         """
         columns = self.boxes, self.size[0] * self.size[1]
-        water = [self.f, self.flags, self.box]
-        self._launch(self.kernels.weigh, columns, [*water, self.t, self._net])
-        self._launch(
-            self.kernels.level,
-            (self.boxes, self.cells),
-            [*water, self.fluid_cells, self._net],
-        )
+        self._launch(self.kernels.weigh, columns, [self.f, self.box, self._net])
+        inputs = [self.f, self.box, self.fluid_cells, self._net]
+        self._launch(self.kernels.level, (self.boxes, self.cells), inputs)
         self._net.zero_()
 
     def set(
@@ -236,14 +214,9 @@ class Fluid:
         strain = np.zeros((0, 6), dtype=np.float32)
         if strain_rate is not None:
             strain = self._flat(np.broadcast_to(strain_rate, (*shape, 6)))
-        self._launch(
-            self.kernels.initialise,
-            self.boxes * self.cells,
-            [
-                self.f, self.flags, self.box, self.t, self.tau, self._put(self._flat(rest)),
-                self._put(self._flat(u), wp.vec3), self._put(strain),
-            ],
-        )  # fmt: skip
+        state = [self._put(self._flat(rest)), self._put(self._flat(u), wp.vec3), self._put(strain)]
+        inputs = [self.f, self.box, self.tau, *state]
+        self._launch(self.kernels.initialise, self.boxes * self.cells, inputs)
         self.stopped.fill_(-1)
 
     def _flat(self, field: NDArray[Any]) -> Array32:
@@ -254,9 +227,7 @@ class Fluid:
         density: Any = wp.empty(self.boxes * self.cells, dtype=wp.float32, device=self.device)
         velocity: Any = wp.empty(self.boxes * self.cells, dtype=wp.vec3, device=self.device)
         self._launch(
-            self.kernels.fields,
-            self.boxes * self.cells,
-            [self.f, self.flags, self.box, self.t, density, velocity],
+            self.kernels.fields, self.boxes * self.cells, [self.f, self.box, density, velocity]
         )
         nx, ny, nz = self.size
         rho = density.numpy().reshape(self.boxes, nz, ny, nx).transpose(0, 3, 2, 1) + 1.0
@@ -289,42 +260,29 @@ def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs
 
 @dataclass(frozen=True)
 class Tank:
-    """Cells and walls of one box.
+    """Cells and walls of one box."""
 
-    Attributes:
-        size: Cells (nx, ny, nz), walls included; nz is 1 in two dimensions.
-        walls: Kind of each cell, shape ``size``.
-        normals: Direction out of the fluid at the free surface, shape ``size``.
-        sponge: Width in cells of the absorbing layer; 0 where walls close the box.
+    size: tuple[int, int, int]  # cells (nx, ny, nz), walls included; nz is 1 in two dimensions
+    walls: Picture  # kind of each cell, shape ``size``
+    normals: Integers  # direction out of the fluid at the free surface, shape ``size``
+    sponge: int  # width in cells of the absorbing layer; 0 where walls close the box
+
+
+def tank(
+    box_m: tuple[float, float, float], cell_m: float, *, closed: bool = False, flat: bool = False
+) -> Tank:
+    """A box whose bottom is the pool's floor (no slip) and whose top is the surface (free slip).
+
+    ``closed`` by the pool's four walls, else periodic, with water at rest far from its robot. One
+    layer of wall cells closes two opposite sides.
     """
-
-    size: tuple[int, int, int]
-    walls: Picture
-    normals: Integers
-    sponge: int
-
-
-def window(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
-    """A box that follows the robot: periodic sides, water at rest far from the robot.
-
-    Its bottom is the pool's floor (no slip), its top the surface (free slip).
-    """
-    nx, ny = (max(8, round(side / cell_m)) for side in box_m[:2])
-    return _tank(nx, ny, box_m[2], cell_m, flat, sponge=max(3, round(0.12 * min(nx, ny))))
-
-
-def pool(box_m: tuple[float, float, float], cell_m: float, *, flat: bool = False) -> Tank:
-    """The whole pool: four walls, floor and surface."""
-    nx, ny = (round(side / cell_m) + 1 for side in box_m[:2])
-    tank = _tank(nx, ny, box_m[2], cell_m, flat, sponge=0)
-    tank.walls[0] = tank.walls[:, 0] = SOLID
-    return tank
-
-
-def _tank(nx: int, ny: int, depth_m: float, cell_m: float, flat: bool, sponge: int) -> Tank:
-    """A box; one layer of wall cells closes two opposite sides, as the box is periodic."""
-    nz = 1 if flat else round(depth_m / cell_m) + 1
-    walls, normals = np.zeros((nx, ny, nz), np.uint8), np.zeros((nx, ny, nz), np.int32)
+    nx, ny, nz = (round(side / cell_m) + 1 for side in box_m)
+    if not closed:
+        nx, ny = (max(8, round(side / cell_m)) for side in box_m[:2])
+    shape = nx, ny, 1 if flat else nz
+    walls, normals = np.zeros(shape, np.uint8), np.zeros(shape, np.int32)
     if not flat:
         walls[:, :, 0], normals[:, :, 0] = SLIP, _UP  # the surface for cells below, the floor above
-    return Tank((nx, ny, nz), walls, normals, sponge)
+    if closed:
+        walls[0] = walls[:, 0] = SOLID
+    return Tank(shape, walls, normals, 0 if closed else max(3, round(0.12 * min(nx, ny))))

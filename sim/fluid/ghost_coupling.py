@@ -1,14 +1,11 @@
 """Coupling of bodies and fluid by ghost cells (``ghost``), implicit in the bodies' velocity.
 
-Ghost cells exchange with the water outside what they send to it and what arrives in them. What they
-send is linear in the body's velocity. Its sums over each link are those of ``coupling``: E v is
-part of what they send to the water, R v + b what they send to each other, which arrives in them in
-the next step, and a the rest of both less all that arrives in them. So the momentum of bodies and
-water is conserved. The mass that all links together would bring into the water, as a mean over
-``wall.MEMORY`` steps, is taken out again over the whole surface, so that no box fills or drains;
-what covered and uncovered cells leave over is taken from walled boxes by ``Fluid.level``.
-Friction acts on the water within a cell of the surface, in proportion to the surface's area, not to
-that of the layer of cells around it; perimeters of ellipses grow as the sum of their half-axes.
+What ghost cells send to the water is linear in the body's velocity, and its sums over each link are
+those of ``coupling``: E v is part of what they send to the water, R v + b what they send to each
+other, which arrives in them in the next step, and a the rest of both less all that arrives in them.
+So the momentum of bodies and water is conserved. The mass that all links together would bring into
+the water, as a mean over ``wall.MEMORY`` steps, is taken out again over the whole surface. Friction
+acts on the water within a cell of the surface, in proportion to the surface's area.
 """
 
 from functools import cache
@@ -39,21 +36,14 @@ from sim.lattice.velocities import Lattice
 
 
 @wp.func
-def nearest_link(
-    x: float,
-    y: float,
-    e: int,
-    pose: wp.array2d(dtype=wp.vec4),
-    length: wp.array(dtype=wp.float32),
-    half_width: wp.array(dtype=wp.vec3),
-):
+def nearest_link(x: float, y: float, e: int, covered: Covered):
     """The link nearest in plan view, distance from its outline, and share of the way along it."""
     nearest = float(1.0e9)
     link = int(0)
     share = float(0.0)
-    for k in range(length.shape[0]):
-        at = position_on(x, y, pose[e, k], length[k])
-        wide = along(half_width[k], at[0])
+    for k in range(covered.length.shape[0]):
+        at = position_on(x, y, covered.pose[e, k], covered.length[k])
+        wide = along(covered.half_width[k], at[0])
         if at[1] - wide < nearest:
             nearest = at[1] - wide
             link = k
@@ -70,15 +60,7 @@ def enlist(e: int, kind: int, cell: int, covered: Covered) -> int:
 
 
 @wp.func
-def listed_cell(
-    e: int,
-    kind: int,
-    i: int,
-    covered: Covered,
-    box: Box,
-    twist: wp.array2d(dtype=wp.vec4),
-    centre: wp.array2d(dtype=wp.vec2),
-):
+def listed_cell(e: int, kind: int, i: int, covered: Covered, box: Box):
     """Listed cell ``i`` of a body, a ghost cell (``kind`` 0) or one next to it (1).
 
     Returns its coordinates and number in the boxes, its slot, its link, its place relative to the
@@ -90,8 +72,8 @@ def listed_cell(
     at = wp.vec4i(base[0], base[1], z, base[2] + box.nx * box.ny * z)
     slot = slot_at(e, cell, covered)
     link = int(covered.share[slot])
-    r = wp.vec2(float(at[0]), float(at[1])) - centre[e, link]
-    return at, slot, link, r, rigid_velocity(twist[e, link], r)
+    r = wp.vec2(float(at[0]), float(at[1])) - covered.centre[e, link]
+    return at, slot, link, r, rigid_velocity(covered.twist[e, link], r)
 
 
 @cache
@@ -105,51 +87,33 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
     c, Q = lattice.velocities, lattice.Q
 
     @wp.kernel(enable_backward=False, module="unique")
-    def mark(
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        covered: Covered,
-        middle: float,
-        pose: wp.array2d(dtype=wp.vec4),
-        length: wp.array(dtype=wp.float32),
-        half_width: wp.array(dtype=wp.vec3),
-        half_height: wp.array(dtype=wp.vec3),
-        touch: Touch,
-        stopped: wp.array(dtype=wp.int32),
-    ):
+    def mark(box: Box, covered: Covered, touch: Touch):
         """Some layers of a column: depth and normal of cells inside a body and next to it."""
         e, part, column = wp.tid()
         base = column_at(e, column, covered, box)
-        if base[2] < 0 or stopped[e] >= 0:
+        if base[2] < 0 or box.stopped[e] >= 0:
             return
         X = base[0]
         Y = base[1]
         floor = base[2]
-        link, nearest, s = nearest_link(float(X), float(Y), e, pose, length, half_width)
+        link, nearest, s = nearest_link(float(X), float(Y), e, covered)
         rest = wp.vec2()
-        for k in range(length.shape[0]):
+        for k in range(covered.length.shape[0]):
             if k < link:
-                rest[0] += length[k]
+                rest[0] += covered.length[k]
             if k > link:
-                rest[1] += length[k]
+                rest[1] += covered.length[k]
         first = part * covered.layers
         for layer in range(first, wp.min(first + covered.layers, covered.tall)):
             z = covered.low + layer
             n = floor + box.nx * box.ny * z
-            flag = int(flags[n])
+            flag = int(box.flags[n])
             if (flag & wp.static(KIND)) == wp.static(FLUID):
                 flag = flag & wp.static(~(GHOST | BODY) & 255)
                 if nearest < wp.static(NEAR):
+                    height = float(z) - covered.middle
                     d, o, other = surface(
-                        float(X),
-                        float(Y),
-                        float(z) - middle,
-                        pose[e, link],
-                        length[link],
-                        half_width[link],
-                        half_height[link],
-                        rest,
-                        touch.edge,
+                        float(X), float(Y), height, e, link, covered, rest, touch.edge
                     )
                     cell = column * covered.tall + layer
                     slot = slot_at(e, cell, covered)
@@ -161,28 +125,22 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
                         enlist(e, 0, cell, covered)
                     elif d <= 1.0:
                         flag = flag | wp.static(BODY)
-                        axes = along(half_width[link], s) + along(half_height[link], s)
+                        axes = along(covered.half_width[link], s) + along(
+                            covered.half_height[link], s
+                        )
                         covered.face[slot] = wp.vec4(o[0], o[1], o[2], d)
                         covered.back[slot] = wp.vec4(0.0, 0.0, 0.0, axes / (axes + 2.0 * d))
                         enlist(e, 1, cell, covered)
-                flags[n] = wp.uint8(flag)
+                box.flags[n] = wp.uint8(flag)
 
     @wp.func
     def continued(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        e: int,
-        at: wp.vec3,
-        n: wp.vec3,
-        depth: float,
-        body: wp.vec3,
+        f: Stored, box: Box, e: int, at: wp.vec3, n: wp.vec3, depth: float, body: wp.vec3
     ):
         """Normal and density, and velocities, of the water that a ghost cell continues."""
         reach = depth + wp.max(depth, wp.static(REACH))
         found = water_at(
-            f, flags, box, t, e,
+            f, box, e,
             at[0] + reach * n[0], at[1] + reach * n[1], at[2] + reach * n[2],
             wp.vec4(0.0, body[0], body[1], body[2]),
         )  # fmt: skip
@@ -192,26 +150,16 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
 
     @wp.kernel(enable_backward=False, module="unique")
     def shear(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        covered: Covered,
-        touch: Touch,
-        rough: wp.array2d(dtype=wp.float64),
-        twist: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-        sums: wp.array3d(dtype=wp.int64),
-        stopped: wp.array(dtype=wp.int32),
+        f: Stored, box: Box, covered: Covered, touch: Touch, rough: wp.array2d(dtype=wp.float64)
     ):
         """Friction in one thread's share of the listed cells next to a body."""
         e, lane = wp.tid()
-        if stopped[e] >= 0:
+        if box.stopped[e] >= 0:
             return
         for i in range(lane, covered.count[2 * e + 1], covered.lanes):
-            at, slot, link, r, body = listed_cell(e, 1, i, covered, box, twist, centre)
+            at, slot, link, r, body = listed_cell(e, 1, i, covered, box)
             n = at[3]
-            m = moments(load(f, n, neighbours(n, int(flags[n]), box), t, box.total))
+            m = moments(load(f, n, neighbours(n, int(box.flags[n]), box), box))
             face = covered.face[slot]
             o = wp.vec3(face[0], face[1], face[2])
             u = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
@@ -224,24 +172,22 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
             even = share * (1.0 + m[0])
             u -= wp.dot(u, o) * o
             add_matrix(
-                sums, e, link, 0, r,
+                covered.sums, e, link, 0, r,
                 even * wp.mat22(1.0 - o[0] * o[0], -o[0] * o[1], -o[0] * o[1], 1.0 - o[1] * o[1]),
             )  # fmt: skip
-            add_vector(sums, e, link, 18, r, -even * wp.vec2(u[0], u[1]))
+            add_vector(covered.sums, e, link, 18, r, -even * wp.vec2(u[0], u[1]))
 
     @wp.func
-    def water_links(
-        n: int, flags: wp.array(dtype=wp.uint8), box: Box, thin: bool, off: float, lateral: wp.vec3
-    ) -> wp.vec2i:
+    def water_links(n: int, box: Box, thin: bool, off: float, lateral: wp.vec3) -> wp.vec2i:
         """Bits of the directions in which a ghost cell has water, at its side and the other."""
         near = int(0)
         far = int(0)
         for k in range(1, wp.static(Q)):
             x = wp.static(c[k][0])
             y = wp.static(c[k][1])
-            beside = int(flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
+            beside = int(box.flags[neighbour(n, x, y, wp.static(c[k][2]), box)])
             if (beside & wp.static(KIND)) == wp.static(SLIP):  # the surface reflects
-                beside = int(flags[neighbour(n, x, y, 0, box)])
+                beside = int(box.flags[neighbour(n, x, y, 0, box)])
             if (beside & wp.static(KIND | GHOST)) == wp.static(FLUID):
                 across = off + float(x) * lateral[0] + float(y) * lateral[1]
                 if thin and across * off < 0.0:
@@ -251,34 +197,22 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
         return wp.vec2i(near, far)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def cover(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        covered: Covered,
-        pose: wp.array2d(dtype=wp.vec4),
-        twist: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-        kept: wp.array(dtype=wp.float32),
-        sums: wp.array3d(dtype=wp.int64),
-        stopped: wp.array(dtype=wp.int32),
-    ):
+    def cover(f: Stored, box: Box, covered: Covered):
         """Momentum and mass that one thread's share of a body's ghost cells exchange."""
         e, lane = wp.tid()
-        if stopped[e] >= 0:
+        if box.stopped[e] >= 0:
             return
         for i in range(lane, covered.count[2 * e], covered.lanes):
-            place, slot, link, r, body = listed_cell(e, 0, i, covered, box, twist, centre)
+            place, slot, link, r, body = listed_cell(e, 0, i, covered, box)
             at = wp.vec3(float(place[0]), float(place[1]), float(place[2]))
             n = place[3]
-            leak = kept[e]
-            head = pose[e, link]
+            leak = covered.kept[e]
+            head = covered.pose[e, link]
             lateral = wp.vec3(-head[3], head[2], 0.0)
             off = wp.dot(wp.vec3(at[0] - head[0], at[1] - head[1], 0.0), lateral)
-            flag = int(flags[n])
+            flag = int(box.flags[n])
             other = covered.back[slot][3]
-            links = water_links(n, flags, box, other > 0.0, off, lateral)
+            links = water_links(n, box, other > 0.0, off, lateral)
             covered.links[slot] = links
             covered.leak[slot] = leak
             face = covered.face[slot]
@@ -296,8 +230,8 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
                 if side == 1:
                     o -= 2.0 * wp.dot(o, lateral) * lateral
                     depth = other
-                facing, water = continued(f, flags, box, t, e, at, o, depth, body)
-                p = load(f, n, neighbours(n, flag, box), t, box.total)
+                facing, water = continued(f, box, e, at, o, depth, body)
+                p = load(f, n, neighbours(n, flag, box), box)
                 water = slipping(p, links[side], facing, water)
                 facing = positive(p, links[side], facing, water)
                 passed += passing(links[side], facing, water)
@@ -317,33 +251,24 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
                 else:
                     covered.back[slot] = facing
                     covered.beyond[slot] = water
-            add_matrix(sums, e, link, 0, r, sends)
-            add_vector(sums, e, link, 18, r, given + held)
-            add_matrix(sums, e, link, 9, r, keeps)
-            add_vector(sums, e, link, 21, r, held)
-            add(sums, e, link, 24, wp.float64(passed[0]))
-            add(sums, e, link, 25, wp.float64(passed[1]))
+            add_matrix(covered.sums, e, link, 0, r, sends)
+            add_vector(covered.sums, e, link, 18, r, given + held)
+            add_matrix(covered.sums, e, link, 9, r, keeps)
+            add_vector(covered.sums, e, link, 21, r, held)
+            add(covered.sums, e, link, 24, wp.float64(passed[0]))
+            add(covered.sums, e, link, 25, wp.float64(passed[1]))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def emit(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        covered: Covered,
-        twist: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-        stopped: wp.array(dtype=wp.int32),
-    ):
+    def emit(f: Stored, box: Box, covered: Covered):
         """Store what one thread's share of a body's ghost cells send out, as ``cover`` set it."""
         e, lane = wp.tid()
-        if stopped[e] >= 0:
+        if box.stopped[e] >= 0:
             return
         for i in range(lane, covered.count[2 * e], covered.lanes):
-            at, slot, link, r, body = listed_cell(e, 0, i, covered, box, twist, centre)
+            at, slot, link, r, body = listed_cell(e, 0, i, covered, box)
             n = at[3]
-            j = neighbours(n, int(flags[n]), box)
-            p = load(f, n, j, t, box.total)
+            j = neighbours(n, int(box.flags[n]), box)
+            p = load(f, n, j, box)
             links = covered.links[slot]
             face = covered.face[slot]
             across = wp.dot(body, wp.vec3(face[0], face[1], face[2]))
@@ -356,6 +281,6 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
                 for k in range(wp.static(Q)):
                     if (links[1] & wp.static(1 << k)) != 0:
                         out[k] = beyond[k]
-            store(f, n, j, t, box.total, out)
+            store(f, n, j, box, out)
 
     return SimpleNamespace(mark=mark, shear=shear, cover=cover, emit=emit)

@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from sim.lattice.cell import Covered
+
 RAMP = 1.0
 """Width in cells over which a cell's solid share falls from 1 to 0."""
 SHEET = 1.5
@@ -87,15 +89,7 @@ def dither(x: float, y: float) -> float:
 
 @wp.func
 def surface(
-    x: float,
-    y: float,
-    z: float,
-    pose: wp.vec4,
-    length: float,
-    width: wp.vec3,
-    height: wp.vec3,
-    rest: wp.vec2,
-    edge: float,
+    x: float, y: float, z: float, e: int, link: int, covered: Covered, rest: wp.vec2, edge: float
 ):
     """Signed distance from a link's surface, its normal, and depth of the other side if thin.
 
@@ -108,6 +102,10 @@ def surface(
     its thickness is the least that is closed, its sides are parallel. Round ends of the chain stop
     at ``TIP``. The depth is 0 where the link is thick.
     """
+    pose = covered.pose[e, link]
+    length = covered.length[link]
+    width = covered.half_width[link]
+    height = covered.half_height[link]
     dx = x - pose[0]
     dy = y - pose[1]
     back = -(dx * pose[2] + dy * pose[3])

@@ -1,12 +1,10 @@
 """Wall models: water at a surface takes the body's velocity, or only its component across it.
 
-At the Reynolds numbers of swimming robots, 1e4 to 1e6, the boundary layer is millimetres thick,
-thinner than any affordable cell. A wall that sets the whole velocity (``NO_SLIP``, ``coupling``)
-smears the layer over a cell: drag is then several times too large. ``SLIP`` sets only the velocity
-across the surface, by ghost cells inside the body (``ghost_coupling``), and adds the layer's
-friction as a stress along it, by a plate's friction line: a wall model in the sense of Malaspinas
-and Sagaut, J. Comput. Phys. 275 (2014) 25. Where the layer is thicker than the cells, in creeping
-flow and the published cases at low Reynolds numbers, the water does not slip.
+A swimming robot's boundary layer is thinner than any affordable cell. ``NO_SLIP`` (``coupling``)
+sets the whole velocity and smears the layer over a cell: right only where cells resolve it.
+``SLIP`` sets only the velocity across the surface, by ghost cells (``ghost_coupling``), and adds
+the layer's friction as a stress by a plate's friction line (Malaspinas and Sagaut, J. Comput. Phys.
+275 (2014) 25).
 """
 
 from __future__ import annotations
@@ -33,40 +31,31 @@ MEMORY = 40.0
 
 @wp.struct
 class Touch:
-    """Parameters of a wall model for the kernels; lengths in cells.
+    """Parameters of a wall model for the kernels; lengths in cells."""
 
-    Attributes:
-        line: Number of the friction line in ``LINES``.
-        reynolds: Reynolds number of one cell per step over the body's length, in water.
-        length: The body's length.
-        edge: ``Wall.edge``.
-    """
-
-    line: int
-    reynolds: float
-    length: float
-    edge: float
+    line: int  # number of the friction line in ``LINES``
+    reynolds: float  # reynolds number of one cell per step over the body's length, in water
+    length: float  # the body's length
+    edge: float  # ``Wall.edge``
 
 
 @dataclass(frozen=True)
 class Wall:
     """Wall model of bodies.
 
-    Attributes:
-        slip: Whether the water slips along the surface, by ghost cells, which exchange nothing
-            along it. Added mass is then right within 2 % for a spheroid of 8 cells of thickness,
-            friction is 0.84 to 0.95 of that of its line with 2 to 8 cells, and both drag and
-            friction fall with the length of the time step (``reports/resolution``).
-        line: Friction line of a smooth surface where it slips, one of ``LINES``; a model's
-            ``surface_friction`` adds to it, link by link.
-        edge: Distance in cells by which the edges of a sheet are moved inwards where it slips.
-
     Raises:
         InputError: If there is no such line.
     """
 
+    # whether the water slips along the surface, by ghost cells, which exchange nothing along it.
+    # Added mass is then right within 2 % for a spheroid of 8 cells of thickness, friction is 0.84
+    # to 0.95 of that of its line with 2 to 8 cells, and both drag and friction fall with the length
+    # of the time step (``reports/resolution``).
     slip: bool
+    # friction line of a smooth surface where it slips, one of ``LINES``; a model's
+    # ``surface_friction`` adds to it, link by link
     line: str = "none"
+    # distance in cells by which the edges of a sheet are moved inwards where it slips
     edge: float = EDGE
 
     def __post_init__(self) -> None:

@@ -1,15 +1,10 @@
 """A body calibrated to swims, in the reduced-order twin and then in the fluid.
 
-The fit is that of ``swim_problem`` without the shapes of the simulator's error, so that the model
-predicts these swims as well as it can. Its intervals take the larger one of two covariances: that
-of the normal model, and the sandwich of White, Econometrica 48 (1980) 817, with the scores of
-blocks of some seconds, which errors of the simulator correlate.
-
-In the fluid an ``Emulator`` is fitted. A second fit in cells of twice the size is a
-grid-convergence study: for errors of first order in the size of a cell, the shift of a parameter
-from coarse to fine cells equals its remaining error (Roache, J. Fluids Eng. 116 (1994) 405). The
-order cannot be determined here (``reports/resolution``), so the whole shift is added to the
-intervals in quadrature.
+The fit is that of ``swim_problem`` without the shapes of the simulator's error. Intervals take the
+larger one of two covariances: that of the normal model, and the sandwich of White, Econometrica 48
+(1980) 817, with the scores of blocks of some seconds. In the fluid an ``emulator`` is fitted; the
+shift of a parameter relative to cells of twice the size, its error if errors are of first order in
+the cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature.
 """
 
 from __future__ import annotations
@@ -17,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,27 +77,18 @@ class FluidSettings:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Parameters fitted to swims.
+    """Parameters fitted to swims."""
 
-    Attributes:
-        model: The calibrated model.
-        free: The F fitted parameters.
-        best: Their values, shape (F,).
-        covariance: Their covariance, shape (F, F).
-        rmse: Held-out root mean square error of each signal, before and after, shape (2, 3 + J).
-        train: Likewise on the fitted part.
-        noise: Standard deviation of the recordings' noise, shape (3 + J,); 0 in the twin.
-        grid: Shift of each parameter relative to cells of twice the size, shape (F,); None if that
-            was not requested, or such cells stop the robot.
-    """
-
-    model: Model
-    free: tuple[Parameter, ...]
-    best: Array
-    covariance: Array
+    model: Model  # the calibrated model
+    free: tuple[Parameter, ...]  # the F fitted parameters
+    best: Array  # their values, shape (F,)
+    covariance: Array  # their covariance, shape (F, F)
+    # held-out root mean square error of each signal, before and after, shape (2, 3 + J)
     rmse: Array
-    train: Array
-    noise: Array
+    train: Array  # likewise on the fitted part
+    noise: Array  # standard deviation of the recordings' noise, shape (3 + J,); 0 in the twin
+    # shift of each parameter relative to cells of twice the size, shape (F,); None if that was not
+    # requested, or such cells stop the robot
     grid: Array | None = None
 
     def interval(self, level: float = 0.9) -> Array:
@@ -129,14 +116,15 @@ def calibrate(
         held_out: Share of each swim, at its end, that is held out.
     """
     parts = [swim.first(1 - held_out) for swim in swims]
-
-    def simulate(models: Sequence[Model], swim: Swim) -> Array:
-        return simulator(models, swim.command, swim.start)
-
-    fitted, best, covariance = _fit(parts, model, free, simulate)
+    fitted, best, covariance = _fit(parts, model, free, partial(_tracks, simulator))
     start = with_values(model, {p.name: p.nominal for p in free})
     train, held, noise = _errors(swims, [start, fitted], simulator, held_out)
     return Calibrated(fitted, tuple(free), best, covariance, held, train, 0 * noise)
+
+
+def _tracks(simulator: Simulator, models: Sequence[Model], swim: Swim) -> Array:
+    """Tracks of the commands of a swim from its start."""
+    return simulator(models, swim.command, swim.start)
 
 
 def calibrate_in_fluid(
@@ -193,9 +181,8 @@ def _fit(
 ) -> tuple[Model, Array, Array]:
     """The fitted model, its parameters (F,), and their covariance, for each the larger one, (F, F).
 
-    A signal counts as one sample per autocorrelation time of its residual, so that the priors keep
-    their weight. Its error is the residual or, with ``share``, that share of the signal in a block,
-    with the noise of the recording.
+    The error is the residual or, with ``share``, that share of the signal in a block, with noise; a
+    signal counts as one sample per autocorrelation time.
     """
     nominal, sd = column(free, "nominal"), column(free, "prior_sd")
     prior = SwimPrior(nominal, np.diag(sd**2), 0 * sd, np.ones((4, 3)))
@@ -247,25 +234,15 @@ def _errors(
 
 @dataclass(frozen=True)
 class Calibration(NotebookDisplay):
-    """Result of a calibration.
+    """Result of a calibration."""
 
-    Attributes:
-        model: The calibrated model, with intervals (``body``) and errors (``fit``).
-        before: The model before the calibration.
-        robot: The robot.
-        swims: The fitted swims, whose last parts were held out.
-        twin: Parameters, covariance and errors of the fit in the twin.
-        in_fluid: Likewise for the fit in the fluid, if there was one.
-        fluid: Settings of the fluid.
-    """
-
-    model: Model
-    before: Model
-    robot: Robot
-    swims: tuple[Swim, ...]
-    twin: Calibrated
-    in_fluid: Calibrated | None = None
-    fluid: FluidSettings = FluidSettings()
+    model: Model  # the calibrated model, with intervals (``body``) and errors (``fit``)
+    before: Model  # the model before the calibration
+    robot: Robot  # the robot
+    swims: tuple[Swim, ...]  # the fitted swims, whose last parts were held out
+    twin: Calibrated  # parameters, covariance and errors of the fit in the twin
+    in_fluid: Calibrated | None = None  # likewise for the fit in the fluid, if there was one
+    fluid: FluidSettings = FluidSettings()  # settings of the fluid
 
     @property
     def fitted(self) -> Calibrated:
@@ -366,20 +343,16 @@ def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
 
 def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> Model:
     """The calibrated model with the intervals of its parameters and its errors."""
-    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    names += [f"{joint.name}.position_rad" for joint in robot.joints]
-    figures = np.stack([fit.train[1], fit.rmse[1], fit.rmse[0]], axis=1).tolist()
-    keys = ("train", "heldout", "heldout_before")
-    errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}
-    intervals = zip(fit.free, fit.interval().tolist(), strict=True)
-    interval = {p.name: bounds for p, bounds in intervals}
-    posterior = {
-        "cell_m": cell_m,
-        "names": list(interval),
-        "mean": fit.best.tolist(),
-        "covariance": fit.covariance.tolist(),
-    }
-    body = {**fit.model.body, "interval": interval, "posterior": posterior}
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
+    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    figures = zip(fit.train[1].tolist(), fit.rmse[1].tolist(), fit.rmse[0].tolist(), strict=True)
+    keys = ("train", "heldout", "heldout_before")
+    errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}
+    free = [p.name for p in fit.free]
+    posterior = {"cell_m": cell_m, "names": free, "mean": fit.best.tolist()}
+    posterior["covariance"] = fit.covariance.tolist()
+    interval = dict(zip(free, fit.interval().tolist(), strict=True))
+    body = {**fit.model.body, "interval": interval, "posterior": posterior}
     return replace(fit.model, body=body, fit={**fit.model.fit, **errors})

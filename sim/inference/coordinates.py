@@ -1,10 +1,8 @@
 """Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
 
-One column for each number: gains and latencies, the twin's law, every effect of the body and the
-camera. The coordinates of a tether are its stiffness and stiffness times anchor, those of an
-appendage its area and area times place, those of a viscoelastic skin a fast and a slow stiffness.
-A current is added to a simulation in still water, with the measured heading: a uniform current
-carries the body with it.
+The coordinates of a tether are its stiffness and stiffness times anchor, those of an appendage its
+area and area times place, those of a viscoelastic skin a fast and a slow stiffness. A current is
+added to a simulation in still water: it carries the body with it.
 """
 
 from __future__ import annotations
@@ -16,12 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.inference import signal_error
-from sim.inference.swim_parameters import (
-    Candidate,
-    candidates,
-    law_parameters,
-    servo_parameters,
-)
+from sim.inference.swim_parameters import Candidate, candidates, law_parameters, servo_parameters
 from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, seen, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
@@ -37,8 +30,6 @@ WATER = ("cells", "viscosity", "eddies", "friction", "box")
 """Variants of the fluid's settings (``in_water``)."""
 ERROR = "error"
 """Prefix of columns that are shapes of the simulator's error (``signal_error``)."""
-DOUBT = "error.doubt"
-"""Prefix of columns that are shapes of the error in the changes that effects make."""
 WATER_FORCES = ("linear_drag", "form_drag", "surface_friction", "added_mass", "appendage_drag")
 """Effects of drag and added mass. They are not negative: negative friction would drive a robot, and
 too much drag of a law is corrected by its own coefficients. Other errors of a law can look like
@@ -67,24 +58,16 @@ _PLACED = {_PULL: Products(10.0, 0.05, 0.4, 1e-4), _AREA: Products(0.2, 1e-4, 2e
 
 @dataclass(frozen=True)
 class Column:
-    """One coordinate.
+    """One coordinate."""
 
-    Attributes:
-        name: Name of its parameter.
-        effect: The effect it belongs to, as ``(name, component)``; None for what every fit varies.
-        nominal: Its value without missing effects.
-        low, high: Its bounds.
-        step: Step of derivatives.
-        prior_sd: Standard deviation of the prior of an effect that is present.
-    """
-
-    name: str
+    name: str  # name of its parameter
+    # the effect it belongs to, as ``(name, component)``; None for what every fit varies
     effect: tuple[str, str] | None
-    nominal: float
-    low: float
+    nominal: float  # its value without missing effects
+    low: float  # its bounds
     high: float
-    step: float
-    prior_sd: float = np.inf
+    step: float  # step of derivatives
+    prior_sd: float = np.inf  # standard deviation of the prior of an effect that is present
 
     @property
     def shown(self) -> bool:
@@ -103,22 +86,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """All columns of a robot.
+    """All columns of a robot."""
 
-    Attributes:
-        model: The servos, and the law where the model has one.
-        columns: F of them.
-        effects: Effects that may be missing.
-        seems: Apparent values in reference swims in which nothing is missing, shape (F,): the
-            simulator's error (``learned``), which is added in simulations.
-        place: Index of each column by name.
-    """
-
-    model: Model
-    columns: tuple[Column, ...]
-    effects: tuple[Candidate, ...] = ()
+    model: Model  # the servos, and the law where the model has one
+    columns: tuple[Column, ...]  # F of them
+    effects: tuple[Candidate, ...] = ()  # effects that may be missing
+    # apparent values in reference swims in which nothing is missing, shape (F,): the simulator's
+    # error (``learned``), which is added in simulations
     seems: Array | float = 0.0
-    place: Mapping[str, int] = field(init=False)
+    place: Mapping[str, int] = field(init=False)  # index of each column by name
 
     def __post_init__(self) -> None:
         """Index the columns."""
@@ -150,13 +126,6 @@ class Coordinates:
     def of_parameters(cls, model: Model, free: Sequence[Parameter]) -> Coordinates:
         """The columns of a calibration, which varies all of them."""
         return cls(model, tuple(_base(free)))
-
-    def doubting(self) -> Coordinates:
-        """With columns for the error of the changes that effects make, which need no simulation."""
-        sizes = signal_error.of_changes(len(self.model.joints))
-        added = [Column(f"{DOUBT}.{n}", (ERROR, "camera"), 0.0, -9.0, 9.0, 1.0, 0.0) for n in sizes]
-        seems = np.append(np.broadcast_to(self.seems, len(self.columns)), np.zeros(len(added)))
-        return replace(self, columns=(*self.columns, *added), seems=seems)
 
     def of_effect(self, effect: Candidate) -> list[int]:
         """Columns of an effect."""
@@ -244,10 +213,7 @@ class Coordinates:
 
 
 def _base(free: Sequence[Parameter]) -> list[Column]:
-    """Columns of what every fit varies.
-
-    Derivatives by a latency span a sub-step of the twin, at whose multiples errors have kinks.
-    """
+    """Columns of what every fit varies; latencies step by a sub-step, where errors have kinks."""
     return [
         Column(
             p.name, None, p.nominal, p.low, p.high,

@@ -1,16 +1,16 @@
 """The swim that tells apart the sets of effects that a diagnosis of swims left open.
 
-As ``sim2real.design.rivals`` for servos: each set predicts the signals of a swim in the twin, with
-a spread for what its parameters may still be. Signals are transformed and whitened as in the
-diagnosis (``sim.inference.signal_error``): pose noise, and the error of the twin as a share of a
-signal's size. The rest of this error imitates effects, differently in each swim: every coordinate
-has the variance of that imitation besides that of its estimate. So drag, friction or added mass
-that the error imitates do not count as distinguished. The rest of the error is not independent, as
-is assumed, so that distances are divided by the temperature of the diagnosis, as its evidence is.
+As ``sim2real.design.rivals`` for servos, with signals whitened as in the diagnosis
+(``signal_error``). The error of the twin imitates effects, differently in each swim: every
+coordinate has the variance of that imitation besides that of its estimate, so that drag, friction
+or added mass that the error imitates do not count as distinguished. Commands are travelling waves
+(the gaits of a fish: Videler, Fish Swimming, Chapman and Hall, 1993) and square waves, in the
+ranges of the swims on which that error was measured (``reports/design/swims.md``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
@@ -19,13 +19,13 @@ import numpy as np
 from sim.fluid.fluid import POOL_M
 from sim.inference.coordinates import Coordinates, signals_at
 from sim.inference.law_error import NEVER
+from sim.inference.pose_noise import PoseNoise
 from sim.inference.signal_error import Blocks
-from sim.inference.swim_commands import SwimLimits, draw, usual
-from sim.inference.swims import SUBSTEPS, PoseNoise, Swim, by_followed_twin
+from sim.inference.swims import SUBSTEPS, Swim, by_followed_twin
 from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.design.contexts import AS_IT_IS
-from sim2real.design.limits import check_seconds, limits_of
+from sim2real.design.limits import CommandLimits, check_seconds, limits_of
 from sim2real.design.rivals import distances, remaining_entropy
 from sim2real.design.search import best
 from sim2real.design.tell_apart import Request, RivalDesign, forecast
@@ -37,14 +37,79 @@ from sim2real.recording import Recording
 from sim2real.robot import Robot
 
 
+class SwimLimits:
+    """Limits of the commands of a swim: those of each of its joints, of equal periods."""
+
+    def __init__(self, joints: Sequence[CommandLimits]) -> None:
+        self.joints = tuple(joints)
+        self.period_s, self.rest_s = joints[0].period_s, joints[0].rest_s
+        self.rest_rad = np.array([joint.rest_rad for joint in joints])
+        self.reach_rad = np.array([joint.reach_rad for joint in joints])
+
+    def within(self, commands: Array) -> Array:
+        """Set-points (N, T, J) changed as little as needed to keep the limits of each joint."""
+        pairs = zip(np.moveaxis(commands, 2, 0), self.joints, strict=True)
+        return np.stack([joint.within(command) for command, joint in pairs], axis=2)
+
+
+def draw(rng: np.random.Generator, count: int, limits: SwimLimits, seconds: float) -> Array:
+    """Random commands of a swim within the limits, shape (N, T, J)."""
+    t, joints = limits.joints[0].times(seconds), len(limits.joints)
+    shapes = np.array([_swim(rng, t, joints) for _ in range(count)])
+    return limits.within(limits.rest_rad + limits.reach_rad * shapes)
+
+
+def _swim(rng: np.random.Generator, t: Array, joints: int, *, most: int = 6) -> Array:
+    """Up to ``most`` parts of random lengths, relative to the reach of the joints, (T, J)."""
+    cuts = np.sort(rng.integers(1, t.size, int(rng.integers(0, most))))
+    out = np.zeros((t.size, joints))
+    for part in np.split(np.arange(t.size), cuts):
+        if part.size > 1:
+            gait = _square if rng.random() < 0.2 else _wave
+            out[part] = gait(rng, t[part] - t[part[0]], joints)
+    return out
+
+
+def _wave(rng: np.random.Generator, t: Array, joints: int) -> Array:
+    """A wave that travels to the tail about a random bias, which turns the robot, shape (T, J)."""
+    hertz, size = np.exp(rng.uniform(*np.log([(0.7, 1.4), (0.45, 0.85)]).T))
+    sizes = size * np.linspace(rng.uniform(0.4, 0.5), 1.0, joints)
+    lags = rng.uniform(0.9, 1.3) * np.arange(joints)
+    phase = 2 * np.pi * (hertz * t[:, None] + rng.random()) - lags
+    bias = rng.choice([0.0, 0.38 * rng.uniform(-1.0, 1.0)])
+    ramp = np.clip(t / 0.8, 0.0, 1.0)[:, None]
+    return np.asarray(ramp * (sizes * np.sin(phase) + bias))
+
+
+def _square(rng: np.random.Generator, t: Array, joints: int) -> Array:
+    """A square wave of some joints together, shape (T, J)."""
+    level = rng.uniform(0.3, 0.6) * np.sign(np.sin(2 * np.pi * rng.uniform(0.4, 0.7) * t))
+    return np.asarray(level[:, None] * (rng.random(joints) < 0.7))
+
+
+def usual(limits: SwimLimits, seconds: float) -> Array:
+    """Swims that any robot can make, after the rest at the start, shape (5, T, J).
+
+    Slow and strong strokes, quick and weak ones, a circle, strokes before coasting, and squares.
+    """
+    t = limits.joints[0].times(seconds)[:, None] - limits.rest_s
+    place = np.arange(len(limits.joints))
+    shape = np.linspace(0.28, 0.6, place.size)
+    swims = []
+    for hertz, size, turn, until_s in (
+        (0.7, 1.1, 0.0, 12.0), (1.5, 0.5, 0.0, 12.0), (1.0, 0.9, 0.25, 12.0), (1.2, 1.0, 0.0, 6.0)
+    ):  # fmt: skip
+        wave = size * shape * np.sin(2 * np.pi * hertz * t - 1.1 * place) + turn
+        swims.append(np.clip(np.clip(t / 0.8, 0, 1) * (t < until_s) * wave, -0.76, 0.76))
+    swims.append(np.tile(0.4 * np.sign(np.sin(np.pi * t)), (1, place.size)))
+    return np.where(t < 0, 0.0, swims)
+
+
 @dataclass(frozen=True)
 class SwimDesign(RivalDesign):
-    """A swim to make next, from standstill in the middle of the pool, heading along x.
+    """A swim to make next, from standstill in the middle of the pool, heading along x."""
 
-    Attributes:
-        moved_joints: The joints that ``command`` of the forecast moves, in its order.
-    """
-
+    # the joints that ``command`` of the forecast moves, in its order
     moved_joints: tuple[str, ...] = field(default=())
 
     @property
@@ -80,8 +145,8 @@ def design_swim(
 ) -> SwimDesign:
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
-    Random swims, and those of ``swim_commands.usual``, are simulated in the twin with each set; the
-    best are varied.
+    Random swims, and those of ``usual``, are simulated in the twin with each set; the best are
+    varied.
 
     Args:
         rivals: The sets that are open.
@@ -104,10 +169,7 @@ def design_swim(
         found = f"a diagnosis of {rivals.joint_sd_rad.size} joints"
         raise InputError(file, "swim_rivals", found, f"the {len(robot.joints)} of {robot.name}")
     limits = SwimLimits(
-        tuple(
-            replace(limits_of(robot, joint.name), period_s=rivals.period_s)
-            for joint in robot.joints
-        )
+        [replace(limits_of(robot, one.name), period_s=rivals.period_s) for one in robot.joints]
     )
     for joint in limits.joints:
         check_seconds(seconds, joint)
@@ -213,8 +275,7 @@ class SwimObjective:
             self._robot, model, n_envs=len(commands), substeps=SUBSTEPS, threads=self._threads
         )
         twin.reset(pose=np.zeros((len(commands), 3)))
-        state = twin.state()
-        first = np.concatenate([state.pose, state.measured], axis=1)[:, None]
+        first = twin.track()[:, None]
         track = twin.swim(commands[:, :-1], which=np.arange(len(commands)))
         return np.concatenate([first, track], axis=1)
 

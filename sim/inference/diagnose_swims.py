@@ -1,22 +1,21 @@
 """Diagnosis of swims in a pool: which effects of the body or the camera does the twin leave out?
 
-The search (``searched``) fits every effect of the catalogue together with servos and force law, and
-the error of the twin counts as noise. An effect is reported if it predicts the end of each swim
-better when fitted to the beginning. Effects that imitate one another form a group. Where an unnamed
-shape (``unlisted``) fits better than all effects, the diagnosis abstains. Thresholds are in
-``law_error.json``.
+An effect is reported if it predicts the end of each swim better when fitted to the beginning.
+Effects that imitate one another form a group. Where an unnamed shape (``unlisted``) fits better
+than all effects, the diagnosis abstains. Thresholds are in ``law_error.json``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from sim.inference.coordinates import signals_at
-from sim.inference.in_water import THREADS, resimulation, robot_in_water, water_of
+from sim.inference.in_water import THREADS, resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
 from sim.inference.swim_decision import Decided, Name, Named, Names, Numbers, decide
@@ -26,14 +25,7 @@ from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
 from sim2real.body import body_effect, material_note
-from sim2real.diagnose.result import (
-    Diagnosis,
-    Estimate,
-    Mismatch,
-    NamedEffect,
-    Rival,
-    to_design,
-)
+from sim2real.diagnose.result import Diagnosis, Estimate, Mismatch, NamedEffect, Rival, to_design
 from sim2real.diagnose.rival_sets import design_of, separations
 from sim2real.diagnose.swim_rivals import SwimRivals, SwimSet
 from sim2real.inference.selection import Hypothesis
@@ -45,7 +37,7 @@ from sim2real.robot import Robot
 from sim2real.units import readable, readable_name
 
 Resimulate = Callable[[Model], tuple[SwimSimulator, Model] | None]
-"""A function from a fitted model to a simulator corrected with it, ``in_water.resimulation``."""
+"""A function from a fitted model to a simulator corrected with it, ``in_water.resimulated``."""
 _SAMPLES = 400
 _REPEATED = 0.005
 _OUT_OF_PLANE = 3.0
@@ -72,15 +64,14 @@ def diagnose_recorded_swims(
     Raises:
         InputError: If the file holds the simulations of other swims.
     """
-    swims = [swim_of(recording, robot) for recording in recordings]
-    earlier = [swim_of(recording, robot) for recording in references]
+    swims, earlier = ([swim_of(one, robot) for one in some] for some in (recordings, references))
     law_error, again = LAW_ERROR, None
     if in_water is not None:
         water = water_of(in_water, robot, model, [*swims, *earlier], device)
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
-            again = resimulation(
-                robot, water.of(model), swims, water, device=device, threads=THREADS
+            again = partial(
+                resimulated, robot, water.of(model), swims, water, device=device, threads=THREADS
             )
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
@@ -134,26 +125,21 @@ def diagnose_swims(
     Returns:
         The diagnosis; its errors are held-out errors of the speed over ground, in m/s.
     """
+    referred = bool(references)
     prior = learned(references, model, robot, simulate, law_error)
     result = searched(swims, model, robot, simulate, prior, progress)
-    again = None
-    if resimulate is not None:
-        again = resimulate(likely_model(result, law_error, referred=bool(references)))
-    if again is not None:
+    again = resimulate and resimulate(likely_model(result, law_error, referred=referred))
+    if again:
         result = searched(swims, model, robot, again[0], prior, simulated=again[1])
-    return diagnosis_of(result, robot, law_error, referred=bool(references))
+    return diagnosis_of(result, robot, law_error, referred=referred)
 
 
 def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Model:
-    """The fitted model with the likely effects, for another simulation in the fluid.
-
-    ``referred`` is whether there were reference swims.
-    """
+    """The fitted model with the likely effects; ``referred``: there were reference swims."""
     numbers = law_error.decisions
     named = decide(raw(result, referred=referred), numbers).named
     likely = {effect.name for effect in named if effect.probability >= numbers["likely"]}
-    fit = next(h.fit for h in result.found if set(names_of(h.members)) == likely)
-    return result.problem.coordinates.model_at(fit.x)
+    return result.problem.coordinates.model_at(result.of(likely).fit.x)
 
 
 def diagnosis_of(
@@ -165,27 +151,25 @@ def diagnosis_of(
     """
     numbers = law_error.decisions
     decided = decide(raw(result, referred=referred), numbers)
-    c = result.problem.coordinates
-    chosen = next(h for h in result.found if frozenset(names_of(h.members)) == decided.offered)
-    pair = (result.plain, chosen)
-    held_out = [result.held[entry.members] for entry in pair]
+    c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
+    before, after = (result.held[hypothesis.members] for hypothesis in (plain, chosen))
     names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
     names += [f"{joint.name}.position_rad" for joint in robot.joints]
-    train, held = np.stack([_errors(result, entry.fit) for entry in held_out], axis=1)
+    errors = np.array([_errors(result, one.fit) for one in (before, after)])
+    held = errors[:, 1]
     noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)
-    shift = {c.columns[k].name: float(chosen.fit.x[k] - result.plain.fit.x[k]) for k in c.base}
-    speed = {"rmse_before": held_out[0].speed, "rmse_after": held_out[1].speed}
-    parts = [np.stack(both, axis=1).tolist() for both in zip(train, held, strict=True)]
-    figures = [
-        {n: {"train": a, "heldout": b} for n, (a, b) in zip(names, part, strict=True)}
-        for part in parts
-    ]
-    shares = 1 - (held[1] / np.maximum(held[0], 1e-12)) ** 2
+    shift = {c.columns[k].name: float(chosen.fit.x[k] - plain.fit.x[k]) for k in c.base}
+    speed = {"rmse_before": before.speed, "rmse_after": after.speed}
+    baseline, enriched = (
+        {n: {"train": a, "heldout": b} for n, a, b in zip(names, *both.tolist(), strict=True)}
+        for both in errors
+    )
     return Diagnosis(
         verdict=decided.verdict,
         mismatch=tuple(
             Mismatch(
-                names[k], "body", float(held[0, k]), float(noise[k]), float(shares[k]), {}, where=""
+                names[k], "body", float(held[0, k]), float(noise[k]),
+                1 - float(held[1, k] / held[0, k]) ** 2, {}, where="",
             )
             for k in range(len(SIGNALS))
             if decided.named and held[1, k] < _IMPROVED * held[0, k]
@@ -195,10 +179,10 @@ def diagnosis_of(
         ),
         rivals=tuple(Rival(name, of, p) for (name, of), p in decided.rivals[:5]),
         unknown={"body": decided.unlisted},
-        baseline_fit=figures[0],
-        enriched_fit=figures[1],
+        baseline_fit=baseline,
+        enriched_fit=enriched,
         model=c.model_at(chosen.fit.x),
-        baseline=c.model_at(result.plain.fit.x),
+        baseline=c.model_at(plain.fit.x),
         next_experiment=to_design(
             ("body", [name for name, _ in entry.group])
             for entry in decided.named
@@ -206,11 +190,11 @@ def diagnosis_of(
         ),
         gate=tuple(_remarks(result, decided, numbers["likely"], referred=referred)),
         swim_rivals=_rival_sets(result, decided.sets, numbers),
-    )
+    )  # fmt: skip
 
 
-def _errors(result: Searched, fit: Fit) -> tuple[Array, Array]:
-    """Root mean square errors of each signal in the first and the last part of the swims."""
+def _errors(result: Searched, fit: Fit) -> Array:
+    """Root mean square errors in the first and last part of the swims, (2, 3 + J)."""
     parts: tuple[list[Array], list[Array]] = ([], [])
     problem = result.problem
     for swim in problem.swims:
@@ -218,8 +202,7 @@ def _errors(result: Searched, fit: Fit) -> tuple[Array, Array]:
         cut = round(swim.t.size * (1 - HELD_OUT))
         for part, error in zip(parts, np.split(signals - swim.signals, [cut]), strict=True):
             part.append(error)
-    train, held = (np.sqrt(np.nanmean(np.concatenate(p) ** 2, axis=0)) for p in parts)
-    return train, held
+    return np.array([np.sqrt(np.nanmean(np.concatenate(p) ** 2, axis=0)) for p in parts])
 
 
 def _named(
@@ -238,10 +221,9 @@ def _named(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
     )
     effect, component = entry.name
-    where = material_note(effect, component)
     others = ", ".join(f"{name} ({of})" for name, of in entry.group[1:])
     or_else = f" These swims do not distinguish it from {others}." if others else ""
-    title = body_effect(effect).title
+    title = body_effect(effect).title + material_note(effect, component)
     return NamedEffect(
         effect=effect,
         component=component,
@@ -250,17 +232,14 @@ def _named(
         parameters=parameters,
         heldout={**speed, "recoverable_removed": None},
         baseline_shift=shift,
-        statement=f"{title[0].upper()}{title[1:]}{where}: {sizes}.{or_else}",
+        statement=f"{title[0].upper()}{title[1:]}: {sizes}.{or_else}",
     )
 
 
 def _estimates(
     result: Searched, fitted: Hypothesis[Fit], name: Name, relative: float
 ) -> dict[str, Estimate]:
-    """Estimates of an effect's parameters, by sampling: they are nonlinear in the coordinates.
-
-    ``relative`` is the relative standard deviation of an effect's size due to the twin's error.
-    """
+    """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
     effect = next(e for e in c.effects if (e.name, e.component) == name)
     columns = c.of_effect(effect)
@@ -317,7 +296,6 @@ def _rival_sets(
 ) -> SwimRivals:
     """The sets of effects that may be present, given the swims."""
     problem = result.problem
-    fits = {frozenset(names_of(h.members)): h for h in result.found}
     chosen = _representatives(probability)
     total = sum(probability[names] for names in chosen)
     noises = [s.pose_noise for s in problem.swims if s.pose_noise is not None]
@@ -333,7 +311,7 @@ def _rival_sets(
         imitation={c.name: sd for c, sd in imitation},
         relative=numbers["relative"],
         temperature=numbers["temperature"],
-        sets=tuple(_set(result, fits[names], probability[names] / total) for names in chosen),
+        sets=tuple(_set(result, result.of(names), probability[names] / total) for names in chosen),
     )
 
 

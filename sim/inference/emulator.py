@@ -1,12 +1,9 @@
 """An emulator: a linear model of a simulator near a model, from one batch of rollouts.
 
-The fluid takes a second of a GPU for half a minute of swimming, and its wake is turbulent: two
-rollouts of nearly the same robot differ by as much as a small change of a parameter causes, so that
-finite differences of two rollouts would be noise. So a batch is simulated with all parameters
-varied at once (a Sobol sequence, as in the design of computer experiments: Santner, Williams, Notz,
-Springer 2003), and every sample is regressed on all of them: each slope uses the whole batch, which
-averages the turbulence. The regressed quantities are the displacements of the head forward, to the
-left and in heading in each control period, and the joints' angles; the path is their integral.
+The wake of the fluid is turbulent, so that differences of two rollouts would be noise. So all
+parameters are varied at once (a Sobol sequence: Santner, Williams, Notz, The Design and Analysis of
+Computer Experiments, Springer 2003), and the displacements in every control period are regressed on
+all of them: each slope uses the whole batch.
 """
 
 from __future__ import annotations
@@ -16,16 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import qmc
 
-from sim.inference.swims import (
-    Simulator,
-    Swim,
-    SwimSimulator,
-    path_of,
-    steps_of,
-    values_of,
-    with_values,
-)
+from sim.inference.swims import Simulator, Swim, SwimSimulator, path_of, steps_of, with_values
 from sim2real.arrays import Array
+from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.inference.parameters import Parameter, column
 from sim2real.model import Model
@@ -64,19 +54,21 @@ def emulator(
     if count < len(free) + 2:
         expected = f"at least {len(free) + 2}, for {len(free)} parameters"
         raise InputError("emulator", "rollouts", str(count), expected)
-    names = tuple(p.name for p in free)
-    log = np.array([name == _VISCOSITY for name in names])
-    centre, reach = values_of(model, names), REACH * column(free, "typical")
+    names = [p.name for p in free]
+    centre, reach = _values_of(model, names), REACH * column(free, "typical")
     low = np.maximum(centre - reach, column(free, "low"))
     high = np.minimum(low + 2 * reach, column(free, "high"))
     shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
-    values = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
-    models = [with_values(model, dict(zip(names, row, strict=True))) for row in values]
+    drawn = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
+    models = [with_values(model, dict(zip(names, row, strict=True))) for row in drawn]
 
     def linear(rows: Array) -> Array:
-        return np.where(log, np.log(np.where(log, rows, 1.0)), rows)
+        out = rows.copy()
+        for k in (k for k, name in enumerate(names) if name == _VISCOSITY):
+            out[:, k] = np.log(rows[:, k])
+        return out
 
-    mean, size = linear(values).mean(axis=0), np.maximum(linear(values).std(axis=0), 1e-12)
+    mean, size = linear(drawn).mean(axis=0), np.maximum(linear(drawn).std(axis=0), 1e-12)
 
     def terms(rows: Array) -> Array:
         return np.concatenate([np.ones((len(rows), 1)), (linear(rows) - mean) / size], axis=1)
@@ -89,13 +81,28 @@ def emulator(
         if finite.mean() < 0.5:
             found = f"{np.sum(~finite)} of {finite.size} rollouts stopped"
             raise InputError(swim.name, "simulator", found, "most of them whole")
-        steps, x = steps_of(track[finite]), terms(values[finite])
+        steps, x = steps_of(track[finite]), terms(drawn[finite])
         flat = np.linalg.solve(x.T @ x + penalty, x.T @ steps.reshape(len(steps), -1))
         regressed[swim] = flat.reshape(-1, *steps.shape[1:]), track[finite][0, 0, 3:]
 
     def simulate(models: Sequence[Model], swim: Swim) -> Array:
         weights, angles = regressed[swim]
-        rows = np.array([values_of(model, names) for model in models])
+        rows = np.array([_values_of(model, names) for model in models])
         return path_of(np.tensordot(terms(rows), weights, axes=1), swim.start, angles)
 
     return simulate
+
+
+def _values_of(model: Model, names: Sequence[str]) -> Array:
+    """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect."""
+    effects = values(model)
+    out = []
+    for name in names:
+        head, _, tail = name.partition(".")
+        if head in model.joints:
+            out.append(float(getattr(model.joints[head], tail)))
+        elif head in ("twin", "water"):
+            out.append(float(model.body[head][tail]))
+        else:
+            out.append(effects.get(name, 0.0))
+    return np.array(out)

@@ -1,18 +1,15 @@
 """Simulations of swims in the fluid, which the twin corrects for changes of parameters.
 
-The error of the twin is about three standard deviations of a camera's noise; that of the fluid is
-one or two, but the fluid is slow. So the fluid simulates the recorded commands once, with the
-identified servos, and the twin predicts only differences, e.g. those made by an effect or a gain (a
-control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev. 60 (2018) 550). The error due to
-the size of the cells, the viscosity, the sub-grid constant, the friction line and the size of the
-box is treated as a difference as well: the fluid is also simulated with other settings, and the
-share of each change is fitted (``water.viscosity`` and so on), as a gain is.
+The fluid simulates the recorded commands once, with the identified servos, and the twin predicts
+only differences, e.g. those made by an effect (a control variate; Peherstorfer, Willcox and
+Gunzburger, SIAM Rev. 60 (2018) 550). It is also simulated with other cells, viscosity and so on,
+and the share of each change is fitted (``water.viscosity``), as a gain is.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -67,19 +64,15 @@ RESIMULATED = (
 
 @dataclass(frozen=True)
 class InWater:
-    """Simulations of swims in the fluid.
+    """Simulations of swims in the fluid."""
 
-    Attributes:
-        names: Names of the V variants of the fluid.
-        steps: For each swim, by ``key``: mean velocity forward, to the left (m/s) and of the
-            heading (rad/s) in each period, and the joints' angles, shape (1 + V, T - 1, 3 + J):
-            the first simulation, then the differences of the variants, that of ``cells`` from the
-            first simulation, the others from ``cells``.
-        law: Coefficients of the twin fitted to these simulations, if they were fitted.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of the V variants of the fluid
+    # for each swim, by ``key``: mean velocity forward, to the left (m/s) and of the heading (rad/s)
+    # in each period, and the joints' angles, shape (1 + V, T - 1, 3 + J): the first simulation,
+    # then the differences of the variants, that of ``cells`` from the first simulation, the others
+    # from ``cells``
     steps: Mapping[bytes, Array]
+    # coefficients of the twin fitted to these simulations, if they were fitted
     law: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, model: Model) -> Model:
@@ -121,12 +114,10 @@ def simulate_in_water(
             wall=replace(SLIP, line=settings.get("line", SLIP.line)),
         )  # fmt: skip
         swimmer.reset(pose=np.array([swim.start for swim in swims]))
-        track = []
-        for row in [None, *np.stack(padded, axis=1)[:-1]]:
-            if row is not None:
-                swimmer.step(row)
-            state = swimmer.state()
-            track.append(np.concatenate([state.pose, state.measured], axis=1))
+        track = [swimmer.track()]
+        for row in np.stack(padded, axis=1)[:-1]:
+            swimmer.step(row)
+            track.append(swimmer.track())
         waters.append(steps_of(np.moveaxis(np.array(track), 0, 1)))
     simulated = np.stack(waters, axis=1)
     simulated[..., :3] /= CONTROL_S
@@ -159,28 +150,24 @@ def simulate_again(
     return replace(water, steps=steps)
 
 
-def resimulation(
+def resimulated(
     robot: Robot,
     model: Model,
     swims: Sequence[Swim],
     water: InWater,
+    fitted: Model,
     **options: Any,  # noqa: ANN401
-) -> Callable[[Model], tuple[SwimSimulator, Model] | None]:
-    """A function that simulates swims in the fluid again, with the effects of a fitted model.
+) -> tuple[SwimSimulator, Model] | None:
+    """The simulator corrected by simulations with the effects of a fitted model, and their model.
 
-    It returns the simulator corrected by these simulations and the model that they used; None where
-    no effect of the fitted model can be simulated. ``model`` is that from ``InWater.of``, other
-    arguments are those of ``simulate_again``.
+    None where no effect of the fitted model can be simulated. ``model`` is that from
+    ``InWater.of``, other arguments are those of ``simulate_again``.
     """
-
-    def simulate(fitted: Model) -> tuple[SwimSimulator, Model] | None:
-        with_effects = with_fluid_effects(model, fitted)
-        if not values(with_effects):
-            return None
-        again = simulate_again(robot, [with_effects] * len(swims), swims, water, **options)
-        return by_twin_in_water(robot, with_effects, again), with_effects
-
-    return simulate
+    with_effects = with_fluid_effects(model, fitted)
+    if not values(with_effects):
+        return None
+    again = simulate_again(robot, [with_effects] * len(swims), swims, water, **options)
+    return by_twin_in_water(robot, with_effects, again), with_effects
 
 
 def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any) -> InWater:  # noqa: ANN401

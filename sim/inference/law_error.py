@@ -1,10 +1,8 @@
 """Measured error of the twin, which counts as noise in a diagnosis.
 
 ``law_error.json`` has the error of a twin that was calibrated on a robot's swims, on other swims of
-the same robot in which nothing is missing: relative to each signal by frequency band, and as the
-size of each effect that it imitates; with the number of swims and robots that it was measured on.
-``benchmarks/pool_law_error.py`` measures it on the nulls of development sets,
-``benchmarks/pool_decisions.py`` chooses the thresholds.
+the same robot in which nothing is missing (``benchmarks/pool_law_error.py``), and the thresholds
+(``benchmarks/pool_decisions.py``).
 """
 
 from __future__ import annotations
@@ -33,24 +31,19 @@ NEVER = 1e-3
 
 @dataclass(frozen=True)
 class LawError:
-    """Measured error of the twin.
+    """Measured error of the twin."""
 
-    Attributes:
-        shares: Error as a share of a signal's size, by signal (surge, sway, yaw rate, joints) and
-            band (slow, beat, fast), shape (4, 3).
-        imitated: By kind of column, the standard deviation between swims of one robot: of shapes
-            of the error (``signal_error``), or of servos, law and absent effects that it imitates.
-        unknown: Standard deviation between robots, of the part common to a robot's swims.
-        usual: Mean of the law's coefficients over robots.
-        shift: Mean over robots of their difference from the nominal coefficients.
-        decisions: Thresholds, and the weights of curves as ``curve: term``, by name.
-    """
-
+    # error as a share of a signal's size, by signal (surge, sway, yaw rate, joints) and band (slow,
+    # beat, fast), shape (4, 3)
     shares: Array
+    # by kind of column, the standard deviation between swims of one robot: of shapes of the error
+    # (``signal_error``), or of servos, law and absent effects that it imitates
     imitated: Mapping[str, float]
+    # standard deviation between robots, of the part common to a robot's swims
     unknown: Mapping[str, float]
-    usual: Mapping[str, float]
-    shift: Mapping[str, float]
+    usual: Mapping[str, float]  # mean of the law's coefficients over robots
+    shift: Mapping[str, float]  # mean over robots of their difference from the nominal coefficients
+    # thresholds, and the weights of curves as ``curve: term``, by name
     decisions: Mapping[str, float]
 
     def prior(self, coordinates: Coordinates) -> SwimPrior:

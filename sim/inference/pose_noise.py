@@ -1,8 +1,7 @@
 """Noise of measured poses: its size, and whether a filter smoothed it.
 
-At 9 Hz and above the poses hold only noise, as a robot does not move that fast. White noise is
-equal at all frequencies; a filter of the poses smooths their noise too, so its time constant is
-estimated from these frequencies (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
+At 9 Hz and above the poses hold only noise. White noise is equal at all frequencies; a filter's
+time constant is estimated from them (Whittle's likelihood: J. R. Stat. Soc. B 15 (1953) 125).
 """
 
 from __future__ import annotations
@@ -27,17 +26,12 @@ _LEAST = 64
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """Noise of x, y and heading.
+    """Noise of x, y and heading."""
 
-    Attributes:
-        sd: Standard deviation before the filter, shape (3,).
-        lag_s: Time constant of the filter; 0 without a filter.
-        colour: Log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were
-            resampled or lost, which smooths them too.
-    """
-
-    sd: Array
-    lag_s: float = 0.0
+    sd: Array  # standard deviation before the filter, shape (3,)
+    lag_s: float = 0.0  # time constant of the filter; 0 without a filter
+    # log-likelihood ratio of each of ``LAGS_S`` to white noise; None where poses were resampled or
+    # lost, which smooths them too
     colour: Array | None = None
 
     def log_ratio(self, lag_s: float) -> float:

@@ -1,13 +1,12 @@
 """Search for the effects that are missing in swims, before probabilities are computed.
 
-The search is ``sim2real.inference.selection``: every effect of the catalogue is fitted together
-with servos and force law. One batch of rollouts predicts the gain of every effect near a fit
-(``SwimSearch.look``), and the most promising are fitted. Thresholds are in ``law_error.json``.
+Every effect of the catalogue is fitted together with servos and force law. One batch of rollouts
+predicts the gain of every effect near a fit, and the most promising are fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ import numpy as np
 
 from sim.inference.coordinates import Coordinates, signals_of
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
-from sim.inference.signal_error import SHARE
+from sim.inference.signal_error import SHARE, of_changes
 from sim.inference.swim_parameters import Candidate
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem, repeated
 from sim.inference.swims import Swim, SwimSimulator
@@ -66,7 +65,7 @@ class SwimSearch(SwimProblem):
         self, ledger: Ledger[Fit], members: Members, most: int | None
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects with the largest predicted evidence when added to a set, by its linear model."""
-        fits = [ledger.tried[members].fit, *([] if members else self._first_fits)]
+        fits = [ledger.tried[members].fit, *([] if members else self.first_fits)]
         promise: dict[Candidate, float] = {}
         for effect in self.coordinates.effects:
             if effect not in members:
@@ -74,11 +73,6 @@ class SwimSearch(SwimProblem):
                 promise[effect] = max(self.evidence(more, self.linear(more, fit)) for fit in fits)
         order = sorted(promise, key=lambda effect: -promise[effect])
         return [(effect, fits[0]) for effect in order[: most or FIRST]]
-
-    @property
-    def _first_fits(self) -> list[Fit]:
-        """Another start of single effects: a law adapted to swims that have it is a bad one."""
-        return [] if self.first_fit is None else [self.first_fit]
 
     def start(self, ledger: Ledger[Fit], members: Members) -> Fit:
         """The best fit, with the columns of effects outside ``members`` reset."""
@@ -91,7 +85,7 @@ class SwimSearch(SwimProblem):
         """Fit sets, each started from a fit of a subset, with one batch of simulations per step."""
         initial = [(members, fit) for _, members, fit in jobs]
         singles = [members for _, members, _ in jobs if len(members) == 1]
-        initial += [(members, fit) for members in singles for fit in self._first_fits]
+        initial += [(members, fit) for members in singles for fit in self.first_fits]
         initial = self._with_other_sizes(initial)
         best: dict[Members, Fit] = {}
         for (members, _), fit in zip(initial, self.fitted(initial), strict=True):
@@ -154,26 +148,22 @@ class HeldOutErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class Searched:
-    """Result of a search, before decisions.
+    """Result of a search, before decisions."""
 
-    Attributes:
-        problem: The swims.
-        plain: The fit without effects.
-        found: Every set that was tried, best first.
-        best: The best set with an effect, likely or not.
-        nameless: Evidence that unnamed shapes add to the plain fit and to the best.
-        held: Held-out errors of each set.
-        misfit: Mean square of the best fit's weighted errors by signal and band, less the estimated
-            error of the twin, shape (4, 3).
-    """
-
-    problem: SwimSearch
-    plain: Hypothesis[Fit]
-    found: list[Hypothesis[Fit]]
-    best: Hypothesis[Fit]
+    problem: SwimSearch  # the swims
+    plain: Hypothesis[Fit]  # the fit without effects
+    found: list[Hypothesis[Fit]]  # every set that was tried, best first
+    best: Hypothesis[Fit]  # the best set with an effect, likely or not
+    # evidence that unnamed shapes add to the plain fit and to the best
     nameless: dict[str, dict[str, float]]
-    held: dict[Members, HeldOutErrors]
+    held: dict[Members, HeldOutErrors]  # held-out errors of each set
+    # mean square of the best fit's weighted errors by signal and band, less the estimated error of
+    # the twin, shape (4, 3)
     misfit: Array
+
+    def of(self, names: Collection[tuple[str, str]]) -> Hypothesis[Fit]:
+        """The set of these effects, by names and components."""
+        return next(h for h in self.found if set(names_of(h.members)) == set(names))
 
 
 def names_of(members: Members) -> tuple[tuple[str, str], ...]:
@@ -278,11 +268,12 @@ def searched(
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     order, best = _search(problem, lambda share: progress(0.5 * share))
     if "water" in model.body:
-        doubted = changed(problem, best.fit.x, simulated)
-        parts = zip(doubted, problem.blocks, problem.weights, strict=True)
+        changes = changed(problem, best.fit.x, simulated)
+        parts = zip(changes, problem.blocks, problem.weights, strict=True)
         size = sum(float(np.sum(b.about(change) * w**2)) for change, b, w in parts)
         if 0.5 * SHARE**2 * size > _DOUBTFUL:
-            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior, doubted)
+            wider = doubtful(problem, changes)
+            problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, wider)
             order, best = _search(problem, lambda share: progress(0.5 + 0.4 * share))
     tried = {hypothesis.members: hypothesis for hypothesis in order}
     plain = tried[frozenset()]
@@ -310,28 +301,28 @@ def _search(
         (refitted,) = problem.refit([(ledger, subset, problem.start(ledger, subset))])
         if refitted.evidence > best.evidence:
             ledger.keep(refitted)
-    problem.cost = 0.0
-    tried = {
-        members: replace(hypothesis, evidence=hypothesis.evidence + COST * len(members))
-        for members, hypothesis in ledger.tried.items()
-    }
-
-    def worth(hypothesis: Hypothesis[Fit]) -> float:
-        return hypothesis.evidence - COST * len(hypothesis.members)
-
-    finished: set[Members] = set()
+    tried, finished = ledger.tried, set[Members]()
     for _ in range(2):
-        order = sorted((h for h in tried.values() if h.members), key=worth, reverse=True)
-        close = [h for h in order[: _RIVALS + 1] if worth(h) > worth(order[0]) - _CLOSE]
-        smaller = [order[0].members - {effect} for effect in order[0].members]
-        close += [tried[members] for members in smaller if members and members in tried]
-        for members in {h.members: None for h in close}:
-            if members not in finished:
+        first, *others = sorted((h for h in tried.values() if h.members), key=_evidence)
+        close = [first.members]
+        close += [h.members for h in others[:_RIVALS] if h.evidence > first.evidence - _CLOSE]
+        close += [first.members - {effect} for effect in first.members]
+        for members in close:
+            if members and members in tried and members not in finished:
                 tried[members] = problem.converged(tried[members])
                 finished.add(members)
+    problem.cost = 0.0
     progress(1.0)
-    order = sorted(tried.values(), key=worth, reverse=True)
+    order = [
+        replace(h, evidence=h.evidence + COST * len(h.members))
+        for h in sorted(tried.values(), key=_evidence)
+    ]
     return order, next(hypothesis for hypothesis in order if hypothesis.members)
+
+
+def _evidence(hypothesis: Hypothesis[Fit]) -> float:
+    """Key to sort by, best first."""
+    return -hypothesis.evidence
 
 
 def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:
@@ -348,6 +339,20 @@ def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> l
     without = replace(full, body={**full.body, "effects": listed(kept)})
     signals = [signals_of([full, without], swim, problem.simulate) for swim in problem.swims]
     return [pair[0] - pair[1] for pair in signals]
+
+
+def doubtful(problem: SwimProblem, changes: Sequence[Array]) -> SwimPrior:
+    """The prior with larger errors of the simulator, in proportion to these changes."""
+    recorded, prior = [swim.signals for swim in problem.swims], problem.prior
+    size, of_signal = (
+        np.sqrt(np.nanmean(np.concatenate(x) ** 2, axis=0)) for x in (changes, recorded)
+    )
+    ratio = np.nan_to_num(size / of_signal)
+    sd = of_changes(size.size - 3, ratio)
+    more = np.array([sd.get(column.name, 0.0) for column in problem.coordinates.columns])
+    covariance = prior.covariance + np.diag(more**2)
+    shares = np.hypot(prior.shares, SHARE * np.append(ratio[:3], ratio[3:].mean())[:, None])
+    return SwimPrior(prior.mean, covariance, np.hypot(prior.imitation, more), shares)
 
 
 def _subsets(members: Members) -> list[Members]:
@@ -390,5 +395,4 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
         "misfit": found.misfit.tolist(),
         "referred": referred,
         "repeated": repeated(found.problem.swims),
-        "rollouts": found.problem.rollouts,
     }  # fmt: skip

@@ -1,19 +1,15 @@
 """Errors of a swim's signals: their variances by band of frequency, and persistent shapes.
 
-An error of the head's swing is at the beat frequency and carries no information about a current; an
-error of the drag is in the mean. So each block of about 2.5 s is transformed by an orthonormal
-cosine transform. The variance of a coefficient is that of the recording's noise plus a share, by
-signal and band, of the signal's power: the measured error of the twin (``law_error.json``).
-
-Other errors of the simulated fluid, wake and force law persist because a wake does: the speed is
-wrong for seconds, an oscillation has a relative error or a delay. Such an error is no effect of the
-catalogue but can be mistaken for one. So each such shape is a column of the fit, whose size has one
-part common to all swims of a robot and one for each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B
-63 (2001) 425).
+Each block of about 2.5 s is transformed by an orthonormal cosine transform. The variance of a
+coefficient is that of the recording's noise plus a share, by signal and band, of the signal's
+power: the measured error of the twin. Errors of wake and force law persist for seconds: each such
+shape is a column of the fit, whose size has one part common to all swims of a robot and one for
+each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -69,23 +65,14 @@ def _local_power(coefficients: Array, edges: Sequence[tuple[int, int]]) -> Array
 
 @dataclass(frozen=True)
 class Blocks:
-    """Cosine transform of one swim, and the variances of its coefficients.
+    """Cosine transform of one swim, and the variances of its coefficients."""
 
-    Attributes:
-        edges: First sample and end of each block.
-        block: Block of each coefficient, shape (T,).
-        band: Its band, shape (T,): 0, 1 or 2.
-        noise: Variance of the recording's noise in each coefficient, shape (T, K).
-        power: Power of the signals around each coefficient, shape (T, K).
-        seen: Cosine transform of the recorded signals, shape (T, K).
-    """
-
-    edges: tuple[tuple[int, int], ...]
-    block: Index
-    band: Index
-    noise: Array
-    power: Array
-    seen: Array
+    edges: tuple[tuple[int, int], ...]  # first sample and end of each block
+    block: Index  # block of each coefficient, shape (T,)
+    band: Index  # its band, shape (T,): 0, 1 or 2
+    noise: Array  # variance of the recording's noise in each coefficient, shape (T, K)
+    power: Array  # power of the signals around each coefficient, shape (T, K)
+    seen: Array  # cosine transform of the recorded signals, shape (T, K)
 
     @classmethod
     def of(cls, swim: Swim) -> Blocks:
@@ -114,14 +101,14 @@ class Blocks:
             transformed,
         )
 
-    def weights(self, shares: Array, more: Array | float = 0.0) -> Array:
+    def weights(self, shares: Array) -> Array:
         """Reciprocal standard deviations (T, K), with the twin's error by signal and band, (4, 3).
 
-        The last row of ``shares`` is that of joints; ``more`` is additional variance, (T, K).
+        The last row of ``shares`` is that of joints.
         """
         rows = np.minimum(np.arange(self.noise.shape[1]), 3)
         share = shares[rows][:, self.band].T
-        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + more + 1e-12))
+        return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + 1e-12))
 
     def about(self, signals: Array) -> Array:
         """Power of signals (T, K) around each coefficient, shape (T, K)."""
@@ -168,10 +155,14 @@ def shapes(signals: Array) -> dict[str, Array]:
     return out
 
 
-def of_changes(joints: int) -> dict[str, float]:
-    """Standard deviations of the shapes of error in the change that an effect makes, by name."""
+def of_changes(joints: int, ratio: Array) -> dict[str, float]:
+    """Standard deviations of the shapes due to an error in the changes that effects make, by name.
+
+    ``ratio`` is the size of the changes relative to each signal, shape (3 + J,).
+    """
+    signal = {"surge": 0, "sway": 1, "yaw": 2} | {f"joint{j}": 3 + j for j in range(joints)}
     return {
-        n.removeprefix("error."): LATE_S if n.endswith("late") else SHARE
+        n: (LATE_S if n.endswith("late") else SHARE) * float(ratio[signal[re.split("[._]", n)[1]]])
         for n in names(joints)
         if "off" not in n
     }

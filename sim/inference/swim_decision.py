@@ -1,7 +1,6 @@
 """Decisions from a search in swims: reported effects, groups, probabilities and the verdict.
 
-Pure functions of the output of ``searched.raw``: ``benchmarks/pool_decisions.py`` fits thresholds
-to many searches without repeating one.
+Pure functions of ``searched.raw``: ``benchmarks/pool_decisions.py`` fits thresholds to many.
 """
 
 from __future__ import annotations
@@ -28,79 +27,46 @@ Numbers = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Named:
-    """One reported effect.
+    """One reported effect."""
 
-    Attributes:
-        name: Effect and component.
-        group: Effects that these swims do not distinguish from it, itself first.
-        probability: Probability that one of the group is present.
-        gain: Evidence that it adds to the others.
-        terms: Terms of its log odds.
-    """
-
-    name: Name
-    group: tuple[Name, ...]
-    probability: float
-    gain: float
-    terms: Terms
+    name: Name  # effect and component
+    group: tuple[Name, ...]  # effects that these swims do not distinguish from it, itself first
+    probability: float  # probability that one of the group is present
+    gain: float  # evidence that it adds to the others
+    terms: Terms  # terms of its log odds
 
 
 @dataclass(frozen=True)
 class Decided:
-    """Decisions from one search.
+    """Decisions from one search."""
 
-    Attributes:
-        verdict: The verdict.
-        named: Reported effects, the largest gain first.
-        offered: Effects of the enriched model; empty where no effect is likely.
-        rivals: Other effects and their probabilities, likeliest first.
-        unlisted: Probability of an effect that the catalogue lacks.
-        shape: The unnamed shape with the largest evidence.
-        terms: Terms of the log odds of ``unlisted``.
-        sets: Probabilities of the sets that were tried.
-    """
-
-    verdict: Verdict
-    named: tuple[Named, ...]
-    offered: Names
-    rivals: tuple[tuple[Name, float], ...]
-    unlisted: float
-    shape: str
-    terms: Terms
-    sets: Mapping[Names, float]
+    verdict: Verdict  # the verdict
+    named: tuple[Named, ...]  # reported effects, the largest gain first
+    offered: Names  # effects of the enriched model; empty where no effect is likely
+    rivals: tuple[tuple[Name, float], ...]  # other effects and their probabilities, likeliest first
+    unlisted: float  # probability of an effect that the catalogue lacks
+    shape: str  # the unnamed shape with the largest evidence
+    terms: Terms  # terms of the log odds of ``unlisted``
+    sets: Mapping[Names, float]  # probabilities of the sets that were tried
 
 
-@dataclass(frozen=True)
 class _Sets:
-    """The sets of a search.
+    """The sets of a search, from the output of ``searched.raw``."""
 
-    Attributes:
-        evidence: Evidence of each set, less the cost of its effects.
-        probability: Probability of each set.
-        held_out: Loss, and error of the speed, on the end of the swims, of the best's subsets.
-        numbers: The thresholds.
-    """
-
-    evidence: dict[Names, float]
-    probability: dict[Names, float]
-    held_out: dict[Names, tuple[float, float]]
-    numbers: Numbers
-
-    @classmethod
-    def of(cls, raw: Mapping[str, Any], numbers: Numbers) -> _Sets:
-        """The sets in the output of ``searched.raw``."""
-        cost = numbers["cost"]
-        evidence = {_names(e): e["evidence"] - cost * len(e["names"]) for e in raw["sets"]}
-        log_weights = np.array(list(evidence.values())) / numbers["temperature"]
+    def __init__(self, raw: Mapping[str, Any], numbers: Numbers) -> None:
+        self.numbers, cost = numbers, numbers["cost"]
+        # evidence of each set, less the cost of its effects
+        self.evidence = {_names(e): e["evidence"] - cost * len(e["names"]) for e in raw["sets"]}
+        log_weights = np.array(list(self.evidence.values())) / numbers["temperature"]
         weights = np.exp(log_weights - log_weights.max())
-        probability = dict(zip(evidence, (weights / weights.sum()).tolist(), strict=True))
-        held_out = {_names(entry): (entry["loss"], entry["speed"]) for entry in raw["held"]}
-        return cls(evidence, probability, held_out, numbers)
-
-    @property
-    def effects(self) -> Names:
-        """All effects of the sets."""
-        return frozenset(name for members in self.evidence for name in members)
+        shares = (weights / weights.sum()).tolist()
+        self.probability = dict(zip(self.evidence, shares, strict=True))
+        # loss, and error of the speed, on the end of the swims, of the best's subsets
+        self.held_out = {_names(e): (e["loss"], e["speed"]) for e in raw["held"]}
+        self.effects = frozenset(name for members in self.evidence for name in members)
+        some = [s for s in self.held_out if s]
+        settled = {_names(entry) for entry in raw["sets"] if entry["settled"]}
+        self.best = max([s for s in some if s in settled] or some, key=lambda s: self.evidence[s])
 
     def likelihood(self, group: Sequence[Name]) -> float:
         """Sum of the probabilities of the sets that contain an effect of a group."""
@@ -110,22 +76,22 @@ class _Sets:
         """Increase of the held-out log-likelihood by one set relative to another."""
         if members not in self.held_out or rest not in self.held_out:
             return 0.0
-        return self.held_out[rest][0] - self.held_out[members][0]
+        return float(self.held_out[rest][0] - self.held_out[members][0])
 
-    def group(self, name: Name, members: Names, gain: float) -> tuple[Name, ...]:
-        """The effect, and those that have nearly its evidence in its place.
+    def group(self, name: Name, gain: float) -> tuple[Name, ...]:
+        """The effect, and those that have nearly its evidence in its place in the best set.
 
         The force of an effect on the water is predicted with an error in proportion to it, so that
         differences of less than a share of the evidence that it adds do not identify the effect.
         """
         numbers, close = self.numbers, []
-        for other in self.effects - members:
-            replaced = members - {name} | {other}
+        for other in self.effects - self.best:
+            replaced = self.best - {name} | {other}
             if replaced in self.evidence:
                 limit = numbers["alike"]
                 if name[0] in WATER_FORCES or other[0] in WATER_FORCES:
                     limit = max(numbers["alike_imitated"], numbers["alike_share"] * gain)
-                behind = self.evidence[members] - self.evidence[replaced]
+                behind = self.evidence[self.best] - self.evidence[replaced]
                 if behind < limit:
                     close.append((behind, other))
         return (name, *(other for _, other in sorted(close)))
@@ -152,14 +118,13 @@ class _Sets:
             speed = self.held_out[members][1]
             smaller = []
             for name in members:
-                before = self.held_out.get(members - {name})
-                if before is None:
+                rest = members - {name}
+                if rest not in self.held_out:
                     continue
-                slow = speed > (1 - numbers["held_better"]) * max(before[1], 1e-9)
-                unsure = likely[name] < numbers["held_sure"]
-                worse = self.held_out_gain(members, members - {name}) < numbers["held_gain"]
-                if worse or (slow and unsure):
-                    smaller.append(members - {name})
+                least = (1 - numbers["held_better"]) * max(self.held_out[rest][1], 1e-9)
+                slow = speed > least and likely[name] < numbers["held_sure"]
+                if slow or self.held_out_gain(members, rest) < numbers["held_gain"]:
+                    smaller.append(rest)
             if not smaller:
                 return members
             members = max(smaller, key=lambda subset: self.evidence.get(subset, -np.inf))
@@ -168,11 +133,8 @@ class _Sets:
 
 def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
     """Decide which effects are reported, and the verdict, from the output of ``searched.raw``."""
-    sets = _Sets.of(raw, numbers)
-    evidence = sets.evidence
-    some = [s for s in sets.held_out if s]
-    settled = {_names(entry) for entry in raw["sets"] if entry["settled"]}
-    best = max([s for s in some if s in settled] or some, key=lambda s: evidence[s])
+    sets = _Sets(raw, numbers)
+    evidence, best = sets.evidence, sets.best
     lead = evidence[best] - evidence[frozenset()]
     shapes = {
         fit: {name: gain - numbers[f"usual {name.split()[0]}"] for name, gain in gains.items()}
@@ -181,37 +143,33 @@ def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
     shape, shape_gain = max(shapes["best"].items(), key=lambda item: item[1])
     usual = [[numbers[f"usual misfit {row} {band}"] for band in BANDS] for row in ROWS]
     misfit = float(np.max(np.log(np.maximum(np.array(raw["misfit"]) / usual, 1e-9))))
+    misfit = float(np.clip(misfit, -2, 4))
     unreferred = 0.0 if raw.get("referred", True) else 1.0
     # The evidence of a shape is divided by that of the best set: small errors in a strong effect
     # leave residuals that a shape fits, above all a change of the robot.
     size = max(lead, 0.0) + numbers["evidence_scale"]
-    largest = {
-        kind: max(
-            (g for n, g in shapes["best"].items() if n.startswith("change") == kind), default=0
-        )
-        for kind in (False, True)
-    }
+    largest = {True: 0.0, False: 0.0}
+    for name, gain in shapes["best"].items():
+        change = name.startswith("change")
+        largest[change] = max(largest[change], gain)
     terms = {
         "constant": 1.0,
-        "shape gain": float(np.log1p(max(largest[False], 0.0) / size)),
-        "misfit": float(np.clip(misfit, -2, 4)),
+        "shape gain": float(np.log1p(largest[False] / size)),
+        "misfit": misfit,
         "set evidence": _log(lead),
         "held-out gain": _log(sets.held_out_gain(best, frozenset())),
-        "change gain": float(np.log1p(max(largest[True], 0.0) / size)),
+        "change gain": float(np.log1p(largest[True] / size)),
         "unreferred": unreferred,
         "shape lead": _log(max(shapes["plain"].values()) - lead),
     }
     unlisted = _logistic(terms, "unlisted", numbers)
     anything = _logistic(terms, "anything", numbers)
     flagged = anything >= numbers["flagged from"] or unlisted >= numbers["likely"]
-    fewest = min(evidence.values())
-    gains = {
-        name: evidence[best] - evidence.get(best - {name}, fewest) + numbers["cost"]
-        for name in best
-    }
+    fewest, cost = min(evidence.values()), numbers["cost"]
+    gains = {n: evidence[best] - evidence.get(best - {n}, fewest) + cost for n in best}
     named = []
     for name, gain in gains.items():
-        group = sets.group(name, best, gain)
+        group = sets.group(name, gain)
         if flagged and len(best) == 1:
             group = sets.widened(group)
         ahead = evidence[best] - max(evidence[s] for s in evidence if not s & set(group))
@@ -221,7 +179,7 @@ def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
             "lead": _log(ahead),
             "group size": float(np.log(len(group))),
             "shape over gain": max(_log(shape_gain) - _log(gain), 0.0),
-            "misfit": float(np.clip(misfit, -2, 4)),
+            "misfit": misfit,
             "held-out gain": _log(sets.held_out_gain(best, best - {name})),
             "imitator": imitator,
             "behind largest gain": _log(most) - _log(gain),
@@ -234,17 +192,24 @@ def decide(raw: Mapping[str, Any], numbers: Numbers) -> Decided:
         }
         probability = min(_logistic(of_name, "name", numbers), numbers["most_certain"])
         named.append(Named(name, group, probability, gain, of_name))
-    likely = {e.name: e.probability for e in named if e.probability >= numbers["likely"]}
-    offered = sets.predicting(likely)
+    certain = {e.name: e.probability for e in named if e.probability >= numbers["likely"]}
+    offered = sets.predicting(certain)
     others = sets.effects - {n for effect in named for n in effect.group}
-    named = [effect for effect in named if effect.probability >= numbers["stated"]]
-    named.sort(key=lambda effect: -effect.gain)
     rivals = [(name, sets.likelihood((name,))) for name in others]
     rivals.sort(key=lambda rival: (-rival[1], rival[0]))
-    verdict = _verdict(named, offered, unlisted, flagged, numbers["likely"])
-    return Decided(
-        verdict, tuple(named), offered, tuple(rivals), unlisted, shape, terms, sets.probability
-    )
+    named = [effect for effect in named if effect.probability >= numbers["stated"]]
+    named.sort(key=lambda effect: -effect.gain)
+    # only effects of the offered model count as explained
+    likely = [effect for effect in named if effect.probability >= numbers["likely"]]
+    verdict: Verdict = "explained"
+    if likely and (unlisted >= numbers["likely"] or {e.name for e in likely} - offered):
+        verdict = "partly_explained"
+    elif not likely:
+        verdict = "unexplained" if flagged else "consistent"
+    elif any(len(effect.group) > 1 for effect in likely):
+        verdict = "ambiguous"
+    found = tuple(named), offered, tuple(rivals)
+    return Decided(verdict, *found, unlisted, shape, terms, sets.probability)
 
 
 def _logistic(terms: Terms, curve: str, numbers: Numbers) -> float:
@@ -256,18 +221,6 @@ def _logistic(terms: Terms, curve: str, numbers: Numbers) -> float:
 def _log(value: float) -> float:
     """Signed logarithm of evidence: sign(x) log(1 + abs(x))."""
     return float(np.sign(value) * np.log1p(abs(value)))
-
-
-def _verdict(
-    named: list[Named], offered: Names, unlisted: float, flagged: bool, likely_from: float
-) -> Verdict:
-    """The verdict; only effects of the offered model count as explained."""
-    likely = [effect for effect in named if effect.probability >= likely_from]
-    if likely and (unlisted >= likely_from or any(effect.name not in offered for effect in likely)):
-        return "partly_explained"
-    if not likely:
-        return "unexplained" if flagged else "consistent"
-    return "ambiguous" if any(len(effect.group) > 1 for effect in likely) else "explained"
 
 
 def _names(entry: Mapping[str, Any]) -> Names:

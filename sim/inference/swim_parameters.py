@@ -1,7 +1,4 @@
-"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera.
-
-Here are their bounds, sizes and priors; ``coordinates`` has those of products of parameters.
-"""
+"""Parameters of swims: the twin's law, servos, water, effects of the body and the camera."""
 
 from __future__ import annotations
 
@@ -11,8 +8,7 @@ from typing import NamedTuple
 
 from sim.robot.effects import area_sd
 from sim.robot.swimmer import least_viscosity
-from sim.twin.law import Coefficients
-from sim.twin.twin import FITTED
+from sim.twin.law import FITTED, Coefficients
 from sim2real.body import body_effect
 from sim2real.effects import BODY, CAMERA
 from sim2real.effects.body_effect import BodyEffect, CameraEffect
@@ -22,17 +18,11 @@ from sim2real.robot import Robot
 
 
 class Candidate(NamedTuple):
-    """An effect of the body or of the camera that a simulator may leave out.
+    """An effect of the body or of the camera that a simulator may leave out."""
 
-    Attributes:
-        name: Its identifier in the catalogue.
-        component: The material that it belongs to, or ``body`` or ``camera``.
-        free: Its parameters.
-    """
-
-    name: str
-    component: str
-    free: tuple[Parameter, ...]
+    name: str  # its identifier in the catalogue
+    component: str  # the material that it belongs to, or ``body`` or ``camera``
+    free: tuple[Parameter, ...]  # its parameters
 
 
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")

@@ -1,24 +1,20 @@
 """Swims of one robot as a least-squares problem, for the search for effects and for calibrations.
 
-Near a fit a swim is linear in all coordinates, so fits follow the derivatives of one batch of
-rollouts with one rollout per step, all in one batch (``sim2real.inference.least_squares``). The
-error of the simulator counts as noise: residuals have the variance of ``Blocks``, shapes of the
-error are columns that are marginalised and not fitted, and effects that a hypothesis does not
-contain have a prior as wide as the error imitates them. So the evidence is that of a normal model
-with all columns in every hypothesis: those of its effects have the effects' priors, the others that
-of the imitation (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch. 28).
+Fits follow the derivatives of one batch of rollouts. Shapes of the simulator's error are columns
+that are marginalised and not fitted; effects that a hypothesis does not contain have a prior as
+wide as the error imitates them, so that the evidence is that of a normal model with all columns in
+every hypothesis (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch. 28).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from sim.inference import signal_error
-from sim.inference.coordinates import DOUBT, ERROR, LATENCY, SUBSTEP_S, Coordinates, signals_at
+from sim.inference.coordinates import ERROR, LATENCY, SUBSTEP_S, Coordinates, signals_at
 from sim.inference.signal_error import Blocks
 from sim.inference.swims import Swim, SwimSimulator
 from sim2real.arrays import Array, Index, Mask
@@ -28,9 +24,6 @@ from sim2real.inference.selection import Hypothesis, Members
 LOST, FILTER = "dropped_frames.probability", "pose_filter.time_constant_s"
 _STEPS = 6
 """Evaluations of a fit with the same derivatives."""
-_IN_DOUBT = 0.05
-"""Relative error of the twin in the change that an effect makes, independent for each coefficient;
-the persistent part of this error is in ``signal_error.of_changes``."""
 _AT_MOST = 3.0
 """Largest imitation of an absent effect by the twin's error, in standard deviations: larger values
 are not due to the error, and the linear model does not hold there."""
@@ -46,18 +39,14 @@ class SwimPrior:
 
     The error of the twin looks like effects that are not there. A part of it is common to all swims
     of a robot and is learned from reference swims; the rest differs from swim to swim.
-
-    Attributes:
-        mean: Mean of each parameter; for effects the apparent size in reference swims, shape (F,).
-        covariance: Covariance for a swim in which nothing is missing, shape (F, F).
-        imitation: Standard deviation between swims of one robot, shape (F,).
-        shares: Relative error of the twin by signal and frequency band, shape (4, 3); of this robot
-            where reference swims are given.
     """
 
+    # mean of each parameter; for effects the apparent size in reference swims, shape (F,)
     mean: Array
-    covariance: Array
-    imitation: Array
+    covariance: Array  # covariance for a swim in which nothing is missing, shape (F, F)
+    imitation: Array  # standard deviation between swims of one robot, shape (F,)
+    # relative error of the twin by signal and frequency band, shape (4, 3); of this robot where
+    # reference swims are given
     shares: Array
 
 
@@ -71,55 +60,33 @@ class Slope:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fit of a hypothesis.
+    """Fit of a hypothesis."""
 
-    Attributes:
-        x: The point, shape (F,): 0 for effects that are not in the hypothesis.
-        rows: Weighted errors there, shape (n,).
-        loss: Negative logarithm of likelihood times prior.
-        near: Linear model that the fit used.
-        local: Whether the linear model was computed at this point.
-    """
-
-    x: Array
-    rows: Array
-    loss: float
-    near: Slope
-    local: bool = False
+    x: Array  # the point, shape (F,): 0 for effects that are not in the hypothesis
+    rows: Array  # weighted errors there, shape (n,)
+    loss: float  # negative logarithm of likelihood times prior
+    near: Slope  # linear model that the fit used
+    local: bool = False  # whether the linear model was computed at this point
 
 
 @dataclass
 class SwimProblem:
-    """Swims of one robot as a problem of fits and of the search.
+    """Swims of one robot as a problem of fits and of the search."""
 
-    Attributes:
-        coordinates: Coordinates of the robot.
-        swims: Its recordings.
-        simulate: The simulator.
-        prior: Prior of the parameters.
-        doubted: Change that effects make in each swim by the twin, (T, 3 + J), which has an error
-            in proportion to its size.
-        cost: Log-evidence that is subtracted for each effect.
-        blocks, weights: Transformed swims, and reciprocal standard deviations of their errors.
-        is_error: Whether each column is a shape of the twin's error, shape (F,).
-        first_fit: First linearised fit without effects.
-        kept: Rows that a fit uses, shape (n,); all where None.
-        rollouts: Number of swims that were simulated.
-    """
-
-    coordinates: Coordinates
-    swims: Sequence[Swim]
-    simulate: SwimSimulator
-    prior: SwimPrior
-    doubted: Sequence[Array] = ()
-    cost: float = 0.0
+    coordinates: Coordinates  # coordinates of the robot
+    swims: Sequence[Swim]  # its recordings
+    simulate: SwimSimulator  # the simulator
+    prior: SwimPrior  # prior of the parameters
+    cost: float = 0.0  # log-evidence that is subtracted for each effect
+    # blocks, weights: transformed swims, and reciprocal standard deviations of their errors
     blocks: list[Blocks] = field(init=False)
     weights: list[Array] = field(init=False)
+    # whether each column is a shape of the twin's error, shape (F,)
     is_error: Mask = field(init=False)
-    first_fit: Fit | None = None
-    kept: Mask | None = None
-    rollouts: int = 0
-    _doubts: Array | None = field(default=None, init=False, repr=False)
+    # first linearised fit without effects, another start of single effects: a law adapted to swims
+    # that have an effect is a bad one
+    first_fits: list[Fit] = field(default_factory=list, init=False)
+    kept: Mask | None = None  # rows that a fit uses, shape (n,); all where None
     _precisions: dict[Members, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -128,34 +95,11 @@ class SwimProblem:
         seems[self.coordinates.base] = 0.0
         self.coordinates = replace(self.coordinates, seems=seems)
         self.blocks = [Blocks.of(swim) for swim in self.swims]
-        more: list[Array | float] = [0.0] * len(self.blocks)
-        for k, change in enumerate(self.doubted):
-            more[k] = _IN_DOUBT**2 * self.blocks[k].about(change)
-        shares, pairs = self.prior.shares, zip(self.blocks, more, strict=True)
-        self.weights = [blocks.weights(shares, extra) for blocks, extra in pairs]
-        if self.doubted:
-            self._doubt()
+        self.weights = [blocks.weights(self.prior.shares) for blocks in self.blocks]
         self.is_error = np.array([c.name.startswith(ERROR) for c in self.coordinates.columns])
-
-    def _doubt(self) -> None:
-        """Add parameters, with a prior, for the error of the twin in the changes by effects."""
-        sizes = signal_error.of_changes(len(self.coordinates.model.joints))
-        self.coordinates = self.coordinates.doubting()
-        sd, prior = np.array(list(sizes.values())), self.prior
-        self.prior = SwimPrior(
-            np.append(prior.mean, 0 * sd), block_diag(prior.covariance, np.diag(sd**2)),
-            np.append(prior.imitation, sd), prior.shares,
-        )  # fmt: skip
-        parts = []
-        for blocks, weight, change in zip(self.blocks, self.weights, self.doubted, strict=True):
-            shapes = signal_error.shapes(change)
-            signals = np.array([shapes[f"{ERROR}.{name}"] for name in sizes])
-            parts.append(blocks.weighted(signals, weight))
-        self._doubts = np.concatenate(parts)
 
     def rows(self, points: Array) -> Array:
         """Weighted errors at points (E, F), shape (E, n); of all rows, also those not fitted."""
-        self.rollouts += len(points) * len(self.swims)
         parts = []
         for swim, blocks, weight in zip(self.swims, self.blocks, self.weights, strict=True):
             error = blocks.errors(signals_at(self.coordinates, swim, points, self.simulate))
@@ -185,16 +129,12 @@ class SwimProblem:
         With a slope from nearby, only columns that a fit with these members varies are recomputed.
         """
         points, base = self.coordinates.about(x)
-        moved = np.array([not c.name.startswith(DOUBT) for c in self.coordinates.columns])
-        if nearby is not None:
-            moved &= self.coordinates.in_fit(members)
+        moved = np.ones(x.size, dtype=bool) if nearby is None else self.coordinates.in_fit(members)
         fresh = np.flatnonzero(moved)
         rows = self.rows(self.coordinates.clipped(points[np.concatenate([[0], fresh + 1])]))
         base_rows = np.searchsorted(fresh + 1, base[fresh]) + (base[fresh] > 0)
         slope = np.empty((rows.shape[1], x.size)) if nearby is None else nearby.slope.copy()
         slope[:, fresh] = ((rows[1:] - rows[base_rows]) / self.coordinates.steps(x)[fresh, None]).T
-        if self._doubts is not None:
-            slope[:, -self._doubts.shape[1] :] = self._doubts
         return rows[0], Slope(slope, slope.T @ slope)
 
     def at(self, x: Array, members: Members = frozenset(), nearby: Slope | None = None) -> Fit:
@@ -313,9 +253,9 @@ class SwimProblem:
         """The hypothesis that nothing is missing, fitted from a point (F,) or the prior's mean."""
         nothing: Members = frozenset()
         x = self.centre(nothing) if x is None else x
-        for number in range(rounds):
+        for _ in range(rounds):
             linearised = self.at(x)
-            self.first_fit = linearised if number == 0 else self.first_fit
+            self.first_fits = self.first_fits or [linearised]
             (fit,) = self.fitted([(nothing, self._shifted(nothing, linearised))])
             x = fit.x
         final = self.at(x)
@@ -343,12 +283,10 @@ class SwimProblem:
             np.repeat(blocks.block < round((1 - share) * len(blocks.edges)), weight.shape[1])
             for blocks, weight in zip(self.blocks, self.weights, strict=True)
         ]
-        self.kept = np.concatenate(first)
-        try:
-            (fitted,) = self.fitted([(members, fit)])
-        finally:
-            kept, self.kept = self.kept, None
-        return fitted, ~kept
+        part = copy(self)
+        part.kept = np.concatenate(first)
+        (fitted,) = part.fitted([(members, fit)])
+        return fitted, ~part.kept
 
     def fitted(self, initial: Sequence[tuple[Members, Fit]]) -> list[Fit]:
         """Continue fits by their linear models, with one batch of simulations per step."""

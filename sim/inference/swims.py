@@ -15,7 +15,8 @@ from tqdm import tqdm
 from sim.inference.pose_noise import PoseNoise, pose_noise
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.twin.kernel import start_twin
-from sim.twin.twin import Coefficients, Twin
+from sim.twin.law import Coefficients
+from sim.twin.twin import Twin
 from sim2real.arrays import Array
 from sim2real.body import listed, observed, values
 from sim2real.errors import InputError
@@ -46,30 +47,20 @@ Simulator = Callable[[Sequence[Model], Array, Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Swim:
-    """One pool recording on the grid of control periods.
+    """One pool recording on the grid of control periods."""
 
-    Attributes:
-        name: Name of the recording.
-        t: Times in s, shape (T,), every 20 ms.
-        command: Set-points in force when each period begins, shape (T, J).
-        start: First pose: x, y, heading.
-        signals: Surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing.
-        noise: Standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where
-            it is not known.
-        pose: Measured poses, shape (T, 3); None if they are not known.
-        repeated: Share of the poses that are identical to those of the sample before.
-        pose_noise: Noise of the poses; None where it is not known.
-    """
-
-    name: str
-    t: Array
-    command: Array
-    start: Array
+    name: str  # name of the recording
+    t: Array  # times in s, shape (T,), every 20 ms
+    command: Array  # set-points in force when each period begins, shape (T, J)
+    start: Array  # first pose: x, y, heading
+    # surge, sway, yaw rate and the joints' angles, shape (T, 3 + J); NaN where missing
     signals: Array
+    # standard deviation of the recording's noise in each signal, shape (3 + J,); 0 where it is not
+    # known
     noise: Array | float = 0.0
-    pose: Array | None = None
-    repeated: float = 0.0
-    pose_noise: PoseNoise | None = None
+    pose: Array | None = None  # measured poses, shape (T, 3); None if they are not known
+    repeated: float = 0.0  # share of the poses that are identical to those of the sample before
+    pose_noise: PoseNoise | None = None  # noise of the poses; None where it is not known
 
     @property
     def heading(self) -> Array:
@@ -165,12 +156,8 @@ def _check(recording: Recording, robot: Robot) -> None:
 
 
 def _noise_sd(signals: Array) -> Array:
-    """Standard deviation of the noise of smooth signals (T, K), shape (K,).
-
-    From third differences, to which the motion of a robot contributes little: those of white noise
-    have 20 times its variance. The median of the absolute value is 0.6745 standard deviations.
-    """
-    third = np.abs(np.diff(signals, 3, axis=0))
+    """Standard deviation of the noise of smooth signals (T, K), from third differences, (K,)."""
+    third = np.abs(np.diff(signals, 3, axis=0))  # of white noise: 20 times its variance
     return np.asarray(np.nan_to_num(np.nanmedian(third, axis=0) / 0.6745 / np.sqrt(20)))
 
 
@@ -271,7 +258,7 @@ def _carry(twin: Twin, pose: Array) -> None:
     turn = pose[2] - q[:, 2]
     c, s = np.cos(turn), np.sin(turn)
     v[:, 0], v[:, 1] = c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]
-    q[:, :2] = pose[:2] - twin.outside.current * clock[:, None]
+    q[:, :2] = pose[:2] - twin.current * clock[:, None]
     q[:, 2] = pose[2]
     twin.motion.q.assign(q)
     twin.motion.v.assign(v)
@@ -332,25 +319,3 @@ def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
         body["twin"] = law
     body["effects"] = listed(effects)
     return replace(model, joints=joints, body=body)
-
-
-def values_of(model: Model, names: Sequence[str]) -> Array:
-    """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect.
-
-    Raises:
-        KeyError: If the model has no value of a parameter of the twin or the water.
-    """
-    effects = values(model)
-    out = []
-    for name in names:
-        head, _, tail = name.partition(".")
-        if head in model.joints:
-            out.append(float(getattr(model.joints[head], tail)))
-        elif head in ("twin", "water"):
-            out.append(float(model.body[head][tail]))
-        else:
-            out.append(effects.get(name, 0.0))
-    return np.array(out)
-
-
-__all__ = ["Coefficients", "PoseNoise", "Simulator", "Swim", "SwimSimulator"]

@@ -1,9 +1,7 @@
 """Unnamed shapes of residuals, as alternatives to the effects of the catalogue.
 
-Each family adds a few columns with a prior to those of a fit, and so has an evidence: a flow that
-changes in the world frame (waves, a gust), poses that follow a joint (a marker that is not on the
-head), a heading that drifts (a camera mount), a robot whose parameters change during a swim (a
-leak, a loose part). They are not findings, but effects of the catalogue must fit better than they.
+Each family adds a few columns with a prior to those of a fit, and so has an evidence. They are not
+findings, but effects of the catalogue must fit better than they.
 """
 
 from __future__ import annotations
@@ -57,10 +55,7 @@ def gains(problem: SwimProblem, members: Members, fit: Fit) -> dict[str, float]:
 
 
 def _shapes(problem: SwimProblem, fit: Fit) -> Iterator[tuple[str, Array]]:
-    """Columns of each shape, in prior standard deviations, weighted, shape (n, m).
-
-    Each swim has its own sizes, but for poses that follow a joint.
-    """
+    """Columns of each shape, in prior standard deviations, weighted, (n, m); sizes of each swim."""
 
     def weighted(shape: Callable[[Swim], Array]) -> list[Array]:
         parts = zip(problem.swims, problem.blocks, problem.weights, strict=True)

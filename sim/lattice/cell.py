@@ -11,57 +11,63 @@ cells wrap."""
 
 @wp.struct
 class Box:
-    """The shape of the boxes: cells along each axis, cells of one box, and of all."""
+    """The boxes: cells along each axis, cells of one box, and of all."""
 
     nx: int
     ny: int
     nz: int
     cells: int
     total: int
+    t: int  # parity of the next step
+    flags: wp.array(dtype=wp.uint8)  # kind and bits of each cell, (total,)
+    stopped: wp.array(dtype=wp.int32)  # cell of supersonic flow that stopped a box, or -1, (E,)
 
 
 @wp.struct
 class Covered:
-    """The cells that bodies cover, in a square around each body, layer by layer.
+    """Bodies of L links, in cells, and the cells that they cover, layer by layer in a square."""
 
-    Attributes:
-        side: Cells along a side of the squares.
-        low, tall: Lowest layer, and number of layers.
-        layers: Layers of a column that one thread takes, where threads share columns.
-        lanes: Threads that share the listed cells of a body.
-        corner: First cell of each body's square in the plane, and its extent, (E,).
-        share: Number of the link of a cell plus the cell's solid share, (E side side tall,).
-        face: Normal of the surface there, 0 where the water does not slip, and the share of the
-            velocity along it (without slip, of all) that the body takes away in a step, (E side
-            side tall,); of ghost cells the density of the water outside in place of that share.
-        leak: Density that the links of a ghost cell lack so that no mass passes, (E side side
-            tall,).
-        water: Of ghost cells, the velocity along the surface of the water outside, and the
-            velocity across it that the body had before, (E side side tall,).
-        beyond: Density and velocity likewise at the other side of a thin part.
-        back: Normal of that side; of cells next to a body the surface's area over that of the
-            layer of cells around it, last.
-        links: Bits of the directions in which a ghost cell has water, at either side.
-        count: Number of each body's ghost cells, and of the cells next to it, (2 E,).
-        listed: These cells, counted in the body's square, (2 E, side side tall).
-        damping: What the cells next to a body that ghost cells fill have more of relaxation time.
-    """
-
-    side: int
-    low: int
-    tall: int
-    layers: int
-    lanes: int
+    middle: float  # height of the bodies' middle
+    length: wp.array(dtype=wp.float32)  # of the links, (L,)
+    half_width: wp.array(dtype=wp.vec3)  # of each link at its front, middle and back, (L,)
+    half_height: wp.array(dtype=wp.vec3)
+    pose: wp.array2d(
+        dtype=wp.vec4
+    )  # front end of each link, cosine and sine of its heading, (E, L)
+    centre: wp.array2d(dtype=wp.vec2)  # its centre of mass, (E, L)
+    twist: wp.array2d(dtype=wp.vec4)  # its velocity along x and y and of its heading, (E, L)
+    sums: wp.array3d(dtype=wp.int64)  # the fluid's sums over it (``coupling``), (E, L, SUMS)
+    kept: wp.array(dtype=wp.float32)  # ``leak`` of all links, a mean over steps, (E,)
+    side: int  # cells along a side of the squares
+    low: int  # lowest layer
+    tall: int  # number of layers
+    layers: int  # layers of a column that one thread takes, where threads share columns
+    lanes: int  # threads that share the listed cells of a body
+    # first cell of each body's square in the plane, and its extent, (E,)
     corner: wp.array(dtype=wp.vec4i)
+    # number of the link of a cell plus the cell's solid share, (E side side tall,)
     share: wp.array(dtype=wp.float32)
+    # normal of the surface there, 0 where the water does not slip, and the share of the velocity
+    # along it (without slip, of all) that the body takes away in a step, (E side side tall,); of
+    # ghost cells the density of the water outside in place of that share
     face: wp.array(dtype=wp.vec4)
+    # density that the links of a ghost cell lack so that no mass passes, (E side side tall,)
     leak: wp.array(dtype=wp.float32)
+    # of ghost cells, the velocity along the surface of the water outside, and the velocity across
+    # it that the body had before, (E side side tall,)
     water: wp.array(dtype=wp.vec4)
+    # normal of that side; of cells next to a body the surface's area over that of the layer of
+    # cells around it, last
     back: wp.array(dtype=wp.vec4)
+    # density and velocity likewise at the other side of a thin part
     beyond: wp.array(dtype=wp.vec4)
+    # bits of the directions in which a ghost cell has water, at either side
     links: wp.array(dtype=wp.vec2i)
+    # number of each body's ghost cells, and of the cells next to it, (2 E,)
     count: wp.array(dtype=wp.int32)
+    # these cells, counted in the body's square, (2 E, side side tall)
     listed: wp.array2d(dtype=wp.int32)
+    # what the cells next to a body that ghost cells fill have more of relaxation time
     damping: float
 
 

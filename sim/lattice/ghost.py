@@ -33,22 +33,15 @@ ideal fluid; with more it exchanges momentum with the water along its surface in
 @cache
 def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of Warp functions
     """The functions for a lattice, by name."""
-    c, w, Q = lattice.velocities, lattice.weights, lattice.Q
+    w, Q, back = lattice.weights, lattice.Q, [lattice.opposite(c) for c in lattice.velocities]
+    ways = [wp.vec3(*map(float, c)) for c in lattice.velocities]
     pop = populations(lattice, wide)
     Stored, Vector, load = pop.Stored, pop.Vector, pop.load
     neighbours, moments = pop.neighbours, pop.moments
 
     @wp.func
     def water_at(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        e: int,
-        x: float,
-        y: float,
-        z: float,
-        otherwise: wp.vec4,
+        f: Stored, box: Box, e: int, x: float, y: float, z: float, otherwise: wp.vec4
     ) -> wp.vec4:
         """Linear in the cells around the point; ``otherwise`` where none of them is water."""
         x0 = int(wp.floor(x))
@@ -67,9 +60,9 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
                 share *= 1.0 - wp.abs(z - float(z0 + m))
             n = e * box.cells + within(x0 + i, box.nx) + box.nx * within(y0 + k, box.ny)
             n += box.nx * box.ny * within(z0 + m, box.nz)
-            flag = int(flags[n])
+            flag = int(box.flags[n])
             if share > 0.0 and (flag & wp.static(KIND | GHOST)) == wp.static(FLUID):
-                u = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                u = moments(load(f, n, neighbours(n, flag, box), box))
                 inverse = 1.0 / (1.0 + u[0])
                 total += share * wp.vec4(u[0], inverse * u[1], inverse * u[2], inverse * u[3])
                 weight += share
@@ -102,15 +95,13 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
         passed = 0.0
         weight = 0.0
         for k in range(wp.static(Q)):
-            q = wp.vec3(
-                wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
-            )
+            q = wp.static(ways[k])
             odd = 3.0 * wp.dot(q, u)
             cu = wp.dot(q, before)
             even = 4.5 * cu * cu - still
             out[k] = wp.static(w[k]) * rho * (odd + even)
             if (links & wp.static(1 << k)) != 0:
-                passed += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
+                passed += p[wp.static(back[k])]
                 passed += wp.static(w[k]) * rho * (odd - even)
                 weight += wp.static(w[k])
         for k in range(wp.static(Q)):
@@ -139,11 +130,9 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
         moment = wp.vec3()
         for k in range(wp.static(Q)):
             if (links & wp.static(1 << k)) != 0:
-                q = wp.vec3(
-                    wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
-                )
+                q = wp.static(ways[k])
                 cu = wp.dot(q, before)
-                a = p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
+                a = p[wp.static(back[k])]
                 a += wp.static(w[k]) * rho * (3.0 * cu - 4.5 * cu * cu + still)
                 weight += wp.static(w[k])
                 mean += wp.static(w[k]) * q
@@ -169,9 +158,7 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
         out = wp.vec2()
         for k in range(wp.static(Q)):
             if (links & wp.static(1 << k)) != 0:
-                q = wp.vec3(
-                    wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
-                )
+                q = wp.static(ways[k])
                 out += wp.static(w[k]) * wp.vec2(6.0 * face[3] * wp.dot(q, u), 1.0)
         return out
 
@@ -191,12 +178,10 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
         least = float(0.0)
         for k in range(wp.static(Q)):
             if (links & wp.static(1 << k)) != 0:
-                q = wp.vec3(
-                    wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
-                )
+                q = wp.static(ways[k])
                 cu = wp.dot(q, u)
                 even = 4.5 * cu * cu - still
-                arrived += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)]
+                arrived += p[wp.static(back[k])]
                 displaced += wp.static(w[k]) * (3.0 * cu - even)
                 weight += wp.static(w[k])
                 least = wp.min(least, 3.0 * cu + even)
@@ -226,15 +211,13 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
         passed = float(0.0)
         rate = float(0.0)
         for k in range(wp.static(Q)):
-            q = wp.vec3(
-                wp.static(float(c[k][0])), wp.static(float(c[k][1])), wp.static(float(c[k][2]))
-            )
+            q = wp.static(ways[k])
             cu = wp.dot(q, u)
             odd = wp.static(3.0 * w[k]) * rho * cu
             even = wp.static(w[k]) * rho * (4.5 * cu * cu - still)
             slope = wp.static(3.0 * w[k]) * rho * wp.dot(q, n)
             if (links & wp.static(1 << k)) != 0:
-                passed += p[wp.static(0 if k == 0 else k + 1 if k % 2 else k - 1)] + odd - even
+                passed += p[wp.static(back[k])] + odd - even
                 rate += slope
                 weight += wp.static(w[k])
                 mean += wp.static(w[k]) * wp.vec2(q[0], q[1])

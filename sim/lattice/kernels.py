@@ -48,17 +48,11 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         return wp.vec3i(slot_at(e, cell, covered), corner[0] + dx, corner[1] + dy)
 
     @wp.func
-    def body_velocity(
-        at: wp.vec3i,
-        e: int,
-        covered: Covered,
-        twist: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-    ) -> wp.vec3:
+    def body_velocity(at: wp.vec3i, e: int, covered: Covered) -> wp.vec3:
         """Velocity of the body in a cell that it covers."""
         link = int(covered.share[at[0]])
-        r = wp.vec2(float(at[1]), float(at[2])) - centre[e, link]
-        return rigid_velocity(twist[e, link], r)
+        r = wp.vec2(float(at[1]), float(at[2])) - covered.centre[e, link]
+        return rigid_velocity(covered.twist[e, link], r)
 
     @wp.func
     def body_push(slot: int, lack: wp.vec3, covered: Covered) -> wp.vec3:
@@ -75,10 +69,8 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
     )
     def step(
         f: Stored,
-        flags: wp.array(dtype=wp.uint8),
         box: Box,
         first: int,
-        t: int,
         tau: wp.array(dtype=wp.float32),
         rates: wp.array(dtype=wp.vec2),
         magic: float,
@@ -86,9 +78,6 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         driven: int,
         drive: wp.array(dtype=wp.vec3),
         covered: Covered,
-        twist: wp.array2d(dtype=wp.vec4),
-        centre: wp.array2d(dtype=wp.vec2),
-        stopped: wp.array(dtype=wp.int32),
     ):
         """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant.
 
@@ -96,15 +85,15 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         more registers in every cell.
         """
         n = first + wp.tid()
-        flag = int(flags[n])
+        flag = int(box.flags[n])
         if (flag & wp.static(KIND | GHOST)) != wp.static(FLUID):
             return
         e = int(0)
         if box.cells < box.total:
             e = n // box.cells
-        halted = stopped[e]
+        halted = box.stopped[e]
         j = neighbours(n, flag, box)
-        p = load(f, n, j, t, box.total)
+        p = load(f, n, j, box)
         m4 = moments(p)
         rest = m4[0]
         m = wp.vec3(m4[1], m4[2], m4[3])
@@ -123,39 +112,32 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
             push = drive[e]
             if (flag & wp.static(BODY)) != 0:
                 at = slot_of(n, e, box, covered)
-                lack = body_velocity(at, e, covered, twist, centre) - inv * m
+                lack = body_velocity(at, e, covered) - inv * m
                 push += body_push(at[0], lack, covered)
             out = pushed(out, 1.0 + rest, inv * m, push)
         if halted < 0:
             if not (speed2 < wp.static(SUPERSONIC)):
-                stopped[e] = n - e * box.cells
-            store(f, n, j, t, box.total, out)
+                box.stopped[e] = n - e * box.cells
+            store(f, n, j, box, out)
 
     @wp.kernel(enable_backward=False, module="unique")
     def fields(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        density: wp.array(dtype=wp.float32),
-        velocity: wp.array(dtype=wp.vec3),
+        f: Stored, box: Box, density: wp.array(dtype=wp.float32), velocity: wp.array(dtype=wp.vec3)
     ):
         """Density minus 1 and velocity of every fluid cell; 0 in walls."""
         n = wp.tid()
-        flag = int(flags[n])
+        flag = int(box.flags[n])
         density[n] = 0.0
         velocity[n] = wp.vec3()
         if (flag & wp.static(KIND)) == wp.static(FLUID):
-            m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+            m = moments(load(f, n, neighbours(n, flag, box), box))
             density[n] = m[0]
             velocity[n] = wp.vec3(m[1], m[2], m[3]) / (1.0 + m[0])
 
     @wp.kernel(enable_backward=False, module="unique")
     def initialise(
         f: Stored,
-        flags: wp.array(dtype=wp.uint8),
         box: Box,
-        t: int,
         tau: wp.array(dtype=wp.float32),
         density: wp.array(dtype=wp.float32),
         velocity: wp.array(dtype=wp.vec3),
@@ -167,7 +149,7 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         al. (2017), eq. 5.41.
         """
         n = wp.tid()
-        flag = int(flags[n])
+        flag = int(box.flags[n])
         u = velocity[n]
         rho = 1.0 + density[n]
         p = Vector()
@@ -188,7 +170,7 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
             # A population that arrives is stored in the slot from which its opposite leaves.
             p[2 * k + 1] = even - odd
             p[2 * k + 2] = even + odd
-        store(f, n, neighbours(n, flag, box), t, box.total, p)
+        store(f, n, neighbours(n, flag, box), box, p)
 
     @wp.kernel(enable_backward=False, module="unique", grid_stride=False)
     def damp(
@@ -223,36 +205,24 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
             write(f, d, n, box.total, keep * p[d])
 
     @wp.kernel(enable_backward=False, module="unique")
-    def weigh(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        excess: wp.array(dtype=wp.int64),
-    ):
+    def weigh(f: Stored, box: Box, excess: wp.array(dtype=wp.int64)):
         """Add one column of cells."""
         e, column = wp.tid()
         mass = wp.float64(0.0)
         for z in range(box.nz):
             n = e * box.cells + column + box.nx * box.ny * z
-            flag = int(flags[n])
+            flag = int(box.flags[n])
             if (flag & wp.static(KIND)) == wp.static(FLUID):
-                m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+                m = moments(load(f, n, neighbours(n, flag, box), box))
                 mass += wp.float64(m[0])
         wp.atomic_add(excess, e, wp.int64(mass * wp.float64(wp.static(FIXED_POINT))))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def level(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        cells: int,
-        excess: wp.array(dtype=wp.int64),
-    ):
+    def level(f: Stored, box: Box, cells: int, excess: wp.array(dtype=wp.int64)):
         """Take each fluid cell's share from its population at rest, which has no momentum."""
         e, n = wp.tid()
         cell = e * box.cells + n
-        if (int(flags[cell]) & wp.static(KIND)) == wp.static(FLUID):
+        if (int(box.flags[cell]) & wp.static(KIND)) == wp.static(FLUID):
             mass = wp.float64(excess[e]) / wp.float64(wp.static(FIXED_POINT))
             share = float(mass / wp.float64(cells))
             write(f, 0, cell, box.total, read(f, 0, cell, box.total) - share)

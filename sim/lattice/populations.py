@@ -1,16 +1,10 @@
 """Populations: their layout in memory, their streaming, and their moments.
 
-They are stored once and in place (the esoteric pull): in each step a cell reads from and writes to
-a set of slots that no other cell uses, so cells may be processed in any order. Slots of solid cells
-are not processed and return the populations that arrive: bounce-back. Source: Lehmann, Computation
-10 (2022) 92. The stored numbers are f - w, whose rounding error is relative to the deviation from
-rest: Skordos, Phys. Rev. E 48 (1993) 4823.
-
-Memory is an array of one dimension below 2^31 slots, the limit of 32-bit indices. Above it is wide:
-an array of two dimensions, (Q, cells), whose offsets Warp computes in 64 bits.
-
-Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t parity of the step;
-c velocity of a direction.
+They are stored once and in place (the esoteric pull: Lehmann, Computation 10 (2022) 92): in each
+step a cell uses slots that no other cell uses. Slots of solid cells return the populations that
+arrive: bounce-back. The stored numbers are f - w (Skordos, Phys. Rev. E 48 (1993) 4823). From 2^31
+slots on memory is wide: (Q, cells), whose offsets Warp computes in 64 bits. Symbols: n cell,
+counted through all boxes; row one of the Q slots of a cell; t parity of the step; c velocity.
 """
 
 from functools import cache
@@ -110,20 +104,20 @@ def populations(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namesp
         return j
 
     @wp.func
-    def load(f: Stored, n: int, j: Cells, t: int, total: int) -> Vector:
+    def load(f: Stored, n: int, j: Cells, box: Box) -> Vector:
         p = Vector()
-        p[0] = read(f, 0, n, total)
+        p[0] = read(f, 0, n, box.total)
         for k in range(wp.static(pairs)):
-            p[2 * k + 1] = read(f, wp.static(2 * k + 2) - t, n, total)
-            p[2 * k + 2] = read(f, wp.static(2 * k + 1) + t, j[k], total)
+            p[2 * k + 1] = read(f, wp.static(2 * k + 2) - box.t, n, box.total)
+            p[2 * k + 2] = read(f, wp.static(2 * k + 1) + box.t, j[k], box.total)
         return p
 
     @wp.func
-    def store(f: Stored, n: int, j: Cells, t: int, total: int, p: Vector) -> int:
-        write(f, 0, n, total, p[0])
+    def store(f: Stored, n: int, j: Cells, box: Box, p: Vector) -> int:
+        write(f, 0, n, box.total, p[0])
         for k in range(wp.static(pairs)):
-            write(f, wp.static(2 * k + 1) + t, j[k], total, p[2 * k + 1])
-            write(f, wp.static(2 * k + 2) - t, n, total, p[2 * k + 2])
+            write(f, wp.static(2 * k + 1) + box.t, j[k], box.total, p[2 * k + 1])
+            write(f, wp.static(2 * k + 2) - box.t, n, box.total, p[2 * k + 2])
         return 0
 
     @wp.func

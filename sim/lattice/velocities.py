@@ -9,22 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 
+Velocity = tuple[int, int, int]
+
 
 @dataclass(frozen=True)
 class Lattice:
-    """A velocity set whose directions 2k+1 and 2k+2 are opposite; direction 0 rests.
+    """A velocity set whose directions 2k+1 and 2k+2 are opposite; direction 0 rests."""
 
-    Attributes:
-        name: Name in the literature.
-        dimensions: 2 or 3.
-        velocities: Q triples of -1, 0, 1.
-        weights: Q weights that sum to 1.
-    """
-
-    name: str
-    dimensions: int
-    velocities: tuple[tuple[int, int, int], ...]
-    weights: tuple[float, ...]
+    name: str  # name in the literature
+    dimensions: int  # 2 or 3
+    velocities: tuple[Velocity, ...]  # Q triples of -1, 0, 1
+    weights: tuple[float, ...]  # Q weights that sum to 1
 
     @property
     def Q(self) -> int:  # noqa: D102 - the letter of the field
@@ -35,11 +30,11 @@ class Lattice:
         """Number of pairs of opposite directions."""
         return self.Q // 2
 
-    def index(self, velocity: tuple[int, int, int]) -> int:
+    def index(self, velocity: Velocity) -> int:
         """Number of the direction with this velocity."""
         return self.velocities.index(velocity)
 
-    def opposite(self, velocity: tuple[int, int, int]) -> int:
+    def opposite(self, velocity: Velocity) -> int:
         """Number of the direction against this velocity."""
         x, y, z = velocity
         return self.index((-x, -y, -z))
@@ -69,19 +64,12 @@ WATER_M2_S = 1.0e-6
 
 @dataclass(frozen=True)
 class Units:
-    """Sizes of one cell and one step.
+    """Sizes of one cell and one step."""
 
-    Attributes:
-        cell_m: Side of a cell.
-        step_s: Duration of a step.
-        depth_m: Depth that a cell represents in two dimensions; its side in three.
-        density_kg_m3: Density of the fluid.
-    """
-
-    cell_m: float
-    step_s: float
-    depth_m: float
-    density_kg_m3: float = WATER_KG_M3
+    cell_m: float  # side of a cell
+    step_s: float  # duration of a step
+    depth_m: float  # depth that a cell represents in two dimensions; its side in three
+    density_kg_m3: float = WATER_KG_M3  # density of the fluid
 
     @property
     def speed_m_s(self) -> float:

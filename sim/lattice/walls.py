@@ -1,57 +1,36 @@
 """Boundary conditions at walls, applied to populations before they return.
 
-A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285). At a wall at rest, which
-needs no kernel, populations return after two steps. A free-slip wall reflects them specularly
-within one (Kruger et al. (2017), Sec. 5.3.7), like the mirror image of the water: after two, the
+A moving wall adds its momentum (Ladd, J. Fluid Mech. 271 (1994) 285). A free-slip wall reflects
+populations within one step (Kruger et al. (2017), Sec. 5.3.7): after two, as at walls at rest, the
 flow around ghost cells of a body that pierces the surface is unstable.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from sim.lattice.cell import FLUID, KIND, SLIP, Box
 from sim.lattice.populations import populations
-from sim.lattice.velocities import Lattice
-
-Velocity = tuple[int, int, int]
+from sim.lattice.velocities import Lattice, Velocity
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """One reflection at a free-slip wall, between two of its cells or, with 0 across, at one.
+def mirrors(lattice: Lattice) -> list[tuple[int, Velocity, Velocity, Velocity]]:
+    """All reflections at free-slip walls, each between two cells of a wall or, with 0 last, at one.
 
-    Attributes:
-        normal: Direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z.
-        one, two: Velocities with which populations arrive at the wall.
-        across: From the cell at which ``two`` arrives to that of ``one``.
+    The direction out of the fluid, 0 to 5: +x, -x, +y, -y, +z, -z; two velocities with which
+    populations arrive; the way from the cell at which the second arrives to that of the first.
     """
-
-    normal: int
-    one: Velocity
-    two: Velocity
-    across: Velocity
-
-
-def mirrors(lattice: Lattice) -> tuple[Mirror, ...]:
-    """All reflections."""
-    exchanges = []
+    exchanges, unit = [], np.eye(3, dtype=int)
     axes = range(lattice.dimensions)
     for axis, sign, along in product(axes, (1, -1), axes):
-        first, second, across = [0, 0, 0], [0, 0, 0], [0, 0, 0]
-        first[axis] = second[axis] = sign
-        if along != axis:
-            first[along], second[along], across[along] = 1, -1, 1
-        normal = 2 * axis + int(sign < 0)
-        exchanges.append(Mirror(normal, _velocity(first), _velocity(second), _velocity(across)))
-    return tuple(exchanges)
-
-
-def _velocity(x: list[int]) -> Velocity:
-    return x[0], x[1], x[2]
+        aside = unit[along] * (along != axis)
+        ways = (sign * unit[axis] + aside, sign * unit[axis] - aside, aside)
+        one, two, across = (tuple(way.tolist()) for way in ways)
+        exchanges.append((2 * axis + int(sign < 0), one, two, across))
+    return exchanges
 
 
 @cache
@@ -73,9 +52,7 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
     @wp.kernel(enable_backward=False, module="unique")
     def mirror(
         f: Stored,
-        flags: wp.array(dtype=wp.uint8),
         box: Box,
-        t: int,
         listed: wp.array(dtype=wp.int32),
         normal: wp.array(dtype=wp.int32),
         inside: wp.array(dtype=wp.int32),
@@ -87,40 +64,35 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
         e, k = wp.tid()
         n = e * box.cells + listed[k]
         water = e * box.cells + inside[k]
-        j = neighbours(n, int(flags[n]), box)
+        j = neighbours(n, int(box.flags[n]), box)
         for m in range(wp.static(len(exchanges))):
-            if normal[k] == wp.static(exchanges[m].normal):
+            if normal[k] == wp.static(exchanges[m][0]):
                 other = n
-                if wp.static(any(exchanges[m].across)):
-                    other = j[wp.static(lattice.index(exchanges[m].across) // 2)]
-                if (int(flags[other]) & wp.static(KIND)) == wp.static(SLIP):
+                if wp.static(any(exchanges[m][3])):
+                    other = j[wp.static(lattice.index(exchanges[m][3]) // 2)]
+                if (int(box.flags[other]) & wp.static(KIND)) == wp.static(SLIP):
                     beside = other + water - n
-                    one = slot(wp.static(lattice.index(exchanges[m].one)), other, water, t)
-                    two = slot(wp.static(lattice.index(exchanges[m].two)), n, beside, t)
+                    one = slot(wp.static(lattice.index(exchanges[m][1])), other, water, box.t)
+                    two = slot(wp.static(lattice.index(exchanges[m][2])), n, beside, box.t)
                     first = read(f, one[0], one[1], box.total)
                     second = read(f, two[0], two[1], box.total)
-                    if (int(flags[beside]) & wp.static(KIND)) == wp.static(FLUID):
-                        to = slot(wp.static(lattice.opposite(exchanges[m].two)), beside, n, t)
+                    if (int(box.flags[beside]) & wp.static(KIND)) == wp.static(FLUID):
+                        to = slot(wp.static(lattice.opposite(exchanges[m][2])), beside, n, box.t)
                         write(f, to[0], to[1], box.total, first)
-                    if (int(flags[water]) & wp.static(KIND)) == wp.static(FLUID):
-                        to = slot(wp.static(lattice.opposite(exchanges[m].one)), water, other, t)
+                    if (int(box.flags[water]) & wp.static(KIND)) == wp.static(FLUID):
+                        to = slot(wp.static(lattice.opposite(exchanges[m][1])), water, other, box.t)
                         write(f, to[0], to[1], box.total, second)
 
     @wp.kernel(enable_backward=False, module="unique")
     def walls(
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        t: int,
-        listed: wp.array(dtype=wp.int32),
-        velocity: wp.array(dtype=wp.vec3),
+        f: Stored, box: Box, listed: wp.array(dtype=wp.int32), velocity: wp.array(dtype=wp.vec3)
     ):
         """Moving cell k of box e; ``listed`` are the cells, counted in one box."""
         e, k = wp.tid()
         n = e * box.cells + listed[k]
         u = velocity[k]
-        j = neighbours(n, int(flags[n]), box)
-        p = load(f, n, j, t, box.total)
+        j = neighbours(n, int(box.flags[n]), box)
+        p = load(f, n, j, box)
         out = Vector()
         out[0] = p[0]
         for d in range(wp.static(pairs)):
@@ -134,6 +106,6 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
             odd = wp.static(3.0 * w[2 * d + 1]) * cu
             out[2 * d + 1] = b + 2.0 * odd
             out[2 * d + 2] = a - 2.0 * odd
-        store(f, n, j, t, box.total, out)
+        store(f, n, j, box, out)
 
     return mirror, walls

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from sim.fluid.coupling import SUMS, cover_kernel
 from sim.fluid.fluid import BLOCK, Fluid
@@ -15,10 +14,10 @@ from sim.fluid.wall import DAMPING, MEMORY, NO_SLIP, Wall
 from sim.lattice.cell import Covered
 from sim.lattice.populations import FIXED_POINT
 from sim.lattice.velocities import Units
-from sim.robot.chain import OnGrid
+from sim.robot.chain import OnGrid, fill, still
 from sim.robot.effects import OFF, Outside, surface_drag
 from sim.robot.multibody import FREE, HELD, KINEMATIC, advance, move, start
-from sim.robot.rows import Masses, chain_rows, change_rows, make_chain, make_motion
+from sim.robot.rows import Masses, Rows, chain_rows, change_rows, make_chain
 from sim.robot.shape import Hull, displaced
 from sim2real.arrays import Array, Index, Mask
 from sim2real.servo.parameters import COLUMNS
@@ -99,88 +98,70 @@ class Bodies:
         """
         self.fluid, self.hull, self.units = fluid, hull, units
         E, L = fluid.boxes, hull.length.size
-        J, N, flat = L - 1, L + 2, fluid.lattice.dimensions == 2
-        device = fluid.device
-        least = 0.0 if wall.slip else THINNEST * units.cell_m
-        on_grid = Hull(
-            hull.length, np.maximum(hull.half_width, least), np.maximum(hull.half_height, least)
-        )
-        nz = fluid.size[2]
+        J, flat, cell = L - 1, fluid.lattice.dimensions == 2, units.cell_m
+        device, nz = fluid.device, fluid.size[2]
+        self.wall, self._virtual = wall, virtual_mass
+        least, set_in = (0.0, 0.0) if wall.slip else (THINNEST * cell, inset)
+        width, height = (np.maximum(x, least) for x in (hull.half_width, hull.half_height))
         self.middle = 0.0 if flat else ((nz - 1) / 2 if middle is None else middle)
-        surface = (nz - 0.5 - self.middle) * units.cell_m
-        if wall.slip:
-            water = displaced(hull, hull.body_length / _FINE, 0.0, flat, surface)
-        else:
-            water = displaced(on_grid, units.cell_m, inset * units.cell_m, flat, surface)
+        surface = (nz - 0.5 - self.middle) * cell
+        fine = hull.body_length / _FINE if wall.slip else cell
+        water = displaced(Hull(hull.length, width, height), fine, set_in * cell, flat, surface)
         water[:, [0, 2]] *= units.density_kg_m3 * (units.depth_m if flat else 1.0)
         self.displaced = water
-        self.wall, self._virtual = wall, virtual_mass
-
-        def room(shape: tuple[int, ...], kind: Any) -> Any:  # noqa: ANN401 - Warp has no stubs
-            return wp.zeros(shape, dtype=kind, device=device)
-
         rows = np.zeros((E, J, len(COLUMNS)))
         if servos is not None:
             rows[:] = servos
         ends = np.tile([-_NO_LIMIT, _NO_LIMIT], (J, 1)) if limits is None else limits
-        chain = make_chain(self._rows(masses, rows, outside), hull.length, ends, device)
-        chain.widest = wp.float64(hull.half_width.max())
-        self.chain, self.motion = chain, make_motion(E, L, device)
-        grid = self.grid = OnGrid()
-        grid.cell, grid.step = wp.float64(units.cell_m), wp.float64(units.step_s)
-        grid.mass = wp.float64(units.mass_kg)
-        grid.origin = wp.vec2d(*origin_m)
+        self.chain = make_chain(self._rows(masses, rows, outside), hull.length, ends, device)
+        self.chain.widest = wp.float64(hull.half_width.max())
+        self.motion = still(E, L, device)
+        grid = self.grid = fill(
+            OnGrid(), device, pose=(E, L), twist=(E, L), centre=(E, L), position=(E,),
+            sums=(E, L, SUMS), kept=(E,), corner=(E,),
+        )  # fmt: skip
+        grid.cell, grid.step = wp.float64(cell), wp.float64(units.step_s)
+        grid.mass, grid.origin = wp.float64(units.mass_kg), wp.vec2d(*origin_m)
         grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
-        grid.pose, grid.twist = (room((E, L), wp.vec4) for _ in range(2))
-        grid.centre, grid.position = room((E, L), wp.vec2), room((E,), wp.vec2)
-        grid.sums = room((E, L, SUMS), wp.int64)
-        grid.kept = room((E,), wp.float32)
         grid.memory = wp.float32(MEMORY)
-        fluid.twist, fluid.centre = grid.twist, grid.centre
-        self.target = room((E, N), wp.float64)
-        self.friction = room((E, J), wp.float64)
-        set_in = 0.0 if wall.slip else inset
-        half_width = on_grid.half_width / units.cell_m - set_in
-        half_height = on_grid.half_height / units.cell_m - set_in
-        if flat:
-            half_height = np.full_like(half_height, _NO_LIMIT)
-        kinds = wp.float32, wp.vec3, wp.vec3
-        lengths = hull.length / units.cell_m, half_width, half_height
-        self._shape: tuple[Any, ...] = tuple(
-            wp.array(values.astype(np.float32), dtype=kind, device=device)
-            for values, kind in zip(lengths, kinds, strict=True)
-        )
-        reach = int(np.ceil(hull.half_width.max() / units.cell_m)) + _MARGIN
-        self._side = int(np.ceil(hull.length.sum() / units.cell_m)) + 2 * reach + 2
-        tall = int(np.ceil(on_grid.half_height.max() / units.cell_m)) + 1
-        low = 0 if flat else max(0, int(self.middle) - tall)
-        high = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
-        covered = fluid.covered = Covered()
-        covered.side, covered.low, covered.tall = self._side, low, high - low
-        few = fluid.device.is_cuda and E * self._side**2 < _COLUMNS
-        covered.layers = 1 if few else covered.tall
-        square = self._side**2 * covered.tall
-        covered.lanes = max(1, square // _LISTED) if fluid.device.is_cuda else 1
-        cells = E * square
-        covered.corner = grid.corner = room((E,), wp.vec4i)
-        covered.share = room((cells,), wp.float32)
-        covered.face = room((cells,), wp.vec4)
-        ghosts = cells if wall.slip else 1
-        covered.leak = room((ghosts,), wp.float32)
-        covered.back, covered.water, covered.beyond = (room((ghosts,), wp.vec4) for _ in range(3))
-        covered.links = room((ghosts,), wp.vec2i)
-        covered.count = room((2 * E,), wp.int32)
-        covered.listed = room((2 * E, ghosts // E), wp.int32)
-        covered.damping = DAMPING if wall.slip else 0.0
+        self.target: Any = wp.zeros((E, L + 2), dtype=wp.float64, device=device)
+        self.friction: Any = wp.zeros((E, J), dtype=wp.float64, device=device)
+        high = np.full_like(height, _NO_LIMIT) if flat else height / cell - set_in
+        self._cover_cells(hull.length / cell, width / cell - set_in, high, height)
         self._touch = wall.touch(hull.body_length, units)
         made = ghost_kernels if wall.slip else cover_kernel
         self._cover = made(fluid.lattice, fluid.wide)
-        self.place(np.zeros((E, N)))
+        self.place(np.zeros((E, L + 2)))
 
-    def _rows(self, masses: Masses, servos: Array, outside: Outside) -> dict[str, NDArray[Any]]:
+    def _cover_cells(self, length: Array, width: Array, high: Array, height: Array) -> None:
+        """Tell the fluid of the robots' shape, in cells, and make room for what they cover."""
+        hull, cell, fluid, grid = self.hull, self.units.cell_m, self.fluid, self.grid
+        E, nz, cuda = fluid.boxes, fluid.size[2], fluid.device.is_cuda
+        flat = fluid.lattice.dimensions == 2
+        reach = int(np.ceil(hull.half_width.max() / cell)) + _MARGIN
+        side = int(np.ceil(hull.length.sum() / cell)) + 2 * reach + 2
+        tall = int(np.ceil(height.max() / cell)) + 1
+        low = 0 if flat else max(0, int(self.middle) - tall)
+        top = 1 if flat else min(nz, int(np.ceil(self.middle)) + tall + 1)
+        square = side**2 * (top - low)
+        ghosts = E * square if self.wall.slip else 1
+        covered = fluid.covered = fill(
+            Covered(), fluid.device, share=(E * square,), face=(E * square,), leak=(ghosts,),
+            back=(ghosts,), water=(ghosts,), beyond=(ghosts,), links=(ghosts,), count=(2 * E,),
+            listed=(2 * E, ghosts // E), length=length.astype(np.float32),
+            half_width=width.astype(np.float32), half_height=high.astype(np.float32),
+        )  # fmt: skip
+        for shared in ("corner", "pose", "centre", "twist", "sums", "kept"):
+            setattr(covered, shared, getattr(grid, shared))
+        covered.middle, covered.damping = self.middle, DAMPING if self.wall.slip else 0.0
+        covered.side, covered.low, covered.tall = side, low, top - low
+        covered.layers = 1 if cuda and E * side**2 < _COLUMNS else covered.tall
+        covered.lanes = max(1, square // _LISTED) if cuda else 1
+
+    def _rows(self, masses: Masses, servos: Array, outside: Outside) -> Rows:
         """The arrays of robots with these masses, servos and effects."""
         E, L = servos.shape[0], self.hull.length.size
-        rows = chain_rows(masses, servos, outside, E)
+        rows = chain_rows(masses, servos, outside)
         water = self.displaced
         mass, inertia = (np.broadcast_to(x, (E, L)) for x in (masses.mass, masses.inertia))
         inside = water[:, 2] + water[:, 0] * (rows["com"] - water[:, 1]) ** 2
@@ -221,33 +202,28 @@ class Bodies:
     def step(self, mode: int = FREE) -> None:
         """Advance robots and fluid by one step of the lattice."""
         fluid, robots = self.fluid, [self.chain, self.motion, self.grid, mode]
-        water = [fluid.f, fluid.flags, fluid.box, fluid.t, fluid.covered]
+        water = [fluid.f, fluid.box, fluid.covered]
         self._sum_over_covered(water)
         moved = [*robots, self.target, self.friction, fluid.stopped]
         self._launch(advance, fluid.boxes, moved)
         if self.wall.slip:
-            sent = [*water, self.grid.twist, self.grid.centre, fluid.stopped]
-            self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), sent)
+            self._launch(self._cover.emit, (fluid.boxes, fluid.covered.lanes), water)
         fluid.collide_and_stream()
         self._launch(move, fluid.boxes, [*robots, fluid.stopped])
 
     def _sum_over_covered(self, water: list[Any]) -> None:
         """The fluid's sums over each link (``coupling.SUMS``)."""
-        fluid, grid, covered = self.fluid, self.grid, self.fluid.covered
-        place, sums = [grid.pose, grid.twist, grid.centre], [grid.sums, fluid.stopped]
-        columns = self._side**2
+        boxes, covered = self.fluid.boxes, self.fluid.covered
+        columns = covered.side**2
         if not self.wall.slip:
-            inputs = [*water, self.middle, grid.pose, grid.centre, *self._shape, *sums]
-            self._launch(self._cover, (fluid.boxes, columns), inputs, BLOCK)
+            self._launch(self._cover, (boxes, columns), water, BLOCK)
             return
         covered.count.zero_()
-        inputs = [fluid.flags, fluid.box, covered, self.middle, grid.pose, *self._shape]
-        parts = (fluid.boxes, -(-covered.tall // covered.layers), columns)
-        self._launch(self._cover.mark, parts, [*inputs, self._touch, fluid.stopped], BLOCK)
-        listed = (fluid.boxes, covered.lanes)
-        rough = [self._touch, self.chain.rough]
-        self._launch(self._cover.shear, listed, [*water, *rough, *place[1:], *sums])
-        self._launch(self._cover.cover, listed, [*water, *place, grid.kept, *sums])
+        parts = (boxes, -(-covered.tall // covered.layers), columns)
+        self._launch(self._cover.mark, parts, [*water[1:], self._touch], BLOCK)
+        listed = (boxes, covered.lanes)
+        self._launch(self._cover.shear, listed, [*water, self._touch, self.chain.rough])
+        self._launch(self._cover.cover, listed, water)
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any], block: int = _BLOCK) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.fluid.device, block_dim=block)

@@ -1,7 +1,6 @@
 """The body's effects of models, and a robot's appendages, as arrays for ``sim.robot.outside``.
 
-Each appendage resists at two points along its longer side, at the quadrature points of Gauss, and
-its added mass is spread over its length and width, so that it has a moment of inertia too.
+Each appendage resists at two points along its longer side, at the quadrature points of Gauss.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import warp as wp
 from sim.lattice.cell import BODY, GHOST, Box
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
-from sim.robot.chain import RING, Chain, Motion
+from sim.robot.chain import RING, Chain, Motion, Reals, Reals2
 from sim2real.servo.effect_chain import (
     arrival_time,
     command_in_force,
@@ -48,38 +48,19 @@ def factorise(e: int, first: int, size: int, s: Motion) -> int:
 
 
 @wp.func
-def solve(e: int, size: int, s: Motion) -> int:
-    """Replace b by the solution."""
+def solve(size: int, A: Reals2, x: Reals) -> int:
+    """Replace x by the solution, with the Cholesky factor of the matrix below the diagonal of A."""
     for i in range(size):
-        x = s.b[e, i]
+        y = x[i]
         for k in range(i):
-            x -= s.A[e, i, k] * s.b[e, k]
-        s.b[e, i] = x / s.A[e, i, i]
+            y -= A[i, k] * x[k]
+        x[i] = y / A[i, i]
     for r in range(size):
         i = size - 1 - r
-        x = s.b[e, i]
+        y = x[i]
         for k in range(i + 1, size):
-            x -= s.A[e, k, i] * s.b[e, k]
-        s.b[e, i] = x / s.A[e, i, i]
-    return 0
-
-
-@wp.func
-def response(e: int, column: int, size: int, s: Motion) -> int:
-    """Column of the inverse, into ``inverse``."""
-    for i in range(size):
-        x = wp.float64(0.0)
-        if i == column:
-            x = wp.float64(1.0)
-        for k in range(i):
-            x -= s.A[e, i, k] * s.inverse[e, column, k]
-        s.inverse[e, column, i] = x / s.A[e, i, i]
-    for r in range(size):
-        i = size - 1 - r
-        x = s.inverse[e, column, i]
-        for k in range(i + 1, size):
-            x -= s.A[e, k, i] * s.inverse[e, column, k]
-        s.inverse[e, column, i] = x / s.A[e, i, i]
+            y -= A[k, i] * x[k]
+        x[i] = y / A[i, i]
     return 0
 
 
@@ -166,9 +147,7 @@ def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
 
 
 @wp.func
-def stop_joints(
-    e: int, size: int, h: wp.float64, friction: wp.array(dtype=wp.float64), chain: Chain, s: Motion
-) -> int:
+def stop_joints(e: int, size: int, h: wp.float64, friction: Reals, chain: Chain, s: Motion) -> int:
     """Apply impulses of dry friction and of the joints' limits to the velocities in ``b``."""
     J = size - 3
     any_bound = bool(False)
@@ -179,7 +158,10 @@ def stop_joints(
     if not any_bound:
         return 0
     for k in range(J):
-        response(e, 3 + k, size, s)
+        for i in range(size):
+            s.inverse[e, 3 + k, i] = wp.float64(0.0)
+        s.inverse[e, 3 + k, 3 + k] = wp.float64(1.0)
+        solve(size, s.A[e], s.inverse[e, 3 + k])
         s.impulse[e, k] = wp.float64(0.0)
         s.stop[e, k] = wp.float64(0.0)
     largest = wp.float64(1.0)
@@ -264,21 +246,15 @@ def calm(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stu
     Stored, write = pop.Stored, pop.write
 
     @wp.kernel(enable_backward=False, module="unique")
-    def calm(
-        mask: wp.array(dtype=wp.int32),
-        f: Stored,
-        flags: wp.array(dtype=wp.uint8),
-        box: Box,
-        stopped: wp.array(dtype=wp.int32),
-    ):
+    def calm(mask: wp.array(dtype=wp.int32), f: Stored, box: Box):
         e, n = wp.tid()
         if mask[e] == 0:
             return
         cell = e * box.cells + n
         for d in range(wp.static(lattice.Q)):
             write(f, d, cell, box.total, 0.0)
-        flags[cell] = wp.uint8(int(flags[cell]) & wp.static(~(BODY | GHOST) & 255))
+        box.flags[cell] = wp.uint8(int(box.flags[cell]) & wp.static(~(BODY | GHOST) & 255))
         if n == 0:
-            stopped[e] = -1
+            box.stopped[e] = -1
 
     return calm

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -10,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 import warp as wp
 
-from sim.robot.chain import Motion
-from sim.robot.effects import Outside
+from sim.robot.effects import Outside, outside
+from sim.robot.joints import remember
 from sim.robot.shape import Hull
 from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.errors import InputError
@@ -21,63 +22,44 @@ from sim2real.robot import Robot
 
 @dataclass(frozen=True)
 class State:
-    """State of the robots, copied from the device; world frame, SI units.
+    """State of the robots, copied from the device; world frame, SI units."""
 
-    Attributes:
-        pose: x, y of the head's centre of mass and its heading, shape (E, 3).
-        velocity: Surge, sway and yaw rate of the head, in its body frame, shape (E, 3).
-        joint: Joint angles, shape (E, J).
-        rate: Joint rates, shape (E, J).
-        measured: Angles measured by the joints' sensors, shape (E, J).
-        torque: Torques of the servos in N m, shape (E, J).
-        force: Force of the fluid on each link in N and torque about its centre of mass in N m,
-            world frame, shape (E, L, 3).
-        time: Seconds since the start, shape (E,).
-        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,).
-    """
-
-    pose: Array
-    velocity: Array
-    joint: Array
-    rate: Array
-    measured: Array
-    torque: Array
+    pose: Array  # x, y of the head's centre of mass and its heading, shape (E, 3)
+    velocity: Array  # surge, sway and yaw rate of the head, in its body frame, shape (E, 3)
+    joint: Array  # joint angles, shape (E, J)
+    rate: Array  # joint rates, shape (E, J)
+    measured: Array  # angles measured by the joints' sensors, shape (E, J)
+    torque: Array  # torques of the servos in N m, shape (E, J)
+    # force of the fluid on each link in N and torque about its centre of mass in N m, world frame,
+    # shape (E, L, 3)
     force: Array
-    time: Array
-    stopped: Integers
+    time: Array  # seconds since the start, shape (E,)
+    stopped: Integers  # cell of supersonic flow at which a box was stopped, or -1, shape (E,)
 
 
 @dataclass(frozen=True)
 class Live:
-    """Warp arrays that a simulator reads and writes; take them by DLPack, without a copy.
+    """Warp arrays that a simulator reads and writes; take them by DLPack, without a copy."""
 
-    Attributes:
-        command: Set-points of the next period in rad, shape (E, J), float64; write here.
-        q: x, y of the head's centre of mass and heading in the water's frame, joint angles,
-            shape (E, 3 + J), float64.
-        v: Their rates, likewise.
-        measured: Angles measured by the joints' sensors, shape (E, J), float64.
-        clock: Seconds since the robot's start, shape (E,), float64.
-        stopped: Cell of supersonic flow at which a box was stopped, or -1, shape (E,), int32.
-    """
-
-    command: Any
+    command: Any  # set-points of the next period in rad, shape (E, J), float64; write here
+    # x, y of the head's centre of mass and heading in the water's frame, joint angles, shape
+    # (E, 3 + J), float64
     q: Any
-    v: Any
-    measured: Any
-    clock: Any
-    stopped: Any
+    v: Any  # their rates, likewise
+    measured: Any  # angles measured by the joints' sensors, shape (E, J), float64
+    clock: Any  # seconds since the robot's start, shape (E,), float64
+    stopped: Any  # cell of supersonic flow at which a box was stopped, or -1, shape (E,), int32
 
 
 class Simulator(Protocol):
-    """Interface of the fluid's swimmer and the twin."""
+    """Interface of the fluid's swimmer and the twin, see ``Robots``."""
 
     robot: Robot
     n_envs: int
 
     @property
-    def outside(self) -> Outside:
-        """Effects on the robots."""
+    def current(self) -> Array:
+        """Velocity of the pool's water, shape (E, 2)."""
 
     def live(self) -> Live:
         """The live state."""
@@ -89,74 +71,138 @@ class Simulator(Protocol):
         """Assign other models to some robots, before their reset."""
 
     def reset(
-        self,
-        mask: Mask | None = None,
-        pose: Array | None = None,
-        joint: Array | None = None,
+        self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
     ) -> None:
         """Put robots at rest."""
 
 
-def models_of(model: Model | Sequence[Model], n_envs: int, where: str) -> list[Model]:
-    """One model for each robot.
+class Robots(ABC):
+    """A batch of robots in a simulator: one robot file, separate parameters for each."""
 
-    Raises:
-        InputError: If there are more or fewer.
-    """
-    models = [model] * n_envs if isinstance(model, Model) else list(model)
-    if len(models) != n_envs:
-        raise InputError(where, "model", f"{len(models)} models", f"{n_envs}, one for each robot")
-    return models
+    robot: Robot
+    n_envs: int  # number of robots E
+    hull: Hull
+    surface_m: float  # height of the water's surface above the robot's middle
+    step_count: int  # control periods since the start
+    chain: Any  # ``sim.robot.chain.Chain``
+    motion: Any  # ``sim.robot.chain.Motion``
+    device: Any
+    current: Array  # velocity of the pool's water, shape (E, 2)
+    _command: Any
+    _stopped: Any
 
+    def _take(self, model: Model | Sequence[Model]) -> tuple[list[Model], Outside]:
+        """One model for each robot, and the effects of their bodies."""
+        E = self.n_envs
+        models = [model] * E if isinstance(model, Model) else list(model)
+        if len(models) != E:
+            where, found = type(self).__name__.lower(), f"{len(models)} models"
+            raise InputError(where, "model", found, f"{E}, one for each robot")
+        effects = outside(self.robot, models, self.hull, self.surface_m)
+        self.current, self.step_count = effects.current.copy(), 0
+        return models, effects
 
-def set_points(command: Array, shape: tuple[int, ...], where: str) -> Array:
-    """Set-points of each robot and joint, of what broadcasts to them.
+    @abstractmethod
+    def advance(self) -> None:
+        """Advance by one control period with the set-points in ``live().command``."""
 
-    Raises:
-        InputError: If one is not finite.
-    """
-    values = np.broadcast_to(np.asarray(command, dtype=np.float64), shape)
-    if not np.all(np.isfinite(values)):
-        row = int(np.argwhere(~np.isfinite(values))[0, 0])
-        found = f"{values[row].tolist()} in environment {row}"
-        raise InputError(where, "command", found, "finite angles")
-    return np.ascontiguousarray(values)
+    @abstractmethod
+    def _adopt(self, which: Index, models: Sequence[Model], effects: Outside) -> None:
+        """Overwrite the parameters of some robots."""
 
+    @abstractmethod
+    def _place(self, q: Array, chosen: Mask, on_device: Any) -> None:  # noqa: ANN401
+        """Put the chosen robots at coordinates (E, 3 + J), at rest in water at rest."""
 
-def at_rest(hull: Hull, com: Array, trim: Array, pose: Array | None, joint: Array | None) -> Array:
-    """Coordinates (E, 3 + J) of a pose and joint angles, or of the middle at the origin, straight.
+    def adopt(self, which: Index, models: Sequence[Model]) -> None:
+        """Assign other models to some robots, shape (n,), before their ``reset``.
 
-    ``com`` are the distances of the head's centre of mass behind the front of its axis, (E,).
-    """
-    q = np.zeros((com.size, 2 + hull.length.size))
-    if pose is None:
-        q[:, 0] = hull.length.sum() / 2 - com
-    else:
-        q[:, :3] = pose
-    q[:, 3:] = (0.0 if joint is None else joint) + trim
-    return q
+        The water keeps its viscosity.
+        """
+        effects = outside(self.robot, models, self.hull, self.surface_m)
+        self._adopt(which, models, effects)
+        self.current[which] = effects.current
 
+    def reset(
+        self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
+    ) -> None:
+        """Put robots at rest in water at rest; with a current, both move with it.
 
-def state_of(s: Motion, current: Array, stopped: Integers | None = None) -> State:
-    """The state, copied from the device; stopped are robots that are not finite where None."""
-    q, v, clock = (np.array(x.numpy()) for x in (s.q, s.v, s.clock))
-    q[:, :2] += current * clock[:, None]
-    v[:, :2] += current
-    c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
-    surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
-    if stopped is None:
-        stopped = np.where(np.isfinite(q).all(axis=1), -1, 0).astype(np.int32)
-    return State(
-        pose=q[:, :3],
-        velocity=np.stack([surge, sway, v[:, 2]], axis=1),
-        joint=q[:, 3:],
-        rate=v[:, 3:],
-        measured=np.array(s.measured.numpy()),
-        torque=np.array(s.torque.numpy()),
-        force=np.array(s.force.numpy()),
-        time=clock,
-        stopped=np.array(stopped),
-    )
+        Args:
+            mask: Robots to reset, shape (E,); all where None.
+            pose: x, y of the head's centre of mass and heading, shape (E, 3) or (3,); with the
+                body's middle at the origin, heading along x, where None.
+            joint: Joint angles, shape (E, J) or (J,); straight where None.
+        """
+        E = self.n_envs
+        chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        on_device: Any = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self.device)
+        q = np.zeros((E, 2 + self.hull.length.size))
+        if pose is None:
+            q[:, 0] = self.hull.length.sum() / 2 - self.chain.com.numpy()[:, 0]
+        else:
+            q[:, :3] = pose
+        q[:, 3:] = (0.0 if joint is None else joint) + self.chain.trim.numpy()
+        self._place(q, chosen, on_device)
+        self._launch(remember, E, [on_device, self.chain, self.motion])
+
+    def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
+        """Send set-points and advance by one control period.
+
+        Args:
+            command: Desired joint angles in rad, shape (E, J) or (J,); a Warp array of float64 on
+                the device is taken as it is, without waiting for the device.
+
+        Raises:
+            InputError: If a set-point is not finite.
+        """
+        if isinstance(command, wp.array):
+            wp.copy(self._command, command)
+        else:
+            values = np.broadcast_to(np.asarray(command, np.float64), self._command.shape)
+            if not np.all(np.isfinite(values)):
+                row = int(np.argwhere(~np.isfinite(values))[0, 0])
+                found = f"{values[row].tolist()} in environment {row}"
+                raise InputError(type(self).__name__.lower(), "command", found, "finite angles")
+            self._command.assign(np.ascontiguousarray(values))
+        self.advance()
+
+    def live(self) -> Live:
+        """The live state, on the device."""
+        s = self.motion
+        return Live(self._command, s.q, s.v, s.measured, s.clock, self._stopped)
+
+    def state(self) -> State:
+        """The state, copied from the device; the twin does not store forces of the water.
+
+        In the twin robots count as stopped that are not finite.
+        """
+        s, stopped = self.motion, np.array(self._stopped.numpy())
+        q, v, clock = (np.array(x.numpy()) for x in (s.q, s.v, s.clock))
+        q[:, :2] += self.current * clock[:, None]
+        v[:, :2] += self.current
+        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
+        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
+        stopped[(stopped < 0) & ~np.isfinite(q).all(axis=1)] = 0
+        return State(
+            pose=q[:, :3],
+            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
+            joint=q[:, 3:],
+            rate=v[:, 3:],
+            measured=np.array(s.measured.numpy()),
+            torque=np.array(s.torque.numpy()),
+            force=np.array(s.force.numpy()),
+            time=clock,
+            stopped=stopped,
+        )
+
+    def track(self) -> Array:
+        """Poses and measured angles, shape (E, 3 + J)."""
+        state = self.state()
+        return np.concatenate([state.pose, state.measured], axis=1)
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
 
 
 @cache

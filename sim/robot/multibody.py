@@ -1,28 +1,23 @@
 """A free chain of links in the plane: its motion in one step, solved in joint coordinates.
 
-Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. The state
-carried from step to step are the links' momenta in the world frame, projected on the Jacobian of
-the new pose, so no term for centrifugal forces is needed. With M the links' mass, C, a and p the
-fluid's sums (``coupling``), P the momentum of the water inside the links, V the links' velocities,
-the new coordinates' velocities v solve
+Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. With M the
+links' mass, C, a and p the fluid's sums (``coupling``), P the momentum of the water inside the
+links, V the links' velocities, J the Jacobian of the new pose, T the servos' torques with implicit
+gains and h the step, the new coordinates' velocities v solve
 
     sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
-C is the symmetric part of the matrix of the sums; the rest of it, which only ghost cells have, acts
-on V, and what this neglects is made up for in the next step.
-
+C is the symmetric part of the matrix of the sums; the rest, which only ghost cells have, acts on V.
 Where the water does not slip, M is the mass minus that of the water inside, p and P are 0, and B is
-a virtual mass on both sides that cancels at constant acceleration. T are the servos' torques, with
-implicit gains, and h is the step. Dry friction and joint limits are impulses that can stop a joint
-but not reverse it, computed by projected Gauss-Seidel sweeps (Acary and
-Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). The virtual mass:
-Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413. All float64, SI.
+a virtual mass on both sides (Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020)
+103413). Dry friction and joint limits are impulses, computed by projected Gauss-Seidel sweeps
+(Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). SI.
 """
 
 import warp as wp
 
 from sim.fluid.coupling import SUMS
-from sim.robot.chain import Chain, Motion, OnGrid
+from sim.robot.chain import Chain, Motion, OnGrid, Reals2
 from sim.robot.joints import drive, factorise, solve, stop_joints
 from sim.robot.outside import appendages, carried, held, hold, pull, resist, skin
 from sim2real.effects import SIGNATURE
@@ -152,6 +147,32 @@ def about(p: wp.vec3d, x: wp.vec3d, sign: wp.float64) -> wp.vec3d:
     return wp.vec3d(p[0], p[1], p[2] + sign * (x[0] * p[1] - x[1] * p[0]))
 
 
+@wp.func
+def begin(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
+    """Start the equations of a step with the outside forces."""
+    for i in range(s.q.shape[1]):
+        s.b[e, i] = h * chain.push[e, i]
+        for j in range(i + 1):
+            s.A[e, i, j] = wp.float64(0.0)
+    return 0
+
+
+@wp.func
+def solve_free(e: int, h: wp.float64, chain: Chain, s: Motion, friction: Reals2) -> int:
+    """Add servos and skin to the equations and solve them for joints that move freely."""
+    N = s.q.shape[1]
+    for k in range(N - 3):
+        push = drive(e, k, h, chain, s)
+        elastic = skin(e, k, h, chain, s)
+        s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + elastic[0]
+        s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + elastic[1]
+        friction[e, k] = push[2]
+    factorise(e, 0, N, s)
+    solve(N, s.A[e], s.b[e])
+    stop_joints(e, N, h, friction[e], chain, s)
+    return 0
+
+
 @wp.kernel(enable_backward=False)
 def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32)):
     """Compute the links' poses and velocities from the coordinates, where ``mask`` is set."""
@@ -177,8 +198,8 @@ def advance(
     s: Motion,
     grid: OnGrid,
     mode: int,
-    target: wp.array2d(dtype=wp.float64),
-    friction: wp.array2d(dtype=wp.float64),
+    target: Reals2,
+    friction: Reals2,
     stopped: wp.array(dtype=wp.int32),
 ):
     """One step of robot e; ``target`` holds prescribed velocities of its coordinates."""
@@ -189,11 +210,7 @@ def advance(
     h = grid.step
     L = chain.length.shape[0]
     N = 2 + L
-    J = L - 1
-    for i in range(N):
-        s.b[e, i] = h * chain.push[e, i]
-        for j in range(i + 1):
-            s.A[e, i, j] = wp.float64(0.0)
+    begin(e, h, chain, s)
     unit = grid.mass / grid.scale
     c = grid.cell
     for k in range(L):
@@ -228,15 +245,7 @@ def advance(
             for j in range(i + 1):
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, s))
     if mode == wp.static(FREE):
-        for k in range(J):
-            push = drive(e, k, h, chain, s)
-            elastic = skin(e, k, h, chain, s)
-            s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + elastic[0]
-            s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + elastic[1]
-            friction[e, k] = push[2]
-        factorise(e, 0, N, s)
-        solve(e, N, s)
-        stop_joints(e, N, h, friction[e], chain, s)
+        solve_free(e, h, chain, s, friction)
     else:
         free = int(3)
         if mode == wp.static(HELD):
@@ -245,7 +254,7 @@ def advance(
             for j in range(free, N):
                 s.b[e, i] = s.b[e, i] - s.A[e, j, i] * target[e, j]
         factorise(e, 0, free, s)
-        solve(e, free, s)
+        solve(free, s.A[e], s.b[e])
         for j in range(free, N):
             s.b[e, j] = target[e, j]
     finite = bool(True)

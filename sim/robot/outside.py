@@ -1,9 +1,7 @@
 """Further forces on a robot: its appendages, a skin over its joints, more drag and mass, a tether.
 
-The body's effects of the catalogue (``sim2real.effects.body``) set their parameters, for the fluid
-and the reduced-order twin alike. Each force is 0 where its parameters are. Appendages move through
-the undisturbed water, at rest or in the pool's current: what the hull does to the water around it
-is left out, and the water of the fluid does not receive their momentum.
+The body's effects of the catalogue set their parameters, for the fluid and the twin alike; each
+force is 0 where its parameters are. Appendages move through undisturbed water.
 """
 
 import warp as wp

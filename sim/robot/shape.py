@@ -1,8 +1,7 @@
 """The robot's hull: round links with a continuous surface, whose width and height follow the body.
 
 A link is the set of points nearer to its axis than a radius that varies along it, closed by round
-ends; neighbours share the radius at their joint, so that the surface has no gap at any angle. In
-plan view the radius is half the width; across, sections are ellipses.
+ends; neighbours share the radius at their joint. Across, sections are ellipses.
 """
 
 from __future__ import annotations
@@ -26,17 +25,11 @@ _NOSE, _TIP = 0.6, 0.3
 
 @dataclass(frozen=True)
 class Hull:
-    """Shape of each link.
+    """Shape of each link."""
 
-    Attributes:
-        length: From joint to joint in m, shape (L,).
-        half_width: At the front, middle and back of each link in m, shape (L, 3).
-        half_height: Likewise; unused in two dimensions.
-    """
-
-    length: Array
-    half_width: Array
-    half_height: Array
+    length: Array  # from joint to joint in m, shape (L,)
+    half_width: Array  # at the front, middle and back of each link in m, shape (L, 3)
+    half_height: Array  # likewise; unused in two dimensions
 
     @property
     def body_length(self) -> float:
@@ -115,21 +108,23 @@ def _too_light(mass_kg: float, appendages_m3: float) -> InputError:
     return InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
 
 
-def afloat(
-    hull: Hull, mass_kg: float, flat: bool, appendages: tuple[Appendage, ...] = ()
-) -> tuple[Hull, float]:
-    """The hull with its heights scaled so that the robot displaces its own mass, under water.
+def submerged(robot: Robot, hull: Hull, flat: bool, deep: float) -> tuple[Hull, float, float]:
+    """The hull in the water, the depth that replaces its heights in 2D, and that of its middle, m.
 
-    Returns:
-        The hull, and the depth in m that replaces its heights in two dimensions.
+    A robot floats at the draught of its mass. One that would sink, and any in two dimensions, has
+    its heights scaled so that it displaces its own mass, under water at the depth ``deep``.
     """
+    mass_kg, appendages = sum(link.mass_kg for link in robot.links), robot.appendages
+    depth_m = None if flat else draught(hull, mass_kg, appendages)
+    if depth_m is not None:
+        return hull, 0.0, depth_m
     fine = float(hull.half_width.min()) / 2
     volume = displaced(hull, max(fine, hull.extent / 150), 0.0, flat)[:, 0].sum()
     carried = sum(appendage.displaced_m3(np.inf) for appendage in appendages)
     share = (mass_kg / WATER_KG_M3 - carried) / float(volume)
     if share <= 0:
         raise _too_light(mass_kg, carried)
-    return (hull, share) if flat else (replace(hull, half_height=share * hull.half_height), share)
+    return hull if flat else replace(hull, half_height=share * hull.half_height), share, deep
 
 
 def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:

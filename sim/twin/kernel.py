@@ -1,25 +1,21 @@
 """The kernels of the reduced-order twin: a chain of links in water described by a force law.
 
-Each link has added mass across and along its axis (Kirchhoff's impulse, with the turning moment
-that follows from it), and drag across and along it. Water that leaves the tail's end carries its
-momentum away, which gives the reactive thrust of elongated bodies (Lighthill, Proc. R. Soc. B 179
-(1971) 125): with added mass m per length and velocities w across and u along the tail, the force is
-- m w u across the tail and + m w w / 2 along it. Drag is that of Morison et al. (1950) plus a term
-linear in the velocity, integrated implicitly. It depends on the velocity relative to the wake: the
-water around a link approaches a share of the link's velocity V with time constant T, d moved / dt =
-(share V - moved) / T, in the world frame. Without the wake a robot accelerates too fast, and a
-turning robot swims too fast through the water that it has set in motion. The quadratic drag across,
-C |w| w, grows with the vortices that cause it: it is C |w| late, where late follows w over a
-distance, as lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17). The rest is that
-of ``sim.robot.multibody``.
+Each link has added mass across and along its axis. Water that leaves the tail's end carries its
+momentum away (Lighthill, Proc. R. Soc. B 179 (1971) 125): with added mass m per length and
+velocities w across and u along the tail, the force is - m w u across the tail and + m w w / 2 along
+it. Drag is that of Morison et al. (1950) plus a term linear in the velocity, implicit, by the
+velocity relative to the wake: the water around a link approaches a share of the link's velocity V
+with time constant T, d moved / dt = (share V - moved) / T. The quadratic drag across, C |w| w,
+grows with the vortices that cause it: it is C |w| late, where late follows w over a distance, as
+lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17).
 """
 
 import warp as wp
 
-from sim.robot.chain import Chain, Motion
-from sim.robot.joints import drive, factorise, send_to, solve, stop_joints
-from sim.robot.multibody import column, measure, middle, move_links, pose_links
-from sim.robot.outside import appendages, held, hold, pull, resist, skin
+from sim.robot.chain import Chain, Motion, Planar2, Points2, Reals, Reals2, Reals3
+from sim.robot.joints import send_to
+from sim.robot.multibody import begin, column, measure, middle, move_links, pose_links, solve_free
+from sim.robot.outside import appendages, held, hold, pull, resist
 from sim.twin import law as twin_law
 from sim2real.effects import SIGNATURE
 
@@ -28,41 +24,26 @@ POINTS = wp.constant(twin_law.POINTS)
 
 @wp.struct
 class Water:
-    """Coefficients and state of the force law, with their shapes.
+    """Coefficients and state of the force law, with their shapes."""
 
-    Attributes:
-        place: Distance of each point ahead of the link's centre of mass in m, (E, L, POINTS).
-        added: Added mass across the link at each point in kg, (E, L, POINTS).
-        broad: Quadratic drag across the link at each point in N s2/m2, (E, L, POINTS).
-        reach: Distance in m over which that drag grows at each point, (E, L, POINTS).
-        slow: Linear drag across the link at each point in N s/m, (E, L, POINTS).
-        along: Linear and quadratic drag along each link in N s/m and N s2/m2, (E, L).
-        axial: Added mass of each link along its axis in kg, (E, L).
-        tip: Added mass per length at the tail's end in kg/m, and distance in m of this end behind
-            the last link's centre of mass, (E,).
-        wake: Share of a link's velocity that the water around it approaches, and the time constant
-            in s, (E,).
-        wall: Relative increase of the thrust by a wall one body length away, (E,).
-        pool: Half the pool's length and width in m, and the body's length.
-        carried: Momentum and angular momentum of the added mass in the last step, (E, L).
-        moved: Velocity of the water around each link in m/s, in the world frame, (E, L).
-        late: Delayed velocity across each point in m/s, for the quadratic drag, (E, L, POINTS).
-    """
-
-    place: wp.array3d(dtype=wp.float64)
-    added: wp.array3d(dtype=wp.float64)
-    broad: wp.array3d(dtype=wp.float64)
-    reach: wp.array3d(dtype=wp.float64)
-    slow: wp.array3d(dtype=wp.float64)
-    along: wp.array2d(dtype=wp.vec2d)
-    axial: wp.array2d(dtype=wp.float64)
+    place: Reals3  # distance of each point ahead of the link's centre of mass in m, (E, L, POINTS)
+    added: Reals3  # added mass across the link at each point in kg, (E, L, POINTS)
+    broad: Reals3  # quadratic drag across the link at each point in N s2/m2, (E, L, POINTS)
+    reach: Reals3  # distance in m over which that drag grows at each point, (E, L, POINTS)
+    slow: Reals3  # linear drag across the link at each point in N s/m, (E, L, POINTS)
+    along: Points2  # linear and quadratic drag along each link in N s/m and N s2/m2, (E, L)
+    axial: Reals2  # added mass of each link along its axis in kg, (E, L)
+    # added mass per length at the tail's end in kg/m, and distance in m of this end behind the last
+    # link's centre of mass, (E,)
     tip: wp.array(dtype=wp.vec2d)
+    # share of a link's velocity that the water around it approaches, and the time constant in s,
+    # (E,)
     wake: wp.array(dtype=wp.vec2d)
-    wall: wp.array(dtype=wp.float64)
-    pool: wp.vec3d
-    carried: wp.array2d(dtype=wp.vec3d)
-    moved: wp.array2d(dtype=wp.vec2d)
-    late: wp.array3d(dtype=wp.float64)
+    wall: Reals  # relative increase of the thrust by a wall one body length away, (E,)
+    pool: wp.vec3d  # half the pool's length and width in m, and the body's length
+    carried: Planar2  # momentum and angular momentum of the added mass in the last step, (E, L)
+    moved: Points2  # velocity of the water around each link in m/s, in the world frame, (E, L)
+    late: Reals3  # delayed velocity across each point in m/s, for that drag, (E, L, POINTS)
 
 
 @wp.func
@@ -110,22 +91,13 @@ def tail_end(e: int, ahead: wp.float64, w: wp.float64, s: Motion, water: Water) 
 
 @wp.func
 def advance_twin(
-    e: int,
-    h: wp.float64,
-    chain: Chain,
-    s: Motion,
-    water: Water,
-    friction: wp.array2d(dtype=wp.float64),
+    e: int, h: wp.float64, chain: Chain, s: Motion, water: Water, friction: Reals2
 ) -> int:
     """One sub-step of robot e."""
     zero = wp.float64(0.0)
     L = chain.length.shape[0]
     N = 2 + L
-    J = L - 1
-    for i in range(N):
-        s.b[e, i] = h * chain.push[e, i]
-        for j in range(i + 1):
-            s.A[e, i, j] = zero
+    begin(e, h, chain, s)
     for k in range(L):
         at = s.link[e, k]
         V = s.twist[e, k]
@@ -195,15 +167,7 @@ def advance_twin(
             Ka += laden * a
             for j in range(i + 1):
                 s.A[e, i, j] = s.A[e, i, j] + wp.dot(Ka, column(e, k, j, s))
-    for k in range(J):
-        push = drive(e, k, h, chain, s)
-        elastic = skin(e, k, h, chain, s)
-        s.b[e, 3 + k] = s.b[e, 3 + k] + push[0] + elastic[0]
-        s.A[e, 3 + k, 3 + k] = s.A[e, 3 + k, 3 + k] + push[1] + elastic[1]
-        friction[e, k] = push[2]
-    factorise(e, 0, N, s)
-    solve(e, N, s)
-    stop_joints(e, N, h, friction[e], chain, s)
+    solve_free(e, h, chain, s, friction)
     for i in range(N):
         s.v[e, i] = s.b[e, i]
     move_links(e, s)
@@ -250,7 +214,7 @@ def start_twin(chain: Chain, s: Motion, water: Water, mask: wp.array(dtype=wp.in
 @wp.kernel(enable_backward=False)
 def swim_twin(
     first: int,
-    command: wp.array3d(dtype=wp.float64),
+    command: Reals3,
     which: wp.array(dtype=wp.int32),
     count: int,
     substeps: int,
@@ -258,8 +222,8 @@ def swim_twin(
     chain: Chain,
     s: Motion,
     water: Water,
-    friction: wp.array2d(dtype=wp.float64),
-    track: wp.array3d(dtype=wp.float64),
+    friction: Reals2,
+    track: Reals3,
 ):
     """Simulate control periods of robot e with the commands of signal ``which``.
 

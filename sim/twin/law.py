@@ -1,7 +1,6 @@
 """The force law of the twin: its coefficients, and the forces for a robot's shape.
 
-For a floating robot only the submerged part counts. The surface is flat, so that the water moves as
-if the wetted shape were mirrored in it.
+Of a floating robot only the submerged part counts, as if it were mirrored in the flat surface.
 """
 
 from __future__ import annotations
@@ -14,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from sim.lattice.velocities import WATER_KG_M3
-from sim.robot.shape import Hull, afloat, draught
+from sim.robot.shape import Hull
 from sim2real.arrays import Array
 from sim2real.errors import InputError, one_of
-from sim2real.robot import Robot
 from sim2real.structured import read_json
 
 POINTS = 3
@@ -29,41 +27,36 @@ class Coefficients:
     """Coefficients of the force law; without unit where none is given, relative where so described.
 
     The first five are those of the first version; the others have no effect at their defaults.
-
-    Attributes:
-        across: Drag coefficient of a link that moves across its axis, for the wetted height. It is
-            larger in oscillating than in steady flow: 4 to 8 for amplitudes of a few heights or
-            less (Keulegan and Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
-        along: Drag coefficient of the head along its axis, for its cross-section.
-        added_mass: Added mass relative to that of an ellipse (Lamb, Hydrodynamics, 1932, art. 71).
-        thrust: Reactive force at the tail's end relative to Lighthill's.
-        linear: Drag along the links in N s/m, divided among them in proportion to their lengths.
-        slender: Linear drag across the links, relative to that along them; 2 for a slender body in
-            slow flow (Cox, J. Fluid Mech. 44 (1970) 791).
-        head: Added mass of the head relative to that of a section far from the ends: water can
-            flow around the nose.
-        axial: Added mass of a link along its axis, relative to the displaced water; Lamb's k1 for a
-            spheroid (art. 114), to which the boundary layer adds.
-        wake: Share of a link's velocity that the water around it approaches; drag depends on the
-            velocity relative to this water.
-        wake_s: Time constant of the wake in s.
-        tail: Drag coefficient of the last link across its axis, relative to ``across``: a fin has
-            sharp edges.
-        lag: Distance through the water, in wetted heights, over which the vortices of a section,
-            and so the drag of ``across``, grow.
     """
 
+    # drag coefficient of a link that moves across its axis, for the wetted height. It is larger in
+    # oscillating than in steady flow: 4 to 8 for amplitudes of a few heights or less (Keulegan and
+    # Carpenter, J. Res. Nat. Bur. Stand. 60 (1958) 423).
     across: float = 1.5
-    along: float = 0.3
+    along: float = 0.3  # drag coefficient of the head along its axis, for its cross-section
+    # added mass relative to that of an ellipse (Lamb, Hydrodynamics, 1932, art. 71).
     added_mass: float = 1.0
-    thrust: float = 1.0
+    thrust: float = 1.0  # reactive force at the tail's end relative to Lighthill's
+    # drag along the links in N s/m, divided among them in proportion to their lengths
     linear: float = 0.0
+    # linear drag across the links, relative to that along them; 2 for a slender body in slow flow
+    # (Cox, J. Fluid Mech. 44 (1970) 791).
     slender: float = 1.0
+    # added mass of the head relative to that of a section far from the ends: water can flow around
+    # the nose
     head: float = 1.0
+    # added mass of a link along its axis, relative to the displaced water; Lamb's k1 for a spheroid
+    # (art. 114), to which the boundary layer adds.
     axial: float = 0.0
+    # share of a link's velocity that the water around it approaches; drag depends on the velocity
+    # relative to this water
     wake: float = 0.0
-    wake_s: float = 1.0
+    wake_s: float = 1.0  # time constant of the wake in s
+    # drag coefficient of the last link across its axis, relative to ``across``: a fin has sharp
+    # edges
     tail: float = 1.0
+    # distance through the water, in wetted heights, over which the vortices of a section, and so
+    # the drag of ``across``, grow
     lag: float = 0.0
 
     @classmethod
@@ -89,87 +82,28 @@ FITTED = Coefficients(**read_json(FILE))
 """Fitted to the fluid in cells of 1 cm by ``benchmarks/twin_fit.py``: ``reports/twin``."""
 
 
-@dataclass(frozen=True)
-class Sections:
-    """Geometry of a robot's links for the force law, at quadrature points.
-
-    Attributes:
-        place: Distance of the points from the link's front end over its length, shape (POINTS,).
-        weight: Weights of the points, with sum 1, shape (POINTS,).
-        added: Added mass of the elliptic sections in kg, shape (L, POINTS).
-        broad: Half the density times the wetted side area in kg/m, shape (L, POINTS).
-        frontal: Half the density times the head's wetted cross-section in kg/m.
-        displaced: Water displaced by each link in kg, shape (L,).
-        height: Wetted heights in m, shape (L, POINTS).
-        tip: Added mass per length of the section at the tail's end in kg/m.
-        end: Distance of the tail's end behind the last joint in m.
-        share: Length of each link over the sum of lengths, shape (L,).
-    """
-
-    place: Array
-    weight: Array
-    added: Array
-    broad: Array
-    frontal: float
-    displaced: Array
-    height: Array
-    tip: float
-    end: float
-    share: Array
-
-
-def hull_in_water(robot: Robot, hull: Hull) -> tuple[Hull, float]:
-    """The hull of the floating robot, and the height of the water's surface above it in m.
-
-    The hull of a robot that would sink is scaled to displace its own mass; the height is infinite.
-    """
-    mass = sum(link.mass_kg for link in robot.links)
-    above = draught(hull, mass, robot.appendages)
-    if above is not None:
-        return hull, above
-    return afloat(hull, mass, False, robot.appendages)[0], np.inf
-
-
-def sections(hull: Hull, above: float) -> Sections:
-    """Geometry of a hull for the force law.
+def law_rows(
+    hull: Hull, above: float, com: Array, laws: Sequence[Coefficients], more: Array
+) -> dict[str, Array]:
+    """Rows of ``sim.twin.kernel.Water`` for E robots, at the points of quadrature of each link.
 
     Args:
         hull: The links' shape.
         above: Height of the water's surface above the hull's middle in m; infinite if submerged.
+        com: Distance of the links' centres of mass from their front ends in m, shape (E, L).
+        laws: Coefficients of each robot.
+        more: Relative increase of the added mass of each robot, shape (E,).
     """
     nodes, weights = np.polynomial.legendre.leggauss(POINTS)
     s, weight = (nodes + 1) / 2, weights / 2
     curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])  # front to back
     high, wide = hull.half_height @ curve, hull.half_width @ curve
-    wet = high + np.clip(above, -high, high)
+    wet = high + np.clip(above, -high, high)  # wetted heights
     part = weight * hull.length[:, None]
     end = float(hull.half_height[-1, 2])
-    return Sections(
-        place=s,
-        weight=weight,
-        added=WATER_KG_M3 * np.pi / 2 * wet * high * part,
-        broad=0.5 * WATER_KG_M3 * wet * part,
-        frontal=0.5 * WATER_KG_M3 * float((np.pi / 2 * wide[0] * wet[0]).max()),
-        displaced=(WATER_KG_M3 * np.pi / 2 * wet * wide * part).sum(axis=1),
-        height=wet,
-        tip=float(WATER_KG_M3 * np.pi / 2 * (end + np.clip(above, -end, end)) * end),
-        end=float(hull.length[-1] + hull.half_width[-1, 2]),
-        share=hull.length / hull.length.sum(),
-    )
-
-
-def law_rows(
-    geometry: Sections, hull: Hull, com: Array, laws: Sequence[Coefficients], more: Array
-) -> dict[str, Array]:
-    """Rows of ``sim.twin.kernel.Water`` for E robots.
-
-    Args:
-        geometry: Geometry of the hull.
-        hull: The links' shape.
-        com: Distance of the links' centres of mass from their front ends in m, shape (E, L).
-        laws: Coefficients of each robot.
-        more: Relative increase of the added mass of each robot, shape (E,).
-    """
+    frontal = 0.5 * WATER_KG_M3 * float((np.pi / 2 * wide[0] * wet[0]).max())
+    tip = float(WATER_KG_M3 * np.pi / 2 * (end + np.clip(above, -end, end)) * end)
+    tail_arm = float(hull.length[-1] + hull.half_width[-1, 2]) - com[:, -1:]
 
     def of(name: str) -> Array:
         return np.array([[float(getattr(law, name))] for law in laws])
@@ -179,18 +113,18 @@ def law_rows(
     heads, tails = np.ones((E, L)), np.ones((E, L))
     heads[:, :1], tails[:, -1:] = of("head"), of("tail")
     along = np.zeros((E, L, 2))
-    along[:, :, 0] = of("linear") * geometry.share
-    along[:, :1, 1] = of("along") * geometry.frontal
+    along[:, :, 0] = of("linear") * (hull.length / hull.length.sum())
+    along[:, :1, 1] = of("along") * frontal
     across = of("slender") * along[:, :, 0]
-    tail_arm = geometry.end - com[:, -1:]
+    elliptic = WATER_KG_M3 * np.pi / 2 * wet
     return {
-        "place": com[:, :, None] - geometry.place * hull.length[None, :, None],
-        "added": (added * heads)[:, :, None] * geometry.added,
-        "broad": (of("across") * tails)[:, :, None] * geometry.broad,
-        "reach": of("lag")[:, :, None] * geometry.height,
-        "slow": across[:, :, None] * geometry.weight,
+        "place": com[:, :, None] - s * hull.length[None, :, None],
+        "added": (added * heads)[:, :, None] * (elliptic * high * part),
+        "broad": (of("across") * tails)[:, :, None] * (0.5 * WATER_KG_M3 * wet * part),
+        "reach": of("lag")[:, :, None] * wet,
+        "slow": across[:, :, None] * weight,
         "along": along,
-        "axial": of("axial") * geometry.displaced,
-        "tip": np.concatenate([of("thrust") * added * geometry.tip, tail_arm], axis=1),
+        "axial": of("axial") * (elliptic * wide * part).sum(axis=1),
+        "tip": np.concatenate([of("thrust") * added * tip, tail_arm], axis=1),
         "wake": np.concatenate([of("wake"), of("wake_s")], axis=1),
     }

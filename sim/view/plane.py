@@ -50,7 +50,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
     spin = _curl(_velocity(swimmer, e, min(int(bodies.middle), nz - 1)))
     time = float(bodies.motion.clock.numpy()[e])
-    drift = swimmer.outside.current[e] * time  # the box moves with the pool's water
+    drift = swimmer.current[e] * time  # the box moves with the pool's water
     origin = np.array(bodies.grid.origin) + drift
     if tank.sponge:
         middle = bodies.grid.position.numpy()[e].astype(np.float64)
@@ -122,7 +122,7 @@ def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
     wp.launch(
         slice_kernel(fluid.lattice, fluid.wide),
         dim=(nx, ny),
-        inputs=[fluid.f, fluid.flags, fluid.box, fluid.t, environment, z, velocity],
+        inputs=[fluid.f, fluid.box, environment, z, velocity],
         device=fluid.device,
     )
     return np.asarray(velocity.numpy(), dtype=np.float64)

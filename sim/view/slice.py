@@ -19,9 +19,7 @@ def slice_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
     @wp.kernel(enable_backward=False, module="unique")
     def velocity_in(
         f: Stored,
-        flags: wp.array(dtype=wp.uint8),
         box: Box,
-        t: int,
         e: int,
         z: int,
         velocity: wp.array2d(dtype=wp.vec2),
@@ -29,10 +27,10 @@ def slice_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
         """Velocity along x and y in the plane z of box e; 0 in walls."""
         x, y = wp.tid()
         n = e * box.cells + x + box.nx * (y + box.ny * z)
-        flag = int(flags[n])
+        flag = int(box.flags[n])
         velocity[x, y] = wp.vec2()
         if (flag & wp.static(KIND)) == wp.static(FLUID):
-            m = moments(load(f, n, neighbours(n, flag, box), t, box.total))
+            m = moments(load(f, n, neighbours(n, flag, box), box))
             velocity[x, y] = wp.vec2(m[1], m[2]) / (1.0 + m[0])
 
     return velocity_in

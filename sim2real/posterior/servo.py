@@ -256,7 +256,9 @@ def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Ch
     chain = new_chain(walkers, best.x.size, seed, origin, fingerprint)
     x = _folded(best.problem, best.x + chain.origin["start"] @ factor.T)
     inside = np.clip(x, *best.problem.box) - best.x
-    return replace(chain, origin={**chain.origin, "start": np.asarray(np.linalg.solve(factor, inside.T).T)})
+    return replace(
+        chain, origin={**chain.origin, "start": np.asarray(np.linalg.solve(factor, inside.T).T)}
+    )
 
 
 def _fingerprint(problem: ServoProblem, seed: int, walkers: int) -> str:

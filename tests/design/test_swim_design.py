@@ -10,8 +10,7 @@ from rival_swims import FISH, POOL, SERVOS, swim_rivals, swim_set
 from violations import violations
 
 from sim.fluid.fluid import POOL_M
-from sim.inference.design_swim import SwimObjective, design_swim
-from sim.inference.swim_commands import SwimLimits, draw
+from sim.inference.design_swim import SwimLimits, SwimObjective, design_swim, draw
 from sim.inference.swims import by_twin, with_values
 from sim2real.cli import main
 from sim2real.design.limits import limits_of
@@ -20,7 +19,7 @@ from sim2real.diagnose.swim_rivals import swim_rivals_of_file
 from sim2real.recording import read_commands
 
 RIVALS = swim_rivals()
-LIMITS = SwimLimits(tuple(limits_of(FISH, joint.name) for joint in FISH.joints))
+LIMITS = SwimLimits([limits_of(FISH, joint.name) for joint in FISH.joints])
 SECONDS = 7.0
 ASKED = Request(SECONDS, file="d.json")
 FEW = {"drawn": 6, "rounds": 1, "threads": 1}

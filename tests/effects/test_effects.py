@@ -524,7 +524,7 @@ assert abs(named.parameters["stiffness_Nm_per_rad"].mean / 3 - 1) < 0.1, named
 assert plain(named.effect).startswith("a spring that hardens")
 weeds = replace(servos(), body={"effects": listed({"weed.coefficient": 1.0})})
 twin = Twin(FISH, [servos(), weeds], n_envs=2)
-assert twin.outside.resist[1, -1, 0] == 1.0 and not twin.outside.resist[0].any()
+assert twin.chain.resist.numpy()[1, -1, 0] == 1.0 and not twin.chain.resist.numpy()[0, :, :1].any()
 for k in range(60):
     turn = np.sin(2 * np.pi * 1.5 * 0.02 * k - 1.2 * np.arange(3))
     twin.step(np.array([0.3, 0.45, 0.6]) * turn)

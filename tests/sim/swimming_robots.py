@@ -1,5 +1,9 @@
 """A three-joint fish and its servos, for tests."""
 
+import numpy as np
+import warp as wp
+
+from sim.twin.kernel import start_twin
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.robot import Joint, Link, Robot, Servo
 
@@ -29,3 +33,13 @@ def servos(kp=2.2, kd=0.06, latency=0.068, effects=()):
     fitted = tuple(FittedEffect(name, values) for name, values in effects)
     joint = JointModel(kp, kd, latency, 0.002, effects=fitted)
     return Model(joints={one.name: joint for one in FISH.joints}, body={"twin": LAW})
+
+
+def moving(twin, v, q=None):
+    """Give the robots of a twin these velocities (E, 3 + J), and coordinates where given."""
+    twin.motion.v.assign(np.array(v))
+    if q is not None:
+        twin.motion.q.assign(np.array(q))
+    everyone = wp.ones(twin.n_envs, dtype=wp.int32)
+    inputs = [twin.chain, twin.motion, twin.water, everyone]
+    wp.launch(start_twin, dim=twin.n_envs, inputs=inputs)

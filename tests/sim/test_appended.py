@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, moving, servos
 
 from sim.inference.calibration import calibrate
-from sim.inference.coordinates import Coordinates
 from sim.inference.swim_parameters import appendage_parameters, candidates
 from sim.inference.swims import Swim, by_twin, simulated, with_values
 from sim.lattice.velocities import WATER_KG_M3 as WATER
-from sim.robot.shape import displaced, draught, hull_of
-from sim.robot.swimmer import Swimmer
-from sim.twin.law import Coefficients, hull_in_water
+from sim.robot.shape import displaced, draught, hull_of, submerged
+from sim.robot.swimmer import CONTROL_S, Swimmer
+from sim.twin.law import Coefficients
 from sim.twin.twin import Twin
 from sim2real.appendages import Appendage
 from sim2real.body import listed
@@ -39,25 +38,13 @@ def glide(robot, model, seconds, velocity):
     """Path of the straight twin that starts with a velocity and no water's force, with rates."""
     twin = Twin(robot, model, substeps=20)
     twin.reset(pose=np.zeros(3))
-    v = np.zeros((1, 6))
-    v[0, :3] = velocity
-    twin.motion.v.assign(v)
     twin.adopt(np.array([0]), [model])
-    _start(twin)
+    moving(twin, [[*velocity, 0.0, 0.0, 0.0]])
     states = [twin.state()]
-    for _ in range(round(seconds / twin.period_s)):
+    for _ in range(round(seconds / CONTROL_S)):
         twin.step(np.zeros(3))
         states.append(twin.state())
     return twin, states
-
-
-def _start(twin):
-    import warp as wp
-
-    from sim.twin.kernel import start_twin
-
-    everyone = wp.ones(1, dtype=wp.int32)
-    wp.launch(start_twin, dim=1, inputs=[twin.chain, twin.motion, twin.water, everyone])
 
 
 def test_a_box_slows_a_glide_as_the_formula_says():
@@ -167,7 +154,7 @@ def test_a_box_carries_a_part_of_the_weight():
 def test_links_of_any_size_are_measured_on_a_grid_of_bounded_size(size, value):
     head, *others = FISH.links
     fish = replace(FISH, links=(replace(head, **{size: value}), *others))
-    hull, above = hull_in_water(fish, hull_of(fish))
+    hull, _, above = submerged(fish, hull_of(fish), False, np.inf)
     assert np.isfinite(hull.half_height).all()
     assert above > -hull.extent
 
@@ -207,16 +194,3 @@ def test_the_error_of_the_areas_is_fitted_and_reaches_the_ranges():
     interval = {"appendage_area.ratio": [float(low), float(high)]}
     (drawn,) = body_ranges(replace(fit.model, body={**fit.model.body, "interval": interval}))
     assert (drawn.parameter, drawn.first) == ("body.appendage_area.ratio", pytest.approx(low))
-
-
-def test_coordinates_of_an_area_are_it_and_its_moment():
-    c = Coordinates.of(FISH, servos())
-    x = c.nominal
-    x[c.place["appendage_drag.area_m2"]], x[c.place["appendage_drag.x_m"]] = 0.004, 0.0008
-    given = c.parameters(x)
-    assert given["appendage_drag.area_m2"] == 0.004
-    assert given["appendage_drag.x_m"] == pytest.approx(0.2)
-    points, base = c.about(c.nominal)
-    k = c.place["appendage_drag.x_m"]
-    assert base[k] == c.place["appendage_drag.area_m2"] + 1
-    assert c.parameters(points[k + 1])["appendage_drag.x_m"] == pytest.approx(0.1)

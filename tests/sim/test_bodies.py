@@ -82,26 +82,6 @@ def test_prescribed_joints_turn_as_prescribed():
     assert np.abs(bodies.motion.q.numpy()[0, :3] - [40, 40, 0]).max() > 1e-3
 
 
-def test_servos_reach_their_set_points():
-    bodies = fish(water(), servo=STIFF)
-    send(bodies, [0.2, -0.3, 0.1])
-    for _ in range(900):
-        bodies.step()
-    assert bodies.motion.q.numpy()[0, 3:] == pytest.approx([0.2, -0.3, 0.1], abs=0.02)
-
-
-def test_a_set_point_that_is_late_moves_nothing_before():
-    bodies = fish(water(), servo=STIFF)
-    send(bodies, [0.3, 0.3, 0.3])
-    bodies.motion.arrival.fill_(30.5)
-    for _ in range(30):
-        bodies.step()
-    assert np.abs(bodies.motion.q.numpy()[0, 3:]).max() < 1e-6
-    for _ in range(10):
-        bodies.step()
-    assert np.abs(bodies.motion.q.numpy()[0, 3:]).min() > 1e-5
-
-
 def test_joints_stay_within_their_limits():
     bodies = fish(water(), servo=STIFF, limits=np.tile([-0.1, 0.1], (3, 1)))
     send(bodies, [0.2, -0.2, 0.2])

@@ -179,14 +179,19 @@ def test_coordinates_give_back_what_they_stand_for():
     assert not any(n.startswith(("tether", "skin")) for n in c.parameters(x))
     x[c.place["tether.stiffness_N_per_m"]] = 0.2
     x[c.place["tether.x_m"]] = 0.1
+    x[c.place["appendage_drag.area_m2"]], x[c.place["appendage_drag.x_m"]] = 0.004, 0.0008
     x[c.place["skin_viscoelasticity.stiffness_Nm_per_rad"]] = 0.3
     x[c.place["skin_viscoelasticity.relaxation_s"]] = 0.3
     told = c.parameters(x)
     assert told["tether.x_m"] == pytest.approx(0.5)
+    assert told["appendage_drag.x_m"] == pytest.approx(0.2)
     assert told["skin_viscoelasticity.stiffness_Nm_per_rad"] == pytest.approx(0.6)
     between = (places.QUICK_S * places.SLOW_S) ** 0.5
     assert told["skin_viscoelasticity.relaxation_s"] == pytest.approx(between)
-    assert set(c.of_effect(c.effects[0])) < set(range(len(c.columns)))
+    points, base = c.about(c.nominal)
+    k = c.place["appendage_drag.x_m"]
+    assert base[k] == c.place["appendage_drag.area_m2"] + 1
+    assert c.parameters(points[k + 1])["appendage_drag.x_m"] == pytest.approx(0.1)
 
 
 def test_blocks_keep_what_errors_are_worth():

@@ -188,8 +188,7 @@ def test_a_cell_that_is_too_fast_stops_its_own_box_and_is_named():
 
 
 @pytest.mark.parametrize(
-    "more, where",
-    [({"viscosity": 0.0}, "viscosity"), ({"viscosity": 0.1, "boxes": 10**7}, "size")],
+    "more, where", [({"viscosity": 0.0}, "viscosity"), ({"viscosity": 0.1, "boxes": 10**7}, "size")]
 )
 def test_what_cannot_be_simulated_is_refused_by_name(more, where):
     with pytest.raises(InputError) as caught:

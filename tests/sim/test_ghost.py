@@ -13,6 +13,7 @@ from sim.fluid.wall import Wall
 from sim.lattice.cell import GHOST, KIND
 from sim.lattice.velocities import D2Q9, D3Q19, Units
 from sim.robot.bodies import FREE, HELD, Bodies, Masses
+from sim.robot.effects import outside
 from sim.robot.rows import masses, servo_rows
 from sim.robot.shape import Hull, displaced
 from sim.robot.swimmer import Swimmer
@@ -170,6 +171,31 @@ def test_a_friction_line_that_does_not_exist_gets_one_line():
         Wall(slip=True, line="rough")
 
 
+def rod_drag(line, rough=0.0):
+    """Drag of a rod of half a metre at 0.5 m/s, 0.05 cells a step."""
+    fluid = Fluid(D2Q9, (160, 96), viscosity=1e-3, smagorinsky=0.17)
+    hull = Hull(np.array([0.5]), np.full((1, 3), 0.02), np.full((1, 3), 0.02))
+    light = Masses(np.ones(1), np.ones(1), np.zeros(1))
+    bodies = Bodies(fluid, hull, light, Units(0.01, 0.001, 0.01), wall=Wall(True, line))
+    bodies.place(np.array([[0.803, 0.482, 0.0]]))
+    bodies.chain.rough.fill_(rough)
+    force = []
+    for k in range(600):
+        bodies.prescribe([0.5 * min(1.0, k / 100), 0.0, 0.0])
+        bodies.step(HELD)
+        force.append(bodies.motion.force.numpy()[0, 0, 0])
+    return -np.mean(force[300:])
+
+
+def test_friction_is_that_of_its_line_and_the_material_adds_to_it():
+    plain, laminar, turbulent = (rod_drag(line) for line in ("none", "laminar", "turbulent"))
+    rough = rod_drag("none", rough=0.05)
+    assert plain < laminar < turbulent < rough
+    speed, area = 0.5, 2 * 0.54 * 0.01
+    whole = 0.5 * 998.0 * speed**2 * area
+    assert 0.5 < (rough - plain) / (0.05 * whole) < 1.0  # beside the wall the slip is less
+
+
 def test_friction_does_not_depend_on_the_cells():
     """Spheroids 2 and 3 cells thick; it was 1.34 and 1.13 of the line without area and layer."""
     wall = Wall(True, "turbulent")
@@ -190,7 +216,12 @@ def test_hard_commands_do_not_stop_a_light_robot():
     swimmer = Swimmer(FISH, servos(), wall=SLIPS, box_m=(0.9, 0.7, 0.3))
     usual = masses(FISH, [servos()], swimmer.hull)
     light = Masses(usual.mass / 2, usual.inertia / 2, usual.com)
-    swimmer.bodies.adopt(np.arange(1), light, servo_rows(FISH, [servos()]), swimmer.outside)
+    swimmer.bodies.adopt(
+        np.arange(1),
+        light,
+        servo_rows(FISH, [servos()]),
+        outside(FISH, [servos()], swimmer.hull, swimmer.surface_m),
+    )
     for together in 1.3 * commands(1.6, 3, np.random.default_rng(5))[:, 0]:
         swimmer.step(together)
     assert (swimmer.state().stopped < 0).all()

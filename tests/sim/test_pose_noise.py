@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.inference.swims import PoseNoise, pose_noise
+from sim.inference.pose_noise import PoseNoise, pose_noise
 from sim2real.body import observed
 
 PERIOD = 0.02

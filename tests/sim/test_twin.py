@@ -4,16 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import warp as wp
-from swimming_robots import FISH, servos
+from swimming_robots import FISH, moving, servos
 
 from sim.robot.swimmer import CONTROL_S
-from sim.twin.kernel import start_twin
-from sim.twin.twin import FITTED, Coefficients, Twin
+from sim.twin.law import FITTED, Coefficients
+from sim.twin.twin import Twin
 from sim2real.body import listed
 from sim2real.errors import InputError
 
 DRY = Coefficients(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def twins(*laws, model=None):
+    """A twin of each law."""
+    models = [replace(model or servos(), body={"twin": vars(law)}) for law in laws]
+    return Twin(FISH, models, n_envs=len(laws))
 
 
 def wave(t, scale=1.0):
@@ -23,16 +28,6 @@ def wave(t, scale=1.0):
 def signal(seconds, scale=1.0, sign=1.0):
     times = CONTROL_S * np.arange(round(seconds / CONTROL_S))
     return np.array([sign * min(1.0, t) * wave(t, scale) for t in times])
-
-
-def test_states_are_those_of_the_swimmer():
-    twin = Twin(FISH, servos(), n_envs=3)
-    twin.step(np.zeros(3))
-    state = twin.state()
-    assert state.pose.shape == state.velocity.shape == (3, 3)
-    assert state.joint.shape == state.measured.shape == state.rate.shape == (3, 3)
-    assert state.time == pytest.approx([CONTROL_S] * 3)
-    assert np.abs(state.velocity).max() < 1e-9
 
 
 def test_steps_and_a_whole_swim_are_the_same():
@@ -64,7 +59,7 @@ def test_halving_the_step_changes_little():
 
 
 def test_without_water_momentum_stays():
-    twin = Twin(FISH, servos(), coefficients=DRY)
+    twin = twins(DRY)
     start = twin.chain.mass.numpy()[0, :, :1] * twin.motion.link.numpy()[0, :, :2]
     twin.swim(signal(2.0))
     end = twin.chain.mass.numpy()[0, :, :1] * twin.motion.link.numpy()[0, :, :2]
@@ -77,12 +72,8 @@ def test_without_water_momentum_stays():
 
 def test_water_only_takes_energy_from_slack_joints():
     slack = servos(kp=1e-9, kd=0.0)
-    twin = Twin(FISH, slack, coefficients=Coefficients(5.0, 5.0, 0.5, 0.0, 0.5))
-    q, v = twin.motion.q.numpy(), np.array([[0.3, 0.1, 1.0, 2.0, -2.0, 1.0]])
-    twin.motion.v.assign(v)
-    twin.motion.q.assign(q)
-    ones = wp.array(np.ones(1, np.int32), dtype=wp.int32)
-    wp.launch(start_twin, dim=1, inputs=[twin.chain, twin.motion, twin.water, ones])
+    twin = twins(Coefficients(5.0, 5.0, 0.5, 0.0, 0.5), model=slack)
+    moving(twin, [[0.3, 0.1, 1.0, 2.0, -2.0, 1.0]])
     energy = []
     for _ in range(50):
         mass, V = twin.chain.mass.numpy()[0], twin.motion.twist.numpy()[0]
@@ -96,15 +87,12 @@ def test_water_only_takes_energy_from_slack_joints():
 
 def test_a_minute_of_hard_commands_does_not_blow_up():
     rng = np.random.default_rng(3)
-    models = [
-        replace(
-            servos(kp=k, kd=0.02 * k),
-            body={"effects": listed({"skin_elasticity.stiffness_Nm_per_rad": float(s)})},
-        )
-        for k, s in zip(rng.uniform(0.5, 6, 8), rng.uniform(0, 2, 8), strict=True)
-    ]
-    laws = [Coefficients(*np.exp(rng.normal(0, 1, 3)), 0.2, 1.0) for _ in models]
-    twin = Twin(FISH, models, n_envs=8, coefficients=laws)
+    models = []
+    for k, s in zip(rng.uniform(0.5, 6, 8), rng.uniform(0, 2, 8), strict=True):
+        skin = listed({"skin_elasticity.stiffness_Nm_per_rad": float(s)})
+        law = vars(Coefficients(*np.exp(rng.normal(0, 1, 3)), 0.2, 1.0))
+        models.append(replace(servos(kp=k, kd=0.02 * k), body={"effects": skin, "twin": law}))
+    twin = Twin(FISH, models, n_envs=8)
     sent = 0.8 * np.sign(rng.standard_normal((600, 3))).repeat(5, axis=0)
     track = twin.swim(sent)
     assert np.isfinite(track).all()
@@ -112,20 +100,12 @@ def test_a_minute_of_hard_commands_does_not_blow_up():
 
 
 def test_a_wall_effect_drives_harder_near_a_wall():
-    body = {"effects": listed({"wall_effect.ratio": 1.0})}
-    twin = Twin(FISH, [servos(), replace(servos(), body=body)], n_envs=2,
-                coefficients=Coefficients(1.5, 1.0, 1.0, 1.0, 0.0))  # fmt: skip
+    body = {"twin": vars(Coefficients(1.5, 1.0, 1.0, 1.0, 0.0))}
+    near = body | {"effects": listed({"wall_effect.ratio": 1.0})}
+    twin = Twin(FISH, [replace(servos(), body=one) for one in (body, near)], n_envs=2)
     twin.reset(pose=np.tile([0.0, 1.5, 0.0], (2, 1)))
     track = twin.swim(signal(4.0))
     assert track[1, -1, 0] > 1.02 * track[0, -1, 0]
-
-
-def test_bad_input_is_refused():
-    twin = Twin(FISH, servos())
-    with pytest.raises(InputError, match="environment 0, expected finite"):
-        twin.step(np.array([0.0, np.nan, 0.0]))
-    with pytest.raises(InputError, match="2 models"):
-        Twin(FISH, [servos()] * 2, n_envs=3)
 
 
 def test_a_body_of_another_robot_is_refused():
@@ -149,14 +129,9 @@ def test_a_law_of_the_first_five_names_stays_what_it_was():
 
 def test_the_water_goes_along_and_a_robot_glides_farther():
     straight = np.zeros((100, 3))
-    still = Twin(FISH, servos(), n_envs=2, coefficients=[
-        Coefficients(1.5, 1.0, 1.0, 0.0, 1.0, wake=share, wake_s=0.5) for share in (0.0, 0.6)
-    ])  # fmt: skip
-    v = np.zeros((2, 6))
-    v[:, 0] = 0.3
-    still.motion.v.assign(v)
-    ones = wp.array(np.ones(2, np.int32), dtype=wp.int32)
-    wp.launch(start_twin, dim=2, inputs=[still.chain, still.motion, still.water, ones])
+    laws = [Coefficients(1.5, 1.0, 1.0, 0.0, 1.0, wake=x, wake_s=0.5) for x in (0.0, 0.6)]
+    still = twins(*laws)
+    moving(still, 2 * [[0.3, 0, 0, 0, 0, 0]])
     track = still.swim(straight)
     gone = track[:, -1, 0] - track[:, 0, 0]
     assert gone[1] > 1.1 * gone[0]
@@ -169,7 +144,7 @@ def test_the_water_goes_along_and_a_robot_glides_farther():
 
 def test_an_added_mass_along_the_body_takes_its_share_of_a_push():
     heavy = Coefficients(0.0, 0.0, 0.0, 0.0, 0.0, axial=1.0)
-    twin = Twin(FISH, servos(), n_envs=2, coefficients=[DRY, heavy])
+    twin = twins(DRY, heavy)
     push = np.zeros((2, 6))
     push[:, 0] = 0.1
     twin.chain.push.assign(push)
@@ -184,14 +159,13 @@ def test_an_added_mass_along_the_body_takes_its_share_of_a_push():
 def test_drag_that_lags_by_nothing_is_drag_that_does_not_lag():
     base = Coefficients(4.0, 1.0, 1.0, 0.3, 1.0)
     laws = [replace(base, lag=lag) for lag in (0.0, 1e-9, 1.0)]
-    track = Twin(FISH, servos(), n_envs=3, coefficients=laws).swim(signal(3.0))
+    track = twins(*laws).swim(signal(3.0))
     assert track[1] == pytest.approx(track[0], abs=1e-9)
     assert np.abs(track[2] - track[0]).max() > 1e-3
 
 
 def test_added_mass_and_drag_are_shared_as_the_law_says():
-    laws = [Coefficients(), Coefficients(head=0.5, tail=2.0)]
-    water = Twin(FISH, servos(), n_envs=2, coefficients=laws).water
+    water = twins(Coefficients(), Coefficients(head=0.5, tail=2.0)).water
     added, broad = water.added.numpy(), water.broad.numpy()
     assert added[1] / added[0] == pytest.approx(np.array([0.5, 1, 1, 1])[:, None].repeat(3, 1))
     assert broad[1] / broad[0] == pytest.approx(np.array([1, 1, 1, 2.0])[:, None].repeat(3, 1))
