@@ -32,12 +32,12 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from rl.experiments.episodes import FIGURES, measured, run_episodes
+from rl.experiments.named import named_controllers
 from rl.experiments.reality import RealWorld, Starts
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
 from rl.forecast.diagnosed import read_diagnosed
 from rl.forecast.forecast import Forecast
-from rl.forecast.make import named_controllers
 from rl.forecast.realities import Realities, draw_realities, residuals_of
 from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
@@ -70,7 +70,7 @@ SCORED = ("time_s", "energy", "success")
 def task_of(seconds: float) -> Task:
     """The turn, with a limit of time."""
     steps = round(seconds / CONTROL_S)
-    return replace(TASKS["turn"], steps=steps, energy=RECIPES["default"].energy)
+    return replace(TASKS["turn"], steps=steps, energy=RECIPES["default"].task.energy)
 
 
 def concealed(rng: np.random.Generator) -> tuple[Any, dict[str, list[float]]]:

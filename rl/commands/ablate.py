@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from rl.controllers import Controller
@@ -18,7 +17,7 @@ from rl.experiments.ablation import ARMS, ablate, arm_of, policy_in, turn_of, we
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
-from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
+from rl.forecast.realities import read_realities
 from rl.forecast.swims import Forecaster, predict_arms
 from rl.randomize import noise_of
 from rl.sac import plan as plans
@@ -50,7 +49,9 @@ def run(options: argparse.Namespace) -> int:
     if options.first and options.executor is not None:
         raise InputError("ablate", "--first", "--executor with it", "one of the two")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
-    drawn = realities_of(options, robot, model, ranges) if options.forecast else None
+    drawn = None
+    if options.forecast:
+        drawn = read_realities(robot, model, options.ranges, 50, options.seed)
     known = options.truth is not None or isinstance(reality, Model)
     missing = {"all-and-effects"} if options.enriched is None else set()
     missing |= set() if known else {"ceiling"}
@@ -90,19 +91,6 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
         return read_model(options.reality)
     cell = options.reality_cell_m
     return read_reality(options.reality, **({} if cell is None else {"cell_m": cell}))
-
-
-def realities_of(
-    options: argparse.Namespace, robot: Robot, model: Model, ranges: Ranges, n: int = 50
-) -> Realities:
-    """Realities that agree with the model and its ranges, for the forecast of the arms.
-
-    Raises:
-        InputError: If the ranges have no posterior sample, or are not those of the model.
-    """
-    sample = sample_of(ranges, options.ranges)
-    check_ranges(ranges, model, options.ranges)
-    return draw_realities(robot, model, ranges, sample, n, np.random.default_rng(options.seed))
 
 
 def predict_agents(

@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from torch import Tensor
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
-from rl.sac.policy_zip import SavedAsZip, read_policy_zip, read_settings
+from rl.sac.policy_zip import SavedAsZip, load_weights, read_policy_zip, read_settings
 from rl.sac.sac import Spaces
 from sim2real.arrays import Array, Array32, Mask
 from sim2real.errors import InputError
@@ -243,5 +243,5 @@ def read_policy(
     box = spaces.Box(-np.inf, np.inf, (columns,), dtype=np.float32)
     env, network = Spaces(box, spaces.Discrete(choices)), {"net_arch": hidden}
     model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=network, device="cpu")
-    saved.load_into(model.policy)
+    load_weights(path, model.policy, saved.weights)
     return DiscreteCPG(model, limits_rad, n_envs, table)

@@ -30,6 +30,8 @@ ROWS = 50
 """Rows of ``progress.csv``."""
 QUICK: dict[str, Any] = {"task": "near", "steps": 1_000_000, "envs": 32, "energy_weight": 1e-4}
 """Settings of ``train --quick``: a minute or two on one core, in the twin."""
+ACCEPTED = ("task", "steps", "envs", "energy_weight")
+"""Options of the command ``train`` that ``train_run`` accepts."""
 SETTINGS: dict[str, Any] = {
     "gamma": 0.95,  # per choice: 0.95 per 0.2 s is a horizon of 4 s
     "rate": 1e-3,
@@ -63,7 +65,6 @@ def train_run(
     robot: str,
     model: str,
     ranges: str | None = None,
-    name: str = "policy",
     task: str = "point",
     steps: int = 1_000_000,
     envs: int = 32,
@@ -93,7 +94,7 @@ def train_run(
         "controller": "discrete-cpg", "task": task, "energy": chosen.energy, "steps": steps,
         "envs": envs, "fidelity": fidelity, "gaits": gaits, "settings": SETTINGS,
     }  # fmt: skip
-    folders = [folder / f"{name}-{seed}" for seed in seeds]
+    folders = [folder / f"policy-{seed}" for seed in seeds]
     for directory, seed in zip(folders, seeds, strict=True):
         note = provenance(inputs, seed)
         check_run(directory, {**description, "seed": seed}, note, same=("inputs",))

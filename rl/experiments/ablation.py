@@ -62,6 +62,7 @@ class Techniques:
     Without randomization all episodes have the same model, with effects the diagnosed ones.
     """
 
+    title: str
     servo: bool = True
     density: bool = True
     randomization: bool = True
@@ -69,14 +70,14 @@ class Techniques:
 
 
 ARMS: Mapping[str, Techniques] = {
-    "all": Techniques(),
-    "no-servo": Techniques(servo=False),
-    "no-density": Techniques(density=False),
-    "no-randomization": Techniques(randomization=False),
-    "all-and-effects": Techniques(effects=True),
-    "ceiling": Techniques(),
-    "none": Techniques(servo=False, density=False, randomization=False),
-    "midway": Techniques(),
+    "all": Techniques("all techniques"),
+    "no-servo": Techniques("no servo calibration", servo=False),
+    "no-density": Techniques("no density calibration", density=False),
+    "no-randomization": Techniques("no randomization", randomization=False),
+    "all-and-effects": Techniques("all, and the effects found", effects=True),
+    "ceiling": Techniques("trained in reality itself"),
+    "none": Techniques("no technique", servo=False, density=False, randomization=False),
+    "midway": Techniques("half way from no technique"),
 }
 """The four arms of the paper; "all-and-effects", with diagnosed effects; and "ceiling", trained
 with the true parameters of the reality where they are known: an upper bound. By default not run:
@@ -84,16 +85,6 @@ with the true parameters of the reality where they are known: an upper bound. By
 Training of the other arms can continue from agents of "midway": no arm is favoured by that start,
 and the time to learn swimming, which differs by chance, is not part of the comparison."""
 PAPER = ("all", "no-servo", "no-density", "no-randomization")
-TITLES: Mapping[str, str] = {
-    "all": "all techniques",
-    "no-servo": "no servo calibration",
-    "no-density": "no density calibration",
-    "no-randomization": "no randomization",
-    "all-and-effects": "all, and the effects found",
-    "ceiling": "trained in reality itself",
-    "none": "no technique",
-    "midway": "half way from no technique",
-}
 
 
 def one_density(robot: Robot) -> list[float]:

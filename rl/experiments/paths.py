@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rl.metrics import REACHED_M
+from rl.task import POINT
 from sim2real.arrays import Array
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
 
@@ -50,7 +50,9 @@ def pool_figure(
         axes.grid(False)
         axes.plot(*targets.T, color=RULE, linewidth=1.0, zorder=1)
         for target in targets:
-            axes.add_patch(Circle(target, REACHED_M, facecolor="none", edgecolor=FAINT, zorder=2))
+            axes.add_patch(
+                Circle(target, POINT.arrive_m, facecolor="none", edgecolor=FAINT, zorder=2)
+            )
         axes.plot(*ways[name][0][0], "o", color=INK, markersize=4, zorder=4)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)")
         axes.set_title(notes[name], loc="right")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from rl.make import Fidelity, draws_of, make_world, own_stream
 from rl.sac.train import digest
 from rl.task import Task
 from rl.world import Draws, World
-from sim2real.arrays import Array, Array32, Index, Mask
+from sim2real.arrays import Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
@@ -48,15 +48,14 @@ IN_TWIN = SimulationSettings()
 
 
 class Controllers:
-    """Several controllers, each for an equal share of the robots, in order."""
+    """Several controllers, each for ``repeats`` of the robots, in order."""
 
     def __init__(self, controllers: Sequence[Controller], repeats: int) -> None:
-        """Give each controller ``repeats`` robots."""
         self.controllers = list(controllers)
         self.owner = np.repeat(np.arange(len(self.controllers)), repeats)
 
     def of(self, rows: Index) -> Controllers:
-        """The same controllers for some of the robots."""
+        """The same controllers for some of the robots, in increasing order."""
         fewer = Controllers(self.controllers, 1)
         fewer.owner = self.owner[rows]
         return fewer
@@ -68,15 +67,10 @@ class Controllers:
 
     def act(self, observation: Array32) -> Array32:
         """Actions of all robots."""
-        parts = [(rows, controller.act(observation[rows])) for controller, rows in self._shares()]
-        action = np.empty((len(self.owner), parts[0][1].shape[1]), dtype=np.float32)
-        for rows, part in parts:
-            action[rows] = part
-        return action
+        return np.concatenate([c.act(observation[rows]) for c, rows in self._shares()])
 
-    def _shares(self) -> list[tuple[Controller, Index]]:
-        rows = [np.flatnonzero(self.owner == k) for k in range(len(self.controllers))]
-        return [(c, r) for c, r in zip(self.controllers, rows, strict=True) if len(r)]
+    def _shares(self) -> list[tuple[Controller, Mask]]:
+        return [(self.controllers[k], self.owner == k) for k in np.unique(self.owner)]
 
 
 def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
@@ -95,7 +89,7 @@ def simulate(
     *,
     seed: int,
     name: str,
-    watched: Callable[[World], Callable[[Mask], None]] | None = None,
+    watched: Callable[[World], Callable[[Mask], None]] = lambda world: lambda going: None,
     **options: Any,  # noqa: ANN401 - those of ``make_world``
 ) -> Episodes:
     """One episode of each robot in the fluid or the twin, all at once.
@@ -107,8 +101,7 @@ def simulate(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
             seed=seed, **settings.world, **options,
         )  # fmt: skip
-        watch = None if watched is None else watched(world)
-        return run_episodes(world, controller, name=name, watch=watch)
+        return run_episodes(world, controller, name=name, watch=watched(world))
 
 
 def run_trials(
@@ -127,8 +120,7 @@ def run_trials(
     Robots and noise are drawn from the ranges; without ranges all robots are the model.
     """
     drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
-    models = list(drawn.models) * (episodes if ranges is None else 1)
-    draws = [Draws((m,), drawn.noise) for m in models[:episodes]] * len(controllers)
+    draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(controllers)
     starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
     steering = Controllers(list(controllers.values()), episodes)
     swims = simulate(robot, task, starts, draws, steering, settings, seed=seed, name=task.name)
@@ -178,12 +170,12 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
         reality = file(robot, n, seed, device)
         parts = []
         for rows in np.arange(total).reshape(-1, n):
-            world = RealWorld(reality, robot, task, starts.of(rows), name=str(file.path))
+            world = RealWorld(reality, robot, task, starts.of(rows), str(file.files[0]))
             parts.append(run_episodes(world, who.of(rows), name="reality"))
         return _joined(parts)
 
     options = "".join(f", {key} {value}" for key, value in file.options.items())
-    description = f"{file.path.name}{options}; rewards from what camera and servos show"
+    description = f"{file.files[0].name}{options}; rewards from what camera and servos show"
     content = repr((file.sha256, sorted(file.options.items())))
     return Testbed("reality", description, hashlib.sha256(content.encode()).hexdigest(), swim)
 
@@ -192,15 +184,14 @@ def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def recorded(name: str) -> Array:
+    def whole(name: str) -> Any:  # noqa: ANN401 - an array of the field's type
         values = [getattr(part, name) for part in parts]
+        if name in ("reached", "steps", "targets"):
+            return np.concatenate(values)
         padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
-        whole = [np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)]
-        return np.concatenate(whole, axis=1)
+        padded = [
+            np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)
+        ]
+        return np.concatenate(padded, axis=1)
 
-    pose, rate, value = (recorded(name) for name in ("pose", "rate", "value"))
-    reached, steps, targets = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("reached", "steps", "targets")
-    )
-    return Episodes(pose, rate, value, reached, steps, targets)
+    return Episodes(*(whole(field.name) for field in fields(Episodes)))

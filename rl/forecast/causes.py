@@ -25,11 +25,8 @@ _MEASURED_BY = {
 class Measurement:
     """A measurement that would reduce the uncertainty of a forecast.
 
-    Attributes:
-        what: Name of what it determines.
-        how: What to do.
-        shrinks: By figure, the share by which the interval of the mean is expected to become
-            narrower if it determines its parameters exactly, 0 to 1.
+    ``how`` to determine ``what``; ``shrinks`` is, by figure, the share by which the interval of the
+    mean is expected to become narrower if it determines its parameters exactly, 0 to 1.
     """
 
     what: str
@@ -102,13 +99,13 @@ def shares_of(
     As ``first_order`` of the normal scores of trials (N, T), divided by the share of the variance
     that is not the chance of single trials.
     """
-    reliable, scores, N = reliability(values), normal_scores(values), len(weights)
+    reliable, N = reliability(values), len(weights)
     if reliable <= 0:
         return dict.fromkeys(groups, 0.0)
     rows = np.arange(N)
     if not np.allclose(weights, weights[0]):
         rows = np.random.default_rng(0).choice(N, N, p=weights)
-    found = first_order(parameters[rows], expected(scores)[rows], groups)
+    found = first_order(parameters[rows], expected(normal_scores(values))[rows], groups)
     whole = max(reliable, sum(found.values()))
     return {name: share / whole for name, share in found.items()}
 
@@ -116,15 +113,14 @@ def shares_of(
 def ranked(
     names: Sequence[str],
     parameters: Array,
-    figures: dict[str, Array],
+    figures: Mapping[str, Array],
     weights: Array,
     joints: Sequence[str],
-    trials: int = 3,
 ) -> list[Measurement]:
     """Measurements, the one that is expected to shrink the intervals most first.
 
     Of P parameters in N draws, shape (N, P), and the figures of one policy, shape (N, T) each.
-    ``trials`` on the real robot are a measurement too.
+    Three trials on the real robot are a measurement too.
     """
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
@@ -134,22 +130,21 @@ def ranked(
         shares = shares_of(parameters, values, weights, [name for name, _ in kinds])
         for name, share in shares.items():
             shrinks[name][figure] = 1 - float(np.sqrt(1 - share))
-    label = f"{trials} trials"
-    how[label] = "swim with this policy and give the results as --trials"
-    shrinks[label] = narrowed_by_trials(uncertain, weights, trials)
-    rows_ = [Measurement(name, how[name], found) for name, found in shrinks.items() if found]
-    return sorted(rows_, key=lambda one: -one.mean)
+    how["3 trials"] = "swim with this policy and give the results as --trials"
+    shrinks["3 trials"] = narrowed_by_trials(uncertain, weights, 3)
+    found = [Measurement(name, how[name], shares) for name, shares in shrinks.items() if shares]
+    return sorted(found, key=lambda one: -one.mean)
 
 
 def narrowed_by_trials(
-    figures: dict[str, Array], weights: Array, trials: int, *, tries: int = 40
+    figures: Mapping[str, Array], weights: Array, trials: int
 ) -> dict[str, float]:
     """Share by which trials are expected to narrow the interval of each figure, 0 to 1.
 
     A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): the
     real robot is one of the draws, its trials update the forecast as real ones will. The median
-    over ``tries`` draws, as the interval grows many times if trials are like those of a rare
-    failure. The figures of one policy, shape (N, T) each, are those that differ between realities.
+    over 40 draws, as the interval grows many times if trials are like those of a rare failure. The
+    figures of one policy, shape (N, T) each, are those that differ between realities.
     """
     observed = tuple(name for name in figures if name != "success")
     if not observed:
@@ -161,20 +156,17 @@ def narrowed_by_trials(
     rng, shares = np.random.default_rng(0), []
     alone = {name: values[None] for name, values in figures.items()}
 
-    def width(name: str, belief: Array) -> float:
-        _, low, high = interval(figures[name], belief)
-        return high - low
+    def widths(belief: Array) -> Array:
+        ends = [interval(values, belief)[1:] for values in figures.values()]
+        return np.diff(ends, axis=1)[:, 0]
 
-    before = {name: width(name, weights) for name in figures}
-    for truth in rng.choice(N, size=tries, p=weights):
+    before = widths(weights)
+    for truth in rng.choice(N, size=40, p=weights):
         seen = mean[truth] + chance[rng.integers(N * T, size=trials)]
         belief = weights * update([Trials(0, observed, seen)], alone).weights
-        belief /= belief.sum()
-        shares.append([width(name, belief) / max(before[name], 1e-12) for name in figures])
-    return {
-        name: max(0.0, float(1 - ratio))
-        for name, ratio in zip(figures, np.median(shares, axis=0), strict=True)
-    }
+        shares.append(widths(belief / belief.sum()) / np.maximum(before, 1e-12))
+    narrower = 1 - np.median(shares, axis=0)
+    return {name: max(0.0, float(x)) for name, x in zip(figures, narrower, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -203,38 +195,26 @@ def training_ranges(
     values: Array,
     weights: Array,
     trained: Mapping[str, Sequence[float]] | None,
-    *,
-    least: float = 0.01,
 ) -> list[TrainingRange]:
     """Ranges of the next training, those of the parameters that matter most first.
 
-    They explain at least a share ``least`` of the variance of ``values``, the figure that policies
-    are ranked by, shape (N, T). Errors of the simulator itself cannot be randomized. ``trained``
-    are the quantiles of the training by name; an effect that it lacks was 0.
+    They explain at least 1 % of the variance of ``values``, the figure that policies are ranked by,
+    shape (N, T). Errors of the simulator itself cannot be randomized. ``trained`` are the quantiles
+    of the training by name; an effect that it lacks was 0.
     """
     shares = shares_of(parameters, values, weights, names)
     out = []
     for name, column in zip(names, parameters.T, strict=True):
-        if name in DEVIATIONS or shares[name] < least:
+        if name in DEVIATIONS or shares[name] < 0.01:
             continue
         low, high = map(float, quantiles(column[:, None], weights, np.array([0.05, 0.95])))
-        before = None
+        before, advice = None, "draw"
         if trained is not None:
-            ends = trained.get(name, (0.0, 0.0))
-            before = float(ends[0]), float(ends[1])
+            first, last = map(float, trained.get(name, (0.0, 0.0)))
+            before, room = (first, last), 0.25 * (high - low)
+            less = first > low + room or last < high - room
+            more = first < low - room or last > high + room
+            advice = ("move" if more else "widen") if less else "narrow" if more else "keep"
         shown = f"body.{name}" if name.startswith("twin.") else name
-        advice = _advice((low, high), before)
         out.append(TrainingRange(shown, shares[name], (low, high), before, advice))
     return sorted(out, key=lambda one: -one.share)
-
-
-def _advice(
-    drawn: tuple[float, float], trained: tuple[float, float] | None, slack: float = 0.25
-) -> str:
-    """What to do with a training's range; ends agree within a share ``slack`` of the width."""
-    if trained is None:
-        return "draw"
-    room = slack * (drawn[1] - drawn[0])
-    less = trained[0] > drawn[0] + room or trained[1] < drawn[1] - room
-    more = trained[0] < drawn[0] - room or trained[1] > drawn[1] + room
-    return ("move" if more else "widen") if less else "narrow" if more else "keep"

@@ -23,7 +23,7 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.posterior.posteriors import JointSample, read_sample
-from sim2real.ranges.entry import Ranges
+from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.structured import read_json
@@ -171,27 +171,27 @@ def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[
     return np.array(out)
 
 
-def sample_of(ranges: Ranges, path: Path) -> JointSample:
-    """The posterior sample that a file of ranges names.
+def read_realities(
+    robot: Robot, model: Model, ranges_file: Path, n: int, seed: int,
+    diagnosed: Diagnosed | None = None,
+) -> Realities:  # fmt: skip
+    """Draw n realities with the ranges in a file, which are those of the model.
 
     Raises:
-        InputError: If it names none.
+        InputError: If the ranges name no posterior sample, or are of another model.
     """
+    ranges = read_ranges(ranges_file)
     if not ranges.posterior:
         expected = "ranges of bench recordings, which sample the posterior"
-        raise InputError(path, "posterior", "none", expected)
-    return read_sample(path.with_name(ranges.posterior))
+        raise InputError(ranges_file, "posterior", "none", expected)
+    sample = read_sample(ranges_file.with_name(ranges.posterior))
+    _check_ranges(ranges, model, ranges_file)
+    rng = np.random.default_rng(seed)
+    return draw_realities(robot, model, ranges, sample, n, rng, diagnosed=diagnosed)
 
 
-def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.0) -> None:
-    """Check that the ranges, of the file ``path``, are those of the model.
-
-    A value may be outside a range by ``widths`` of its widths (a 90 % interval is narrower than a
-    posterior), and by 5 % of itself.
-
-    Raises:
-        InputError: If a value of the model is further outside, or a joint is not of the model.
-    """
+def _check_ranges(ranges: Ranges, model: Model, path: Path) -> None:
+    """Check that values of the model are at most one width and 5 % of themselves outside ranges."""
     known = numbers_of(model)
     for entry in ranges.entries:
         joint, _, tail = entry.parameter.partition(".")
@@ -202,7 +202,7 @@ def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.
         if entry.distribution == "normal":
             low, high = (entry.first + side * _NORMAL_90 * entry.second for side in (-1, 1))
         value = known.get(entry.parameter, low)
-        slack = widths * (high - low) + 0.05 * abs(value)
+        slack = (high - low) + 0.05 * abs(value)
         if not low - slack <= value <= high + slack:
             found = f"{low:.4g} to {high:.4g}"
             raise InputError(path, entry.parameter, found, f"the model's {value:.4g} within")

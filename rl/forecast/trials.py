@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.special import softmax
 
 from rl.experiments.statistics import effective, expected, normal_scores
 from sim2real.arrays import Array
@@ -92,17 +93,15 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
     ]
 
 
-def update(
-    trials: Sequence[Trials], figures: Mapping[str, Array], *, least: float = 20.0
-) -> Update:
+def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
     """Weights of the draws after trials.
 
     Figures are compared by their normal scores, as a rare failure would be most of the scatter of
     all trials. The mean of a policy's n trials is normal about the mean of a draw, with the
     covariance of simulated trials in one reality, or their own scatter where that is larger, by
-    1 / n. Where few draws agree, the likelihood is flattened until ``least`` of them count:
-    intervals then are wider than they need be, and not too narrow by chance. Figures are those of
-    the forecast, shape (K, N, T) each.
+    1 / n. Where few draws agree, the likelihood is flattened until 20 of them count: intervals then
+    are wider than they need be, and not too narrow by chance. Figures are those of the forecast,
+    shape (K, N, T) each.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)
@@ -129,7 +128,7 @@ def update(
         chance = rng.multivariate_normal(np.zeros(F), noise, size=N)
         predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
-    return Update(*_flattened(log, least), p_value, sum(len(one.values) for one in trials))
+    return Update(*_flattened(log), p_value, sum(len(one.values) for one in trials))
 
 
 def _scores(drawn: Array, seen: Array) -> tuple[Array, Array]:
@@ -145,19 +144,14 @@ def _squares(off: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("ni,in->n", off, np.linalg.solve(covariance, off.T)))
 
 
-def _flattened(log: Array, least: float) -> tuple[Array, float]:
+def _flattened(log: Array) -> tuple[Array, float]:
     """Weights, and their effective number, of log-likelihoods flattened as far as necessary."""
-    low, high = 0.0, 1.0
-    least = min(least, len(log) / 2)
-    weights = _weights(log)
+    low, high, least = 0.0, 1.0, min(20.0, len(log) / 2)
+    weights = softmax(log)
     if effective(weights) < least:
         for _ in range(40):
             power = (low + high) / 2
-            low, high = (power, high) if effective(_weights(power * log)) > least else (low, power)
-        weights = _weights(low * log)
+            enough = effective(softmax(power * log)) > least
+            low, high = (power, high) if enough else (low, power)
+        weights = softmax(low * log)
     return weights, effective(weights)
-
-
-def _weights(log: Array) -> Array:
-    weights = np.exp(log - log.max())
-    return np.asarray(weights / weights.sum())

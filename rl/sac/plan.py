@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from rl.make import Fidelity
 from rl.observer import PAPER, View
@@ -70,19 +70,11 @@ PLAIN = Settings(
 """SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
 
 
-@dataclass(frozen=True)
-class Arm:
-    """Training conditions of one group of agents.
-
-    Attributes:
-        name: Name, also of its folder.
-        draws: Robots and noise that its episodes are drawn from.
-        energy: Final weight of energy; default: that of the task.
-    """
+class Arm(NamedTuple):
+    """A group of agents: its name, also of its folder, and the robots and noise of its episodes."""
 
     name: str
     draws: Draws
-    energy: float | None = None
 
 
 @dataclass(frozen=True)
@@ -141,11 +133,6 @@ class Plan:
             if not fits:
                 raise InputError("train", option, str(value), expected)
 
-    @property
-    def energy(self) -> float:
-        """Final weight of energy."""
-        return self.task.energy
-
     def grown(self, before: float, steps: int, more: int, success: float) -> float:
         """Growth of an agent's energy weight, from 0 to 1.
 
@@ -160,10 +147,9 @@ class Plan:
             return before
         return min(before + more / max(length * self.steps, 1.0), 1.0)
 
-    def price(self, arm: Arm, grown: float) -> float:
+    def price(self, grown: float) -> float:
         """Weight of energy of an agent, given its growth."""
-        full = self.energy if arm.energy is None else arm.energy
-        return full * (self.energy_start + (1 - self.energy_start) * grown)
+        return self.task.energy * (self.energy_start + (1 - self.energy_start) * grown)
 
     def content(self) -> dict[str, Any]:
         """All that determines the result, as JSON values."""
@@ -231,7 +217,7 @@ def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 
         settings["hidden"] = tuple(settings["hidden"])
     plan = replace(
         plan,
-        task=replace(TASKS[task], energy=given.get("energy_weight", plan.energy)),
+        task=replace(TASKS[task], energy=given.get("energy_weight", plan.task.energy)),
         settings=replace(plan.settings, **settings),
         **{name: given[name] for name in _OF_PLAN if name in given},
         **fields,

@@ -110,13 +110,19 @@ class PolicyZip:
         if not holds:
             raise InputError(self.path, name, shown(self.settings.get(name)), expected)
 
-    def load_into(self, policy: nn.Module) -> None:
-        """Copy the weights to a policy; ``InputError`` unless it has the same networks."""
-        try:
-            policy.load_state_dict(dict(self.weights))
-        except RuntimeError as error:
-            problem = str(error).splitlines()[-1].strip()
-            raise InputError(self.path, "networks", problem, "those of an MlpPolicy") from None
+
+def load_weights(
+    path: str | os.PathLike[str],
+    policy: nn.Module,
+    weights: Mapping[str, Any],
+    expected: str = "those of an MlpPolicy",
+) -> None:
+    """Copy the weights of the file ``path`` to a policy; ``InputError`` for other networks."""
+    try:
+        policy.load_state_dict(dict(weights))
+    except RuntimeError as error:
+        problem = str(error).splitlines()[-1].strip()
+        raise InputError(path, "networks", problem, expected) from None
 
 
 class SavedAsZip:

@@ -20,7 +20,7 @@ from rl.deploy.policy import is_spread
 from rl.env import action_space, observation_space
 from rl.observer import PAPER, View
 from rl.sac.plan import Settings
-from rl.sac.policy_zip import PolicyZip, SavedAsZip, read_policy_zip
+from rl.sac.policy_zip import PolicyZip, SavedAsZip, load_weights, read_policy_zip
 from rl.world import World
 from sim2real.arrays import Array32
 from sim2real.errors import InputError
@@ -141,7 +141,7 @@ def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
         policy_kwargs={"net_arch": {"pi": actor, "qf": critic}, "n_critics": critics},
         device="cpu",
     )
-    saved.load_into(agent.policy)
+    load_weights(path, agent.policy, saved.weights)
     learned = saved.variables.get("log_ent_coef")
     if learned is not None and learned.shape == (1,):
         coefficient: Any = agent.log_ent_coef
@@ -190,26 +190,16 @@ def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
     return {"prices": prices, "column": column, "share": share}
 
 
-def view_of(agent: SAC) -> View:
-    """View of an agent; that of the paper if it has none."""
-    view = getattr(agent, "view", PAPER)
-    return view if isinstance(view, View) else PAPER
-
-
 def start_from(model: SwimSAC, path: Path) -> None:
     """Copy the networks and the entropy coefficient of a saved model.
 
     Raises:
         InputError: If there is no saved model, or its shape or view differs.
     """
-    saved: Any = read_agent(path)
-    if view_of(saved) != model.view:
-        raise InputError(path, "view", f"{view_of(saved)}", f"{model.view}, as this training has")
-    try:
-        model.policy.load_state_dict(saved.policy.state_dict())
-    except RuntimeError as error:
-        problem = str(error).splitlines()[-1].strip()
-        raise InputError(path, "networks", problem, "those of this training's recipe") from None
+    saved = read_agent(path)
+    if (view := getattr(saved, "view", PAPER)) != model.view:
+        raise InputError(path, "view", f"{view}", f"{model.view}, as this training has")
+    load_weights(path, model.policy, saved.policy.state_dict(), "those of this training's recipe")
     if saved.log_ent_coef is None:
         raise InputError(path, "entropy coefficient", "a fixed one", "one that is learned")
     entropy: Any = model.log_ent_coef

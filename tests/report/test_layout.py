@@ -4,9 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rl.experiments.differences import Difference
 
-from rl.experiments.ablation_report import OUTCOME, TITLES, difference_figure, return_figure
+from rl.experiments.ablation_report import OUTCOME, return_figure
 from sim.view.calibration_plot import comparison
 from sim2real.report.fit_plot import fit_figure
 from sim2real.report.parameter_plot import parameter_figure
@@ -56,11 +55,6 @@ def _returns():
     return return_figure(arms)
 
 
-def _differences():
-    lost = Difference(mean=17.2, low=12.4, high=22.1, sd=9.0, pairs=24)
-    return difference_figure({arm: lost for arm in TITLES if arm.startswith("no-")})
-
-
 FIGURES = {
     "fit": _fit,
     "parameters": lambda bench: parameter_figure(bench.model),
@@ -73,7 +67,6 @@ FIGURES = {
     ),
     "comparison": lambda bench: _comparison(),
     "returns": lambda bench: _returns(),
-    "differences": lambda bench: _differences(),
 }
 
 

@@ -13,12 +13,12 @@ from PIL import Image
 
 import rl.experiments.testbeds
 from rl.experiments.episodes import measured
+from rl.experiments.named import named_controllers
 from rl.experiments.statistics import best, effective, expected, interval
 from rl.experiments.testbeds import SimulationSettings
 from rl.forecast.causes import first_order, narrowed_by_trials, ranked, training_ranges
 from rl.forecast.diagnosed import Diagnosed, Possible
 from rl.forecast.forecast import limit_of
-from rl.forecast.make import named_controllers
 from rl.forecast.realities import DEVIATIONS, TWIN_ERROR, draw_realities, unexplained
 from rl.forecast.swims import Forecaster, Inexact, blocks, disturbances
 from rl.forecast.trials import Trials, read_trials, update
@@ -320,7 +320,7 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     )
 
     def go(file, progress=lambda share: None):
-        return forecaster.swim(policies, file=file, shown=4, progress=progress)
+        return forecaster.swim(policies, file=file, progress=progress)
 
     def stop(share):
         if share > 0.4:

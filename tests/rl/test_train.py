@@ -21,8 +21,7 @@ from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.testbeds import run_trials
 from rl.observer import PAPER
 from rl.randomize import Noise, draw_models, noise_of
-from rl.sac.checkpoint import COLUMNS
-from rl.sac.curve import draw_curves, read_progress
+from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
 from rl.sac.plan import Settings
 from rl.sac.sac import read_agent
 from rl.sac.train import Arm, Plan, train, train_in_parts
@@ -183,12 +182,11 @@ def test_the_energy_weight_grows_once_an_agent_succeeds():
     assert plan.grown(0.2, 600, 100, 0.5) == 0.2, "an agent that fails is not starved"
     assert plan.grown(0.2, 600, 100, 0.9) == pytest.approx(0.45)
     assert plan.grown(0.9, 600, 100, 0.9) == 1.0
-    prices = [plan.price(Arm("a", Draws()), grown) for grown in (0.0, 0.5, 1.0)]
+    prices = [plan.price(grown) for grown in (0.0, 0.5, 1.0)]
     assert prices == pytest.approx([1e-4, 5.5e-4, 1e-3])
-    assert plan.price(Arm("b", Draws(), energy=2.0), 1.0) == 2.0
 
 
-def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
+def test_prices_grow_as_planned(robot, model, tmp_path, monkeypatch):
     seen = []
     saved = rl.sac.train.save
 
@@ -197,10 +195,10 @@ def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
         saved(folder, agents, progress, names)
 
     monkeypatch.setattr(rl.sac.train, "save", watched)
-    own = [replace(arm, energy=k) for arm, k in zip(arms(model), (0.01, 0.02), strict=True)]
-    train(tmp_path, robot, own, replace(PLAN, ramp=(0.0, 0.3), gate=0.0, energy_start=0.5))
-    assert seen[0] == pytest.approx([0.01, 0.01, 0.02, 0.02], rel=0.5)
-    assert seen[-1] == pytest.approx([0.01, 0.01, 0.02, 0.02])
+    plan = replace(PLAN, ramp=(0.0, 0.3), gate=0.0, energy_start=0.5)
+    train(tmp_path, robot, arms(model), plan)
+    assert seen[0] == pytest.approx([1e-3] * 4, rel=0.5)
+    assert seen[-1] == pytest.approx([1e-3] * 4)
 
 
 @pytest.mark.parametrize(
