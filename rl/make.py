@@ -76,8 +76,7 @@ def world_of(
         model: Model of its servos and body, or ``MODEL.json``.
         ranges: Randomization ranges, or ``ranges.json``; without them every episode has the same
             robot and no noise.
-        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``; see
-            ``rl.task``.
+        task: ``point``, ``near``, ``mixed``, ``chain``, ``turn`` or ``pentagram``; see ``rl.task``.
         fidelity: ``twin`` or ``fluid``.
         device: ``cpu`` or ``cuda:0``.
         cell_m: Side of a cell of the fluid, in m.
@@ -87,14 +86,12 @@ def world_of(
         InputError: If a file does not conform to its format, or there is no such task or fidelity.
     """
     check_choice("sim2real/Fish-v0", "task", task, TASKS)
-    check_choice("sim2real/Fish-v0", "fidelity", fidelity, get_args(Fidelity))
     fish = robot if isinstance(robot, Robot) else read_robot(robot)
     fitted = model if isinstance(model, Model) else read_model(model)
     drawn = ranges if ranges is None or isinstance(ranges, Ranges) else read_ranges(ranges)
-    draws = draws_of(fitted, drawn, fish, seed)
     return make_world(
-        fish, TASKS[task], draws, n_envs=n_envs, fidelity=fidelity, device=device, cell_m=cell_m,
-        seed=seed,
+        fish, TASKS[task], draws_of(fitted, drawn, fish, seed), n_envs=n_envs, fidelity=fidelity,
+        device=device, cell_m=cell_m, seed=seed,
     )  # fmt: skip
 
 
@@ -127,15 +124,14 @@ def make_world(
         use_stream(device, torch.cuda.current_stream(device).cuda_stream)
     blocks = [draws] if isinstance(draws, Draws) else list(draws)
     models = [blocks[e * len(blocks) // n_envs].models[0] for e in range(n_envs)]
+    options |= {"n_envs": n_envs, "device": device, "threads": threads}
     simulator: Simulator
     if fidelity == "twin":
         from sim.twin.twin import Twin
 
-        simulator = Twin(robot, models, n_envs=n_envs, device=device, threads=threads, **options)
+        simulator = Twin(robot, models, **options)
     else:
         from sim.robot.swimmer import Swimmer
 
-        simulator = Swimmer(
-            robot, models, n_envs=n_envs, device=device, cell_m=cell_m, threads=threads, **options
-        )
-    return World(around(simulator), task, draws=blocks, seed=seed)
+        simulator = Swimmer(robot, models, cell_m=cell_m, **options)
+    return World(around(simulator), task, blocks, seed)

@@ -4,12 +4,11 @@ Training, evaluation, exported policies and robots all use it, in PyTorch or Num
 code; the C header of ``rl.deploy.header`` is tested to be equivalent. A policy file states the
 ``View`` of its training. Letters: E robots, J joints, O columns of the task, F of the policy.
 
-Reasons for the design: at 20 ms a decision hardly changes the return, so that its advantage is lost
-in noise (Tallec, Blier, Ollivier, "Making deep Q-learning methods robust to time discretization",
-ICML 2019), and the latency spans several decisions; the state of a delayed process consists of the
-observation and the pending actions (Katsikopoulos, Engelbrecht, IEEE Trans. Autom. Control 48
-(2003) 568). For a symmetric robot, the direction of a turn to a target directly behind, and of the
-first stroke from rest, are ambiguous; two columns that are odd under mirroring resolve this.
+At 20 ms a decision hardly changes the return, and its advantage is lost in noise (Tallec, Blier,
+Ollivier, ICML 2019); the latency spans several decisions; the state of a delayed process
+consists of the observation and the pending actions (Katsikopoulos, Engelbrecht, IEEE Trans. Autom.
+Control 48 (2003) 568). Two columns that are odd under mirroring resolve where a symmetric robot
+turns from a target directly behind, and from rest.
 """
 
 from __future__ import annotations
@@ -31,8 +30,6 @@ NEAR_M, HALF_M = 0.05, 0.5
 """The column of the distance d is log((d + near) / half)."""
 LARGEST = 10.0
 """Scaled columns are clipped to this magnitude."""
-MOST = 1000
-"""Largest period and memory of a view."""
 
 
 def observation_names(joints: Sequence[str]) -> list[str]:
@@ -115,9 +112,8 @@ class View:
             ValueError: If a field is missing, unknown, of another type or out of range.
         """
         kinds = {name: type(default) for name, default in vars(cls()).items()}
-        if not isinstance(fields, dict) or {k: type(v) for k, v in fields.items()} != kinds:
-            raise ValueError(f"a view {fields!r}")
-        if not 1 <= fields["period"] <= MOST or not 0 <= fields["memory"] <= MOST:
+        fits = isinstance(fields, dict) and {k: type(v) for k, v in fields.items()} == kinds
+        if not fits or not 1 <= fields["period"] <= 1000 or not 0 <= fields["memory"] <= 1000:
             raise ValueError(f"a view {fields!r}")
         return cls(**fields)
 
@@ -132,21 +128,13 @@ PAPER = View(period=1, ramp=False, memory=0, scaled=False, sides=False)
 
 
 class Observer:
-    """State of E observers: past decisions, the sides of the target and of the last stroke.
-
-    Attributes:
-        view: Definition of the observations.
-    """
+    """State of E observers: past decisions, the sides of the target and of the last stroke."""
 
     def __init__(self, view: View, low: Any, high: Any, n: int) -> None:  # noqa: ANN401
-        """Start without past decisions.
+        """Start n robots without past decisions.
 
-        Args:
-            view: Definition of the observations.
-            low: Joint angles of action -1, shape (J,), a tensor or an array of float32; all other
-                arguments are of the same library.
-            high: Joint angles of action 1.
-            n: Number of robots.
+        ``low`` and ``high`` are the angles of actions -1 and 1, shape (J,), tensors or arrays of
+        float32; arguments of all methods are of the same library.
         """
         self.view, self._low, self._span, self._xp = view, low, high - low, _library(low)
         shape = (n, max(view.memory, 2), len(low))

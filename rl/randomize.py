@@ -106,8 +106,7 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
             scalars[tail] = value
         elif head not in joints and name != "command_latency_s":
             for joint in joints:
-                effects = _changed(joints[joint].effects, head, tail, value)
-                joints[joint] = replace(joints[joint], effects=effects)
+                joints[joint] = _with_servo(joints[joint], head, tail, value)
     if "command_latency_s" in draw:
         for joint in joints:
             delay = draw["command_latency_s"] + draw.get(f"{joint}.latency_offset_s", 0.0)
@@ -118,19 +117,13 @@ def _with(model: Model, links: Sequence[str], draw: Mapping[str, float]) -> Mode
 
 def _with_servo(joint: JointModel, group: str, parameter: str, value: float) -> JointModel:
     """The joint with another value of an effect's parameter, or of the motor's."""
-    if group != "motor":
-        return replace(joint, effects=_changed(joint.effects, group, parameter, value))
-    law: Law = "motor" if joint.law == "pd" else joint.law
-    return replace(joint, law=law, motor={**joint.motor, parameter: value})
-
-
-def _changed(
-    effects: tuple[FittedEffect, ...], name: str, parameter: str, value: float
-) -> tuple[FittedEffect, ...]:
-    named(name, "ranges")
-    parameters = {one.effect: dict(one.parameters) for one in effects}
-    parameters.setdefault(name, {})[parameter] = value
-    return tuple(FittedEffect(effect, values) for effect, values in parameters.items())
+    if group == "motor":
+        law: Law = "motor" if joint.law == "pd" else joint.law
+        return replace(joint, law=law, motor={**joint.motor, parameter: value})
+    named(group, "ranges")
+    parameters = {one.effect: dict(one.parameters) for one in joint.effects}
+    parameters.setdefault(group, {})[parameter] = value
+    return replace(joint, effects=tuple(FittedEffect(*item) for item in parameters.items()))
 
 
 def parameters_of(models: Sequence[Model]) -> tuple[list[str], Array]:

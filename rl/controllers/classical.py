@@ -41,15 +41,9 @@ def tuned(name: str, kind: type[Gains], pace: str = "middle", path: Path = TUNED
 
 @dataclass(frozen=True)
 class Stroke:
-    """A steady wave with a bend for turning; each value a number or an array (E,).
+    """A ``Gait`` with a bend for turning; each value a number or an array (E,).
 
-    Attributes:
-        frequency_hz: Beats per second.
-        amplitude_rad: Amplitude of the last joint.
-        front: Amplitude of the first joint relative to the last.
-        lag_rad: Phase lag of a joint relative to the previous one.
-        bend_rad: Largest offset.
-        ease: Relative reduction of the amplitude at the largest bend.
+    ``bend_rad`` is the largest offset, ``ease`` the relative reduction of the amplitude at it.
     """
 
     frequency_hz: ArrayLike
@@ -82,13 +76,9 @@ def line_of_sight_rate(observation: NDArray[np.floating]) -> Array:
 class LineOfSight:
     """Bearing and rate of the line of sight, unwrapped, smoothed over the tail's beat.
 
-    Args:
-        n_envs: Number of robots E.
-        filter_s: Time constant of the filter in s, a number or an array (E,).
-
     Attributes:
         bearing: Angle to the target in rad, shape (E,), within 225 degrees to either side.
-        smooth: The bearing after a first-order low-pass filter.
+        smooth: The bearing after a first-order low-pass filter with time constant ``filter_s``.
         rate: Angular rate of the line in rad/s after the same filter.
     """
 
@@ -151,12 +141,9 @@ class _Steered:
 
 @dataclass(frozen=True)
 class PNLGains(Stroke):
-    """Stroke and gains; each a number or an array (E,).
+    """Stroke, bend per angular rate of the line of sight in s and per rad of bearing.
 
-    Attributes:
-        navigation_s: Bend per angular rate of the line of sight, in s.
-        pursuit: Bend per rad of bearing.
-        filter_s: Time constant of the filter that averages over the tail's beat, in s.
+    ``filter_s`` is the time constant of the filter that averages over the tail's beat, in s.
     """
 
     navigation_s: ArrayLike
@@ -174,10 +161,7 @@ class ProportionalNavigation(_Steered):
 
         turn = navigation_s * line_of_sight_rate + pursuit * bearing
 
-    Args:
-        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
-        n_envs: Number of robots.
-        gains: Gains; default: those tuned.
+    ``limits_rad`` are those of the joints, shape (J, 2); by default the gains are those tuned.
     """
 
     def __init__(

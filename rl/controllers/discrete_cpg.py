@@ -33,15 +33,9 @@ LONGEST_HOLD = 1000
 
 @dataclass(frozen=True)
 class ActionTable:
-    """A table of N gaits.
+    """A table of N gaits, see ``Gait``: three columns (N,), and what they have in common.
 
-    Attributes:
-        frequency_hz: Beats per second, shape (N,).
-        amplitude_rad: Amplitude of the last joint, shape (N,).
-        offset_rad: Bend, shape (N,); negative to the left.
-        front: Amplitude of the first joint relative to the last.
-        lag_rad: Phase lag of a joint relative to the previous one.
-        hold: Duration of a choice in control periods.
+    A choice is used for ``hold`` control periods.
     """
 
     frequency_hz: Array
@@ -124,7 +118,7 @@ def with_phase(
     rows: Mask | slice | list[int] = slice(None),
 ) -> Array32:
     """The observations (E, N) with two columns for the phase of the generator's ``rows``."""
-    phase = generator.first_phase()[rows]
+    phase = generator.phase[rows, 0]
     columns = [observation, np.sin(phase)[:, None], np.cos(phase)[:, None]]
     return np.concatenate(columns, axis=1).astype(np.float32)
 
@@ -219,15 +213,9 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
 def read_policy(
     path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike, n_envs: int
 ) -> DiscreteCPG:
-    """Read a policy of ``discrete_train`` as a controller.
+    """Read a policy of ``discrete_train`` as a controller; nothing in the file is executed.
 
-    Nothing in the file is executed, see ``rl.sac.policy_zip``.
-
-    Args:
-        path: The file.
-        table: Its gaits, by ``read_table``.
-        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
-        n_envs: Number of robots E.
+    ``table`` are its gaits, by ``read_table``, ``limits_rad`` those of the joints, shape (J, 2).
 
     Raises:
         InputError: If it is no policy, or for a robot with another number of joints.

@@ -173,15 +173,9 @@ def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socke
 
 
 class Link:
-    """The computer's end.
+    """The computer's end, of a robot with J joints at ``udp://HOST:PORT``.
 
-    Args:
-        url: ``udp://HOST:PORT`` of the robot.
-        J: Number of its joints.
-        key: Key that the robot shares; none by default.
-
-    Attributes:
-        strange: Number of datagrams that were not telemetry of such a robot in this session.
+    ``strange`` counts datagrams that were not telemetry of such a robot in this session.
 
     Raises:
         InputError: If the address is invalid.

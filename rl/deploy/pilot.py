@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,11 +25,6 @@ ANSWER_S = 3.0
 """Time within which the robot must answer first."""
 _SOON = 0.75
 """Share of the control period before which telemetry is not answered again."""
-_ASK_S = 0.1
-_GOODBYES = 5
-"""Number of rest messages at the end, as datagrams may be lost."""
-_KEPT = 64
-"""Number of measurements stored."""
 
 
 class Measurements:
@@ -36,8 +32,8 @@ class Measurements:
 
     def __init__(self, limit: Array32) -> None:
         self._limit = limit
-        self._t: deque[float] = deque(maxlen=_KEPT)
-        self._rows: deque[Array] = deque(maxlen=_KEPT)
+        self._t: deque[float] = deque(maxlen=64)
+        self._rows: deque[Array] = deque(maxlen=64)
 
     def take(self, telemetry: Telemetry) -> bool:
         """Store a measurement; False if it is older than the newest, and ignored."""
@@ -78,19 +74,13 @@ class Measurements:
         return np.asarray(columns[0], dtype=np.float32)
 
 
-@dataclass(frozen=True)
-class Track:
-    """Record of a swim, one row for each set-point message.
+class Track(NamedTuple):
+    """Record of a swim: T set-point messages, the time of arrival and the distance to the target.
 
-    Attributes:
-        t: Arrival of the telemetry on this computer in s, from the first, shape (T,).
-        device_t: The robot's clock, shape (T,).
-        command: Set-points sent in answer, shape (T, J).
-        joint: Measured angles, shape (T, J), NaN if missing.
-        pose: x, y, heading, shape (T, 3), NaN if missing.
-        reached_s: Time at which the target was reached, from the end of rest; None if it was not.
-        closest_m: Smallest distance to the target; infinite if the swim never started.
-        stopped: Reason of an early end; None at the target or when the time was up.
+    Columns are the arrival of the telemetry on this computer in s, from the first, the robot's
+    clock, set-points sent in answer (T, J), measured angles (T, J) and pose (T, 3), NaN if missing.
+    ``reached_s`` is from the end of rest, ``closest_m`` infinite if the swim never started, and
+    ``stopped`` the reason of an early end.
     """
 
     t: Array
@@ -177,15 +167,13 @@ class Pilot:
         J, news = len(self.rest), [telemetry for _, _, telemetry in self._rows]
         arrived = np.array([t for t, _, _ in self._rows])
         return Track(
-            t=arrived - arrived[:1].sum(),
-            device_t=np.array([telemetry.t_s for telemetry in news]),
-            command=np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
-            joint=np.array([telemetry.joint for telemetry in news]).reshape(-1, J),
-            pose=np.array([telemetry.pose for telemetry in news]).reshape(-1, 3),
-            reached_s=self._reached_s,
-            closest_m=self._closest_m,
-            stopped=self.stopped,
-        )
+            arrived - arrived[:1].sum(),
+            np.array([telemetry.t_s for telemetry in news]),
+            np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
+            np.array([telemetry.joint for telemetry in news]).reshape(-1, J),
+            np.array([telemetry.pose for telemetry in news]).reshape(-1, 3),
+            self._reached_s, self._closest_m, self.stopped,
+        )  # fmt: skip
 
 
 def swim(
@@ -197,13 +185,8 @@ def swim(
 ) -> Track | None:
     """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
-    The timing is that of the robot's telemetry, which is answered immediately.
-
-    Args:
-        link: Link to the robot.
-        pilot: Computes the answers.
-        interrupted: Whether the user has asked to stop.
-        progress: Called with the seconds since its last call.
+    The timing is that of the robot's telemetry, which is answered immediately. ``interrupted`` says
+    whether the user has asked to stop, ``progress`` is called with the seconds since its last call.
 
     Returns:
         The swim, or None if the robot never answered.
@@ -211,9 +194,14 @@ def swim(
     Raises:
         KeyboardInterrupt: If the user asks to stop before the robot has answered.
     """
-    news = _contact(link, interrupted)
-    if not news:
-        return None
+    news, deadline = list[Telemetry](), time.monotonic() + ANSWER_S
+    while not news:
+        if time.monotonic() >= deadline:
+            return None
+        if interrupted():
+            raise KeyboardInterrupt
+        link.begin()
+        news = link.receive(0.1)
     answered = time.monotonic()
     try:
         while not pilot.over:
@@ -230,19 +218,7 @@ def swim(
             if not pilot.over:
                 news = link.receive(SILENCE_S / 10)
     finally:
-        for _ in range(_GOODBYES):
+        for _ in range(5):  # datagrams may be lost
             link.send(pilot.rest)
             time.sleep(CONTROL_S)
     return pilot.track()
-
-
-def _contact(link: Link, interrupted: Callable[[], bool]) -> list[Telemetry]:
-    """First telemetry of the robot; empty if it does not answer."""
-    deadline = time.monotonic() + ANSWER_S
-    while time.monotonic() < deadline:
-        if interrupted():
-            raise KeyboardInterrupt
-        link.begin()
-        if news := link.receive(_ASK_S):
-            return news
-    return []

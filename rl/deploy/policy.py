@@ -54,10 +54,9 @@ class Policy:
 
 
 def forward(policy: Policy, inputs: NDArray[Any]) -> Array32:
-    """Deterministic decisions of a policy, between -1 and 1, shape (..., J).
+    """Deterministic decisions between -1 and 1, shape (..., J), from columns of the view (..., F).
 
-    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C), from the
-    columns of ``policy.view``, shape (..., F). ``rl.observer`` converts them to set-points.
+    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C).
     """
     x = np.asarray(inputs, dtype=np.float32)
     *hidden, (weight, bias) = zip(policy.weights, policy.biases, strict=True)
@@ -104,13 +103,9 @@ class PolicyController:
         self._fresh = np.zeros_like(self._fresh)
         if due.any():
             inputs = self._observer.observe(clipped, due)
-            self._observer.decide(self.decided(inputs), due)
+            self._observer.decide(forward(self.policy, inputs), due)
         tick = self._since[:, None].astype(np.float32)
         return np.asarray(self._observer.set_points(tick), dtype=np.float32)
-
-    def decided(self, inputs: Array32) -> Array32:
-        """Decisions between -1 and 1 from the policy's columns (E, F)."""
-        return forward(self.policy, inputs)
 
 
 def npz(policy: Policy) -> bytes:
@@ -150,17 +145,16 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
         note = json.loads(str(content["provenance"]))
         if not isinstance(note, dict) or not is_spread(note.get("trained_over", {})):
             raise ValueError("a provenance that is no object, or without two numbers by parameter")
-        former = schema == FIRST
         policy = Policy(
-            weights=tuple(_numbers(content[f"weight_{k}"]) for k in layers),
-            biases=tuple(_numbers(content[f"bias_{k}"]) for k in layers),
-            low=_numbers(content["low_rad"]),
-            high=_numbers(content["high_rad"]),
-            joints=tuple(map(str, content["joints"])),
-            observation=tuple(map(str, content["observation"])),
-            observation_limit=_numbers(content["observation_limit"]),
-            view=PAPER if former else View.from_content(json.loads(str(content["view"]))),
-            provenance=note,
+            tuple(_numbers(content[f"weight_{k}"]) for k in layers),
+            tuple(_numbers(content[f"bias_{k}"]) for k in layers),
+            _numbers(content["low_rad"]),
+            _numbers(content["high_rad"]),
+            tuple(map(str, content["joints"])),
+            tuple(map(str, content["observation"])),
+            _numbers(content["observation_limit"]),
+            PAPER if schema == FIRST else View.from_content(json.loads(str(content["view"]))),
+            note,
         )
     except KeyError as error:
         raise InputError(file, str(error.args[0]), "nothing", "an array of that name") from None

@@ -1,15 +1,9 @@
 """The ablation: its arms, and tests of their agents at the turn in simulation and in reality.
 
-An arm has some techniques, and defaults that replace the others: without a technique the default of
-the old simulator is used (Lin, Liu, Wang, Sec. IV-D). Where that simulator has no default for this
-robot, one is defined here.
-
-Every testbed writes a file to the folder of the run and is skipped if that file is of the same
-policies and settings.
-
-A folder of pretrained agents, small enough to ship, holds ``ARM-SEED/policy.npz`` of each (only its
-policy, see ``rl.deploy.forward``), the ``model.json`` and ``ranges.json`` that they were trained
-for, and ``agents.json``: the plan, the SHA-256 of every file and the provenance.
+Without a technique the default of the old simulator is used (Lin, Liu, Wang, Sec. IV-D), or one
+that is defined here. A folder of pretrained agents holds ``ARM-SEED/policy.npz`` of each, the
+``model.json`` and ``ranges.json`` of their training, and ``agents.json``: plan, SHA-256 of every
+file, provenance.
 """
 
 from __future__ import annotations

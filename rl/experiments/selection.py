@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -92,16 +92,14 @@ def choose_prices(
         for folder, agent in agents.items()
         if getattr(agent, "by_price", {}).get("column") is not None
     }
-    if not priced:
-        return {}
-    limits = [joint.limits_rad for joint in robot.joints]
     policies: dict[str, Any] = {}
     for k, agent in enumerate(priced.values()):
         for exponent in EXPONENTS:
             set_price(agent, agent.by_price["prices"] ** exponent)
             policies[f"{k}@{exponent}"] = policy_of(agent)
+    limits = [joint.limits_rad for joint in robot.joints]
     worst = np.zeros((len(priced), len(EXPONENTS)))
-    for name in PRICED:
+    for name in PRICED if priced else ():
         controllers: dict[str, Controller] = {
             key: PolicyController(policy) for key, policy in policies.items()
         }
@@ -111,15 +109,12 @@ def choose_prices(
             settings=settings,
         )  # fmt: skip
         rows = {key: summary(one, TASKS[name]) for key, one in swims.items()}
-        ratio = [_ratio(rows[key], rows["pnl"]) for key in policies]
-        worst = np.maximum(worst, np.reshape(ratio, worst.shape))
+        for spent in ("time_s", "energy"):
+            ratio = [rows[key][spent] / max(rows["pnl"][spent], 1e-9) for key in policies]
+            worst = np.maximum(worst, np.reshape(ratio, worst.shape))
     chosen = {}
     for (folder, agent), row in zip(priced.items(), worst, strict=True):
         chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(row))])
         set_price(agent, chosen[folder.name])
         agent.save(folder / "policy.zip")
     return chosen
-
-
-def _ratio(agent: Mapping[str, float], baseline: Mapping[str, float]) -> float:
-    return max(agent[key] / max(baseline[key], 1e-9) for key in ("time_s", "energy"))

@@ -1,9 +1,8 @@
 """Statistics of trials: predictive distributions, and differences of agents paired by seed.
 
-Predictive distributions come from N drawn realities with T trials in each. A figure differs between
-realities (variance B) and between trials in one reality (variance W), the variance components of a
-one-way layout with random effects (Searle, Casella and McCulloch, Variance Components, 1992, ch.
-3). More trials average W away and not B.
+A figure differs between N drawn realities (variance B) and between T trials in one reality
+(variance W), the variance components of a one-way layout with random effects (Searle, Casella and
+McCulloch, Variance Components, 1992, ch. 3). More trials average W away and not B.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Realities that agree with everything known of a robot: one draw of all that is uncertain each.
 
-A draw has servos from the joint posterior sample and the ranges, effects with the probabilities of
-a diagnosis, a body from the posterior of its calibration, the error of the twin as measured against
-the fluid and in trials, and what the fit leaves unexplained (Kennedy and O'Hagan, J. R. Stat. Soc.
-B 63 (2001) 425: parameters, discrepancy and noise are kept apart).
+Parameters, discrepancy and noise are kept apart (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001)
+425): servos and effects, the body, the error of the twin, and what the fit leaves unexplained.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""Policies as zip files without pickled objects.
+"""Policies as zip files without pickled objects; the same policy gives the same bytes.
 
-A file has the members ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth``
-(tensors by name, as ``torch.save`` writes them). ``torch.load`` reads the tensors with
-``weights_only=True``, which cannot call anything else. The same policy gives the same bytes.
-
-Files of Stable-Baselines3 have the same layout, with members that are not read here, and with
-pickled objects in ``data``. These are never unpickled: settings are taken from the text beside
-them, and arrays of joint angles are found by their bytes.
+Members are ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth`` (tensors by
+name), which ``torch.load`` reads with ``weights_only=True``. Files of Stable-Baselines3 have the
+same layout, with pickled objects in ``data``. These are never unpickled: settings are taken from
+the text beside them, and arrays of joint angles are found by their bytes.
 """
 
 from __future__ import annotations
