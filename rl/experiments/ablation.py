@@ -35,18 +35,15 @@ from sim2real.robot import Robot
 from sim2real.structured import Fields, read_json
 
 LISTING = "agents.json"
-EFFORT_NM = 2.0
-"""Torque limit of the joints in the old simulator, N m."""
 STIFF = JointModel(
     kp_Nm_per_rad=10.0,
     kd_Nms_per_rad=0.2,
     latency_s=0.0,
     inertia_kgm2=0.002,
-    effects=(FittedEffect("torque_saturation", {"limit_Nm": EFFORT_NM}),),
+    effects=(FittedEffect("torque_saturation", {"limit_Nm": 2.0}),),
 )
-"""An uncalibrated servo. The old simulator drives joints by torque; the task commands angles, so
-the default is a stiff drive without latency that reaches its torque limit at an error of 0.2
-rad."""
+"""An uncalibrated servo. The old simulator drives joints by torque of at most 2 N m; the task
+commands angles, so the default is a stiff drive without latency, at its limit from 0.2 rad on."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ def one_density(robot: Robot) -> list[float]:
     """
     section = np.array([link.width_m * link.height_m for link in robot.links])
     length = np.array([link.length_m for link in robot.links])
-    return [float(x) for x in section * length.sum() / (section * length).sum()]
+    return list((section * length.sum() / (section * length).sum()).tolist())
 
 
 def model_of(
@@ -152,8 +149,9 @@ def half_way(first: Model, second: Model) -> Model:
             latency_s=(a.latency_s + b.latency_s) / 2,
         )
     density = np.mean([m.body["normalised_density"] for m in (first, second)], axis=0)
-    body = {**first.body, "normalised_density": [float(x) for x in density]}
-    return replace(first, joints=joints, body=body)
+    return replace(
+        first, joints=joints, body={**first.body, "normalised_density": density.tolist()}
+    )
 
 
 def turn_of(plan: Plan, longest: int | None = None) -> Task:
@@ -174,7 +172,7 @@ def ablate(
     seed: int = 0,
     longest: int | None = None,
 ) -> dict[str, Any]:
-    """Test the agents of all arms.
+    """Test the agents of all arms; each testbed writes a file, and is skipped if it is up to date.
 
     Args:
         folder: Folder of the run.
@@ -210,14 +208,14 @@ def ablate(
     names = [(arm, s) for arm in arms for s in plan.seeds]
     return {
         "repeats": repeats,
-        "testbeds": [testbed.name for testbed in testbeds],
+        "testbeds": list(results),
         "said": {testbed.name: testbed.description for testbed in testbeds},
         "agents": [
             {"arm": arm, "seed": s, "folder": agents[a].name}
-            | {testbed: results[testbed]["agents"][a] for testbed in results}
+            | {testbed: result["agents"][a] for testbed, result in results.items()}
             for a, (arm, s) in enumerate(names)
         ],
-        "targets": {testbed: results[testbed]["targets"] for testbed in results},
+        "targets": {testbed: result["targets"] for testbed, result in results.items()},
     }
 
 

@@ -80,21 +80,15 @@ def rows(results: Results) -> list[dict[str, Any]]:
 
 def tables(results: Results) -> dict[str, Table]:
     """The tables of the report: ``returns``, ``losses``, and ``forecast`` if one was made."""
-    table = rows(results)
-    returns = [
-        (
-            ARMS[row["arm"]].title,
-            *(
-                cell
-                for testbed in results["testbeds"]
-                for cell in (_ends(row[testbed][OUTCOME]), f"{100 * row[testbed]['success']:.0f} %")
-            ),
-            f"{row['reality']['time_s']:.1f}",
-            f"{row['reality']['energy']:.0f}",
-            f"{row['reality']['reward'][0]:.1f}",
-        )
-        for row in table
-    ]
+    table, returns = rows(results), []
+    for row in table:
+        cells = [ARMS[row["arm"]].title]
+        for testbed in results["testbeds"]:
+            arrives = f"{100 * row[testbed]['success']:.0f} %"
+            cells += [_ends(row[testbed][OUTCOME]), arrives]
+        real = row["reality"]
+        cells += [f"{real['time_s']:.1f}", f"{real['energy']:.0f}", f"{real['reward'][0]:.1f}"]
+        returns.append(cells)
     header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "time (s)",
               "energy", "reward")  # fmt: skip
     losses = differences(results)

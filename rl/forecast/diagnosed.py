@@ -14,9 +14,6 @@ from sim2real.arrays import Array
 from sim2real.body import values
 from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, RivalSet, read_rival_sets
 from sim2real.effects import BODY, CAMERA, CATALOGUE, find
-from sim2real.effects.body_effect import BodyEffect
-from sim2real.effects.effect import Effect
-from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN, stated
 from sim2real.structured import Fields, read_json
@@ -37,12 +34,8 @@ class Possible:
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        known: dict[str, Effect | BodyEffect] = {e.name: e for e in CATALOGUE}
-        known |= {e.name: e for e in BODY}
-        if self.effect not in known:
-            expected = "an effect of servo or body"
-            raise InputError("diagnosis", "effects", repr(self.effect), expected)
-        bounds = {p.name: p for p in known[self.effect].parameters}
+        effect = find([*CATALOGUE, *BODY], self.effect, "diagnosis")
+        bounds = {p.name: p for p in effect.parameters}
         return {
             k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
             for k, mean in self.mean.items()

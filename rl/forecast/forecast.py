@@ -53,17 +53,16 @@ def limit_of(text: str) -> Limit:
         InputError: If it is none.
     """
     match = re.fullmatch(r"(\w+)\s*(<=|>=)\s*([-+.\deE]+)(?:@([.\d]+))?", text.strip())
-    expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
-    if match is None:
-        raise InputError("forecast", "limit", repr(text), expected)
-    name = {"time": "time_s", "path": "path_m"}.get(match[1], match[1])
     try:
-        value, share = float(match[3]), None if match[4] is None else float(match[4])
+        figure, sign, value, share = match.groups() if match else ("", "", "", "")
+        name = {"time": "time_s", "path": "path_m"}.get(figure, figure)
+        limit = Limit(name, sign == ">=", float(value), None if share is None else float(share))
+        if name not in FIGURES or not (limit.share is None or 0 < limit.share <= 1):
+            raise ValueError(text)
     except ValueError:
+        expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
         raise InputError("forecast", "limit", repr(text), expected) from None
-    if name not in FIGURES or not (share is None or 0 < share <= 1):
-        raise InputError("forecast", "limit", repr(text), expected)
-    return Limit(name, match[2] == ">=", value, share)
+    return limit
 
 
 class Row(NamedTuple):
@@ -167,8 +166,8 @@ class Forecast(NotebookDisplay):
         policy = self.ranking()[0][0]
         if policy not in self.trained:
             return []
-        values = self.figures[self.rank_by][self.policies.index(policy)]
-        trained = self.trained[policy] or None
+        values, trained = self.figures[self.rank_by], self.trained[policy] or None
+        values = values[self.policies.index(policy)]
         return training_ranges(self.names, self.parameters, values, self.weights, trained)
 
     def three_draws(self, first: int) -> dict[int, str]:
@@ -211,12 +210,11 @@ class Forecast(NotebookDisplay):
             }
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
-        update = self.update and {
-            "trials": self.update.trials,
-            "effective_realities": self.update.effective,
-            "p_value": self.update.p_value,
-            "contradicted": self.update.contradicted,
-        }
+        found = self.update
+        update = found and {
+            "trials": found.trials, "effective_realities": found.effective,
+            "p_value": found.p_value, "contradicted": found.contradicted,
+        }  # fmt: skip
         return {
             "schema": SCHEMA,
             "robot": self.robot,

@@ -16,7 +16,7 @@ import numpy as np
 from rl.forecast.diagnosed import Diagnosed
 from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import Coefficients, by_twin, simulated, swim_of, with_values
+from sim.inference.swims import by_twin, simulated, swim_of, with_values
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -38,15 +38,12 @@ _NORMAL_90 = 1.645
 
 @dataclass(frozen=True)
 class Realities:
-    """N draws of what the real robot may be.
+    """N draws of what the real robot may be: models, and the noise of camera and joints.
 
     Attributes:
-        models: The models.
-        noise: Noise of camera and joints.
         names: Names of the P parameters in which the draws differ.
         values: Their values, shape (N, P).
-        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, shape
-            (N, 4).
+        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, (N, 4).
         unexplained: Standard deviation of what the fit leaves unexplained in surge and sway in m/s,
             yaw rate in rad/s and joint angles in rad, shape (3 + J,).
     """
@@ -113,11 +110,10 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
     spread of the models' latencies, between days, is added. Coefficients of the law that were not
     fitted keep the values with which the others were.
     """
-    posterior = model.body.get("posterior")
-    late = np.zeros(())
+    posterior, late = model.body.get("posterior"), np.zeros(())
     if posterior is not None:
-        heads = {"twin", *model.joints}
-        own = [k for k, name in enumerate(posterior["names"]) if name.split(".")[0] in heads]
+        heads = [name.split(".")[0] for name in posterior["names"]]
+        own = [k for k, head in enumerate(heads) if head in {"twin", *model.joints}]
         names = [posterior["names"][k] for k in own]
         late = np.zeros((len(models), len(names)))
         for k, name in enumerate(names):
@@ -128,17 +124,15 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
-        interval = model.body.get("interval", {})
         if "twin" in model.body:
-            ends = {k: v for k, v in interval.items() if k.startswith("twin.")}
-            names = list(ends)
-            mean = np.array([np.mean(ends[k]) for k in names])
-            sd = np.array([np.ptp(ends[k]) / (2 * _NORMAL_90) for k in names])
+            intervals = model.body.get("interval", {})
+            ends = {k: v for k, v in intervals.items() if k.startswith("twin.")}
+            spread = {k: (np.mean(v), np.ptp(v) / (2 * _NORMAL_90)) for k, v in ends.items()}
         else:
-            names = [k for k in LAW_ERROR.usual if k in LAW_ERROR.unknown]
-            law = vars(Coefficients.of(model.body))
-            mean = np.array([LAW_ERROR.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
-            sd = np.array([LAW_ERROR.unknown[k] for k in names])
+            spread = {k: (v, LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
+                      if k in LAW_ERROR.unknown}  # fmt: skip
+        names = list(spread)
+        mean, sd = np.array(list(spread.values()), dtype=np.float64).reshape(-1, 2).T
         drawn = mean + sd * rng.standard_normal((len(models), len(names)))
     drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
     rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)

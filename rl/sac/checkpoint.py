@@ -25,8 +25,6 @@ COLUMNS = (
     "entropy_coefficient", "energy_grown",
 )  # fmt: skip
 CHECKPOINT = "checkpoint.npz"
-EPISODES = 50.0
-"""Episodes over which an agent's success is averaged."""
 
 
 class Progress:
@@ -36,7 +34,7 @@ class Progress:
         steps: Steps of the environment for each agent so far.
         rows: One list of rows, ``COLUMNS`` each, for every agent.
         grown: How far each agent's energy weight has grown, from 0 to 1.
-        success: Share of each agent's last episodes that succeeded.
+        success: Share of each agent's last 50 episodes that succeeded.
     """
 
     def __init__(self, A: int, steps: int = 0) -> None:
@@ -53,7 +51,7 @@ class Progress:
             episodes, *means = tally[:, a].tolist()
             rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist(), self.grown[a]])
             if episodes >= 1:
-                decay = math.exp(-episodes / EPISODES)
+                decay = math.exp(-episodes / 50.0)
                 self.success[a] = decay * self.success[a] + (1 - decay) * means[1]
             self.grown[a] = plan.grown(self.grown[a], self.steps, more, self.success[a])
 
