@@ -36,14 +36,14 @@ from rl.experiments.named import named_controllers
 from rl.experiments.reality import RealWorld, Starts
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
-from rl.forecast.diagnosed import read_diagnosed
 from rl.forecast.forecast import Forecast
-from rl.forecast.realities import Realities, draw_realities, residuals_of
+from rl.forecast.realities import Realities, draw_realities, read_diagnosed, residuals_of
 from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
-from rl.randomize import Noise, with_density
+from rl.make import with_density
 from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, TASKS, Task
+from rl.world import Noise
 from sim.verbs import calibrate, diagnose
 from sim2real.arrays import Array
 from sim2real.diagnose.result import write_diagnosis

@@ -48,11 +48,9 @@ def observation_bounds(J: int) -> list[float]:
 def observed(past: Any, weights: Any, target: Any, limit: Any) -> Any:  # noqa: ANN401
     """The task's columns (E, O), the paper's observation; all arrays are of one library.
 
-    Args:
-        past: The last x, y, heading, continuous, and joint angles, oldest first, (E, n, 3 + J).
-        weights: ``sim2real.velocity.slope_weights``, shape (n,): velocities are slopes.
-        target: x and y of the target, shape (E, 2).
-        limit: Magnitude that each column is clipped to, shape (O,).
+    From the last x, y, heading, continuous, and joint angles, oldest first, (E, n, 3 + J), whose
+    slopes by ``slope_weights`` (n,) are the velocities, and x and y of the target, (E, 2). Columns
+    are clipped to the magnitudes ``limit``, (O,).
     """
     xp, latest, slope = _library(past), past[:, -1], (past * weights[:, None]).sum(1)
     c, s = xp.cos(latest[:, 2]), xp.sin(latest[:, 2])
@@ -170,12 +168,11 @@ class Observer:
         """Joint angles (E, J), -1 and 1 at the ends of each joint's range."""
         return 2 * (raw[:, 3 : 3 + len(self._low)] - self._low) / self._span - 1
 
-    def observe(self, raw: Any, rows: Any = None) -> Any:  # noqa: ANN401
+    def observe(self, raw: Any) -> Any:  # noqa: ANN401
         """The policy's columns (E, F) from the task's (E, O); to be called before each decision."""
         xp, J, view = self._xp, len(self._low), self.view
         ahead, leftward = raw[:, -2], raw[:, -1]
-        bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
-        self._bearing = bearing if rows is None else xp.where(rows, bearing, self._bearing)
+        self._bearing = bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
         parts = [raw]
         if view.scaled:
             distance = xp.sqrt(ahead**2 + leftward**2)
@@ -198,22 +195,14 @@ class Observer:
         crossed = (bearing * self._bearing < 0) & (abs(wrapped) <= KEPT_RAD)
         return xp.where(crossed, wrapped, bearing)
 
-    def decide(self, action: Any, rows: Any = None) -> None:  # noqa: ANN401
-        """Store decisions between -1 and 1, shape (E, J), where ``rows`` (E,) is true."""
-        xp = self._xp
-        mean = action.mean(1)
-        side = xp.where(abs(mean) > STROKE, xp.sign(mean), self._side)
-        decisions = xp.concatenate([action[:, None], self._decisions[:, :-1]], 1)
-        if rows is not None:
-            side = xp.where(rows, side, self._side)
-            decisions = xp.where(rows[:, None, None], decisions, self._decisions)
-        self._side, self._decisions = side, decisions
+    def decide(self, action: Any) -> None:  # noqa: ANN401
+        """Store decisions between -1 and 1, shape (E, J)."""
+        xp, mean = self._xp, action.mean(1)
+        self._side = xp.where(abs(mean) > STROKE, xp.sign(mean), self._side)
+        self._decisions = xp.concatenate([action[:, None], self._decisions[:, :-1]], 1)
 
-    def set_points(self, tick: Any) -> Any:  # noqa: ANN401
-        """Joint angles in rad, shape (E, J).
-
-        ``tick`` are the control periods since the decision, from 0, one number or shape (E, 1).
-        """
+    def set_points(self, tick: int) -> Any:  # noqa: ANN401
+        """Joint angles in rad, shape (E, J), ``tick`` control periods after the decision."""
         current, before = self._decisions[:, 0], self._decisions[:, 1]
         if self.view.ramp:
             current = before + (current - before) * ((tick + 1) / self.view.period)

@@ -83,9 +83,8 @@ def forecast(
     from rl.experiments.episodes import FIGURES
     from rl.experiments.named import named_controllers, with_price
     from rl.experiments.testbeds import SimulationSettings
-    from rl.forecast.diagnosed import read_diagnosed
     from rl.forecast.forecast import Forecast, limit_of
-    from rl.forecast.realities import read_realities, residuals_of
+    from rl.forecast.realities import read_diagnosed, read_realities, residuals_of
     from rl.forecast.swims import Forecaster
     from rl.forecast.trials import read_trials
     from rl.sac.plan import RECIPES

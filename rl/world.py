@@ -15,7 +15,6 @@ from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
 from rl.observer import Observer, View, observation_bounds, observed
-from rl.randomize import Noise
 from rl.task import Task, bonus, effort, reward
 from sim.robot.live import Simulator
 from sim2real.arrays import Array, Index
@@ -24,6 +23,21 @@ from sim2real.velocity import NEWEST, slope_weights
 
 FAST_M_S = 5.0
 """Speed limit: a faster robot has diverged numerically, and its episode is truncated."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the measurement noise, drawn at every step.
+
+    Attributes:
+        position_m: x and y of the head.
+        yaw_rad: Heading of the head.
+        joint_rad: Measured joint angles, one value for all or one per joint.
+    """
+
+    position_m: float = 0.0
+    yaw_rad: float = 0.0
+    joint_rad: tuple[float, ...] = (0.0,)
 
 
 @dataclass(frozen=True)
@@ -224,10 +238,6 @@ class Decisions:
 
     If an episode ends between two decisions, later rewards are ignored and the next episode starts
     with the next decision, so that the decisions of all robots are synchronous.
-
-    Attributes:
-        world: The robots at their task, in steps of 20 ms.
-        observer: Their observations and past decisions.
     """
 
     def __init__(self, world: World, view: View) -> None:
@@ -247,14 +257,9 @@ class Decisions:
         return self.observer.observe(raw)  # type: ignore[no-any-return]
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Apply a decision and simulate until the next.
+        """Apply a decision (E, J), -1 and 1 at the ends of each joint's range.
 
-        Args:
-            action: Desired angles, -1 and 1 at the ends of each joint's range, shape (E, J).
-            begin: Whether to start an episode where one has ended.
-
-        Returns:
-            As ``World.step``, with reward, effort and bonus summed over the decision's periods.
+        As ``World.step``, with reward, effort and bonus summed over the decision's periods.
         """
         self.observer.decide(action)
         total = self.world.step(self.observer.set_points(0), begin=False)

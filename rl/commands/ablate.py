@@ -19,7 +19,7 @@ from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
 from rl.forecast.realities import read_realities
 from rl.forecast.swims import Forecaster, predict_arms
-from rl.randomize import noise_of
+from rl.make import noise_of
 from rl.sac import plan as plans
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan
 from rl.sac.train import train

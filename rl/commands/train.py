@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from rl.controllers import discrete_train
-from rl.experiments.selection import HELD_OUT, choose_prices, held_out
-from rl.experiments.testbeds import SimulationSettings
+from rl.controllers import discrete_cpg
+from rl.experiments.testbeds import HELD_OUT, SimulationSettings, choose_prices, held_out
 from rl.sac import train as sac
 from rl.sac.checkpoint import draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
@@ -23,7 +22,7 @@ from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
 
-TRAINERS = {"sac": sac, "discrete-cpg": discrete_train}
+TRAINERS = {"sac": sac, "discrete-cpg": discrete_cpg}
 """Modules with ``train_run`` and ``QUICK``, by the value of ``--controller``."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,11 +75,17 @@ class CentralPatternGenerator:
         self._wave = Gliding(np.zeros((2, *self.phase.shape)))  # amplitudes, offsets
         self._fresh = np.ones(n_envs, dtype=bool)
 
-    def reset(self, mask: Mask, observation: NDArray[np.floating], phase: ArrayLike = 0.0) -> None:
-        """Reset the robots in ``mask`` (E,) to the angles of an observation (E, O).
+    def reset(
+        self,
+        observation: NDArray[np.floating],
+        phase: ArrayLike = 0.0,
+        mask: Mask | Literal[True] = True,
+    ) -> None:
+        """Reset all robots, or those in ``mask`` (E,), to the angles of an observation (E, O).
 
         ``phase`` is that of the first joint in rad, a number or shape (E,).
         """
+        mask = np.broadcast_to(mask, self._fresh.shape)
         self._fresh |= mask
         self.phase[:, 0] = np.where(mask, phase, self.phase[:, 0])
         angle = np.asarray(observation[:, 3 : 3 + len(self.limits_rad)], dtype=np.float64)

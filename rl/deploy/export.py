@@ -30,12 +30,8 @@ def read_zip(
 ) -> Policy:
     """Read the policy of an SAC agent of this library or of Stable-Baselines3.
 
-    Nothing in the file is executed, see ``rl.sac.policy_zip``.
-
-    Args:
-        path: The file.
-        seed: For the provenance.
-        price: Price of energy relative to that of the training; default: that of the file.
+    Nothing in the file is executed, see ``rl.sac.policy_zip``. ``price`` is that of energy relative
+    to the training's, by default that of the file; ``seed`` is for the provenance.
 
     Raises:
         InputError: If it is no policy, not a fully connected network with ReLU, or was not trained

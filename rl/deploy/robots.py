@@ -274,17 +274,9 @@ def bus_robot(
 ) -> Iterator[tuple[str, BusRobot]]:
     """Context manager that moves the servos to rest and serves them; returns URL and robot.
 
-    In the end they are released, and what was changed in them is restored.
-
-    Args:
-        connection: The bus.
-        mountings: The J servos.
-        rest: Rest angles in rad, shape (J,).
-        poses: ``udp://HOST:PORT`` of this computer, to which the tracker sends poses; only from
-            this computer if HOST is missing.
-        hottest_C: Temperature at which to stop.
-        interrupted: Whether the user has asked to stop.
-        key: Key of the link and of the tracker; none by default.
+    In the end they are released, and what was changed in them is restored. The tracker sends to
+    ``poses``, ``udp://HOST:PORT`` of this computer, only from it if HOST is missing, with the
+    ``key`` of the link. ``interrupted`` says whether the user has asked to stop.
 
     Raises:
         Stopped: If a servo does not answer, is too hot or cannot be released.

@@ -21,8 +21,7 @@ from rl.deploy.export import read_zip
 from rl.deploy.policy import Policy, PolicyController, npz, read_npz
 from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, Testbed, same_starts
-from rl.make import draws_of
-from rl.randomize import noise_of, with_density
+from rl.make import draws_of, noise_of, with_density
 from rl.sac.plan import Arm, Plan
 from rl.task import TASKS, Task
 from rl.world import Draws
@@ -174,16 +173,9 @@ def ablate(
 ) -> dict[str, Any]:
     """Test the agents of all arms; each testbed writes a file, and is skipped if it is up to date.
 
-    Args:
-        folder: Folder of the run.
-        robot: Links, joints and data sheets.
-        arms: Names of the arms.
-        agents: Folders of the agents: all seeds of the first arm, then those of the next.
-        plan: Plan of their training.
-        testbeds: Where the policies are tested.
-        repeats: Episodes of each agent and testbed.
-        seed: Seed of starts and noise.
-        longest: Maximum length of a trial in control periods; default: that of the task.
+    ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
+    episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
+    control periods, by default those of the task.
 
     Returns:
         ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in

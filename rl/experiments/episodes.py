@@ -114,7 +114,7 @@ def run_episodes(
     E = world.n_envs
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
-    controller.reset(np.ones(E, dtype=bool))
+    controller.reset()
     pose, rate = [_copied(world.pose)], [_copied(world.rate)]
     value, going = [np.zeros(E)], np.ones(E, dtype=bool)
     reached, steps = np.zeros((2, E), dtype=np.int64)

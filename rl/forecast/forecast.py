@@ -12,8 +12,15 @@ import numpy as np
 
 from rl.experiments.episodes import FIGURES
 from rl.experiments.statistics import best, expected, interval
-from rl.forecast.causes import Measurement, TrainingRange, ranked, training_ranges
-from rl.forecast.trials import Trials, Update, update
+from rl.forecast.trials import (
+    Measurement,
+    TrainingRange,
+    Trials,
+    Update,
+    ranked,
+    training_ranges,
+    update,
+)
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError

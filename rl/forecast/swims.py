@@ -196,11 +196,8 @@ class Inexact:
     def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
         """Wrap a simulator of E robots that are all reset at the same time.
 
-        Args:
-            simulator: The simulator.
-            law: Relative errors of surge, sway and yaw rate, shape (E, 3).
-            disturbance: Of surge and sway in m/s, yaw rate in rad/s and set-points in rad, shape
-                (T, E, 3 + J); repeated after T periods.
+        ``law`` are relative errors of surge, sway and yaw rate (E, 3); ``disturbance`` is of these
+        in m/s and rad/s and of set-points in rad, (T, E, 3 + J), repeated after T periods.
         """
         self.simulated, self._live = simulator, simulator.live()
         self.robot, self.n_envs = simulator.robot, simulator.n_envs

@@ -134,13 +134,9 @@ class Plan:
                 raise InputError("train", option, str(value), expected)
 
     def grown(self, before: float, steps: int, more: int, success: float) -> float:
-        """Growth of an agent's energy weight, from 0 to 1.
+        """Growth of an agent's energy weight, 0 to 1, from that ``before``, ``more`` periods ago.
 
-        Args:
-            before: Growth so far.
-            steps: Control periods so far.
-            more: Control periods since the last call.
-            success: Share of its last episodes that succeeded.
+        ``success`` is the share of its last episodes that succeeded.
         """
         begin, length = self.ramp
         if steps < begin * self.steps or not success >= self.gate:
@@ -195,11 +191,9 @@ OPTIONS = ("recipe", "task", "energy_weight", *_OF_PLAN, *_OF_SETTINGS)
 
 
 def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
-    """A plan from options.
+    """A plan from some of ``OPTIONS`` and fields: seeds, fidelity, device, cell_m, threads.
 
-    Args:
-        options: Some of ``OPTIONS``; those missing or None have the value of the recipe.
-        fields: Fields of ``Plan``: seeds, fidelity, device, cell_m, threads.
+    Options that are missing or None have the value of the recipe.
 
     Raises:
         InputError: If an option is unknown or out of range.

@@ -13,7 +13,7 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BufferedIOBase, BytesIO
 from pathlib import Path
@@ -85,10 +85,7 @@ class PolicyZip:
     def widths(self, layers: str, output: str | None = None) -> list[int]:
         """Number of inputs of a network, then of outputs of each of its linear layers.
 
-        These are the sequence ``layers`` and, if it is not one of that, the last one, ``output``.
-
-        Raises:
-            InputError: If it has no layers.
+        These are the sequence ``layers`` and the last one, ``output``; ``InputError`` without any.
         """
         numbered = re.compile(re.escape(layers) + r"\.(\d+)\.weight")
         found = {
@@ -122,37 +119,26 @@ def load_weights(
         raise InputError(path, "networks", problem, expected) from None
 
 
-class SavedAsZip:
-    """Agents of Stable-Baselines3 whose ``save`` writes a policy without pickled objects."""
-
-    policy: Any
-
-    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
-        """``settings`` and ``variables`` of the file, see ``PolicyZip``."""
-        raise NotImplementedError
-
-    def save(
-        self,
-        path: str | os.PathLike[str] | BufferedIOBase,
-        exclude: Iterable[str] | None = None,
-        include: Iterable[str] | None = None,
-    ) -> None:
-        """Write ``policy.zip`` atomically; ``exclude`` and ``include`` are not used."""
-        del exclude, include
-        settings, variables = self.content()
-        plain = finite_json(_plain({"schema": SCHEMA, **settings}))
-        content = json.dumps(plain, indent=2, allow_nan=False)
-        archive = BytesIO()
-        with zipfile.ZipFile(archive, "w") as file:
-            for name, data in (
-                ("data", content.encode()),
-                ("policy.pth", _saved(self.policy.state_dict())),
-                ("pytorch_variables.pth", _saved(variables)),
-            ):
-                entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-                entry.create_system, entry.external_attr = 3, 0o600 << 16
-                file.writestr(entry, data)
-        write_whole(cast("str | os.PathLike[str]", path), archive.getvalue())
+def write_policy_zip(
+    path: str | os.PathLike[str] | BufferedIOBase,
+    policy: nn.Module,
+    settings: Mapping[str, Any],
+    variables: Mapping[str, Tensor],
+) -> None:
+    """Write ``policy.zip`` atomically; see ``PolicyZip``."""
+    plain = finite_json(_plain({"schema": SCHEMA, **settings}))
+    content = json.dumps(plain, indent=2, allow_nan=False)
+    archive = BytesIO()
+    with zipfile.ZipFile(archive, "w") as file:
+        for name, data in (
+            ("data", content.encode()),
+            ("policy.pth", _saved(policy.state_dict())),
+            ("pytorch_variables.pth", _saved(variables)),
+        ):
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.create_system, entry.external_attr = 3, 0o600 << 16
+            file.writestr(entry, data)
+    write_whole(cast("str | os.PathLike[str]", path), archive.getvalue())
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays
@@ -170,7 +156,7 @@ def _saved(tensors: Mapping[str, Tensor]) -> bytes:
 
 
 def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
-    """Read a policy by ``SavedAsZip.save`` or Stable-Baselines3; nothing in it is executed.
+    """Read a policy of this library or Stable-Baselines3; nothing in it is executed.
 
     Raises:
         InputError: If it cannot be read as described in this module, or is of another algorithm.

@@ -25,8 +25,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from rl.make import Fidelity, episodes_of, make_world, own_stream
-from rl.randomize import spread_of
+from rl.make import Fidelity, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import Progress, load, save
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
@@ -87,15 +86,10 @@ def train(
 ) -> list[Path]:
     """Train an agent for each arm and seed, all in one batch of robots.
 
-    Args:
-        folder: Folder of the run, with ``run.json``, ``checkpoint.npz`` and, for each agent,
-            ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``.
-        robot: Links, joints and data sheets.
-        arms: Groups of agents.
-        plan: Plan of the training.
-        note: Provenance.
-        first: Policies (``policy.zip``) to continue from, assigned to the seeds of every arm in
-            turn; random networks if empty. Replay memories are not part of them.
+    The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
+    agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies
+    (``policy.zip``) to continue from, assigned to the seeds of every arm in turn, without replay
+    memories; networks are random if there are none.
 
     Returns:
         Folders of the agents: all seeds of the first arm, then those of the next.

@@ -15,8 +15,7 @@ import pytest
 import torch
 from stable_baselines3 import DQN, SAC
 
-from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, read_policy, read_table
-from rl.controllers.discrete_train import make_dqn
+from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, make_dqn, read_policy, read_table
 from rl.deploy.export import read_zip, set_price
 from rl.experiments.named import controller_of
 from rl.observer import PAPER, View

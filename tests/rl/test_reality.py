@@ -43,7 +43,7 @@ class Still:
     def __init__(self):
         self.saw = []
 
-    def reset(self, mask):
+    def reset(self):
         pass
 
     def act(self, observation):
@@ -183,14 +183,13 @@ def test_a_crew_steers_each_share_by_its_own_controller():
         def __init__(self, what):
             self.what = what
 
-        def reset(self, mask):
-            assert mask.all()
+        def reset(self):
+            pass
 
         def act(self, observation):
             return np.full((len(observation), 2), self.what, dtype=np.float32)
 
     several = Controllers([Says(1), Says(2), Says(3)], 2)
-    several.reset(np.ones(6, dtype=bool))
     assert several.act(np.zeros((6, 9), dtype=np.float32))[:, 0].tolist() == [1, 1, 2, 2, 3, 3]
     some = several.of(np.array([1, 4, 5]))
     assert some.act(np.zeros((3, 9), dtype=np.float32))[:, 0].tolist() == [1, 3, 3]
