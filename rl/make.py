@@ -6,6 +6,7 @@ body calibrated to the first shipped swim (``datasets/pool``).
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -37,6 +38,11 @@ FISH = Path(__file__).parent / "fish"
 """The robot, its calibrated model and its ranges that ship with the package."""
 DRAWS = 512
 """Number of robots that episodes are drawn from; each occurs a few times in a training."""
+
+
+def digest(content: object) -> str:
+    """SHA-256 of what ``repr`` shows of a content."""
+    return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 def own_stream(device: str) -> AbstractContextManager[Any]:

@@ -88,13 +88,7 @@ class World:
         elapsed: Steps of the episode so far, shape (E,).
     """
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        task: Task,
-        draws: Sequence[Draws],
-        seed: int,
-    ) -> None:
+    def __init__(self, simulator: Simulator, task: Task, draws: Sequence[Draws], seed: int) -> None:
         """Place the robots at their starts; several ``draws`` share them evenly, in blocks."""
         self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
         self._draws = [draws[e * len(draws) // self.n_envs] for e in range(self.n_envs)]

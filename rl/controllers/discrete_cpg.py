@@ -36,9 +36,6 @@ from sim2real.arrays import Array, Array32
 from sim2real.errors import InputError
 from sim2real.output import provenance
 
-LONGEST_HOLD = 1000
-"""Longest duration of a choice in control periods."""
-
 
 @dataclass(frozen=True)
 class ActionTable:
@@ -81,7 +78,7 @@ class ActionTable:
         front, lag, hold = (float(content[k]) for k in ("front", "lag_rad", "hold"))
         if not np.isfinite([*frequency, *amplitude, *offset, front, lag]).all():
             raise ValueError("a number that is not finite")
-        if not 1 <= hold <= LONGEST_HOLD:
+        if not 1 <= hold <= 1000:
             raise ValueError(f"a hold of {hold:g}")
         return cls(frequency, amplitude, offset, front, lag, int(hold))
 
@@ -242,8 +239,6 @@ def read_policy(
 
 
 COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
-ROWS = 50
-"""Rows of ``progress.csv``."""
 QUICK: dict[str, Any] = {"task": "near", "steps": 1_000_000, "envs": 32, "energy_weight": 1e-4}
 """Settings of ``train --quick``: a minute or two on one core, in the twin."""
 ACCEPTED = ("task", "steps", "envs", "energy_weight")
@@ -351,7 +346,7 @@ def _learn(agent: GaitDQN, steps: int) -> list[list[float]]:
                 recent.append(won)
         done = agent.num_timesteps * TABLE.hold
         bar.update(done - bar.n)
-        if done >= (len(rows) + 1) * max(1, steps // ROWS):
+        if done >= (len(rows) + 1) * max(1, steps // 50):
             note()
         return True
 

@@ -5,10 +5,10 @@ Observations from measurements of camera and servos, set-points in answer, a rec
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,8 @@ from rl.observer import CONTROL_S, observed
 from sim2real.arrays import Array, Array32
 from sim2real.velocity import NEWEST, slope_weights
 
+ARRIVE_M = 0.05
+"""Distance at which the target is reached."""
 REST_S = 0.5
 """Rest before a swim: a recording starts at rest, and velocities need past measurements."""
 ANSWER_S = 3.0
@@ -49,7 +51,7 @@ class Measurements:
         measured = np.isfinite(np.array(self._rows))
         t = np.array(self._t)
         if not len(t) or not measured.any(axis=0).all():
-            return float("inf")
+            return math.inf
         return float(t[-1] - min(t[column].max() for column in measured.T))
 
     def observation(self, target: Array) -> Array32:
@@ -93,32 +95,22 @@ class Track(NamedTuple):
     stopped: str | None
 
 
-@dataclass
 class Pilot:
     """Answers telemetry until the robot is at the target or the time is up.
 
-    Attributes:
-        policy: Policy of the robot.
-        target: x and y in the pool's frame in m.
-        seconds: Longest swim, after rest.
-        arrive_m: Distance at which the target is reached.
-        stopped: Reason of an early end, or None.
+    The target is x and y in the pool's frame in m; ``seconds`` is the longest swim, after rest.
+    ``stopped`` is the reason of an early end, or None.
     """
 
-    policy: Policy
-    target: Array
-    seconds: float
-    arrive_m: float = 0.05
-    stopped: str | None = None
-    _reached_s: float | None = None
-    _closest_m: float = float("inf")
-    _rows: list[tuple[float, Array, Telemetry]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._measurements = Measurements(self.policy.observation_limit)
-        self._controller = PolicyController(self.policy)
-        self._period: int | None = None
-        self.rest: Array = np.clip(0.0, self.policy.low, self.policy.high).astype(np.float64)
+    def __init__(self, policy: Policy, target: Array, seconds: float) -> None:
+        self.policy, self.target, self.seconds = policy, target, seconds
+        self.rest: Array = np.clip(0.0, policy.low, policy.high).astype(np.float64)
+        self.stopped: str | None = None
+        self._reached_s: float | None = None
+        self._closest_m, self._period = math.inf, -1
+        self._rows: list[tuple[float, Array, Telemetry]] = []
+        self._measurements = Measurements(policy.observation_limit)
+        self._controller = PolicyController(policy)
 
     @property
     def elapsed_s(self) -> float:
@@ -153,14 +145,13 @@ class Pilot:
         observation = self._measurements.observation(self.target)
         distance = float(np.hypot(*observation[-2:]))
         self._closest_m = min(self._closest_m, distance)
-        if distance < self.arrive_m:
+        if distance < ARRIVE_M:
             self._reached_s = max(self.elapsed_s, 0.0)
         if self.over:
             return self.rest
-        period = round(self.elapsed_s / CONTROL_S)
-        gone = 1 if self._period is None else period - self._period
-        self._period = period
-        return np.asarray(self._controller.act(observation[None], gone)[0], dtype=np.float64)
+        before, self._period = self._period, round(self.elapsed_s / CONTROL_S)
+        sent = self._controller.act(observation[None], self._period - before)
+        return np.asarray(sent[0], dtype=np.float64)
 
     def track(self) -> Track:
         """Record of the swim so far."""

@@ -21,7 +21,7 @@ from rl.deploy.export import read_zip
 from rl.deploy.policy import Policy, PolicyController, npz, read_npz
 from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, Testbed, same_starts
-from rl.make import draws_of, noise_of, with_density
+from rl.make import digest, draws_of, noise_of, with_density
 from rl.sac.plan import Arm, Plan
 from rl.task import TASKS, Task
 from rl.world import Draws
@@ -188,7 +188,7 @@ def ablate(
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
         inputs = (weights, robot, testbed.key, task.energy, task.steps, repeats, seed, discount)
-        key = hashlib.sha256(repr(inputs).encode()).hexdigest()
+        key = digest(inputs)
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:
             policies = [PolicyController(policy_in(agent)) for agent in agents]

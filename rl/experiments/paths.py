@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,13 +19,8 @@ _PANEL = 360
 _MARGIN_M = 0.15
 
 
-class Way(NamedTuple):
-    """Path of a head, x and y in m, shape (T, 2), NaN after its end; how it is drawn."""
-
-    position: Array
-    colour: str
-    alpha: float = 0.7
-    width: float = 0.7
+Way = tuple[Array, dict[str, Any]]
+"""Path of a head, x and y in m, shape (T, 2), NaN after its end; how it is drawn."""
 
 
 def pool_figure(
@@ -36,8 +31,8 @@ def pool_figure(
     Targets are circles of 5 cm; a note, such as the time, is next to the title of its panel.
     """
     panels = {
-        name: [Way(x, INK, 0.5, 0.6) for x in reversed(of_name[1:])]
-        + [Way(of_name[0], ACCENT, 1.0, 1.3)]
+        name: [(x, {"color": INK, "alpha": 0.5, "lw": 0.6}) for x in reversed(of_name[1:])]
+        + [(of_name[0], {"color": ACCENT, "lw": 1.3})]
         for name, of_name in ways.items()
     }
     points = np.concatenate([targets, *(x for of_name in ways.values() for x in of_name)])
@@ -99,8 +94,8 @@ def _panels(
         for axes in panels[len(ways) :]:
             axes.set_visible(False)
         for axes, (name, of_name) in zip(panels, ways.items(), strict=False):
-            for way in of_name:
-                axes.plot(*way.position.T, color=way.colour, lw=way.width, alpha=way.alpha)
+            for position, style in of_name:
+                axes.plot(*position.T, **style)
             axes.set(aspect="equal", autoscale_on=not shared)
             axes.locator_params(nbins=5)
             axes.set_title(name, color=INK)
@@ -113,4 +108,5 @@ def aligned(path: Array, target: Array, colour: str = INK) -> Way:
     direction = (target - path[0]) / np.linalg.norm(target - path[0])
     moved = path - path[0]
     across = moved @ np.array([-direction[1], direction[0]])
-    return Way(np.stack([-moved @ direction, across], axis=1), colour)
+    style = {"color": colour, "alpha": 0.7, "lw": 0.7}
+    return np.stack([-moved @ direction, across], axis=1), style

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,9 +15,9 @@ from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import Episodes, run_episodes, summary
 from rl.experiments.named import controller_of
 from rl.experiments.reality import RealityFile, RealWorld, Starts
-from rl.make import Fidelity, draws_of, make_world, own_stream
+from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
-from rl.sac.train import digest
+from rl.sac.train import digest_of
 from rl.task import TASKS, Task
 from rl.world import Draws, World
 from sim2real.arrays import Array32, Index, Mask
@@ -158,9 +157,8 @@ def simulated(
 
     fluid = settings.fidelity == "fluid"
     water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
-    content = ([digest(one) for one in draws], (settings.fidelity, settings.cell_m, options))
-    key = hashlib.sha256(repr(content).encode()).hexdigest()
-    return Testbed(name, f"the library's laws in the {water}", key, swim)
+    content = ([digest_of(one) for one in draws], (settings.fidelity, settings.cell_m, options))
+    return Testbed(name, f"the library's laws in the {water}", digest(content), swim)
 
 
 def real(file: RealityFile, device: str = "cpu") -> Testbed:
@@ -181,8 +179,8 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
 
     options = "".join(f", {key} {value}" for key, value in file.options.items())
     description = f"{file.files[0].name}{options}; rewards from what camera and servos show"
-    content = repr((file.sha256, sorted(file.options.items())))
-    return Testbed("reality", description, hashlib.sha256(content.encode()).hexdigest(), swim)
+    key = digest((file.sha256, sorted(file.options.items())))
+    return Testbed("reality", description, key, swim)
 
 
 def _joined(parts: Sequence[Episodes]) -> Episodes:

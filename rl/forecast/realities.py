@@ -297,9 +297,9 @@ def _overfit(model: Model) -> float:
 
     The mean square error of the body's velocities on held-out data over that on fitted data.
     """
-    fits = [model.fit[f"body.{name}"] for name in _BODY if f"body.{name}" in model.fit]
-    ratios = [held / max(train, 1e-9) for one in fits
-              if (held := one.get("heldout")) and (train := one.get("train"))]  # fmt: skip
+    fits = [model.fit.get(f"body.{name}", {}) for name in _BODY]
+    pairs = [(one.get("heldout"), one.get("train")) for one in fits]
+    ratios = [held / max(train, 1e-9) for held, train in pairs if held and train]
     return max(1.0, float(np.mean(np.square(ratios)))) if ratios else 1.0
 
 

@@ -6,7 +6,6 @@ Results are kept, so that an interrupted forecast resumes.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +19,15 @@ from scipy.signal import lfilter
 from torch.utils.dlpack import from_dlpack
 
 from rl.controllers import Controller
+from rl.deploy.policy import PolicyController
+from rl.experiments.ablation import policy_in, weights_digest
 from rl.experiments.episodes import FIGURES, Episodes, measured
 from rl.experiments.film import Film
 from rl.experiments.reality import Starts
 from rl.experiments.statistics import interval
 from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
+from rl.make import digest
 from rl.task import CONTROL_S, Task
 from rl.world import Draws, World
 from sim.robot.effects import Outside
@@ -81,9 +83,8 @@ class Forecaster:
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(20, N), -(-(self.task.steps + 1) // 5)
-        inputs = (key, list(controllers), N, T, self.seed)
-        digest = hashlib.sha256(repr(inputs).encode()).hexdigest()
-        table = _kept(file, digest) or {
+        own = digest((key, list(controllers), N, T, self.seed))
+        table = _kept(file, own) or {
             **{name: np.full((K, N, T), np.nan) for name in FIGURES},
             "paths": np.full((K, n, samples, 2), np.nan),
             "targets": np.full((n, self.task.waypoints, 2), np.nan),
@@ -106,7 +107,7 @@ class Forecaster:
                     table["targets"][head] = episodes.targets[: len(head) * T : T]
                     if file is not None:
                         stream = io.BytesIO()
-                        content: dict[str, Any] = {"digest": np.array(digest), **table}
+                        content: dict[str, Any] = {"digest": np.array(own), **table}
                         np.savez_compressed(stream, **content)
                         write_whole(file, stream.getvalue())
                 progress((part * K + k + 1) / (K * parts))
@@ -147,38 +148,41 @@ class Forecaster:
         )  # fmt: skip
 
 
-def _kept(file: Path | None, digest: str) -> dict[str, Array] | None:
+def _kept(file: Path | None, own: str) -> dict[str, Array] | None:
     """The results in a file, if they are those of the same forecast."""
     if file is None or not file.exists():
         return None
     with contextlib.suppress(InputError):
         arrays = read_arrays(file, "trials of a forecast")
-        if str(arrays.pop("digest", None)) == digest:
+        if str(arrays.pop("digest", None)) == own:
             return arrays
     return None
 
 
 def predict_arms(
-    forecaster: Forecaster, arms: Mapping[str, Sequence[Maker]], file: Path, key: str
+    forecaster: Forecaster, arms: Sequence[str], agents: Sequence[Path], file: Path
 ) -> dict[str, Any]:
     """Forecast of every arm of an ablation, the mean over its agents in each reality.
 
-    ``file`` keeps the trials, which are not run again if ``key``, a digest of the agents, is the
-    same.
+    ``agents`` are folders: all of the first arm, then those of the next. ``file`` keeps the trials,
+    which are not run again if the agents are the same.
 
     Returns:
         By arm and figure its mean with a 90 % interval; ``loses`` is the reward of the arm "all"
         less that of the arm, in the same realities.
     """
-    each = {f"{arm}-{k}": make for arm, of_arm in arms.items() for k, make in enumerate(of_arm)}
-    task, N = forecaster.task, len(forecaster.realities.models)
-    inputs = (key, forecaster.realities.digest(), forecaster.robot, task.name, task.energy,
-              task.steps, forecaster.settings)  # fmt: skip
+
+    def make(agent: Path, _n: int) -> Controller:
+        return PolicyController(policy_in(agent))
+
+    each = {agent.name: partial(make, agent) for agent in agents}
+    task, N, S = forecaster.task, len(forecaster.realities.models), len(agents) // len(arms)
+    inputs = (weights_digest(agents), forecaster.realities.digest(), forecaster.robot, task.name,
+              task.energy, task.steps, forecaster.settings)  # fmt: skip
     swum = forecaster.swim(each, file=file, key=repr(inputs))
-    even, first, rewards, out = np.full(N, 1 / N), 0, {}, dict[str, Any]()
-    for arm, of_arm in arms.items():
-        own = slice(first, first := first + len(of_arm))
-        mean = {figure: swum[figure][own].mean(axis=0) for figure in FIGURES}
+    even, rewards, out = np.full(N, 1 / N), {}, dict[str, Any]()
+    for a, arm in enumerate(arms):
+        mean = {figure: swum[figure][a * S : (a + 1) * S].mean(axis=0) for figure in FIGURES}
         out[arm], rewards[arm] = {k: interval(x, even) for k, x in mean.items()}, mean["reward"]
     for arm in out.keys() - {"all"} if "all" in out else ():
         out[arm]["loses"] = interval(rewards["all"] - rewards[arm], even)

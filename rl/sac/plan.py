@@ -11,7 +11,7 @@ from rl.make import Fidelity
 from rl.observer import PAPER, View
 from rl.task import TASKS, Task
 from rl.world import Draws
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_choice
 
 
 @dataclass(frozen=True)
@@ -200,12 +200,10 @@ def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 
     """
     given = {name: options[name] for name in OPTIONS if options.get(name) is not None}
     recipe = given.get("recipe", "default")
-    if recipe not in RECIPES:
-        raise InputError("train", "--recipe", repr(recipe), f"one of {', '.join(RECIPES)}")
+    check_choice("train", "--recipe", recipe, RECIPES)
     plan = RECIPES[recipe]
     task = given.get("task", plan.task.name)
-    if task not in TASKS:
-        raise InputError("train", "--task", repr(task), f"one of {', '.join(TASKS)}")
+    check_choice("train", "--task", task, TASKS)
     settings = {field: given[name] for name, field in _OF_SETTINGS.items() if name in given}
     if "hidden" in settings:
         settings["hidden"] = tuple(settings["hidden"])

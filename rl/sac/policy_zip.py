@@ -15,9 +15,9 @@ import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BufferedIOBase, BytesIO
+from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -120,7 +120,7 @@ def load_weights(
 
 
 def write_policy_zip(
-    path: str | os.PathLike[str] | BufferedIOBase,
+    path: str | os.PathLike[str],
     policy: nn.Module,
     settings: Mapping[str, Any],
     variables: Mapping[str, Tensor],
@@ -138,7 +138,7 @@ def write_policy_zip(
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             entry.create_system, entry.external_attr = 3, 0o600 << 16
             file.writestr(entry, data)
-    write_whole(cast("str | os.PathLike[str]", path), archive.getvalue())
+    write_whole(path, archive.getvalue())
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from rl.make import Fidelity, episodes_of, make_world, own_stream, spread_of
+from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import Progress, load, save
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
@@ -36,7 +36,7 @@ from sim2real.output import provenance, write_json
 from sim2real.robot import Robot
 from sim2real.structured import read_json
 
-__all__ = ["QUICK", "agent_names", "digest", "train", "train_in_parts", "train_run"]
+__all__ = ["QUICK", "agent_names", "digest_of", "train", "train_in_parts", "train_run"]
 
 ACCEPTED = (*OPTIONS, "first")
 """Options of the command ``train`` that ``train_run`` accepts."""
@@ -98,7 +98,7 @@ def train(
         InputError: If the folder has a run of another plan, or the first policies do not fit.
     """
     names = agent_names(arms, plan.seeds)
-    digests = [digest(arm.draws) for arm in arms]
+    digests = [digest_of(arm.draws) for arm in arms]
     content = {"plan": plan.content(), "agents": names, "draws": digests}
     if first:
         for path in first:
@@ -151,10 +151,10 @@ def agent_names(arms: Sequence[Arm], seeds: Sequence[int]) -> list[str]:
     return [f"{arm.name}-{seed}" for arm in arms for seed in seeds]
 
 
-def digest(draws: Draws) -> str:
+def digest_of(draws: Draws) -> str:
     """SHA-256 of models and noise."""
     models = [(model.joints, model.body, model.effects) for model in draws.models]
-    return hashlib.sha256(repr((models, draws.noise)).encode()).hexdigest()
+    return digest((models, draws.noise))
 
 
 def check_run(

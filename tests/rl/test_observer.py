@@ -111,10 +111,11 @@ def test_set_points_go_on_a_line_from_where_the_joints_are():
     assert line == pytest.approx(expected, abs=1e-6)
 
 
-NETWORKS = [(VIEWS[0], (24, 24)), (PAPER, (5, 16, 7, 9)), (PAPER, ())]
+NETWORKS = [(VIEWS[0], (24, 24)), (PAPER, (24, 24)), (PAPER, (24, 7, 16)), (PAPER, ())]
+"""Views and hidden layers."""
 
 
-@pytest.fixture(scope="module", params=NETWORKS, ids=["default", "paper", "linear"])
+@pytest.fixture(scope="module", params=NETWORKS, ids=str)
 def trained(request, robot, model):
     """An agent that moves a lot, as a policy."""
     from rl.make import make_world
@@ -128,6 +129,7 @@ def trained(request, robot, model):
     return agent, policy_of(agent)
 
 
+@pytest.mark.parametrize("trained", NETWORKS[:2], indirect=True, ids=str)
 def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model):
     """Decisions on the device, and NumPy at 50 Hz, on one noisy swim."""
     agent, policy = trained

@@ -12,14 +12,7 @@ import numpy as np
 import pytest
 
 from rl.deploy import link as protocol
-from rl.deploy.link import (
-    Link,
-    SetPoints,
-    Telemetry,
-    opened,
-    set_point_bytes,
-    telemetry_bytes,
-)
+from rl.deploy.link import Link, SetPoints, Telemetry, opened, set_point_bytes, telemetry_bytes
 from rl.deploy.robots import Poses, Received, served
 from sim2real.errors import InputError
 from sim2real.hardware.shared_key import sealed, shared_key, unsealed
