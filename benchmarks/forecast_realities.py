@@ -37,16 +37,21 @@ from scipy.stats import kendalltau
 
 from benchmarks.harness import ROOT, command_line, spread
 from rl.experiments.episodes import FIGURES, measured, run_episodes
+from rl.experiments.named import named_controllers
 from rl.experiments.reality import RealWorld, Starts
 from rl.experiments.statistics import expected
 from rl.experiments.testbeds import Controllers, SimulationSettings
-from rl.forecast.diagnosed import read_diagnosed
 from rl.forecast.forecast import Forecast
-from rl.forecast.make import named_controllers
-from rl.forecast.realities import DEVIATIONS, TWIN_ERROR, draw_realities, residuals_of
+from rl.forecast.realities import (
+    DEVIATIONS,
+    TWIN_ERROR,
+    draw_realities,
+    read_diagnosed,
+    residuals_of,
+)
 from rl.forecast.swims import Forecaster
 from rl.forecast.trials import OBSERVED, Trials
-from rl.randomize import with_density
+from rl.make import with_density
 from rl.sac.plan import RECIPES
 from rl.task import CONTROL_S, TASKS, Task
 from sim.verbs import calibrate, diagnose
@@ -75,7 +80,7 @@ SCORED = ("time_s", "energy", "success")
 def task_of(seconds: float) -> Task:
     """The turn, with a limit of time."""
     steps = round(seconds / CONTROL_S)
-    return replace(TASKS["turn"], steps=steps, energy=RECIPES["default"].energy)
+    return replace(TASKS["turn"], steps=steps, energy=RECIPES["default"].task.energy)
 
 
 def concealed(rng: np.random.Generator) -> tuple[Any, dict[str, list[float]]]:

@@ -73,10 +73,7 @@ class FishEnv(gymnasium.Env[Array32, Array32]):
         *,
         render_mode: str | None = None,
     ) -> None:
-        """Wrap a world with one environment.
-
-        With ``rgb_array`` as ``render_mode`` there are images of the pool from above, which
-        Gymnasium's wrapper ``HumanRendering`` shows in a window.
+        """Wrap a world with one environment; with ``rgb_array`` there are images of it from above.
 
         Raises:
             ValueError: If the world has several environments, or there is no such mode.

@@ -4,12 +4,11 @@ Training, evaluation, exported policies and robots all use it, in PyTorch or Num
 code; the C header of ``rl.deploy.header`` is tested to be equivalent. A policy file states the
 ``View`` of its training. Letters: E robots, J joints, O columns of the task, F of the policy.
 
-Reasons for the design: at 20 ms a decision hardly changes the return, so that its advantage is lost
-in noise (Tallec, Blier, Ollivier, "Making deep Q-learning methods robust to time discretization",
-ICML 2019), and the latency spans several decisions; the state of a delayed process consists of the
-observation and the pending actions (Katsikopoulos, Engelbrecht, IEEE Trans. Autom. Control 48
-(2003) 568). For a symmetric robot, the direction of a turn to a target directly behind, and of the
-first stroke from rest, are ambiguous; two columns that are odd under mirroring resolve this.
+At 20 ms a decision hardly changes the return, and its advantage is lost in noise (Tallec, Blier,
+Ollivier, ICML 2019); the latency spans several decisions; the state of a delayed process
+consists of the observation and the pending actions (Katsikopoulos, Engelbrecht, IEEE Trans. Autom.
+Control 48 (2003) 568). Two columns that are odd under mirroring resolve where a symmetric robot
+turns from a target directly behind, and from rest.
 """
 
 from __future__ import annotations
@@ -31,8 +30,6 @@ NEAR_M, HALF_M = 0.05, 0.5
 """The column of the distance d is log((d + near) / half)."""
 LARGEST = 10.0
 """Scaled columns are clipped to this magnitude."""
-MOST = 1000
-"""Largest period and memory of a view."""
 
 
 def observation_names(joints: Sequence[str]) -> list[str]:
@@ -51,11 +48,9 @@ def observation_bounds(J: int) -> list[float]:
 def observed(past: Any, weights: Any, target: Any, limit: Any) -> Any:  # noqa: ANN401
     """The task's columns (E, O), the paper's observation; all arrays are of one library.
 
-    Args:
-        past: The last x, y, heading, continuous, and joint angles, oldest first, (E, n, 3 + J).
-        weights: ``sim2real.velocity.slope_weights``, shape (n,): velocities are slopes.
-        target: x and y of the target, shape (E, 2).
-        limit: Magnitude that each column is clipped to, shape (O,).
+    From the last x, y, heading, continuous, and joint angles, oldest first, (E, n, 3 + J), whose
+    slopes by ``slope_weights`` (n,) are the velocities, and x and y of the target, (E, 2). Columns
+    are clipped to the magnitudes ``limit``, (O,).
     """
     xp, latest, slope = _library(past), past[:, -1], (past * weights[:, None]).sum(1)
     c, s = xp.cos(latest[:, 2]), xp.sin(latest[:, 2])
@@ -115,9 +110,8 @@ class View:
             ValueError: If a field is missing, unknown, of another type or out of range.
         """
         kinds = {name: type(default) for name, default in vars(cls()).items()}
-        if not isinstance(fields, dict) or {k: type(v) for k, v in fields.items()} != kinds:
-            raise ValueError(f"a view {fields!r}")
-        if not 1 <= fields["period"] <= MOST or not 0 <= fields["memory"] <= MOST:
+        fits = isinstance(fields, dict) and {k: type(v) for k, v in fields.items()} == kinds
+        if not fits or not 1 <= fields["period"] <= 1000 or not 0 <= fields["memory"] <= 1000:
             raise ValueError(f"a view {fields!r}")
         return cls(**fields)
 
@@ -132,21 +126,13 @@ PAPER = View(period=1, ramp=False, memory=0, scaled=False, sides=False)
 
 
 class Observer:
-    """State of E observers: past decisions, the sides of the target and of the last stroke.
-
-    Attributes:
-        view: Definition of the observations.
-    """
+    """State of E observers: past decisions, the sides of the target and of the last stroke."""
 
     def __init__(self, view: View, low: Any, high: Any, n: int) -> None:  # noqa: ANN401
-        """Start without past decisions.
+        """Start n robots without past decisions.
 
-        Args:
-            view: Definition of the observations.
-            low: Joint angles of action -1, shape (J,), a tensor or an array of float32; all other
-                arguments are of the same library.
-            high: Joint angles of action 1.
-            n: Number of robots.
+        ``low`` and ``high`` are the angles of actions -1 and 1, shape (J,), tensors or arrays of
+        float32; arguments of all methods are of the same library.
         """
         self.view, self._low, self._span, self._xp = view, low, high - low, _library(low)
         shape = (n, max(view.memory, 2), len(low))
@@ -182,12 +168,11 @@ class Observer:
         """Joint angles (E, J), -1 and 1 at the ends of each joint's range."""
         return 2 * (raw[:, 3 : 3 + len(self._low)] - self._low) / self._span - 1
 
-    def observe(self, raw: Any, rows: Any = None) -> Any:  # noqa: ANN401
+    def observe(self, raw: Any) -> Any:  # noqa: ANN401
         """The policy's columns (E, F) from the task's (E, O); to be called before each decision."""
         xp, J, view = self._xp, len(self._low), self.view
         ahead, leftward = raw[:, -2], raw[:, -1]
-        bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
-        self._bearing = bearing if rows is None else xp.where(rows, bearing, self._bearing)
+        self._bearing = bearing = self._with_hysteresis(xp.arctan2(leftward, ahead))
         parts = [raw]
         if view.scaled:
             distance = xp.sqrt(ahead**2 + leftward**2)
@@ -210,22 +195,14 @@ class Observer:
         crossed = (bearing * self._bearing < 0) & (abs(wrapped) <= KEPT_RAD)
         return xp.where(crossed, wrapped, bearing)
 
-    def decide(self, action: Any, rows: Any = None) -> None:  # noqa: ANN401
-        """Store decisions between -1 and 1, shape (E, J), where ``rows`` (E,) is true."""
-        xp = self._xp
-        mean = action.mean(1)
-        side = xp.where(abs(mean) > STROKE, xp.sign(mean), self._side)
-        decisions = xp.concatenate([action[:, None], self._decisions[:, :-1]], 1)
-        if rows is not None:
-            side = xp.where(rows, side, self._side)
-            decisions = xp.where(rows[:, None, None], decisions, self._decisions)
-        self._side, self._decisions = side, decisions
+    def decide(self, action: Any) -> None:  # noqa: ANN401
+        """Store decisions between -1 and 1, shape (E, J)."""
+        xp, mean = self._xp, action.mean(1)
+        self._side = xp.where(abs(mean) > STROKE, xp.sign(mean), self._side)
+        self._decisions = xp.concatenate([action[:, None], self._decisions[:, :-1]], 1)
 
-    def set_points(self, tick: Any) -> Any:  # noqa: ANN401
-        """Joint angles in rad, shape (E, J).
-
-        ``tick`` are the control periods since the decision, from 0, one number or shape (E, 1).
-        """
+    def set_points(self, tick: int) -> Any:  # noqa: ANN401
+        """Joint angles in rad, shape (E, J), ``tick`` control periods after the decision."""
         current, before = self._decisions[:, 0], self._decisions[:, 1]
         if self.view.ramp:
             current = before + (current - before) * ((tick + 1) / self.view.period)

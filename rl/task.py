@@ -17,10 +17,8 @@ from sim2real.arrays import Array
 
 DOMAIN_M = (3.6, 3.6)
 """Length and width of the pool; its centre is the origin."""
-MARGIN_M = 0.4
-"""Smallest distance of starts and targets from the walls."""
-BEHIND = 0.4
-"""Share of the episodes of ``chain`` that start with the target behind the robot."""
+_HALF_M = np.array(DOMAIN_M) / 2 - 0.4
+"""Starts and targets are at least 0.4 m from the walls."""
 
 
 def reward(
@@ -69,9 +67,8 @@ class Task:
 
 def point(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """Random start and target in the pool, random heading and small joint angles."""
-    half = np.array(DOMAIN_M) / 2 - MARGIN_M
-    pose = np.column_stack([rng.uniform(-half, half, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
-    return pose, rng.uniform(-0.2, 0.2, (n, J)), rng.uniform(-half, half, (n, 1, 2))
+    pose = np.column_stack([rng.uniform(-_HALF_M, _HALF_M, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
+    return pose, rng.uniform(-0.2, 0.2, (n, J)), rng.uniform(-_HALF_M, _HALF_M, (n, 1, 2))
 
 
 def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
@@ -88,15 +85,18 @@ def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array
     The logarithm of the distance is uniform: near targets, which are reached by chance, give the
     first rewards, and far ones teach what ``point`` requires.
     """
-    half = np.array(DOMAIN_M) / 2 - MARGIN_M
     pose, joint, target = point(rng, n, J)
-    away = 0.12 * (2.0 / 0.12) ** rng.uniform(size=n)
-    todo = np.arange(n)
+    away, todo = _distances(rng, n), np.arange(n)
     while todo.size:
-        pose[todo, :2] = rng.uniform(-half, half, (todo.size, 2))
+        pose[todo, :2] = rng.uniform(-_HALF_M, _HALF_M, (todo.size, 2))
         target[todo, 0] = pose[todo, :2] + _ways(rng, away[todo])
-        todo = todo[(np.abs(target[todo, 0]) > half).any(axis=1)]
+        todo = todo[(np.abs(target[todo, 0]) > _HALF_M).any(axis=1)]
     return pose, joint, target
+
+
+def _distances(rng: np.random.Generator, n: int) -> Array:
+    """Distances of the targets of ``mixed`` in m, shape (n,)."""
+    return np.asarray(0.12 * (2.0 / 0.12) ** rng.uniform(size=n))
 
 
 def _ways(rng: np.random.Generator, away: Array) -> Array:
@@ -108,30 +108,22 @@ def _ways(rng: np.random.Generator, away: Array) -> Array:
 def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """Three successive targets, each at a distance from the previous one as in ``mixed``.
 
-    Episodes continue after a target is reached, so the state at arrival matters. A share ``BEHIND``
-    of the episodes start as in ``turn``, straight and with the first target behind the robot: the
-    most difficult start, in which agents differ most.
+    Episodes continue after a target is reached, so the state at arrival matters. 40 % of the
+    episodes start as in ``turn``, straight and with the first target behind the robot: the most
+    difficult start, in which agents differ most.
     """
     pose, joint, first = mixed(rng, n, J)
-    behind = rng.uniform(size=n) < BEHIND
+    behind = rng.uniform(size=n) < 0.4
     away = pose[:, :2] - first[:, 0]
     heading = np.arctan2(away[:, 1], away[:, 0]) + rng.normal(0, 0.2, n)
     pose[behind, 2], joint[behind] = heading[behind], 0.0
-    ways = [first]
-    for _ in range(2):
-        ways.append(_onward(rng, ways[-1]))
+    ways = [first, first.copy(), first.copy()]
+    for last, following in zip(ways[:-1], ways[1:], strict=True):
+        todo = np.arange(n)
+        while todo.size:
+            following[todo, 0] = last[todo, 0] + _ways(rng, _distances(rng, todo.size))
+            todo = todo[(np.abs(following[todo, 0]) > _HALF_M).any(axis=1)]
     return pose, joint, np.concatenate(ways, axis=1)
-
-
-def _onward(rng: np.random.Generator, last: Array) -> Array:
-    """Targets at ``mixed``'s distances from (n, 1, 2), inside the pool."""
-    half = np.array(DOMAIN_M) / 2 - MARGIN_M
-    out, todo = last.copy(), np.arange(len(last))
-    while todo.size:
-        away = 0.12 * (2.0 / 0.12) ** rng.uniform(size=todo.size)
-        out[todo, 0] = last[todo, 0] + _ways(rng, away)
-        todo = todo[(np.abs(out[todo, 0]) > half).any(axis=1)]
-    return out
 
 
 def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:

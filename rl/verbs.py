@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sim2real.errors import InputError, check_choice, check_whole, names_of
+from sim2real.output import provenance
+from sim2real.progress import progress_bar
 from sim2real.verbs import model_of, recordings_of, robot_of
 
 if TYPE_CHECKING:
@@ -76,31 +79,69 @@ def forecast(
     check_whole("forecast", "realities", realities, 20)
     check_whole("forecast", "repeats", repeats, 2)
     check_choice("forecast", "fidelity", fidelity, ("twin", "fluid"))
+    from rl.deploy.policy import PolicyController
     from rl.experiments.episodes import FIGURES
+    from rl.experiments.named import named_controllers, with_price
     from rl.experiments.testbeds import SimulationSettings
-    from rl.forecast.make import make_forecast
-    from rl.task import TASKS
+    from rl.forecast.forecast import Forecast, limit_of
+    from rl.forecast.realities import read_diagnosed, read_realities, residuals_of
+    from rl.forecast.swims import Forecaster
+    from rl.forecast.trials import read_trials
+    from rl.sac.plan import RECIPES
+    from rl.task import CONTROL_S, TASKS
+    from sim.view.video import check_video
 
     check_choice("forecast", "task", task, TASKS)
     check_choice("forecast", "rank_by", rank_by, FIGURES)
     if seconds is not None and not 0.1 <= seconds <= 600:
         raise InputError("forecast", "seconds", f"{seconds:g}", "0.1 to 600")
-    return make_forecast(
-        names_of("forecast", "policies", policies),
-        robot_of(robot),
-        model_of(model),
-        Path(ranges),
-        diagnosis=None if diagnosis is None else Path(diagnosis),
-        recordings=recordings_of(recordings) if recordings else [],
-        task=TASKS[task],
-        seconds=seconds,
-        trials=None if trials is None else Path(trials),
-        limits=names_of("forecast", "limit", limit),
-        rank_by=rank_by,
-        count=(realities, repeats),
-        settings=SimulationSettings(fidelity, device, threads, cell_m),
-        kept=None if kept is None else Path(kept),
-        film=None if film is None else Path(film),
-        seed=seed,
-        inputs=(robot, model, ranges, diagnosis, trials),
-    )
+    if film is not None:
+        check_video(Path(film))
+    names = names_of("forecast", "policies", policies)
+    fish, known = robot_of(robot), model_of(model)
+    stated = tuple(limit_of(text) for text in names_of("forecast", "limit", limit))
+    controllers = named_controllers(names, fish)
+    steps = TASKS[task].steps if seconds is None else round(seconds / CONTROL_S)
+    chosen = replace(TASKS[task], steps=steps, energy=RECIPES["default"].task.energy)
+    found = read_trials(Path(trials), list(controllers), CONTROL_S * steps) if trials else []
+    diagnosed = None if diagnosis is None else read_diagnosed(diagnosis)
+    swims = recordings_of(recordings) if recordings else []
+    residuals = residuals_of(swims, known, fish)
+    drawn = read_realities(fish, known, Path(ranges), realities, seed, diagnosed)
+    files = [path for name in names if (path := Path(with_price(name)[0])).exists()]
+    origin = provenance([robot, model, ranges, diagnosis, trials, *swims, *files], seed)
+    learned = [origin["inputs"][str(path)] for path in files]
+    settings = SimulationSettings(fidelity, device, threads, cell_m)
+    key = repr((drawn.digest(residuals), learned, fish, task, steps, settings))
+    forecaster = Forecaster(fish, chosen, drawn, repeats, seed, settings, residuals)
+    with progress_bar("forecast") as progress:
+        file = None if kept is None else Path(kept)
+        swum = forecaster.swim(controllers, file=file, key=key, progress=progress)
+    trained = {
+        name: made.policy.provenance.get("trained_over", {})
+        for name, make in controllers.items()
+        if isinstance(made := make(1), PolicyController)
+    }
+    figures = {name: swum[name] for name in FIGURES}
+    out = Forecast(
+        fish.name, task, tuple(controllers), tuple(joint.name for joint in fish.joints), figures,
+        drawn.names, drawn.values, swum["paths"], swum["targets"], rank_by, trained, stated,
+        notes=_notes(known, bool(residuals or drawn.unexplained.any())), provenance=origin,
+    )  # fmt: skip
+    if found:
+        out = out.after(found)
+    if film is not None:
+        best = controllers[out.ranking()[0][0]]
+        forecaster.film(Path(film), out.three_draws(settings.at_once), best)
+    return out
+
+
+def _notes(model: Model, disturbed: bool) -> tuple[str, ...]:
+    notes = []
+    if "twin" not in model.body:
+        notes.append("the body is not calibrated: its law is as uncertain as that of any robot")
+    elif not {"posterior", "interval"} & model.body.keys():
+        notes.append("the body's calibration states no uncertainty: it counts as exact")
+    if not disturbed:
+        notes.append("the model states no error of its fit: trials are not disturbed")
+    return tuple(notes)

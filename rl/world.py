@@ -1,7 +1,7 @@
 """Batch of robots with simulator and task, as tensors; all environments wrap ``Decisions``.
 
 Observations, rewards and noise are computed on the device of the simulator; the state of the fluid
-is never copied to the host. Episodes restart when they end, with a new robot from ``Draws``.
+is never copied to the host.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from torch import Tensor
 from torch.utils.dlpack import from_dlpack
 
 from rl.observer import Observer, View, observation_bounds, observed
-from rl.randomize import Noise
 from rl.task import Task, bonus, effort, reward
 from sim.robot.live import Simulator
 from sim2real.arrays import Array, Index
@@ -27,15 +26,25 @@ FAST_M_S = 5.0
 
 
 @dataclass(frozen=True)
-class Draws:
-    """Distribution of the episodes of an environment.
+class Noise:
+    """Standard deviations of the measurement noise, drawn at every step.
 
     Attributes:
-        models: Models, one is drawn per episode; if empty, the simulator keeps its models.
-        noise: Sensor noise, drawn at every step.
+        position_m: x and y of the head.
+        yaw_rad: Heading of the head.
+        joint_rad: Measured joint angles, one value for all or one per joint.
     """
 
-    models: Sequence[Model] = ()
+    position_m: float = 0.0
+    yaw_rad: float = 0.0
+    joint_rad: tuple[float, ...] = (0.0,)
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What episodes of an environment are drawn from: models, and the sensor noise of a step."""
+
+    models: Sequence[Model]
     noise: Noise = Noise()
 
 
@@ -79,18 +88,10 @@ class World:
         elapsed: Steps of the episode so far, shape (E,).
     """
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        task: Task,
-        *,
-        draws: Draws | Sequence[Draws] = Draws(),
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, simulator: Simulator, task: Task, draws: Sequence[Draws], seed: int) -> None:
         """Place the robots at their starts; several ``draws`` share them evenly, in blocks."""
         self.simulator, self.task, self.n_envs = simulator, task, simulator.n_envs
-        blocks = [draws] if isinstance(draws, Draws) else list(draws)
-        self._draws = [blocks[e * len(blocks) // self.n_envs] for e in range(self.n_envs)]
+        self._draws = [draws[e * len(draws) // self.n_envs] for e in range(self.n_envs)]
         self._live = simulator.live()
         self._command = from_dlpack(self._live.command)
         self.device = self._command.device
@@ -104,8 +105,8 @@ class World:
         self._past = torch.zeros(E, NEWEST, 3 + J, device=self.device)
         self.targets = torch.zeros(E, task.waypoints, 2, device=self.device)
         self._row = torch.arange(E, device=self.device)
-        self.waypoint = torch.zeros(E, dtype=torch.long, device=self.device)
-        self.elapsed = torch.zeros(E, dtype=torch.long, device=self.device)
+        counts = torch.zeros(2, E, dtype=torch.long, device=self.device)
+        self.waypoint, self.elapsed = counts.unbind(0)
         self._distance = torch.zeros(E, device=self.device)
         self.seed(seed)
         self.reset()
@@ -165,10 +166,8 @@ class World:
         """Start an episode in the environments with these indices."""
         simulator, rng, n = self.simulator, self.rng, len(environments)
         J = len(simulator.robot.joints)
-        redrawn = [(e, self._draws[e].models) for e in environments if len(self._draws[e].models)]
-        if redrawn:
-            chosen = [models[rng.integers(len(models))] for _, models in redrawn]
-            simulator.adopt(np.array([e for e, _ in redrawn]), chosen)
+        drawn = [self._draws[e].models for e in environments]
+        simulator.adopt(environments, [models[rng.integers(len(models))] for models in drawn])
         start, bent, targets = self.task.place(rng, n, J)
         mask = np.zeros(self.n_envs, dtype=bool)
         pose, joint = np.zeros((self.n_envs, 3)), np.zeros((self.n_envs, J))
@@ -177,8 +176,7 @@ class World:
         self._current = self._tensor(simulator.current)
         rows = torch.as_tensor(environments, device=self.device)
         self.targets[rows] = self._tensor(targets)
-        self.waypoint[rows] = 0
-        self.elapsed[rows] = 0
+        self.waypoint[rows] = self.elapsed[rows] = 0
         self._read()
         self._distance[rows] = self._target_distance()[rows]
         for _ in range(NEWEST):
@@ -208,8 +206,8 @@ class World:
             self._past[rows] = shifted[rows]
 
     def _observed(self) -> Tensor:
-        seen: Tensor = observed(self._past, self._weights, self._target(), self._bound)
-        return seen
+        target = self._target()
+        return observed(self._past, self._weights, target, self._bound)  # type: ignore[no-any-return]
 
     def _target(self) -> Tensor:
         return self.targets[self._row, self.waypoint]
@@ -233,10 +231,6 @@ class Decisions:
 
     If an episode ends between two decisions, later rewards are ignored and the next episode starts
     with the next decision, so that the decisions of all robots are synchronous.
-
-    Attributes:
-        world: The robots at their task, in steps of 20 ms.
-        observer: Their observations and past decisions.
     """
 
     def __init__(self, world: World, view: View) -> None:
@@ -256,14 +250,9 @@ class Decisions:
         return self.observer.observe(raw)  # type: ignore[no-any-return]
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Apply a decision and simulate until the next.
+        """Apply a decision (E, J), -1 and 1 at the ends of each joint's range.
 
-        Args:
-            action: Desired angles, -1 and 1 at the ends of each joint's range, shape (E, J).
-            begin: Whether to start an episode where one has ended.
-
-        Returns:
-            As ``World.step``, with reward, effort and bonus summed over the decision's periods.
+        As ``World.step``, with reward, effort and bonus summed over the decision's periods.
         """
         self.observer.decide(action)
         total = self.world.step(self.observer.set_points(0), begin=False)

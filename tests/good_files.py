@@ -84,8 +84,7 @@ def write_good_files(folder: Path) -> None:
 def _write_policies(folder: Path) -> None:
     from stable_baselines3 import SAC
 
-    from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv
-    from rl.controllers.discrete_train import make_dqn
+    from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, make_dqn
     from rl.deploy.export import policy_of, write_policy
     from rl.make import make_world
     from rl.observer import PAPER, View

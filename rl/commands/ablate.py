@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from rl.controllers import Controller
-from rl.deploy.policy import PolicyController
-from rl.experiments.ablation import ARMS, ablate, arm_of, policy_in, turn_of, weights_digest
+from rl.experiments.ablation import ARMS, ablate, arm_of, turn_of
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
-from rl.forecast.realities import Realities, check_ranges, draw_realities, sample_of
+from rl.forecast.realities import read_realities
 from rl.forecast.swims import Forecaster, predict_arms
-from rl.randomize import noise_of
+from rl.make import noise_of
 from rl.sac import plan as plans
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan
 from rl.sac.train import train
@@ -50,7 +46,9 @@ def run(options: argparse.Namespace) -> int:
     if options.first and options.executor is not None:
         raise InputError("ablate", "--first", "--executor with it", "one of the two")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
-    drawn = realities_of(options, robot, model, ranges) if options.forecast else None
+    drawn = None
+    if options.forecast:
+        drawn = read_realities(robot, model, options.ranges, 50, options.seed)
     known = options.truth is not None or isinstance(reality, Model)
     missing = {"all-and-effects"} if options.enriched is None else set()
     missing |= set() if known else {"ceiling"}
@@ -77,7 +75,8 @@ def run(options: argparse.Namespace) -> int:
     if drawn is not None:
         settings = SimulationSettings(device=options.device, threads=options.threads)
         forecaster = Forecaster(robot, turn_of(plan), drawn, 2, options.seed, settings)
-        results["forecast"] = predict_agents(options.out, forecaster, names, agents)
+        file = options.out / "forecast.npz"
+        results["forecast"] = predict_arms(forecaster, names, agents, file)
     write_report(results, plan, options.out, note)
     print(markdown(results))
     print(f"report: {options.out / 'index.html'}")
@@ -90,33 +89,6 @@ def reality_of(options: argparse.Namespace) -> Model | RealityFile:
         return read_model(options.reality)
     cell = options.reality_cell_m
     return read_reality(options.reality, **({} if cell is None else {"cell_m": cell}))
-
-
-def realities_of(
-    options: argparse.Namespace, robot: Robot, model: Model, ranges: Ranges, n: int = 50
-) -> Realities:
-    """Realities that agree with the model and its ranges, for the forecast of the arms.
-
-    Raises:
-        InputError: If the ranges have no posterior sample, or are not those of the model.
-    """
-    sample = sample_of(ranges, options.ranges)
-    check_ranges(ranges, model, options.ranges)
-    return draw_realities(robot, model, ranges, sample, n, np.random.default_rng(options.seed))
-
-
-def predict_agents(
-    folder: Path, forecaster: Forecaster, arms: Sequence[str], agents: Sequence[Path]
-) -> dict[str, Any]:
-    """The forecast of the agents of each arm, kept in ``forecast.npz``."""
-
-    def make(agent: Path, _n: int) -> Controller:
-        return PolicyController(policy_in(agent))
-
-    made: dict[str, list[Callable[[int], Controller]]] = {arm: [] for arm in arms}
-    for k, agent in enumerate(agents):
-        made[arms[k * len(arms) // len(agents)]].append(partial(make, agent))
-    return predict_arms(forecaster, made, folder / "forecast.npz", weights_digest(agents))
 
 
 def plan_of(options: argparse.Namespace) -> Plan:

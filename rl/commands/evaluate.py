@@ -36,7 +36,9 @@ def run(options: argparse.Namespace) -> int:
     robot, model = read_robot(options.robot), read_model(options.model)
     ranges = None if options.ranges is None else read_ranges(options.ranges)
     check_whole("evaluate", "--episodes", options.episodes, 1)
-    weight = RECIPES["default"].energy if options.energy_weight is None else options.energy_weight
+    weight = (
+        RECIPES["default"].task.energy if options.energy_weight is None else options.energy_weight
+    )
     task = replace(TASKS[options.task], energy=weight)
     names = list(dict.fromkeys(options.policies))
     limits = [joint.limits_rad for joint in robot.joints]

@@ -92,7 +92,7 @@ def _robot(
         with _on_bus(options, policy, stop, key) as url:
             yield url
     elif options.virtual:
-        from rl.deploy.virtual_robot import virtual_robot
+        from rl.deploy.robots import virtual_robot
         from sim.twin.twin import Twin
         from sim2real.model import read_model
 
@@ -111,7 +111,7 @@ def _on_bus(
     options: argparse.Namespace, policy: Policy, stop: Callable[[], bool], key: bytes | None
 ) -> Iterator[str]:
     """URL of a robot whose servos are on a bus of this computer."""
-    from rl.deploy.bus_robot import bus_robot
+    from rl.deploy.robots import bus_robot
     from sim2real.hardware.buses import bus_class, connection
     from sim2real.hardware.mounting import Wiring
     from sim2real.hardware.process import priority

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from rl.controllers import discrete_train
-from rl.experiments.selection import HELD_OUT, choose_prices, held_out
-from rl.experiments.testbeds import SimulationSettings
+from rl.controllers import discrete_cpg
+from rl.experiments.testbeds import HELD_OUT, SimulationSettings, choose_prices, held_out
 from rl.sac import train as sac
-from rl.sac.curve import draw_curves, read_progress
+from rl.sac.checkpoint import draw_curves, read_progress
 from rl.sac.plan import OPTIONS, RECIPES
 from sim2real.commands.command import where_jobs_run
 from sim2real.errors import InputError
@@ -24,7 +22,7 @@ from sim2real.output import write_json
 from sim2real.ranges.entry import read_ranges
 from sim2real.robot import read_robot
 
-TRAINERS = {"sac": sac, "discrete-cpg": discrete_train}
+TRAINERS = {"sac": sac, "discrete-cpg": discrete_cpg}
 """Modules with ``train_run`` and ``QUICK``, by the value of ``--controller``."""
 
 
@@ -59,7 +57,7 @@ def select(options: argparse.Namespace, folders: list[Path]) -> None:
     settings = SimulationSettings(options.fidelity, options.device, options.threads, options.cell_m)
     call: dict[str, Any] = {"episodes": options.trials, "settings": settings}
     prices = choose_prices(folders, fish, model, ranges, **call)
-    energy = options.energy_weight or RECIPES[options.recipe or "default"].energy
+    energy = options.energy_weight or RECIPES[options.recipe or "default"].task.energy
     trials = held_out(folders, fish, model, ranges, energy=energy, **call)
     write_json(options.out / "trials.json", {**trials, "prices": prices})
     for agent, rows in trials["agents"].items():
@@ -85,7 +83,7 @@ def arguments_of(options: argparse.Namespace) -> dict[str, Any]:
     trainer = TRAINERS[options.controller]
     if options.first:
         options_set["first"] = [str(path.absolute()) for path in options.first]
-    for name in options_set.keys() - inspect.signature(trainer.train_run).parameters:
+    for name in options_set.keys() - {*trainer.ACCEPTED}:
         controller, option = f"--controller {options.controller}", f"--{name.replace('_', '-')}"
         raise InputError("train", option, controller, "--controller sac")
     return {

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sim2real.arrays import Array32, Mask
+from sim2real.arrays import Array32
 
 
 class Controller(Protocol):
     """Controls E robots at 50 Hz."""
 
-    def reset(self, mask: Mask) -> None:
-        """Reset the robots in ``mask``, shape (E,); the others continue."""
+    def reset(self) -> None:
+        """All robots begin anew."""
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles in rad, shape (E, J), inside the joints' limits.

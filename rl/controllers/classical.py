@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
 from rl.observer import CONTROL_S
-from sim2real.arrays import Array, Array32, Mask
+from sim2real.arrays import Array, Array32
 from sim2real.structured import Fields, read_toml
 
 if TYPE_CHECKING:
@@ -41,15 +41,9 @@ def tuned(name: str, kind: type[Gains], pace: str = "middle", path: Path = TUNED
 
 @dataclass(frozen=True)
 class Stroke:
-    """A steady wave with a bend for turning; each value a number or an array (E,).
+    """A ``Gait`` with a bend for turning; each value a number or an array (E,).
 
-    Attributes:
-        frequency_hz: Beats per second.
-        amplitude_rad: Amplitude of the last joint.
-        front: Amplitude of the first joint relative to the last.
-        lag_rad: Phase lag of a joint relative to the previous one.
-        bend_rad: Largest offset.
-        ease: Relative reduction of the amplitude at the largest bend.
+    ``bend_rad`` is the largest offset, ``ease`` the relative reduction of the amplitude at it.
     """
 
     frequency_hz: ArrayLike
@@ -82,40 +76,30 @@ def line_of_sight_rate(observation: NDArray[np.floating]) -> Array:
 class LineOfSight:
     """Bearing and rate of the line of sight, unwrapped, smoothed over the tail's beat.
 
-    Args:
-        n_envs: Number of robots E.
-        filter_s: Time constant of the filter in s, a number or an array (E,).
-
     Attributes:
         bearing: Angle to the target in rad, shape (E,), within 225 degrees to either side.
-        smooth: The bearing after a first-order low-pass filter.
+        smooth: The bearing after a first-order low-pass filter with time constant ``filter_s``.
         rate: Angular rate of the line in rad/s after the same filter.
     """
 
     def __init__(self, n_envs: int, filter_s: ArrayLike) -> None:
         constant = np.maximum(np.asarray(filter_s, dtype=np.float64), 1e-9)
-        self._share = -np.expm1(-CONTROL_S / constant)
-        self._fresh = np.ones(n_envs, dtype=bool)
+        self._share, self._fresh = -np.expm1(-CONTROL_S / constant), True
         self.bearing, self.smooth, self.rate = (np.zeros(n_envs) for _ in range(3))
-
-    def reset(self, mask: Mask) -> None:
-        """Robots in ``mask`` (E,) begin anew."""
-        self._fresh |= mask
 
     def update(self, observation: NDArray[np.floating]) -> None:
         """Update with the observation of a control period."""
         columns, rate = np.asarray(observation, np.float64), line_of_sight_rate(observation)
         measured, turn = np.arctan2(columns[:, -1], columns[:, -2]), 2 * np.pi
+        if self._fresh:
+            self.bearing, self.smooth, self.rate, self._fresh = measured, measured, rate, False
+            return
         continued = self.bearing + (np.mod(measured - self.bearing + np.pi, turn) - np.pi)
-        current = np.where(self._fresh | (np.abs(continued) > _COMMIT_RAD), measured, continued)
+        self.bearing = np.where(np.abs(continued) > _COMMIT_RAD, measured, continued)
         # whole turns, where the direction changes
-        self.smooth += turn * np.round((current - continued) / turn)
-        self.smooth = np.where(self._fresh, current, self.smooth)
-        self.rate = np.where(self._fresh, rate, self.rate)
-        self.smooth += self._share * (current - self.smooth)
-        self.rate += self._share * (rate - self.rate)
-        self.bearing = current
-        self._fresh[:] = False
+        smooth = self.smooth + turn * np.round((self.bearing - continued) / turn)
+        self.smooth = smooth + self._share * (self.bearing - smooth)
+        self.rate = self.rate + self._share * (rate - self.rate)
 
 
 class _Steered:
@@ -125,23 +109,23 @@ class _Steered:
     """
 
     def __init__(self, limits_rad: ArrayLike, n_envs: int, gains: Any, filter_s: ArrayLike) -> None:  # noqa: ANN401
-        self.gains = gains
-        self._generator = CentralPatternGenerator(limits_rad, n_envs)
-        self._sight = LineOfSight(n_envs, filter_s)
-        self._fresh = np.ones(n_envs, dtype=bool)
+        self.gains, self._filter_s = gains, filter_s
+        self._limits, self._n = limits_rad, n_envs
+        self.reset()
 
-    def reset(self, mask: Mask) -> None:
-        """Robots in ``mask`` (E,) begin anew."""
-        self._fresh |= mask
-        self._sight.reset(mask)
+    def reset(self) -> None:
+        """All robots begin anew."""
+        self._generator = CentralPatternGenerator(self._limits, self._n)
+        self._sight, self._fresh = LineOfSight(self._n, self._filter_s), True
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
         self._sight.update(observation)
-        left = self._sight.bearing > 0
-        self._generator.reset(self._fresh, observation, np.where(left, np.pi, 0.0))
+        if self._fresh:
+            left = self._sight.bearing > 0
+            self._generator.reset(observation, np.where(left, np.pi, 0.0))
         bend = self._bend(observation)
-        self._fresh[:] = False
+        self._fresh = False
         return self._generator.step(self.gains.bent(bend)).astype(np.float32)
 
     def _bend(self, observation: Array32) -> Array:
@@ -151,12 +135,9 @@ class _Steered:
 
 @dataclass(frozen=True)
 class PNLGains(Stroke):
-    """Stroke and gains; each a number or an array (E,).
+    """Stroke, bend per angular rate of the line of sight in s and per rad of bearing.
 
-    Attributes:
-        navigation_s: Bend per angular rate of the line of sight, in s.
-        pursuit: Bend per rad of bearing.
-        filter_s: Time constant of the filter that averages over the tail's beat, in s.
+    ``filter_s`` is the time constant of the filter that averages over the tail's beat, in s.
     """
 
     navigation_s: ArrayLike
@@ -174,10 +155,7 @@ class ProportionalNavigation(_Steered):
 
         turn = navigation_s * line_of_sight_rate + pursuit * bearing
 
-    Args:
-        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
-        n_envs: Number of robots.
-        gains: Gains; default: those tuned.
+    ``limits_rad`` are those of the joints, shape (J, 2); by default the gains are those tuned.
     """
 
     def __init__(
@@ -226,10 +204,6 @@ class TransientProfile:
         self.value, self.rate = np.zeros(n_envs), np.zeros(n_envs)
         self._limit = np.asarray(limit, dtype=np.float64)
 
-    def reset(self, mask: Mask) -> None:
-        """Robots in ``mask`` (E,) begin anew from zero."""
-        self.value[mask] = self.rate[mask] = 0.0
-
     def update(self, goal: Array) -> None:
         """Advance by a period towards ``goal``, shape (E,)."""
         h, r = CONTROL_S, self._limit
@@ -257,10 +231,6 @@ class ExtendedStateObserver:
         self._gain = np.stack([3 * w, 3 * w**2, w**3], axis=1)
         self._effect = np.asarray(effect, dtype=np.float64)
         self.state = np.zeros((n_envs, 3))
-
-    def reset(self, mask: Mask) -> None:
-        """Robots in ``mask`` (E,) begin anew from zero."""
-        self.state[mask] = 0.0
 
     def update(self, y: Array, u: Array) -> None:
         """Update with a measurement and the input applied until then, each of shape (E,)."""
@@ -292,23 +262,21 @@ class DisturbanceRejection(_Steered):
     ) -> None:
         g = tuned("adrc", ADRCGains) if gains is None else gains
         super().__init__(limits_rad, n_envs, g, 0.0)
-        self._profile = TransientProfile(n_envs, g.agility_rad_s2)
-        self._observer = ExtendedStateObserver(n_envs, g.observer_rad_s, g.effect_per_s2)
-        self._heading, self._lead, self._turn = (np.zeros(n_envs) for _ in range(3))
 
-    def reset(self, mask: Mask) -> None:
-        """Robots in ``mask`` (E,) begin anew."""
-        super().reset(mask)
-        self._profile.reset(mask)
-        self._observer.reset(mask)
-        for signal in (self._heading, self._lead, self._turn):
-            signal[mask] = 0.0
+    def reset(self) -> None:
+        """All robots begin anew."""
+        super().reset()
+        n, g = self._n, self.gains
+        self._profile = TransientProfile(n, g.agility_rad_s2)
+        self._observer = ExtendedStateObserver(n, g.observer_rad_s, g.effect_per_s2)
+        self._heading, self._lead, self._turn = (np.zeros(n) for _ in range(3))
 
     def _bend(self, observation: Array32) -> Array:
         """Linear ADRC: poles at the bandwidth, disturbance compensated."""
         gains, sight = self.gains, self._sight
         yaw_rate = np.asarray(observation[:, 2], dtype=np.float64)
-        self._heading = self._heading + np.where(self._fresh, 0.0, CONTROL_S * yaw_rate)
+        if not self._fresh:
+            self._heading = self._heading + CONTROL_S * yaw_rate
         gained = (np.asarray(gains.navigation) - 1.0) * sight.rate
         self._lead = self._lead + CONTROL_S * (gained - self._lead / np.asarray(gains.memory_s))
         self._profile.update(self._heading + sight.bearing + self._lead)

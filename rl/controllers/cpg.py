@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,11 +37,7 @@ class Gait:
 
 
 class Gliding:
-    """Values (E, J) that approach their goals without overshoot: critically damped, second order.
-
-    Attributes:
-        value, rate: Values and their rates of change, 1/s.
-    """
+    """Values that approach their goals without overshoot: critically damped, second order."""
 
     def __init__(self, value: Array) -> None:
         self.value, self.rate = value, np.zeros_like(value)
@@ -74,30 +71,27 @@ class CentralPatternGenerator:
 
     def __init__(self, limits_rad: ArrayLike, n_envs: int) -> None:
         self.limits_rad = np.asarray(limits_rad, dtype=np.float64)
-        shape = (n_envs, len(self.limits_rad))
-        self.phase = np.zeros(shape)
-        self._amplitude, self._offset = Gliding(np.zeros(shape)), Gliding(np.zeros(shape))
+        self.phase = np.zeros((n_envs, len(self.limits_rad)))
+        self._wave = Gliding(np.zeros((2, *self.phase.shape)))  # amplitudes, offsets
         self._fresh = np.ones(n_envs, dtype=bool)
-        self._start = np.zeros(n_envs)
 
-    def reset(self, mask: Mask, observation: NDArray[np.floating], phase: ArrayLike = 0.0) -> None:
-        """Reset the robots in ``mask`` (E,) to their present angles.
+    def reset(
+        self,
+        observation: NDArray[np.floating],
+        phase: ArrayLike = 0.0,
+        mask: Mask | Literal[True] = True,
+    ) -> None:
+        """Reset all robots, or those in ``mask`` (E,), to the angles of an observation (E, O).
 
-        Args:
-            mask: Robots to reset, shape (E,).
-            observation: The task's columns, shape (E, O).
-            phase: Initial phase of the first joint in rad, a number or shape (E,).
+        ``phase`` is that of the first joint in rad, a number or shape (E,).
         """
+        mask = np.broadcast_to(mask, self._fresh.shape)
         self._fresh |= mask
-        self._start = np.where(mask, phase, self._start)
-        angle = observation[:, 3 : 3 + len(self.limits_rad)]
-        for part, value in ((self._amplitude, 0.0), (self._offset, angle)):
-            part.value = np.where(mask[:, None], value, part.value)
-            part.rate = np.where(mask[:, None], 0.0, part.rate)
-
-    def first_phase(self) -> Array:
-        """Phase of the first joints in rad, shape (E,)."""
-        return np.where(self._fresh, self._start, self.phase[:, 0])
+        self.phase[:, 0] = np.where(mask, phase, self.phase[:, 0])
+        angle = np.asarray(observation[:, 3 : 3 + len(self.limits_rad)], dtype=np.float64)
+        start = np.stack([np.zeros_like(angle), angle])
+        self._wave.value = np.where(mask[:, None], start, self._wave.value)
+        self._wave.rate = np.where(mask[:, None], 0.0, self._wave.rate)
 
     def step(self, gait: Gait) -> Array:
         """Advance by a control period towards ``gait``.
@@ -106,24 +100,20 @@ class CentralPatternGenerator:
             Joint angles in rad, shape (E, J), clipped to the joint limits.
         """
         n_envs, J = self.phase.shape
-        lag = _column(gait.lag_rad, n_envs)
-        locked = self._start[:, None] - lag * np.arange(J)
-        self.phase[self._fresh] = locked[self._fresh]
+        values = (gait.frequency_hz, gait.amplitude_rad, gait.front, gait.lag_rad, gait.offset_rad)
+        frequency, amplitude, front, lag, offset = (
+            np.broadcast_to(np.asarray(x, dtype=np.float64), (n_envs,))[:, None] for x in values
+        )
+        locked = self.phase[:, :1] - lag * np.arange(J)
+        self.phase = np.where(self._fresh[:, None], locked, self.phase)
         self._fresh[:] = False
         lead = np.sin(self.phase[:, 1:] - self.phase[:, :-1] + lag)
         pull = np.zeros_like(self.phase)
         pull[:, :-1] += lead
         pull[:, 1:] -= lead
-        turn = 2 * np.pi * _column(gait.frequency_hz, n_envs) + COUPLING_PER_S * pull
+        turn = 2 * np.pi * frequency + COUPLING_PER_S * pull
         self.phase = np.mod(self.phase + CONTROL_S * turn, 2 * np.pi)
-        goal = np.broadcast_to(_column(gait.offset_rad, n_envs), self.phase.shape)
         position = np.linspace(0.0, 1.0, J) if J > 1 else np.ones(1)
-        front = _column(gait.front, n_envs)
-        size = _column(gait.amplitude_rad, n_envs) * (front + (1.0 - front) * position)
-        wave = self._amplitude.step(size) * np.sin(self.phase)
-        return np.clip(self._offset.step(goal) + wave, *self.limits_rad.T)
-
-
-def _column(value: ArrayLike, n_envs: int) -> Array:
-    """A number or an array (E,) as a column (E, 1)."""
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (n_envs,))[:, None]
+        size = amplitude * (front + (1.0 - front) * position)
+        height, middle = self._wave.step(np.stack([size, np.broadcast_to(offset, size.shape)]))
+        return np.asarray(np.clip(middle + height * np.sin(self.phase), *self.limits_rad.T))

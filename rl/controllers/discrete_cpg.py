@@ -1,15 +1,17 @@
-"""A policy that chooses the parameters of a central pattern generator from a table.
+"""A policy that chooses the gaits of a central pattern generator from a table, and its training.
 
 Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022): reinforcement
 learning chooses between a few gaits, and the generator computes joint angles. The table, the
-duration of a choice and the network are different. ``discrete_train`` trains it.
+duration of a choice and the network are different. It is trained with deep Q-learning (Mnih et al.,
+"Human-level control through deep reinforcement learning", Nature 518, 2015).
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,29 +21,27 @@ from numpy.typing import ArrayLike, NDArray
 from stable_baselines3 import DQN
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
-from torch import Tensor
+from tqdm import tqdm
 
 from rl.controllers.cpg import CentralPatternGenerator, Gait
-from rl.sac.policy_zip import SavedAsZip, read_policy_zip, read_settings
+from rl.make import Fidelity, episodes_of, make_world, own_stream
+from rl.observer import PAPER
+from rl.sac.checkpoint import write_progress
+from rl.sac.policy_zip import load_weights, read_policy_zip, read_settings, write_policy_zip
 from rl.sac.sac import Spaces
-from sim2real.arrays import Array, Array32, Mask
+from rl.sac.train import check_run
+from rl.task import TASKS
+from rl.vec_env import FishVecEnv
+from sim2real.arrays import Array, Array32
 from sim2real.errors import InputError
-
-LONGEST_HOLD = 1000
-"""Longest duration of a choice in control periods."""
+from sim2real.output import provenance
 
 
 @dataclass(frozen=True)
 class ActionTable:
-    """A table of N gaits.
+    """A table of N gaits, see ``Gait``: three columns (N,), and what they have in common.
 
-    Attributes:
-        frequency_hz: Beats per second, shape (N,).
-        amplitude_rad: Amplitude of the last joint, shape (N,).
-        offset_rad: Bend, shape (N,); negative to the left.
-        front: Amplitude of the first joint relative to the last.
-        lag_rad: Phase lag of a joint relative to the previous one.
-        hold: Duration of a choice in control periods.
+    A choice is used for ``hold`` control periods.
     """
 
     frequency_hz: Array
@@ -78,7 +78,7 @@ class ActionTable:
         front, lag, hold = (float(content[k]) for k in ("front", "lag_rad", "hold"))
         if not np.isfinite([*frequency, *amplitude, *offset, front, lag]).all():
             raise ValueError("a number that is not finite")
-        if not 1 <= hold <= LONGEST_HOLD:
+        if not 1 <= hold <= 1000:
             raise ValueError(f"a hold of {hold:g}")
         return cls(frequency, amplitude, offset, front, lag, int(hold))
 
@@ -96,35 +96,31 @@ class DiscreteCPG:
         self, model: DQN, limits_rad: ArrayLike, n_envs: int = 1, table: ActionTable = TABLE
     ) -> None:
         self.model, self.table = model, table
-        self._generator = CentralPatternGenerator(limits_rad, n_envs)
-        self._choice, self._left = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
-        self._fresh = np.ones(n_envs, dtype=bool)
+        self._limits, self._n = limits_rad, n_envs
+        self.reset()
 
-    def reset(self, mask: Mask) -> None:
-        """Robots in ``mask`` (E,) begin anew."""
-        self._fresh |= mask
-        self._left[mask] = 0
+    def reset(self) -> None:
+        """All robots begin anew."""
+        self._generator, self._period = CentralPatternGenerator(self._limits, self._n), 0
 
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles; see ``Controller``."""
-        self._generator.reset(self._fresh, observation)
-        due = self._left == 0
-        if due.any():
-            inputs = with_phase(observation[due], self._generator, due)
-            self._choice[due] = self.model.predict(inputs, deterministic=True)[0]
-            self._left[due] = self.table.hold
-        self._left -= 1
-        self._fresh[:] = False
-        return self._generator.step(self.table.gait(self._choice)).astype(np.float32)
+        if self._period == 0:
+            self._generator.reset(observation)
+        if self._period % self.table.hold == 0:
+            inputs = with_phase(observation, self._generator)
+            self._gait = self.table.gait(self.model.predict(inputs, deterministic=True)[0])
+        self._period += 1
+        return self._generator.step(self._gait).astype(np.float32)
 
 
 def with_phase(
     observation: NDArray[np.floating],
     generator: CentralPatternGenerator,
-    rows: Mask | slice | list[int] = slice(None),
+    rows: slice | list[int] = slice(None),
 ) -> Array32:
     """The observations (E, N) with two columns for the phase of the generator's ``rows``."""
-    phase = generator.first_phase()[rows]
+    phase = generator.phase[rows, 0]
     columns = [observation, np.sin(phase)[:, None], np.cos(phase)[:, None]]
     return np.concatenate(columns, axis=1).astype(np.float32)
 
@@ -151,7 +147,7 @@ class DiscreteCPGEnv(VecEnvWrapper):
     def reset(self) -> Array32:  # type: ignore[override]
         """As ``VecEnv.reset``."""
         observation: Any = self.venv.reset()
-        self._generator.reset(np.ones(self.num_envs, dtype=bool), observation)
+        self._generator.reset(observation)
         return with_phase(observation, self._generator)
 
     def step_async(self, actions: NDArray[np.integer]) -> None:  # type: ignore[override]
@@ -179,11 +175,11 @@ class DiscreteCPGEnv(VecEnvWrapper):
                 told[e]["terminal_observation"] = with_phase(last, self._generator, [e])[0]
             ended |= done
             if done.any():
-                self._generator.reset(done, observation)
+                self._generator.reset(observation, mask=done)
         return with_phase(observation, self._generator), reward, ended, told
 
 
-class GaitDQN(SavedAsZip, DQN):
+class GaitDQN(DQN):
     """Deep Q-learning whose choices are rows of a table, saved without pickled objects.
 
     Attributes:
@@ -194,9 +190,10 @@ class GaitDQN(SavedAsZip, DQN):
     gaits: Mapping[str, Any]
     joints: list[str]
 
-    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
-        """Settings and further tensors of ``policy.zip``."""
-        return {"algorithm": "DQN", "gaits": self.gaits, "joints": self.joints}, {}
+    def save(self, path: Any, *_: Any, **__: Any) -> None:  # noqa: ANN401 - as the base class
+        """Write ``policy.zip``, without pickled objects."""
+        settings = {"algorithm": "DQN", "gaits": self.gaits, "joints": self.joints}
+        write_policy_zip(path, self.policy, settings, {})
 
 
 def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
@@ -219,15 +216,9 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
 def read_policy(
     path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike, n_envs: int
 ) -> DiscreteCPG:
-    """Read a policy of ``discrete_train`` as a controller.
+    """Read a policy of ``train_run`` as a controller; nothing in the file is executed.
 
-    Nothing in the file is executed, see ``rl.sac.policy_zip``.
-
-    Args:
-        path: The file.
-        table: Its gaits, by ``read_table``.
-        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
-        n_envs: Number of robots E.
+    ``table`` are its gaits, by ``read_table``, ``limits_rad`` those of the joints, shape (J, 2).
 
     Raises:
         InputError: If it is no policy, or for a robot with another number of joints.
@@ -243,5 +234,124 @@ def read_policy(
     box = spaces.Box(-np.inf, np.inf, (columns,), dtype=np.float32)
     env, network = Spaces(box, spaces.Discrete(choices)), {"net_arch": hidden}
     model = GaitDQN("MlpPolicy", env, buffer_size=1, policy_kwargs=network, device="cpu")
-    saved.load_into(model.policy)
+    load_weights(path, model.policy, saved.weights)
     return DiscreteCPG(model, limits_rad, n_envs, table)
+
+
+COLUMNS = ("steps", "episodes", "mean_return", "success", "mean_length", "exploration")
+QUICK: dict[str, Any] = {"task": "near", "steps": 1_000_000, "envs": 32, "energy_weight": 1e-4}
+"""Settings of ``train --quick``: a minute or two on one core, in the twin."""
+ACCEPTED = ("task", "steps", "envs", "energy_weight")
+"""Options of the command ``train`` that ``train_run`` accepts."""
+SETTINGS: dict[str, Any] = {
+    "gamma": 0.95,  # per choice: 0.95 per 0.2 s is a horizon of 4 s
+    "rate": 1e-3,
+    "memory": 100_000,  # choices
+    "batch": 256,
+    "hidden": [64, 64],
+    "warm_up": 2_000,  # random choices before learning begins
+    "updates": 8,  # per choice of all robots
+    "follow": 200,  # choices between copies to the target network
+    "exploring": 0.3,  # share of the training over which exploration decreases to the least
+    "least": 0.05,  # final share of random choices
+}
+"""Hyper-parameters."""
+
+
+def make_dqn(env: VecEnv, seed: int) -> GaitDQN:
+    """An untrained agent for ``env``, a ``DiscreteCPGEnv``."""
+    s = SETTINGS
+    return GaitDQN(
+        "MlpPolicy", env, learning_rate=s["rate"], buffer_size=s["memory"],
+        learning_starts=s["warm_up"], batch_size=s["batch"], gamma=s["gamma"], train_freq=1,
+        gradient_steps=s["updates"], target_update_interval=s["follow"],
+        exploration_fraction=s["exploring"], exploration_final_eps=s["least"],
+        policy_kwargs={"net_arch": s["hidden"]}, seed=seed, device="cpu",
+    )  # fmt: skip
+
+
+def train_run(
+    folder: Path,
+    *,
+    robot: str,
+    model: str,
+    ranges: str | None = None,
+    task: str = "point",
+    steps: int = 1_000_000,
+    envs: int = 32,
+    seeds: Sequence[int] = (0,),
+    fidelity: Fidelity = "twin",
+    device: str = "cpu",
+    cell_m: float = 0.02,
+    threads: int = 1,
+    energy_weight: float | None = None,
+) -> list[Path]:
+    """Train an agent for each seed, one after the other; the folders of the agents.
+
+    See the command ``train`` for the options. A run that was killed keeps finished agents and
+    restarts the others.
+
+    Raises:
+        InputError: If a file or an option is wrong.
+    """
+    for option, value in (("--steps", steps), ("--envs", envs)):
+        if value < 1:
+            raise InputError("train", option, str(value), "at least 1")
+    fish, draws, inputs = episodes_of(robot, model, ranges)
+    chosen, gaits = TASKS[task], TABLE.content()
+    if energy_weight is not None:
+        chosen = replace(chosen, energy=energy_weight)
+    description = {
+        "controller": "discrete-cpg", "task": task, "energy": chosen.energy, "steps": steps,
+        "envs": envs, "fidelity": fidelity, "gaits": gaits, "settings": SETTINGS,
+    }  # fmt: skip
+    folders = [folder / f"policy-{seed}" for seed in seeds]
+    for directory, seed in zip(folders, seeds, strict=True):
+        note = provenance(inputs, seed)
+        check_run(directory, {**description, "seed": seed}, note, same=("inputs",))
+        if (directory / "policy.zip").exists():
+            continue
+        with own_stream(device):
+            world = make_world(
+                fish, chosen, draws, n_envs=envs, seed=seed, fidelity=fidelity, device=device,
+                cell_m=cell_m, threads=threads,
+            )  # fmt: skip
+            agent = make_dqn(DiscreteCPGEnv(FishVecEnv(world, PAPER)), seed)
+            rows = _learn(agent, steps)
+        agent.gaits, agent.joints = gaits, [joint.name for joint in fish.joints]
+        write_progress(directory / "progress.csv", COLUMNS, rows)
+        agent.save(directory / "policy.zip")
+    return folders
+
+
+def _learn(agent: GaitDQN, steps: int) -> list[list[float]]:
+    """Train for ``steps`` of all robots together; rows of ``progress.csv``."""
+    rows: list[list[float]] = []
+    ended: list[tuple[float, float, float]] = []
+    recent: deque[bool] = deque(maxlen=200)
+    bar = tqdm(total=steps, desc="train", unit="step", disable=None)
+
+    def note() -> None:
+        mean = np.mean(ended, axis=0) if ended else np.full(3, np.nan)
+        rows.append([agent.num_timesteps * TABLE.hold, len(ended), *mean, agent.exploration_rate])
+        ended.clear()
+        if recent:
+            bar.set_postfix_str(f"{100 * np.mean(recent):.0f} % arrive")
+
+    def after_step(scope: dict[str, Any], _: dict[str, Any]) -> bool:
+        for info in scope["infos"]:
+            if "episode" in info:
+                won = bool(info["is_success"])
+                ended.append((info["episode"]["r"], won, info["episode"]["l"]))
+                recent.append(won)
+        done = agent.num_timesteps * TABLE.hold
+        bar.update(done - bar.n)
+        if done >= (len(rows) + 1) * max(1, steps // 50):
+            note()
+        return True
+
+    with bar:
+        agent.learn(-(-steps // TABLE.hold), callback=after_step)
+        if ended or not rows:
+            note()
+    return rows

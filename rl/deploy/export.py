@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3 import SAC
-from torch import nn
+from torch import Tensor, nn
 
 from rl.deploy.header import c_header
-from rl.deploy.onnx_graph import onnx_model
-from rl.deploy.policy import Policy, PolicyController, npz
-from rl.observer import observation_bounds, observation_names
-from rl.sac.plan import Settings
-from rl.sac.sac import read_agent, view_of
-from sim2real.arrays import Array32, Mask
-from sim2real.errors import InputError
+from rl.deploy.policy import Policy, npz
+from rl.observer import PAPER, Observer, observation_bounds, observation_names
+from rl.sac.sac import read_agent
+from sim2real.arrays import Array32
+from sim2real.errors import InputError, library
 from sim2real.output import check_writable, provenance, write_whole
 
 
@@ -29,26 +29,17 @@ def read_zip(
 ) -> Policy:
     """Read the policy of an SAC agent of this library or of Stable-Baselines3.
 
-    Nothing in the file is executed, see ``rl.sac.policy_zip``.
-
-    Args:
-        path: The file.
-        seed: For the provenance.
-        price: Price of energy relative to that of the training; default: that of the file.
+    Nothing in the file is executed, see ``rl.sac.policy_zip``. ``price`` is that of energy relative
+    to the training's, by default that of the file; ``seed`` is for the provenance.
 
     Raises:
         InputError: If it is no policy, not a fully connected network with ReLU, or was not trained
             for this price.
     """
-    agent = _at_price(path, price)
-    return policy_of(agent, where=str(path), note=provenance([Path(path)], seed))
-
-
-def _at_price(path: str | os.PathLike[str], price: float | None) -> SAC:
     agent = read_agent(path)
     if price is not None:
         set_price(agent, price, where=str(path))
-    return agent
+    return policy_of(agent, where=str(path), note=provenance([Path(path)], seed))
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
@@ -89,7 +80,7 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
     else:
         lowest, span = agent.joint_low, agent.joint_high - agent.joint_low  # type: ignore[attr-defined]
         low, high = (lowest + (end + 1) / 2 * span for end in (low, high))
-    view, spread = view_of(agent), attributes.get("trained_over")
+    view, spread = attributes.get("view", PAPER), attributes.get("trained_over")
     F, J = layers[0].in_features, len(low)
     if view.size(J) != F:
         problem = f"{F} columns for {J} joints"
@@ -107,49 +98,68 @@ def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | Non
     )
 
 
-def _array(parameter: torch.Tensor) -> Array32:
+def _array(parameter: Tensor) -> Array32:
     return np.array(parameter.detach().cpu().numpy(), dtype=np.float32)
 
 
-class SampledController(PolicyController):
-    """Samples the distribution of the actor, with noise correlated in time as in training."""
+_DOC = """One decision. observation (N, O): {columns}. begin (N, 1): 1 where a swim starts, else 0.
+memory (N, M): result of the last call; arbitrary where a swim starts. set_points (N, {period}, J):
+desired angles in rad of {joints} for the next {period} periods of 20 ms; if frames were lost and
+the decision is k periods late, send from number k on and decide again {period} - k later."""
 
-    def __init__(
-        self,
-        path: Path | str,
-        seed: int = 0,
-        noise_s: float = Settings.noise_s,
-        price: float | None = None,
-    ) -> None:
-        """Read an agent; ``noise_s`` is the correlation time, other arguments as ``read_zip``.
 
-        Raises:
-            InputError: As ``read_zip``.
-        """
-        agent = _at_price(path, price)
-        super().__init__(policy_of(agent, where=str(path)))
-        self._actor: Any = agent.actor
-        self._rng = np.random.default_rng(seed)
-        self._decay = math.exp(-self.policy.view.decision_s / noise_s) if noise_s > 0 else 0.0
-        self._noise = np.empty((0, len(self.policy.low)))
+class _Decision(nn.Module):
+    """``rl.observer.Observer``: begin, observe, decide, and set-points until the next decision."""
 
-    def reset(self, mask: Mask) -> None:
-        """Draw new noise for the robots that are reset."""
-        super().reset(mask)
-        fresh = self._rng.standard_normal((len(mask), len(self.policy.low)))
-        same_size = len(self._noise) == len(mask)
-        self._noise = np.where(mask[:, None], fresh, self._noise) if same_size else fresh
+    def __init__(self, policy: Policy) -> None:
+        super().__init__()
+        self.policy = policy
+        layers: list[nn.Module] = []
+        for weight, bias in zip(policy.weights, policy.biases, strict=True):
+            linear = nn.Linear(*weight.shape[::-1])
+            linear.weight.data, linear.bias.data = torch.tensor(weight), torch.tensor(bias)
+            layers += [linear, nn.ReLU()]
+        self.network = nn.Sequential(*layers[:-1], nn.Tanh())
 
-    def decided(self, inputs: Array32) -> Array32:
-        """Sample actions."""
-        if len(self._noise) != len(inputs):
-            self._noise = self._rng.standard_normal((len(inputs), len(self.policy.low)))
-        with torch.no_grad():
-            mean, log_std, _ = self._actor.get_action_dist_params(torch.as_tensor(inputs))
-        drawn = np.tanh(mean.numpy() + np.exp(log_std.numpy()) * self._noise)
-        fresh = self._rng.standard_normal(self._noise.shape)
-        self._noise = self._decay * self._noise + math.sqrt(1 - self._decay**2) * fresh
-        return np.asarray(drawn, dtype=np.float32)
+    def forward(self, observation: Tensor, memory: Tensor, begin: Tensor) -> tuple[Tensor, Tensor]:
+        policy, limit = self.policy, torch.tensor(self.policy.observation_limit)
+        raw = torch.minimum(torch.maximum(observation, -limit), limit)
+        # the exporter's atan2 takes 0 to the left for a little to the right
+        left = torch.where(raw[:, -1:] == 0, torch.finfo(raw.dtype).tiny, raw[:, -1:])
+        raw = torch.cat([raw[:, :-1], left], 1)
+        low, high = torch.tensor(policy.low), torch.tensor(policy.high)
+        observer = Observer(policy.view, low, high, len(observation))
+        observer.remember(memory)
+        observer.begin(raw, begin[:, 0] > 0.5)
+        observer.decide(self.network(observer.observe(raw)))
+        ticks = range(policy.view.period)
+        return torch.stack([observer.set_points(k) for k in ticks], 1), observer.memory()
+
+
+def onnx_model(policy: Policy) -> bytes:
+    """The policy as ONNX, float32: inputs observation, memory, begin; outputs set-points, memory.
+
+    Raises:
+        InputError: If the package ``onnx`` is not installed.
+    """
+    onnx = library("onnx", "--format")
+    O, J, M = len(policy.observation), len(policy.joints), max(policy.view.memory, 2)  # noqa: E741
+    names = ["observation", "memory", "begin"], ["set_points", "next_memory"]
+    examples = tuple(torch.zeros(2, width) for width in (O, M * J + 2, 1))
+    stream: Any = BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter that needs no further package is the old one
+        torch.onnx.export(
+            _Decision(policy), examples, stream, dynamo=False, opset_version=17,
+            input_names=names[0], output_names=names[1],
+            dynamic_axes={name: {0: "N"} for name in (*names[0], *names[1])},
+        )  # fmt: skip
+    model = onnx.load_from_string(stream.getvalue())
+    model.graph.name, model.producer_name = "policy", "sim2real"
+    columns, joints = ", ".join(policy.observation), ", ".join(policy.joints)
+    model.graph.doc_string = _DOC.format(columns=columns, joints=joints, period=policy.view.period)
+    onnx.checker.check_model(model, full_check=True)
+    return bytes(model.SerializeToString())
 
 
 FORMATS: Mapping[str, tuple[str, Callable[[Policy], str | bytes]]] = {

@@ -64,8 +64,6 @@ TRACKER_S = 1.0
 """Largest step of a tracker's clock beyond the time that has passed."""
 MOST = 256
 """Largest number of datagrams that are processed at once."""
-LONGEST_SESSION = 64
-"""Largest number of characters of a session that is accepted."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ def _object(datagram: bytes, key: bytes | None) -> tuple[dict[str, object], str]
     except (ValueError, RecursionError):
         return {}, ""
     session = content.get("session", "") if isinstance(content, dict) else None
-    if not isinstance(session, str) or not session.isascii() or len(session) > LONGEST_SESSION:
+    if not isinstance(session, str) or not session.isascii() or len(session) > 64:
         return {}, ""
     return content, session
 
@@ -173,15 +171,9 @@ def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socke
 
 
 class Link:
-    """The computer's end.
+    """The computer's end, of a robot with J joints at ``udp://HOST:PORT``.
 
-    Args:
-        url: ``udp://HOST:PORT`` of the robot.
-        J: Number of its joints.
-        key: Key that the robot shares; none by default.
-
-    Attributes:
-        strange: Number of datagrams that were not telemetry of such a robot in this session.
+    ``strange`` counts datagrams that were not telemetry of such a robot in this session.
 
     Raises:
         InputError: If the address is invalid.

@@ -5,10 +5,11 @@ Observations from measurements of camera and servos, set-points in answer, a rec
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,17 +19,14 @@ from rl.observer import CONTROL_S, observed
 from sim2real.arrays import Array, Array32
 from sim2real.velocity import NEWEST, slope_weights
 
+ARRIVE_M = 0.05
+"""Distance at which the target is reached."""
 REST_S = 0.5
 """Rest before a swim: a recording starts at rest, and velocities need past measurements."""
 ANSWER_S = 3.0
 """Time within which the robot must answer first."""
 _SOON = 0.75
 """Share of the control period before which telemetry is not answered again."""
-_ASK_S = 0.1
-_GOODBYES = 5
-"""Number of rest messages at the end, as datagrams may be lost."""
-_KEPT = 64
-"""Number of measurements stored."""
 
 
 class Measurements:
@@ -36,8 +34,8 @@ class Measurements:
 
     def __init__(self, limit: Array32) -> None:
         self._limit = limit
-        self._t: deque[float] = deque(maxlen=_KEPT)
-        self._rows: deque[Array] = deque(maxlen=_KEPT)
+        self._t: deque[float] = deque(maxlen=64)
+        self._rows: deque[Array] = deque(maxlen=64)
 
     def take(self, telemetry: Telemetry) -> bool:
         """Store a measurement; False if it is older than the newest, and ignored."""
@@ -53,7 +51,7 @@ class Measurements:
         measured = np.isfinite(np.array(self._rows))
         t = np.array(self._t)
         if not len(t) or not measured.any(axis=0).all():
-            return float("inf")
+            return math.inf
         return float(t[-1] - min(t[column].max() for column in measured.T))
 
     def observation(self, target: Array) -> Array32:
@@ -78,19 +76,13 @@ class Measurements:
         return np.asarray(columns[0], dtype=np.float32)
 
 
-@dataclass(frozen=True)
-class Track:
-    """Record of a swim, one row for each set-point message.
+class Track(NamedTuple):
+    """Record of a swim: T set-point messages, the time of arrival and the distance to the target.
 
-    Attributes:
-        t: Arrival of the telemetry on this computer in s, from the first, shape (T,).
-        device_t: The robot's clock, shape (T,).
-        command: Set-points sent in answer, shape (T, J).
-        joint: Measured angles, shape (T, J), NaN if missing.
-        pose: x, y, heading, shape (T, 3), NaN if missing.
-        reached_s: Time at which the target was reached, from the end of rest; None if it was not.
-        closest_m: Smallest distance to the target; infinite if the swim never started.
-        stopped: Reason of an early end; None at the target or when the time was up.
+    Columns are the arrival of the telemetry on this computer in s, from the first, the robot's
+    clock, set-points sent in answer (T, J), measured angles (T, J) and pose (T, 3), NaN if missing.
+    ``reached_s`` is from the end of rest, ``closest_m`` infinite if the swim never started, and
+    ``stopped`` the reason of an early end.
     """
 
     t: Array
@@ -103,32 +95,22 @@ class Track:
     stopped: str | None
 
 
-@dataclass
 class Pilot:
     """Answers telemetry until the robot is at the target or the time is up.
 
-    Attributes:
-        policy: Policy of the robot.
-        target: x and y in the pool's frame in m.
-        seconds: Longest swim, after rest.
-        arrive_m: Distance at which the target is reached.
-        stopped: Reason of an early end, or None.
+    The target is x and y in the pool's frame in m; ``seconds`` is the longest swim, after rest.
+    ``stopped`` is the reason of an early end, or None.
     """
 
-    policy: Policy
-    target: Array
-    seconds: float
-    arrive_m: float = 0.05
-    stopped: str | None = None
-    _reached_s: float | None = None
-    _closest_m: float = float("inf")
-    _rows: list[tuple[float, Array, Telemetry]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._measurements = Measurements(self.policy.observation_limit)
-        self._controller = PolicyController(self.policy)
-        self._period: int | None = None
-        self.rest: Array = np.clip(0.0, self.policy.low, self.policy.high).astype(np.float64)
+    def __init__(self, policy: Policy, target: Array, seconds: float) -> None:
+        self.policy, self.target, self.seconds = policy, target, seconds
+        self.rest: Array = np.clip(0.0, policy.low, policy.high).astype(np.float64)
+        self.stopped: str | None = None
+        self._reached_s: float | None = None
+        self._closest_m, self._period = math.inf, -1
+        self._rows: list[tuple[float, Array, Telemetry]] = []
+        self._measurements = Measurements(policy.observation_limit)
+        self._controller = PolicyController(policy)
 
     @property
     def elapsed_s(self) -> float:
@@ -163,29 +145,26 @@ class Pilot:
         observation = self._measurements.observation(self.target)
         distance = float(np.hypot(*observation[-2:]))
         self._closest_m = min(self._closest_m, distance)
-        if distance < self.arrive_m:
+        if distance < ARRIVE_M:
             self._reached_s = max(self.elapsed_s, 0.0)
         if self.over:
             return self.rest
-        period = round(self.elapsed_s / CONTROL_S)
-        gone = 1 if self._period is None else period - self._period
-        self._period = period
-        return np.asarray(self._controller.act(observation[None], gone)[0], dtype=np.float64)
+        before, self._period = self._period, round(self.elapsed_s / CONTROL_S)
+        sent = self._controller.act(observation[None], self._period - before)
+        return np.asarray(sent[0], dtype=np.float64)
 
     def track(self) -> Track:
         """Record of the swim so far."""
         J, news = len(self.rest), [telemetry for _, _, telemetry in self._rows]
         arrived = np.array([t for t, _, _ in self._rows])
         return Track(
-            t=arrived - arrived[:1].sum(),
-            device_t=np.array([telemetry.t_s for telemetry in news]),
-            command=np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
-            joint=np.array([telemetry.joint for telemetry in news]).reshape(-1, J),
-            pose=np.array([telemetry.pose for telemetry in news]).reshape(-1, 3),
-            reached_s=self._reached_s,
-            closest_m=self._closest_m,
-            stopped=self.stopped,
-        )
+            arrived - arrived[:1].sum(),
+            np.array([telemetry.t_s for telemetry in news]),
+            np.array([sent for _, sent, _ in self._rows]).reshape(-1, J),
+            np.array([telemetry.joint for telemetry in news]).reshape(-1, J),
+            np.array([telemetry.pose for telemetry in news]).reshape(-1, 3),
+            self._reached_s, self._closest_m, self.stopped,
+        )  # fmt: skip
 
 
 def swim(
@@ -197,13 +176,8 @@ def swim(
 ) -> Track | None:
     """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
-    The timing is that of the robot's telemetry, which is answered immediately.
-
-    Args:
-        link: Link to the robot.
-        pilot: Computes the answers.
-        interrupted: Whether the user has asked to stop.
-        progress: Called with the seconds since its last call.
+    The timing is that of the robot's telemetry, which is answered immediately. ``interrupted`` says
+    whether the user has asked to stop, ``progress`` is called with the seconds since its last call.
 
     Returns:
         The swim, or None if the robot never answered.
@@ -211,9 +185,14 @@ def swim(
     Raises:
         KeyboardInterrupt: If the user asks to stop before the robot has answered.
     """
-    news = _contact(link, interrupted)
-    if not news:
-        return None
+    news, deadline = list[Telemetry](), time.monotonic() + ANSWER_S
+    while not news:
+        if time.monotonic() >= deadline:
+            return None
+        if interrupted():
+            raise KeyboardInterrupt
+        link.begin()
+        news = link.receive(0.1)
     answered = time.monotonic()
     try:
         while not pilot.over:
@@ -230,19 +209,7 @@ def swim(
             if not pilot.over:
                 news = link.receive(SILENCE_S / 10)
     finally:
-        for _ in range(_GOODBYES):
+        for _ in range(5):  # datagrams may be lost
             link.send(pilot.rest)
             time.sleep(CONTROL_S)
     return pilot.track()
-
-
-def _contact(link: Link, interrupted: Callable[[], bool]) -> list[Telemetry]:
-    """First telemetry of the robot; empty if it does not answer."""
-    deadline = time.monotonic() + ANSWER_S
-    while time.monotonic() < deadline:
-        if interrupted():
-            raise KeyboardInterrupt
-        link.begin()
-        if news := link.receive(_ASK_S):
-            return news
-    return []

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rl.observer import PAPER, Observer, View
-from sim2real.arrays import Array32, Mask
+from sim2real.arrays import Array32
 from sim2real.errors import InputError
 from sim2real.structured import finite_number, read_arrays
 
@@ -53,10 +53,9 @@ class Policy:
 
 
 def forward(policy: Policy, inputs: NDArray[Any]) -> Array32:
-    """Deterministic decisions of a policy, between -1 and 1, shape (..., J).
+    """Deterministic decisions between -1 and 1, shape (..., J), from columns of the view (..., F).
 
-    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C), from the
-    columns of ``policy.view``, shape (..., F). ``rl.observer`` converts them to set-points.
+    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C).
     """
     x = np.asarray(inputs, dtype=np.float32)
     *hidden, (weight, bias) = zip(policy.weights, policy.biases, strict=True)
@@ -66,22 +65,16 @@ def forward(policy: Policy, inputs: NDArray[Any]) -> Array32:
 
 
 class PolicyController:
-    """The mean action of a policy, with the observer of its training; robots are asynchronous."""
+    """The mean action of a policy, with the observer of its training, for any number of robots."""
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
-        self._start(0)
+        self.reset()
 
-    def _start(self, n: int) -> None:
-        self._observer = Observer(self.policy.view, self.policy.low, self.policy.high, n)
-        self._since = np.zeros(n, dtype=np.int64)
-        self._fresh = np.ones(n, dtype=bool)
-
-    def reset(self, mask: Mask) -> None:
-        """Reset the robots in ``mask``, shape (E,)."""
-        if len(mask) != len(self._fresh):
-            self._start(len(mask))
-        self._fresh = self._fresh | mask
+    def reset(self) -> None:
+        """All robots begin anew."""
+        self._observer: Observer | None = None
+        self._since = 0
 
     def act(self, observation: Array32, gone: int = 1) -> Array32:
         """Set-points in rad of this control period, shape (E, J).
@@ -90,26 +83,18 @@ class PolicyController:
             observation: The task's columns, shape (E, O).
             gone: Control periods since the last call; more than one if frames were lost.
         """
-        if len(observation) != len(self._fresh):
-            self._start(len(observation))
-        limit = self.policy.observation_limit
+        policy, period = self.policy, self.policy.view.period
+        limit = policy.observation_limit
         clipped = np.clip(np.asarray(observation, dtype=np.float32), -limit, limit)
-        if self._fresh.any():
-            self._observer.begin(clipped, self._fresh)
-        period = self.policy.view.period
-        self._since = np.where(self._fresh, 0, self._since + gone)
-        due = self._fresh | (self._since >= period)
-        self._since %= period
-        self._fresh = np.zeros_like(self._fresh)
-        if due.any():
-            inputs = self._observer.observe(clipped, due)
-            self._observer.decide(self.decided(inputs), due)
-        tick = self._since[:, None].astype(np.float32)
-        return np.asarray(self._observer.set_points(tick), dtype=np.float32)
-
-    def decided(self, inputs: Array32) -> Array32:
-        """Decisions between -1 and 1 from the policy's columns (E, F)."""
-        return forward(self.policy, inputs)
+        self._since += gone
+        if fresh := self._observer is None:
+            self._observer = Observer(policy.view, policy.low, policy.high, len(clipped))
+            self._observer.begin(clipped)
+            self._since = 0
+        if fresh or self._since >= period:
+            self._since %= period
+            self._observer.decide(forward(policy, self._observer.observe(clipped)))
+        return np.asarray(self._observer.set_points(self._since), dtype=np.float32)
 
 
 def npz(policy: Policy) -> bytes:
@@ -149,17 +134,16 @@ def read_npz(path: str | os.PathLike[str]) -> Policy:
         note = json.loads(str(content["provenance"]))
         if not isinstance(note, dict) or not is_spread(note.get("trained_over", {})):
             raise ValueError("a provenance that is no object, or without two numbers by parameter")
-        former = schema == FIRST
         policy = Policy(
-            weights=tuple(_numbers(content[f"weight_{k}"]) for k in layers),
-            biases=tuple(_numbers(content[f"bias_{k}"]) for k in layers),
-            low=_numbers(content["low_rad"]),
-            high=_numbers(content["high_rad"]),
-            joints=tuple(map(str, content["joints"])),
-            observation=tuple(map(str, content["observation"])),
-            observation_limit=_numbers(content["observation_limit"]),
-            view=PAPER if former else View.from_content(json.loads(str(content["view"]))),
-            provenance=note,
+            tuple(_numbers(content[f"weight_{k}"]) for k in layers),
+            tuple(_numbers(content[f"bias_{k}"]) for k in layers),
+            _numbers(content["low_rad"]),
+            _numbers(content["high_rad"]),
+            tuple(map(str, content["joints"])),
+            tuple(map(str, content["observation"])),
+            _numbers(content["observation_limit"]),
+            PAPER if schema == FIRST else View.from_content(json.loads(str(content["view"]))),
+            note,
         )
     except KeyError as error:
         raise InputError(file, str(error.args[0]), "nothing", "an array of that name") from None

@@ -1,15 +1,9 @@
 """The ablation: its arms, and tests of their agents at the turn in simulation and in reality.
 
-An arm has some techniques, and defaults that replace the others: without a technique the default of
-the old simulator is used (Lin, Liu, Wang, Sec. IV-D). Where that simulator has no default for this
-robot, one is defined here.
-
-Every testbed writes a file to the folder of the run and is skipped if that file is of the same
-policies and settings.
-
-A folder of pretrained agents, small enough to ship, holds ``ARM-SEED/policy.npz`` of each (only its
-policy, see ``rl.deploy.forward``), the ``model.json`` and ``ranges.json`` that they were trained
-for, and ``agents.json``: the plan, the SHA-256 of every file and the provenance.
+Without a technique the default of the old simulator is used (Lin, Liu, Wang, Sec. IV-D), or one
+that is defined here. A folder of pretrained agents holds ``ARM-SEED/policy.npz`` of each, the
+``model.json`` and ``ranges.json`` of their training, and ``agents.json``: plan, SHA-256 of every
+file, provenance.
 """
 
 from __future__ import annotations
@@ -27,8 +21,7 @@ from rl.deploy.export import read_zip
 from rl.deploy.policy import Policy, PolicyController, npz, read_npz
 from rl.experiments.episodes import Episodes, measured
 from rl.experiments.testbeds import Controllers, Testbed, same_starts
-from rl.make import draws_of
-from rl.randomize import noise_of, with_density
+from rl.make import digest, draws_of, noise_of, with_density
 from rl.sac.plan import Arm, Plan
 from rl.task import TASKS, Task
 from rl.world import Draws
@@ -41,18 +34,15 @@ from sim2real.robot import Robot
 from sim2real.structured import Fields, read_json
 
 LISTING = "agents.json"
-EFFORT_NM = 2.0
-"""Torque limit of the joints in the old simulator, N m."""
 STIFF = JointModel(
     kp_Nm_per_rad=10.0,
     kd_Nms_per_rad=0.2,
     latency_s=0.0,
     inertia_kgm2=0.002,
-    effects=(FittedEffect("torque_saturation", {"limit_Nm": EFFORT_NM}),),
+    effects=(FittedEffect("torque_saturation", {"limit_Nm": 2.0}),),
 )
-"""An uncalibrated servo. The old simulator drives joints by torque; the task commands angles, so
-the default is a stiff drive without latency that reaches its torque limit at an error of 0.2
-rad."""
+"""An uncalibrated servo. The old simulator drives joints by torque of at most 2 N m; the task
+commands angles, so the default is a stiff drive without latency, at its limit from 0.2 rad on."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +52,7 @@ class Techniques:
     Without randomization all episodes have the same model, with effects the diagnosed ones.
     """
 
+    title: str
     servo: bool = True
     density: bool = True
     randomization: bool = True
@@ -69,14 +60,14 @@ class Techniques:
 
 
 ARMS: Mapping[str, Techniques] = {
-    "all": Techniques(),
-    "no-servo": Techniques(servo=False),
-    "no-density": Techniques(density=False),
-    "no-randomization": Techniques(randomization=False),
-    "all-and-effects": Techniques(effects=True),
-    "ceiling": Techniques(),
-    "none": Techniques(servo=False, density=False, randomization=False),
-    "midway": Techniques(),
+    "all": Techniques("all techniques"),
+    "no-servo": Techniques("no servo calibration", servo=False),
+    "no-density": Techniques("no density calibration", density=False),
+    "no-randomization": Techniques("no randomization", randomization=False),
+    "all-and-effects": Techniques("all, and the effects found", effects=True),
+    "ceiling": Techniques("trained in reality itself"),
+    "none": Techniques("no technique", servo=False, density=False, randomization=False),
+    "midway": Techniques("half way from no technique"),
 }
 """The four arms of the paper; "all-and-effects", with diagnosed effects; and "ceiling", trained
 with the true parameters of the reality where they are known: an upper bound. By default not run:
@@ -84,16 +75,6 @@ with the true parameters of the reality where they are known: an upper bound. By
 Training of the other arms can continue from agents of "midway": no arm is favoured by that start,
 and the time to learn swimming, which differs by chance, is not part of the comparison."""
 PAPER = ("all", "no-servo", "no-density", "no-randomization")
-TITLES: Mapping[str, str] = {
-    "all": "all techniques",
-    "no-servo": "no servo calibration",
-    "no-density": "no density calibration",
-    "no-randomization": "no randomization",
-    "all-and-effects": "all, and the effects found",
-    "ceiling": "trained in reality itself",
-    "none": "no technique",
-    "midway": "half way from no technique",
-}
 
 
 def one_density(robot: Robot) -> list[float]:
@@ -104,7 +85,7 @@ def one_density(robot: Robot) -> list[float]:
     """
     section = np.array([link.width_m * link.height_m for link in robot.links])
     length = np.array([link.length_m for link in robot.links])
-    return [float(x) for x in section * length.sum() / (section * length).sum()]
+    return list((section * length.sum() / (section * length).sum()).tolist())
 
 
 def model_of(
@@ -167,8 +148,9 @@ def half_way(first: Model, second: Model) -> Model:
             latency_s=(a.latency_s + b.latency_s) / 2,
         )
     density = np.mean([m.body["normalised_density"] for m in (first, second)], axis=0)
-    body = {**first.body, "normalised_density": [float(x) for x in density]}
-    return replace(first, joints=joints, body=body)
+    return replace(
+        first, joints=joints, body={**first.body, "normalised_density": density.tolist()}
+    )
 
 
 def turn_of(plan: Plan, longest: int | None = None) -> Task:
@@ -189,18 +171,11 @@ def ablate(
     seed: int = 0,
     longest: int | None = None,
 ) -> dict[str, Any]:
-    """Test the agents of all arms.
+    """Test the agents of all arms; each testbed writes a file, and is skipped if it is up to date.
 
-    Args:
-        folder: Folder of the run.
-        robot: Links, joints and data sheets.
-        arms: Names of the arms.
-        agents: Folders of the agents: all seeds of the first arm, then those of the next.
-        plan: Plan of their training.
-        testbeds: Where the policies are tested.
-        repeats: Episodes of each agent and testbed.
-        seed: Seed of starts and noise.
-        longest: Maximum length of a trial in control periods; default: that of the task.
+    ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
+    episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
+    control periods, by default those of the task.
 
     Returns:
         ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
@@ -213,7 +188,7 @@ def ablate(
     for testbed in testbeds:
         path = folder / f"{testbed.name}.json"
         inputs = (weights, robot, testbed.key, task.energy, task.steps, repeats, seed, discount)
-        key = hashlib.sha256(repr(inputs).encode()).hexdigest()
+        key = digest(inputs)
         result = read_json(path) if path.exists() else {}
         if result.get("key") != key:
             policies = [PolicyController(policy_in(agent)) for agent in agents]
@@ -225,14 +200,14 @@ def ablate(
     names = [(arm, s) for arm in arms for s in plan.seeds]
     return {
         "repeats": repeats,
-        "testbeds": [testbed.name for testbed in testbeds],
+        "testbeds": list(results),
         "said": {testbed.name: testbed.description for testbed in testbeds},
         "agents": [
             {"arm": arm, "seed": s, "folder": agents[a].name}
-            | {testbed: results[testbed]["agents"][a] for testbed in results}
+            | {testbed: result["agents"][a] for testbed, result in results.items()}
             for a, (arm, s) in enumerate(names)
         ],
-        "targets": {testbed: results[testbed]["targets"] for testbed in results},
+        "targets": {testbed: result["targets"] for testbed, result in results.items()},
     }
 
 

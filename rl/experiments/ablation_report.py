@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rl.experiments.ablation import TITLES
+from rl.experiments.ablation import ARMS
 from rl.experiments.paths import aligned, paths_figure
-from rl.experiments.statistics import OUTCOME, Difference, bootstrap, differences, seeds_needed
-from rl.sac.curve import draw_curves
+from rl.experiments.statistics import OUTCOME, bootstrap, differences, seeds_needed
+from rl.sac.checkpoint import draw_curves
 from rl.sac.plan import Plan
 from sim2real.output import write_json, write_whole
 from sim2real.report.drawing import svg
 from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 from sim2real.report.page import Figure as Picture
-from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
+from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, 
     for agent in results["agents"]:
         for run in (folder / "train").rglob(agent["folder"]):
             if (run / "progress.csv").exists():
-                trained.setdefault(TITLES[agent["arm"]], []).append(run)
+                trained.setdefault(ARMS[agent["arm"]].title, []).append(run)
     if trained:  # pretrained agents have no curves
         draw_curves(trained, folder / "curve.png")
     lead = f"{len(results['agents'])} agents of {plan.steps} steps in the {plan.fidelity}"
@@ -80,27 +80,21 @@ def rows(results: Results) -> list[dict[str, Any]]:
 
 def tables(results: Results) -> dict[str, Table]:
     """The tables of the report: ``returns``, ``losses``, and ``forecast`` if one was made."""
-    table = rows(results)
-    returns = [
-        (
-            TITLES[row["arm"]],
-            *(
-                cell
-                for testbed in results["testbeds"]
-                for cell in (_ends(row[testbed][OUTCOME]), f"{100 * row[testbed]['success']:.0f} %")
-            ),
-            f"{row['reality']['time_s']:.1f}",
-            f"{row['reality']['energy']:.0f}",
-            f"{row['reality']['reward'][0]:.1f}",
-        )
-        for row in table
-    ]
+    table, returns = rows(results), []
+    for row in table:
+        cells = [ARMS[row["arm"]].title]
+        for testbed in results["testbeds"]:
+            arrives = f"{100 * row[testbed]['success']:.0f} %"
+            cells += [_ends(row[testbed][OUTCOME]), arrives]
+        real = row["reality"]
+        cells += [f"{real['time_s']:.1f}", f"{real['energy']:.0f}", f"{real['reward'][0]:.1f}"]
+        returns.append(cells)
     header = ("arm", "return, simulation", "arrives", "return, reality", "arrives", "time (s)",
               "energy", "reward")  # fmt: skip
     losses = differences(results)
     needed = {arm: S or "more than 200" for arm, S in seeds_needed(losses).items()}
     lost = [
-        (TITLES[arm], _ends((x.mean, x.low, x.high), "+.2f"), "yes" if x.significant else "no",
+        (ARMS[arm].title, _ends((x.mean, x.low, x.high), "+.2f"), "yes" if x.significant else "no",
          f"{x.sd:.2f}", str(x.pairs), str(needed[arm]))
         for arm, x in losses.items()
     ]  # fmt: skip
@@ -112,7 +106,7 @@ def tables(results: Results) -> dict[str, Table]:
         loses = ["", ""]
         if "loses" in forecast:
             loses = [_ends(forecast["loses"]), f"{rewards['all'][0] - rewards[arm][0]:.1f}"]
-        predicted.append((TITLES[arm], _ends(forecast["reward"]), _ends(rewards[arm]), *loses))
+        predicted.append((ARMS[arm].title, _ends(forecast["reward"]), _ends(rewards[arm]), *loses))
     if predicted:
         names = ("arm", "reward, forecast", "reward, reality", "loses, forecast", "loses, reality")
         out["forecast"] = Table(names, predicted)
@@ -136,11 +130,8 @@ def markdown(results: Results) -> str:
 
 def sections(results: Results, plan: Plan) -> list[Section]:
     """Sections of the page."""
-    made, losses, table = tables(results), differences(results), rows(results)
-    by_arm = {row["arm"]: row for row in table}
+    made, table = tables(results), rows(results)
     lost: list[Block] = [made["losses"]]
-    if losses:
-        lost.insert(0, picture(difference_figure(losses)))
     if not any(row["reality"]["success"] for row in table):
         warning = (
             "No arm reached the target in reality: returns compare how far the robot turns towards "
@@ -158,7 +149,9 @@ def sections(results: Results, plan: Plan) -> list[Section]:
     predicted = [Section("Forecast", _FORECAST, [made["forecast"]])] if "forecast" in made else []
     lead = "Trajectories of the head in reality: two turns of each agent."
     return [
-        Section("Effect of each technique", retention_text(by_arm), effect),
+        Section(
+            "Effect of each technique", retention_text({row["arm"]: row for row in table}), effect
+        ),
         *predicted,
         Section("Loss without each technique", _DIFFERENCES, lost),
         Section("The turns", lead, [picture(trajectory_figure(results))]),
@@ -184,24 +177,6 @@ def retention_text(by_arm: Mapping[str, Mapping[str, Any]]) -> str:
     return text
 
 
-def difference_figure(losses: Mapping[str, Difference]) -> Figure:
-    """Loss of each arm with its interval."""
-    with house_style():
-        figure = new_figure(70 + 34 * len(losses), "Return lost in reality without each technique")
-        axes = figure.subplots()
-        for y, loss in enumerate(losses.values()):
-            colour = ACCENT if loss.significant else MUTED
-            if loss.pairs > 1:
-                ends = [[loss.mean - loss.low], [loss.high - loss.mean]]
-                axes.errorbar([loss.mean], [y], xerr=ends, fmt="none", ecolor=colour, lw=1.6)
-            axes.plot([loss.mean], [y], "o", color=colour, ms=4)
-        axes.axvline(0, color=INK, lw=0.8)
-        axes.margins(0.06, 0.2)
-        _by_arm(axes, list(losses))
-        axes.set_xlabel("return of all techniques\nminus that of this arm, in reality")
-    return figure
-
-
 def return_figure(table: list[dict[str, Any]]) -> Figure:
     """Return of each arm in simulation and in reality, with intervals."""
     with house_style():
@@ -212,20 +187,15 @@ def return_figure(table: list[dict[str, Any]]) -> Figure:
             mean, low, high = np.array([row[testbed][OUTCOME] for row in table]).T
             axes.barh(y, mean, 0.3, color=colour, label=testbed)
             axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="none", ecolor="0.2", lw=1)
-        _by_arm(axes, [row["arm"] for row in table])
+        axes.set_yticks(range(len(table)), [ARMS[row["arm"]].title for row in table])
+        axes.invert_yaxis()
         axes.grid(axis="x")
+        axes.grid(visible=False, axis="y")
         axes.set_xlabel(
             "discounted return of a 180 degree turn\nwith the target 1.5 m behind", loc="right"
         )
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
-
-
-def _by_arm(axes: Any, arms: Sequence[str]) -> None:  # noqa: ANN401
-    """A row of a chart for each arm."""
-    axes.set_yticks(range(len(arms)), [TITLES[arm] for arm in arms])
-    axes.invert_yaxis()
-    axes.grid(visible=False, axis="y")
 
 
 def trajectory_figure(results: Results) -> Figure:
@@ -234,7 +204,7 @@ def trajectory_figure(results: Results) -> Figure:
     ways: dict[str, list[Any]] = {}
     for agent in results["agents"]:
         colour = ACCENT if agent["arm"] == "all" else INK
-        ways.setdefault(TITLES[agent["arm"]], []).extend(
+        ways.setdefault(ARMS[agent["arm"]].title, []).extend(
             aligned(np.array(path), target, colour)
             for path, target in zip(agent["reality"]["path"], targets, strict=False)
         )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from rl.controllers import Controller
-from rl.metrics import energy, path_length, turning_radius
 from rl.task import CONTROL_S, Task
 from rl.world import World
 from sim2real.arrays import Array, Mask
@@ -106,7 +105,7 @@ def run_episodes(
     controller: Controller,
     *,
     name: str = "swim",
-    watch: Callable[[Mask], None] | None = None,
+    watch: Callable[[Mask], None] = lambda going: None,
 ) -> Episodes:
     """Run one episode of every robot of a world; all are reset.
 
@@ -115,12 +114,11 @@ def run_episodes(
     E = world.n_envs
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
-    controller.reset(np.ones(E, dtype=bool))
+    controller.reset()
     pose, rate = [_copied(world.pose)], [_copied(world.rate)]
     value, going = [np.zeros(E)], np.ones(E, dtype=bool)
-    reached, steps = np.zeros(E, dtype=np.int64), np.zeros(E, dtype=np.int64)
-    if watch is not None:
-        watch(going)
+    reached, steps = np.zeros((2, E), dtype=np.int64)
+    watch(going)
     for _ in tqdm(range(world.task.steps), desc=name, unit="step", disable=None, leave=False):
         action = controller.act(observation.cpu().numpy())
         step = world.step(torch.as_tensor(action, device=world.device), begin=False)
@@ -130,8 +128,7 @@ def run_episodes(
         reached = np.where(going, step.reached.cpu().numpy(), reached)
         for recorded, values in ((pose, world.pose), (rate, world.rate)):
             recorded.append(np.where(going[:, None], _copied(values), np.nan))
-        if watch is not None:
-            watch(going)
+        watch(going)
         going &= ~(step.terminated | step.truncated).cpu().numpy()
         if not going.any():
             break
@@ -140,6 +137,58 @@ def run_episodes(
 
 def _copied(tensor: torch.Tensor) -> Array:
     return np.array(tensor.cpu().numpy(), dtype=np.float64)
+
+
+def energy(rate: Array) -> Array:
+    """The paper's measure of energy, the sum over steps of 20 ms of the joints' squared rates.
+
+    It is not mechanical work: its unit is rad^2/s^2; multiplied by 0.02 s it is the integral over
+    time. The row of the start is included. ``rate`` has the shape (T, E, J), the result (E,), NaN
+    where all rows are NaN.
+    """
+    finite = np.asarray(np.isfinite(rate).all(axis=2))
+    total = np.where(finite, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
+    return np.where(finite.any(axis=0), total, np.nan)
+
+
+def path_length(position: Array) -> Array:
+    """Length in m of the path through the finite rows of (T, E, 2), shape (E,)."""
+    step = np.linalg.norm(np.diff(position, axis=0), axis=2)
+    return np.where(np.isfinite(position).all(axis=2).any(axis=0), np.nansum(step, axis=0), np.nan)
+
+
+def turning_radius(position: Array, heading: Array, *, turn_rad: float = np.pi) -> Array:
+    """Radius of a circle fitted to the middle part of the turn, in m, shape (E,).
+
+    The middle part are the rows from the first at which the heading (T, E) has changed by a tenth
+    of ``turn_rad``, in either direction, until the first at which it has by nine tenths. The circle
+    is the least-squares fit of Kasa (IEEE Trans. Instrum. Meas. 25 (1976) 8) to the path (T, E, 2)
+    of the head's centre of mass. NaN if the heading changes by less, infinite if the path is
+    straight.
+    """
+    changed = np.abs(heading - heading[0])
+    started, done = (np.asarray(changed >= part * turn_rad) for part in (0.1, 0.9))
+    row = np.arange(len(heading))[:, None]
+    middle = (row >= started.argmax(axis=0)) & (row <= done.argmax(axis=0)) & done.any(axis=0)
+    return circle_radius(np.where(middle[..., None], position, np.nan))
+
+
+def circle_radius(position: Array) -> Array:
+    """Radius of the least-squares circle through the finite rows of (T, E, 2), shape (E,)."""
+    finite = np.asarray(np.isfinite(position).all(axis=2))
+    count = finite.sum(axis=0)
+    points = np.where(finite[..., None], position, 0.0)
+    middle = points.sum(axis=0) / np.maximum(count, 1)[:, None]
+    x, y = np.moveaxis(np.where(finite[..., None], position - middle, 0.0), 2, 0)
+    square = x * x + y * y
+    xx, xy, yy = (x * x).sum(axis=0), (x * y).sum(axis=0), (y * y).sum(axis=0)
+    right, up = (x * square).sum(axis=0) / 2, (y * square).sum(axis=0) / 2
+    det = xx * yy - xy * xy
+    straight = det <= 1e-9 * (xx + yy) ** 2
+    safe = np.where(straight, 1.0, det)
+    cx, cy = (right * yy - up * xy) / safe, (up * xx - right * xy) / safe
+    radius = np.sqrt(cx * cx + cy * cy + (xx + yy) / np.maximum(count, 1))
+    return np.where(count < 3, np.nan, np.where(straight, np.inf, radius))
 
 
 def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
@@ -158,45 +207,34 @@ def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
 def measured(episodes: Episodes, task: Task) -> dict[str, Array]:
     """Each of ``FIGURES``, shape (E,); ``success`` is 1 or 0, time and energy as in ``spent``."""
     time, used = spent(episodes, task)
-    return {
-        "success": episodes.success.astype(np.float64),
-        "time_s": time,
-        "energy": used,
-        "reward": episodes.reward,
-        "path_m": path_length(episodes.pose[:, :, :2]),
-    }
+    success, path = episodes.success.astype(np.float64), path_length(episodes.pose[:, :, :2])
+    return dict(zip(FIGURES, (success, time, used, episodes.reward, path), strict=True))
 
 
 def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
     """The metrics of the paper over all episodes: means, some with standard errors."""
     figures, won = measured(episodes, task), episodes.success
-    time, used = figures["time_s"], figures["energy"]
+    time, used, reward = (figures[name] for name in ("time_s", "energy", "reward"))
 
-    def mean(values: Array, where: Mask | None = None) -> float | None:
-        chosen = values if where is None else values[where]
-        chosen = chosen[np.isfinite(chosen)]
+    def mean(values: Array) -> float | None:
+        chosen = values[np.isfinite(values)]
         return float(chosen.mean()) if chosen.size else None
 
     def error(values: Array) -> float:
         return float(values.std() / np.sqrt(len(values)))
 
     turned, path = episodes.pose[:, :, 2], episodes.pose[:, :, :2]
-    arrivals = {
-        "time_s": mean(episodes.time_s),
-        "energy": mean(used, won),
-        "path_m": mean(figures["path_m"], won),
-    }
     return {
         "episodes": len(won),
         "success": float(won.mean()),
         "waypoints": float(episodes.reached.mean()),
-        "reward": float(episodes.reward.mean()),
-        "reward_sd": float(episodes.reward.std()),
+        "reward": float(reward.mean()),
+        "reward_sd": float(reward.std()),
         "time_s": float(time.mean()),
         "time_error_s": error(time),
         "energy": float(used.mean()),
         "energy_error": error(used),
-        "arrivals": arrivals,
+        "arrivals": {name: mean(figures[name][won]) for name in ("time_s", "energy", "path_m")},
         "turned_90_s": mean(_first_s(np.abs(turned - turned[0]) >= np.pi / 2)),
         "faced_target_s": mean(episodes.faced_s()),
         "turning_radius_m": mean(turning_radius(path, turned)),

@@ -1,7 +1,6 @@
 """Video of an evaluation from above: one policy after the other, or several robots side by side.
 
-It shows the pool, the targets, the past trajectory, the outline of the robot and the time; in the
-fluid also the vorticity within the simulated box, which moves with the robot.
+In the fluid it also shows the vorticity within the simulated box, which moves with the robot.
 """
 
 from __future__ import annotations
@@ -22,11 +21,7 @@ from sim2real.arrays import Array, Mask, Picture
 
 TARGET = (20, 120, 84)
 _MARGIN_M = 0.1
-_SHARE = 0.75
-"""Share of the video's default width, as the pool is about as high as it is wide."""
 _DRAWN_FOR = 960
-_HELD_S = 1.0
-"""Duration for which the last picture of a policy is shown, s."""
 
 
 def still(world: World, *, width: int = 480) -> Picture:
@@ -46,7 +41,8 @@ class Film:
     def __init__(
         self, video: Video, world: World, names: Mapping[int, str], *, width: int | None = None
     ) -> None:
-        wide = width or 2 * round(_SHARE * video.width / 2)
+        # by default three quarters of the video's, as the pool is about as high as it is wide
+        wide = width or 2 * round(0.75 * video.width / 2)
         self._video, self._taken = video, 0
         self._cameras = [_Camera(world, robot, name, wide) for robot, name in names.items()]
 
@@ -68,7 +64,7 @@ class Film:
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:  # noqa: ANN401
         """Repeat the last picture."""
         if kind is None and self._taken:
-            for _repeat in range(round(_HELD_S * FRAMES_PER_S)):
+            for _repeat in range(round(FRAMES_PER_S)):
                 self._add()
 
 
@@ -128,15 +124,11 @@ class _Camera:
             )
         blend(canvas, 0.8 * self._way, INK)
         draw_robot(canvas, simulator.hull, links, x, y)
-        return self._lettered(np.rint(canvas).astype(np.uint8), plane, clock)
-
-    def _lettered(self, image: Picture, plane: Plane | None, clock: float) -> Picture:
-        lettering = Lettering(image, _DRAWN_FOR)
+        lettering = Lettering(np.rint(canvas).astype(np.uint8), _DRAWN_FOR)
         lettering.write(lettering.left, lettering.top, self._name, "lt", large=True)
-        count = self._world.task.waypoints
         caption = f"{clock:.2f} s"
-        if count > 1:
-            caption += f"   to target {int(self._world.waypoint[self._robot]) + 1} of {count}"
+        if world.task.waypoints > 1:
+            caption += f"   to target {waypoint + 1} of {world.task.waypoints}"
         lettering.write(lettering.left, lettering.low, caption, "ls", large=True)
         lettering.scale(self._pixels)
         if plane is not None:

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from rl.controllers import Controller
-from rl.controllers.classical import PACES, TUNED, tuned
+from rl.controllers.classical import (
+    PACES,
+    TUNED,
+    ADRCGains,
+    DisturbanceRejection,
+    PNLGains,
+    ProportionalNavigation,
+    tuned,
+)
+from rl.controllers.discrete_cpg import read_policy, read_table
 from rl.deploy.export import read_zip
 from rl.deploy.policy import PolicyController, read_npz
 from sim2real.errors import InputError
+from sim2real.robot import Robot
 
 CONTROLLERS = ("pnl", "adrc")
 """Classical controllers, by their names on the command line."""
@@ -50,20 +63,11 @@ def controller_of(
     """
     kind, _, pace = name.partition("-")
     if kind in CONTROLLERS and (not pace or pace in PACES):
-        from rl.controllers.classical import (
-            ADRCGains,
-            DisturbanceRejection,
-            PNLGains,
-            ProportionalNavigation,
-        )
-
         file, pace = gains or TUNED, pace or "middle"
         if kind == "pnl":
             pnl_gains = tuned("pnl", PNLGains, pace, file)
             return ProportionalNavigation(limits_rad, n_envs, pnl_gains)
         return DisturbanceRejection(limits_rad, n_envs, tuned("adrc", ADRCGains, pace, file))
-    from rl.controllers.discrete_cpg import read_policy, read_table
-
     if (table := read_table(name)) is not None:
         return read_policy(name, table, limits_rad, n_envs)
     path, price = with_price(name)
@@ -72,3 +76,33 @@ def controller_of(
         joints = f"{len(policy.joints)} joints"
         raise InputError(name, "joints", joints, f"{len(limits_rad)}, as the robot has")
     return PolicyController(policy)
+
+
+def named_controllers(
+    policies: Sequence[str], robot: Robot
+) -> dict[str, Callable[[int], Controller]]:
+    """Functions from a number of robots to controllers, by the names that are shown.
+
+    Raises:
+        InputError: If there is none, two have one name, or a policy is of another robot.
+    """
+    limits = [joint.limits_rad for joint in robot.joints]
+    joints = tuple(joint.name for joint in robot.joints)
+    out: dict[str, Callable[[int], Controller]] = {}
+    for name in dict.fromkeys(policies):
+        controller = controller_of(name, limits, 1)
+        if isinstance(controller, PolicyController):
+            policy = controller.policy
+            if tuple(policy.joints) != joints:
+                found = f"a policy of {', '.join(policy.joints)}"
+                raise InputError(name, "joints", found, f"{', '.join(joints)} of {robot.name}")
+            if not np.allclose(np.array([policy.low, policy.high]).T, limits, atol=1e-3):
+                ends = zip(policy.low, policy.high, strict=True)
+                found = ", ".join(f"{low:.3g} to {high:.3g}" for low, high in ends)
+                raise InputError(name, "limits", f"{found} rad", f"the limits of {robot.name}")
+        label = shown(name)
+        label = name if label in out else label
+        out[label] = partial(controller_of, name, limits)
+    if not out:
+        raise InputError("forecast", "policies", "none", "at least one policy")
+    return out

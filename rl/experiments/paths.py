@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rl.metrics import REACHED_M
+from rl.task import POINT
 from sim2real.arrays import Array
 from sim2real.report.style import ACCENT, FAINT, INK, RULE, house_style, new_figure
 
@@ -19,13 +19,8 @@ _PANEL = 360
 _MARGIN_M = 0.15
 
 
-class Way(NamedTuple):
-    """Path of a head, x and y in m, shape (T, 2), NaN after its end; how it is drawn."""
-
-    position: Array
-    colour: str
-    alpha: float = 0.7
-    width: float = 0.7
+Way = tuple[Array, dict[str, Any]]
+"""Path of a head, x and y in m, shape (T, 2), NaN after its end; how it is drawn."""
 
 
 def pool_figure(
@@ -36,8 +31,8 @@ def pool_figure(
     Targets are circles of 5 cm; a note, such as the time, is next to the title of its panel.
     """
     panels = {
-        name: [Way(x, INK, 0.5, 0.6) for x in reversed(of_name[1:])]
-        + [Way(of_name[0], ACCENT, 1.0, 1.3)]
+        name: [(x, {"color": INK, "alpha": 0.5, "lw": 0.6}) for x in reversed(of_name[1:])]
+        + [(of_name[0], {"color": ACCENT, "lw": 1.3})]
         for name, of_name in ways.items()
     }
     points = np.concatenate([targets, *(x for of_name in ways.values() for x in of_name)])
@@ -50,7 +45,9 @@ def pool_figure(
         axes.grid(False)
         axes.plot(*targets.T, color=RULE, linewidth=1.0, zorder=1)
         for target in targets:
-            axes.add_patch(Circle(target, REACHED_M, facecolor="none", edgecolor=FAINT, zorder=2))
+            axes.add_patch(
+                Circle(target, POINT.arrive_m, facecolor="none", edgecolor=FAINT, zorder=2)
+            )
         axes.plot(*ways[name][0][0], "o", color=INK, markersize=4, zorder=4)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)")
         axes.set_title(notes[name], loc="right")
@@ -97,8 +94,8 @@ def _panels(
         for axes in panels[len(ways) :]:
             axes.set_visible(False)
         for axes, (name, of_name) in zip(panels, ways.items(), strict=False):
-            for way in of_name:
-                axes.plot(*way.position.T, color=way.colour, lw=way.width, alpha=way.alpha)
+            for position, style in of_name:
+                axes.plot(*position.T, **style)
             axes.set(aspect="equal", autoscale_on=not shared)
             axes.locator_params(nbins=5)
             axes.set_title(name, color=INK)
@@ -111,4 +108,5 @@ def aligned(path: Array, target: Array, colour: str = INK) -> Way:
     direction = (target - path[0]) / np.linalg.norm(target - path[0])
     moved = path - path[0]
     across = moved @ np.array([-direction[1], direction[0]])
-    return Way(np.stack([-moved @ direction, across], axis=1), colour)
+    style = {"color": colour, "alpha": 0.7, "lw": 0.7}
+    return np.stack([-moved @ direction, across], axis=1), style

@@ -6,10 +6,15 @@ defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
-        return reality    # with the methods of ``Reality``
+        return reality
 
     AT_ONCE = 1           # if the number of robots at a time is limited, or:
     def at_once(**options): return 1       # the same, as a function of the options of make
+
+``reality.reset(pose, joint)`` places the robots at rest at poses (n, 3) with joint angles (n, J);
+``reality.step(desired)`` commands joint angles (n, J), held for 0.02 s. Both return measurements:
+poses (n, 3), x and y of the head's centre of mass in m and its heading in rad, in the pool's frame,
+and joint angles (n, J) as the servos report them; NaN where there is none.
 
 A robot whose episode is over is commanded to straight joints. A surrogate can add a method
 ``reality.rate()``, present true joint rates (n, J) in rad/s, from which the energy is computed as
@@ -23,11 +28,10 @@ import hashlib
 import inspect
 import runpy
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -42,8 +46,6 @@ from sim2real.arrays import Array, Index
 from sim2real.errors import InputError
 from sim2real.robot import Robot
 
-_NAME = "reality_of_your_own"
-
 
 class Starts(NamedTuple):
     """Where n episodes begin: poses (n, 3), joint angles (n, J), waypoints (n, W, 2)."""
@@ -55,21 +57,6 @@ class Starts(NamedTuple):
     def of(self, rows: Index) -> Starts:
         """The starts of some of the episodes."""
         return Starts(*(x[rows] for x in self))
-
-
-class Reality(Protocol):
-    """n robots that can be moved and measured.
-
-    Both methods return measurements: poses (n, 3), x and y of the head's centre of mass in m and
-    its heading in rad, in the pool's frame, and joint angles (n, J) as the servos report them; NaN
-    where there is none.
-    """
-
-    def reset(self, pose: Array, joint: Array) -> tuple[Array, Array]:
-        """Place the robots at rest at poses (n, 3) with joint angles (n, J)."""
-
-    def step(self, desired: Array) -> tuple[Array, Array]:
-        """Command joint angles (n, J), held for 0.02 s."""
 
 
 @dataclass(frozen=True)
@@ -88,14 +75,9 @@ class RealityFile:
     sha256: str
     options: Mapping[str, Any]
     at_once: int | None
-    make: Callable[..., Reality]
+    make: Callable[..., Any]
 
-    @property
-    def path(self) -> Path:
-        """Path of the file."""
-        return self.files[0]
-
-    def __call__(self, robot: Robot, n: int, seed: int, device: str) -> Reality:
+    def __call__(self, robot: Robot, n: int, seed: int, device: str) -> Any:  # noqa: ANN401
         """Make a reality of n robots.
 
         Raises:
@@ -105,7 +87,7 @@ class RealityFile:
         for name in ("reset", "step"):
             if not callable(getattr(reality, name, None)):
                 problem = f"{type(reality).__name__} without {name}"
-                raise InputError(self.path, "make", problem, "a reality with reset and step")
+                raise InputError(self.files[0], "make", problem, "a reality with reset and step")
         return reality
 
 
@@ -132,42 +114,33 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
         at_once = by_options(**{**defaults, **options})
     if at_once is not None and (type(at_once) is not int or at_once < 1):
         raise InputError(path, "AT_ONCE", repr(at_once), "a number of robots, at least 1")
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return RealityFile(tuple(files), digest.hexdigest(), {**defaults, **options}, at_once, make)
+    digests = [hashlib.sha256(file.read_bytes()).digest() for file in files]
+    sha256 = hashlib.sha256(b"".join(digests)).hexdigest()
+    return RealityFile(tuple(files), sha256, {**defaults, **options}, at_once, make)
 
 
 def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
-    """Names in the file, and its files: the file itself, then those imported from its folder."""
+    """Names in the file, and its files: the file itself, then those imported from its folder.
+
+    These are unloaded, so that another reality may have modules of the same names.
+    """
     if not path.is_file():
         raise InputError(path, "", "no such file", "a Python file that defines make")
-    with _neighbours(path) as imported:
-        try:
-            content = runpy.run_path(str(path), run_name=_NAME)
-        except Exception as error:
-            problem = f"{type(error).__name__}: {error}"
-            raise InputError(path, "", problem, "a Python file that can be run") from None
-    return content, [path, *imported]
-
-
-@contextmanager
-def _neighbours(path: Path) -> Iterator[list[Path]]:
-    """Allow imports from the folder of a file, and list them; they are unloaded at the end."""
-    folder = path.resolve().parent
-    names = {file.stem for file in folder.glob("*.py")} | {_NAME}
-    replaced = {name: sys.modules.pop(name) for name in names & set(sys.modules)}
-    sys.path.insert(0, str(folder))
-    imported: list[Path] = []
+    folder, before = str(path.resolve().parent), set(sys.modules)
+    sys.path.insert(0, folder)
     try:
-        yield imported
+        content = runpy.run_path(str(path), run_name="reality_of_your_own")
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+        raise InputError(path, "", problem, "a Python file that can be run") from None
     finally:
-        sys.path.remove(str(folder))
-        for name in sorted(names & set(sys.modules)):
-            file = getattr(sys.modules.pop(name), "__file__", None)
-            if file is not None and Path(file).parent == folder and Path(file) != path.resolve():
-                imported.append(path.parent / Path(file).name)
-        sys.modules.update(replaced)
+        sys.path.remove(folder)
+        new = {*sys.modules} - before
+        files = {name: Path(getattr(sys.modules[name], "__file__", None) or "") for name in new}
+        own = sorted(name for name, file in files.items() if str(file.parent) == folder)
+        for name in own:
+            del sys.modules[name]
+    return content, [path, *(path.parent / files[name].name for name in own)]
 
 
 class RealWorld:
@@ -184,7 +157,12 @@ class RealWorld:
     device = torch.device("cpu")
 
     def __init__(
-        self, reality: Reality, robot: Robot, task: Task, starts: Starts, *, name: str = "reality"
+        self,
+        reality: Any,  # noqa: ANN401 - with the methods above
+        robot: Robot,
+        task: Task,
+        starts: Starts,
+        name: str = "reality",
     ) -> None:
         """Take over the robots of a reality; ``name`` is its name in errors."""
         self.n_envs, J = starts.joint.shape

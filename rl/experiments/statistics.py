@@ -1,9 +1,8 @@
 """Statistics of trials: predictive distributions, and differences of agents paired by seed.
 
-Predictive distributions come from N drawn realities with T trials in each. A figure differs between
-realities (variance B) and between trials in one reality (variance W), the variance components of a
-one-way layout with random effects (Searle, Casella and McCulloch, Variance Components, 1992, ch.
-3). More trials average W away and not B.
+A figure differs between N drawn realities (variance B) and between T trials in one reality
+(variance W), the variance components of a one-way layout with random effects (Searle, Casella and
+McCulloch, Variance Components, 1992, ch. 3). More trials average W away and not B.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from scipy.stats import beta, norm, rankdata
 from scipy.stats import t as student
 
-from sim2real.arrays import Array, Mask
+from sim2real.arrays import Array
 
 
 def between_within(values: Array) -> tuple[float, float]:
@@ -104,17 +103,15 @@ def quantiles(values: Array, weights: Array, levels: Array) -> Array:
     return np.interp(levels, np.cumsum(mass) - mass / 2, flat[order])
 
 
-def interval(
-    values: Array, weights: Array, trials: float = np.inf, level: float = 0.9
-) -> tuple[float, float, float]:
-    """Mean and central interval of the mean of a number of trials.
+def interval(values: Array, weights: Array, trials: float = np.inf) -> tuple[float, float, float]:
+    """Mean and central 90 % interval of the mean of a number of trials.
 
     The mean of many trials can be beyond a quantile of its distribution where that is very skewed,
     as that of a rate of success which is 1 in nearly all realities; the interval then ends at it.
     ``weights`` of the draws, shape (N,), have sum 1.
     """
     drawn = means(values, trials)
-    low, high = quantiles(drawn, weights, np.array([0.5 - level / 2, 0.5 + level / 2]))
+    low, high = quantiles(drawn, weights, np.array([0.05, 0.95]))
     mean = float(weights @ expected(values))
     ends = (low, high) if np.isfinite(trials) else (min(low, mean), max(high, mean))
     return mean, float(ends[0]), float(ends[1])
@@ -126,7 +123,7 @@ def best(scores: Array, weights: Array) -> Array:
     Starts and disturbances are the same for all policies, so that what they have in common cancels.
     """
     drawn = np.stack([expected(one) for one in scores])
-    winner: Mask = drawn == drawn.max(axis=0)
+    winner = np.asarray(drawn == drawn.max(axis=0))
     return np.asarray((winner / winner.sum(axis=0)) @ weights)
 
 
@@ -185,34 +182,29 @@ def differences(results: Mapping[str, Any]) -> dict[str, Difference]:
     return out
 
 
-def seeds_needed(
-    losses: Mapping[str, Difference], *, most: int = 200, width: float = 1 / 3
-) -> dict[str, int | None]:
-    """Pairs for an interval as narrow as a share ``width`` of the largest difference, by arm.
+def seeds_needed(losses: Mapping[str, Difference]) -> dict[str, int | None]:
+    """Pairs for an interval as narrow as a third of the largest difference, by arm.
 
-    Computed from the present spread over pairs; None if unknown or more than ``most``.
+    Computed from the present spread over pairs; None if unknown or more than 200.
     """
     largest = max((abs(loss.mean) for loss in losses.values()), default=0.0)
-    pairs = np.arange(2, most + 1)
+    pairs = np.arange(2, 201)
     widths = 2 * student.ppf(0.95, pairs - 1) / np.sqrt(pairs)  # for a spread of 1
-    return {
-        arm: next((int(S) for S, w in zip(pairs, widths * loss.sd, strict=True)
-                   if w <= width * largest), None)
-        for arm, loss in losses.items()
-    }  # fmt: skip
+    enough = {arm: pairs[widths * loss.sd <= largest / 3] for arm, loss in losses.items()}
+    return {arm: int(S[0]) if S.size else None for arm, S in enough.items()}
 
 
 def bootstrap(
-    values: Sequence[Sequence[float]], rng: np.random.Generator, draws: int = 4000
+    values: Sequence[Sequence[float]], rng: np.random.Generator
 ) -> tuple[float, float, float]:
     """Mean with a 90 % bootstrap interval of one list of repeats for each agent.
 
-    Agents are resampled, then their repeats.
+    4000 times agents are resampled, then their repeats.
     """
     table = np.array(values, dtype=np.float64)
     A, R = table.shape
-    agents = rng.integers(A, size=(draws, A))
-    repeats = rng.integers(R, size=(draws, A, R))
+    agents = rng.integers(A, size=(4000, A))
+    repeats = rng.integers(R, size=(4000, A, R))
     means = table[agents[:, :, None], repeats].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.05, 0.95])
     return float(table.mean()), float(low), float(high)

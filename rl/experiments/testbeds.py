@@ -1,22 +1,26 @@
-"""Where policies are tested: a simulator, or a reality not used in training."""
+"""Where policies are tested, a simulator or a reality, and the choice of agents by such trials."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rl.controllers import Controller
-from rl.experiments.episodes import Episodes, run_episodes
+from rl.deploy.export import policy_of, set_price
+from rl.deploy.policy import PolicyController
+from rl.experiments.episodes import Episodes, run_episodes, summary
+from rl.experiments.named import controller_of
 from rl.experiments.reality import RealityFile, RealWorld, Starts
-from rl.make import Fidelity, draws_of, make_world, own_stream
-from rl.sac.train import digest
-from rl.task import Task
+from rl.make import Fidelity, digest, draws_of, make_world, own_stream
+from rl.sac.sac import read_agent
+from rl.sac.train import digest_of
+from rl.task import TASKS, Task
 from rl.world import Draws, World
-from sim2real.arrays import Array, Array32, Index, Mask
+from sim2real.arrays import Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
@@ -48,35 +52,29 @@ IN_TWIN = SimulationSettings()
 
 
 class Controllers:
-    """Several controllers, each for an equal share of the robots, in order."""
+    """Several controllers, each for ``repeats`` of the robots, in order."""
 
     def __init__(self, controllers: Sequence[Controller], repeats: int) -> None:
-        """Give each controller ``repeats`` robots."""
         self.controllers = list(controllers)
         self.owner = np.repeat(np.arange(len(self.controllers)), repeats)
 
     def of(self, rows: Index) -> Controllers:
-        """The same controllers for some of the robots."""
+        """The same controllers for some of the robots, in increasing order."""
         fewer = Controllers(self.controllers, 1)
         fewer.owner = self.owner[rows]
         return fewer
 
-    def reset(self, mask: Mask) -> None:
-        """Reset the controllers of the robots in ``mask``."""
-        for controller, rows in self._shares():
-            controller.reset(mask[rows])
+    def reset(self) -> None:
+        """All robots begin anew."""
+        for controller, _ in self._shares():
+            controller.reset()
 
     def act(self, observation: Array32) -> Array32:
         """Actions of all robots."""
-        parts = [(rows, controller.act(observation[rows])) for controller, rows in self._shares()]
-        action = np.empty((len(self.owner), parts[0][1].shape[1]), dtype=np.float32)
-        for rows, part in parts:
-            action[rows] = part
-        return action
+        return np.concatenate([c.act(observation[rows]) for c, rows in self._shares()])
 
-    def _shares(self) -> list[tuple[Controller, Index]]:
-        rows = [np.flatnonzero(self.owner == k) for k in range(len(self.controllers))]
-        return [(c, r) for c, r in zip(self.controllers, rows, strict=True) if len(r)]
+    def _shares(self) -> list[tuple[Controller, Mask]]:
+        return [(self.controllers[k], self.owner == k) for k in np.unique(self.owner)]
 
 
 def same_starts(task: Task, agents: int, repeats: int, seed: int, J: int) -> Starts:
@@ -95,7 +93,7 @@ def simulate(
     *,
     seed: int,
     name: str,
-    watched: Callable[[World], Callable[[Mask], None]] | None = None,
+    watched: Callable[[World], Callable[[Mask], None]] = lambda world: lambda going: None,
     **options: Any,  # noqa: ANN401 - those of ``make_world``
 ) -> Episodes:
     """One episode of each robot in the fluid or the twin, all at once.
@@ -107,8 +105,7 @@ def simulate(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
             seed=seed, **settings.world, **options,
         )  # fmt: skip
-        watch = None if watched is None else watched(world)
-        return run_episodes(world, controller, name=name, watch=watch)
+        return run_episodes(world, controller, name=name, watch=watched(world))
 
 
 def run_trials(
@@ -127,8 +124,7 @@ def run_trials(
     Robots and noise are drawn from the ranges; without ranges all robots are the model.
     """
     drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
-    models = list(drawn.models) * (episodes if ranges is None else 1)
-    draws = [Draws((m,), drawn.noise) for m in models[:episodes]] * len(controllers)
+    draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(controllers)
     starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
     steering = Controllers(list(controllers.values()), episodes)
     swims = simulate(robot, task, starts, draws, steering, settings, seed=seed, name=task.name)
@@ -161,9 +157,8 @@ def simulated(
 
     fluid = settings.fidelity == "fluid"
     water = f"fluid, cells of {100 * settings.cell_m:g} cm" if fluid else "twin"
-    content = ([digest(one) for one in draws], (settings.fidelity, settings.cell_m, options))
-    key = hashlib.sha256(repr(content).encode()).hexdigest()
-    return Testbed(name, f"the library's laws in the {water}", key, swim)
+    content = ([digest_of(one) for one in draws], (settings.fidelity, settings.cell_m, options))
+    return Testbed(name, f"the library's laws in the {water}", digest(content), swim)
 
 
 def real(file: RealityFile, device: str = "cpu") -> Testbed:
@@ -178,29 +173,127 @@ def real(file: RealityFile, device: str = "cpu") -> Testbed:
         reality = file(robot, n, seed, device)
         parts = []
         for rows in np.arange(total).reshape(-1, n):
-            world = RealWorld(reality, robot, task, starts.of(rows), name=str(file.path))
+            world = RealWorld(reality, robot, task, starts.of(rows), str(file.files[0]))
             parts.append(run_episodes(world, who.of(rows), name="reality"))
         return _joined(parts)
 
     options = "".join(f", {key} {value}" for key, value in file.options.items())
-    description = f"{file.path.name}{options}; rewards from what camera and servos show"
-    content = repr((file.sha256, sorted(file.options.items())))
-    return Testbed("reality", description, hashlib.sha256(content.encode()).hexdigest(), swim)
+    description = f"{file.files[0].name}{options}; rewards from what camera and servos show"
+    key = digest((file.sha256, sorted(file.options.items())))
+    return Testbed("reality", description, key, swim)
 
 
 def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def recorded(name: str) -> Array:
+    def whole(name: str) -> Any:  # noqa: ANN401 - an array of the field's type
         values = [getattr(part, name) for part in parts]
+        if name in ("reached", "steps", "targets"):
+            return np.concatenate(values)
         padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
-        whole = [np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)]
-        return np.concatenate(whole, axis=1)
+        padded = [
+            np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)
+        ]
+        return np.concatenate(padded, axis=1)
 
-    pose, rate, value = (recorded(name) for name in ("pose", "rate", "value"))
-    reached, steps, targets = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("reached", "steps", "targets")
-    )
-    return Episodes(pose, rate, value, reached, steps, targets)
+    return Episodes(*(whole(field.name) for field in fields(Episodes)))
+
+
+HELD_OUT = ("turn", "mixed")
+"""Tasks of the trials; an agent's score is the mean of its rewards in them."""
+EXPONENTS = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)
+"""Exponents of the prices tested: -1 is the lowest that an agent was trained for, 0 its default."""
+PRICED = ("turn", "near")
+SEED = 77_000
+PRICE_SEED = 78_000
+
+
+def held_out(
+    folders: Sequence[Path],
+    robot: Robot,
+    model: Model,
+    ranges: Ranges | None,
+    *,
+    energy: float,
+    episodes: int = 20,
+    settings: SimulationSettings = IN_TWIN,
+) -> dict[str, Any]:
+    """Test agents, with their mean actions, in the same randomized trials at one weight of energy.
+
+    Returns in training are no substitute: there actions are sampled and the energy weight grows.
+
+    Returns:
+        ``best``, the folder name of the agent with the highest score, and by name ``score`` and the
+        summary of each task.
+    """
+    limits = [joint.limits_rad for joint in robot.joints]
+    agents: dict[str, Any] = {folder.name: {} for folder in folders}
+    for name in HELD_OUT:
+        task = replace(TASKS[name], energy=energy)
+        controllers = {
+            folder.name: controller_of(str(folder / "policy.zip"), limits, episodes)
+            for folder in folders
+        }
+        swims = run_trials(
+            robot, model, ranges, task, controllers, episodes=episodes, seed=SEED, settings=settings
+        )
+        for agent, episodes_of in swims.items():
+            agents[agent][name] = summary(episodes_of, task)
+    for rows in agents.values():
+        rows["score"] = float(np.mean([rows[name]["reward"] for name in HELD_OUT]))
+    best = max(agents, key=lambda agent: agents[agent]["score"])
+    return {"best": best, "energy_weight": energy, "episodes": episodes, "agents": agents}
+
+
+def choose_prices(
+    folders: Sequence[Path],
+    robot: Robot,
+    model: Model,
+    ranges: Ranges | None,
+    *,
+    episodes: int = 20,
+    settings: SimulationSettings = IN_TWIN,
+) -> dict[str, float]:
+    """Set each agent's price of energy to the best one relative to proportional navigation.
+
+    The reward hardly changes along an agent's trade-off of time and energy, so that agents with the
+    same price swim at very different paces. The chosen price minimises the larger of the ratios of
+    time and energy to those of proportional navigation at middle pace, over all tasks tested. The
+    agents' ``policy.zip`` are rewritten.
+
+    Returns:
+        The price by the name of the folder, relative to that of the training.
+    """
+    agents: dict[Path, Any] = {folder: read_agent(folder / "policy.zip") for folder in folders}
+    priced = {
+        folder: agent
+        for folder, agent in agents.items()
+        if getattr(agent, "by_price", {}).get("column") is not None
+    }
+    policies: dict[str, Any] = {}
+    for k, agent in enumerate(priced.values()):
+        for exponent in EXPONENTS:
+            set_price(agent, agent.by_price["prices"] ** exponent)
+            policies[f"{k}@{exponent}"] = policy_of(agent)
+    limits = [joint.limits_rad for joint in robot.joints]
+    worst = np.zeros((len(priced), len(EXPONENTS)))
+    for name in PRICED if priced else ():
+        controllers: dict[str, Controller] = {
+            key: PolicyController(policy) for key, policy in policies.items()
+        }
+        controllers["pnl"] = controller_of("pnl", limits, episodes)
+        swims = run_trials(
+            robot, model, ranges, TASKS[name], controllers, episodes=episodes, seed=PRICE_SEED,
+            settings=settings,
+        )  # fmt: skip
+        rows = {key: summary(one, TASKS[name]) for key, one in swims.items()}
+        for spent in ("time_s", "energy"):
+            ratio = [rows[key][spent] / max(rows["pnl"][spent], 1e-9) for key in policies]
+            worst = np.maximum(worst, np.reshape(ratio, worst.shape))
+    chosen = {}
+    for (folder, agent), row in zip(priced.items(), worst, strict=True):
+        chosen[folder.name] = float(agent.by_price["prices"] ** EXPONENTS[int(np.argmin(row))])
+        set_price(agent, chosen[folder.name])
+        agent.save(folder / "policy.zip")
+    return chosen

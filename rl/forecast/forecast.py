@@ -12,8 +12,15 @@ import numpy as np
 
 from rl.experiments.episodes import FIGURES
 from rl.experiments.statistics import best, expected, interval
-from rl.forecast.causes import Measurement, TrainingRange, ranked, training_ranges
-from rl.forecast.trials import Trials, Update, update
+from rl.forecast.trials import (
+    Measurement,
+    TrainingRange,
+    Trials,
+    Update,
+    ranked,
+    training_ranges,
+    update,
+)
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
@@ -53,17 +60,16 @@ def limit_of(text: str) -> Limit:
         InputError: If it is none.
     """
     match = re.fullmatch(r"(\w+)\s*(<=|>=)\s*([-+.\deE]+)(?:@([.\d]+))?", text.strip())
-    expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
-    if match is None:
-        raise InputError("forecast", "limit", repr(text), expected)
-    name = {"time": "time_s", "path": "path_m"}.get(match[1], match[1])
     try:
-        value, share = float(match[3]), None if match[4] is None else float(match[4])
+        figure, sign, value, share = match.groups() if match else ("", "", "", "")
+        name = {"time": "time_s", "path": "path_m"}.get(figure, figure)
+        limit = Limit(name, sign == ">=", float(value), None if share is None else float(share))
+        if name not in FIGURES or not (limit.share is None or 0 < limit.share <= 1):
+            raise ValueError(text)
     except ValueError:
+        expected = f"FIGURE<=VALUE or FIGURE>=VALUE@SHARE, with one of {', '.join(FIGURES)}"
         raise InputError("forecast", "limit", repr(text), expected) from None
-    if name not in FIGURES or not (share is None or 0 < share <= 1):
-        raise InputError("forecast", "limit", repr(text), expected)
-    return Limit(name, match[2] == ">=", value, share)
+    return limit
 
 
 class Row(NamedTuple):
@@ -167,9 +173,23 @@ class Forecast(NotebookDisplay):
         policy = self.ranking()[0][0]
         if policy not in self.trained:
             return []
-        values = self.figures[self.rank_by][self.policies.index(policy)]
-        trained = self.trained[policy] or None
+        values, trained = self.figures[self.rank_by], self.trained[policy] or None
+        values = values[self.policies.index(policy)]
         return training_ranges(self.names, self.parameters, values, self.weights, trained)
+
+    def three_draws(self, first: int) -> dict[int, str]:
+        """A good, a median and a bad one of the ``first`` realities, with their names in a film.
+
+        The best policy's first trial is at the 95 %, 50 % and 5 % quantile of what ranks policies.
+        """
+        measure, k = FIGURES[self.rank_by], self.policies.index(self.ranking()[0][0])
+        values = self.figures[self.rank_by][k, :first, 0]
+        order = np.argsort(measure.better * values, kind="stable")
+        mass = np.cumsum(self.weights[order])
+        places = np.searchsorted(mass, mass[-1] * np.array([0.95, 0.5, 0.05]))
+        kinds = zip(order[places], ("good", "median", "bad"), strict=True)
+        text = f"{measure.label} {{:{measure.digits}}}"
+        return {int(d): f"{kind}: {text.format(values[d])}" for d, kind in kinds}
 
     def after(self, trials: Sequence[Trials]) -> Forecast:
         """The forecast after trials of the real robot."""
@@ -197,12 +217,11 @@ class Forecast(NotebookDisplay):
             }
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
-        update = self.update and {
-            "trials": self.update.trials,
-            "effective_realities": self.update.effective,
-            "p_value": self.update.p_value,
-            "contradicted": self.update.contradicted,
-        }
+        found = self.update
+        update = found and {
+            "trials": found.trials, "effective_realities": found.effective,
+            "p_value": found.p_value, "contradicted": found.contradicted,
+        }  # fmt: skip
         return {
             "schema": SCHEMA,
             "robot": self.robot,
@@ -256,14 +275,13 @@ class Forecast(NotebookDisplay):
         import_module("rl.forecast.page")  # registers the section of a forecast
         return super()._repr_html_()
 
-    def plot(self, policy: str | None = None) -> Figure:
-        """Paths of twenty realities over the pool; of all policies, or of one."""
+    def plot(self) -> Figure:
+        """Paths of twenty realities over the pool, a panel for each policy."""
         from rl.experiments.paths import aligned, paths_figure
         from sim2real.report.style import ACCENT, MUTED
 
         ways = {}
-        for one in self.policies if policy is None else (policy,):
-            k = self.policies.index(one)
+        for k, one in enumerate(self.policies):
             arrived = self.figures["success"][k, : len(self.targets), 0] > 0
             trials = zip(self.paths[k], self.targets[:, 0], arrived, strict=True)
             ways[one] = [

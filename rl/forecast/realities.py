@@ -1,33 +1,183 @@
 """Realities that agree with everything known of a robot: one draw of all that is uncertain each.
 
-A draw has servos from the joint posterior sample and the ranges, effects with the probabilities of
-a diagnosis, a body from the posterior of its calibration, the error of the twin as measured against
-the fluid and in trials, and what the fit leaves unexplained (Kennedy and O'Hagan, J. R. Stat. Soc.
-B 63 (2001) 425: parameters, discrepancy and noise are kept apart).
+Parameters, discrepancy and noise are kept apart (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001)
+425): servos and effects with their probabilities by a diagnosis, the body, the error of the twin,
+and what the fit leaves unexplained.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from rl.forecast.diagnosed import Diagnosed
-from rl.randomize import Noise, draw_models, noise_of, numbers_of, parameters_of
+from rl.make import draw_models, noise_of, numbers_of, parameters_of
+from rl.world import Noise
 from sim.inference.law_error import LAW_ERROR
 from sim.inference.swims import by_twin, simulated, swim_of, with_values
-from sim.twin.law import Coefficients
 from sim2real.arrays import Array
+from sim2real.body import values
+from sim2real.diagnose.rival_sets import SCHEMA, JointRivals, RivalSet, read_rival_sets
+from sim2real.effects import BODY, CAMERA, CATALOGUE, find
 from sim2real.errors import InputError
-from sim2real.model import Model
+from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.posterior.posteriors import JointSample, read_sample
-from sim2real.ranges.entry import Ranges
+from sim2real.ranges.entry import Ranges, read_ranges
 from sim2real.recording import Recording
 from sim2real.robot import Robot
-from sim2real.structured import read_json
+from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN, stated
+from sim2real.structured import Fields, read_json
+
+
+@dataclass(frozen=True)
+class Possible:
+    """An effect outside the rival sets of servos: named, or considered and not named.
+
+    The component is a joint, or a part of the body; ``mean`` and ``sd`` are of its parameters.
+    """
+
+    effect: str
+    component: str
+    probability: float
+    mean: Mapping[str, float]
+    sd: Mapping[str, float]
+
+    def drawn(self, rng: np.random.Generator) -> dict[str, float]:
+        """Its parameters, within their bounds."""
+        known = {e.name: e.parameters for e in CATALOGUE} | {e.name: e.parameters for e in BODY}
+        if self.effect not in known:
+            expected = "an effect of servo or body"
+            raise InputError("diagnosis", "effects", repr(self.effect), expected)
+        bounds = {p.name: p for p in known[self.effect]}
+        return {
+            k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
+            for k, mean in self.mean.items()
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What a ``diagnosis.json`` leaves open, and errors of the enriched model by signal.
+
+    Sets of effects of servos, with gains and their precision, are rivals; all other effects are
+    possible.
+    """
+
+    rivals: tuple[JointRivals, ...]
+    possible: tuple[Possible, ...]
+    fit: Mapping[str, Mapping[str, float | None]]
+
+    def drawn(self, model: Model, rng: np.random.Generator) -> Model:
+        """The model with a set of effects for each diagnosed joint, and effects of the body.
+
+        A calibrated law has made up for effects that its model lacks, so they are not added to it.
+        """
+        joints = dict(model.joints)
+        for joint in self.rivals:
+            if joint.component in joints:
+                joints[joint.component] = _servo(joints[joint.component], joint, rng)
+        body = values(model)
+        calibrated = "twin" in model.body
+        for one in self.possible:
+            present = rng.random() < one.probability
+            drawn = one.drawn(rng)
+            if one.effect in {effect.name for effect in CATALOGUE}:
+                # what the supply or the link does, it does to all joints
+                for name in [one.component] if one.component in joints else list(joints):
+                    others = tuple(e for e in joints[name].effects if e.effect != one.effect)
+                    extra = (FittedEffect(one.effect, drawn),) if present else ()
+                    joints[name] = replace(joints[name], effects=others + extra)
+            else:
+                effect = find(BODY, one.effect, "diagnosis")
+                place = f"{effect.name}.{one.component}" if effect.by_material else effect.name
+                if calibrated and not any(k.startswith(f"{place}.") for k in body):
+                    continue
+                body = {k: x for k, x in body.items() if not k.startswith(f"{place}.")}
+                if present:
+                    body |= {f"{place}.{k}": x for k, x in drawn.items()}
+        bare = replace(model, joints=joints, body={**model.body, "effects": []})
+        return with_values(bare, body)
+
+
+def _servo(servo: JointModel, joint: JointRivals, rng: np.random.Generator) -> JointModel:
+    """A servo with one of its sets of effects; latency and load stay the model's."""
+    probability = np.array([one.probability for one in joint.sets])
+    one = joint.sets[rng.choice(len(joint.sets), p=probability / probability.sum())]
+    row = _row(one, rng)
+    effects = []
+    for effect in CATALOGUE:
+        if effect.name in one.effects:
+            first = COLUMNS.index(f"{effect.name}.{effect.parameters[0].name}")
+            named = zip(effect.parameters, row[first : first + len(effect.parameters)], strict=True)
+            effects.append(FittedEffect(effect.name, {p.name: float(x) for p, x in named}))
+    fitted = stated(row, joint.load, effects, servo.law)
+    if fitted.per_inertia != servo.per_inertia:
+        return servo
+    return replace(fitted, latency_s=servo.latency_s, inertia_kgm2=servo.inertia_kgm2)
+
+
+def _row(one: RivalSet, rng: np.random.Generator) -> Array:
+    """A draw of the parameters of a set, with the signs that its fit found, shape (P,)."""
+    row = one.theta.copy()
+    if one.columns.size:
+        scale = np.maximum(np.abs(row[one.columns]), 1e-12)  # units differ by orders of magnitude
+        information = one.information * np.outer(scale, scale)
+        covariance = np.linalg.pinv(information, hermitian=True)
+        step = scale * rng.multivariate_normal(np.zeros(one.columns.size), covariance)
+        drawn = row[one.columns] + step
+        row[one.columns] = np.where(drawn * row[one.columns] < 0, 0.0, drawn)
+    row[:FIRST_EFFECT_COLUMN] = np.maximum(row[:FIRST_EFFECT_COLUMN], 0.0)
+    return row
+
+
+def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
+    """Read ``diagnosis.json``.
+
+    An effect that was considered and not named is at most as large as the recordings could have
+    hidden: its size is half of its detection limit, give or take as much; in swims, which have no
+    such limits, that of the twin's error which imitates it. Effects of the camera are left out.
+
+    Raises:
+        InputError: If the file is no diagnosis.
+    """
+    top = Fields(path, "", read_json(path, SCHEMA))
+
+    def entries(key: str) -> list[Fields]:
+        return top.tables(key) if top.content.get(key) else []
+
+    rivals = read_rival_sets(top) if top.content.get("rival_sets") else ()
+    left_out = {joint.component for joint in rivals}, {effect.name for effect in CAMERA}
+    limits = {}
+    for entry in entries("detection_limits"):
+        sizes = entry.table("smallest")
+        known = {k: sizes.number(k) for k, x in sizes.content.items() if x is not None}
+        limits[entry.text("effect"), entry.text("component")] = known
+    possible = []
+    for key in ("effects", "negligible", "rivals"):
+        for entry in entries(key):
+            effect, component = entry.text("effect"), entry.text("component")
+            if component in left_out[0] or effect in left_out[1]:
+                continue
+            if key != "rivals":
+                fields = entry.table("parameters")
+                mean = {k: fields.table(k).number("mean") for k in fields.content}
+                sd = {k: fields.table(k).number("sd", low=0) for k in fields.content}
+            elif limits:
+                sd = mean = {k: x / 2 for k, x in limits.get((effect, component), {}).items()}
+            else:
+                sizes_of = {name.split(".", 1)[1]: x for name, x in LAW_ERROR.imitated.items()
+                            if name.startswith(f"{effect}.")}  # fmt: skip
+                mean, sd = dict.fromkeys(sizes_of, 0.0), sizes_of
+            if mean:
+                probability = entry.number("probability", low=0)
+                possible.append(Possible(effect, component, probability, mean, sd))
+    fit = top.table("fit").table("enriched").content
+    return Diagnosed(rivals, tuple(possible), {k: dict(v) for k, v in fit.items()})
+
 
 _BODY = ("surge", "sway", "yaw_rate")
 DEVIATIONS = tuple(f"law error.{name}" for name in (*_BODY, "energy"))
@@ -41,15 +191,12 @@ _NORMAL_90 = 1.645
 
 @dataclass(frozen=True)
 class Realities:
-    """N draws of what the real robot may be.
+    """N draws of what the real robot may be: models, and the noise of camera and joints.
 
     Attributes:
-        models: The models.
-        noise: Noise of camera and joints.
         names: Names of the P parameters in which the draws differ.
         values: Their values, shape (N, P).
-        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, shape
-            (N, 4).
+        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, (N, 4).
         unexplained: Standard deviation of what the fit leaves unexplained in surge and sway in m/s,
             yaw rate in rad/s and joint angles in rad, shape (3 + J,).
     """
@@ -116,11 +263,10 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
     spread of the models' latencies, between days, is added. Coefficients of the law that were not
     fitted keep the values with which the others were.
     """
-    posterior = model.body.get("posterior")
-    late = np.zeros(())
+    posterior, late = model.body.get("posterior"), np.zeros(())
     if posterior is not None:
-        heads = {"twin", *model.joints}
-        own = [k for k, name in enumerate(posterior["names"]) if name.split(".")[0] in heads]
+        heads = [name.split(".")[0] for name in posterior["names"]]
+        own = [k for k, head in enumerate(heads) if head in {"twin", *model.joints}]
         names = [posterior["names"][k] for k in own]
         late = np.zeros((len(models), len(names)))
         for k, name in enumerate(names):
@@ -131,17 +277,15 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
         covariance = np.array(posterior["covariance"])[np.ix_(own, own)] * _overfit(model)
         drawn = rng.multivariate_normal(mean, covariance, size=len(models))
     else:
-        interval = model.body.get("interval", {})
         if "twin" in model.body:
-            ends = {k: v for k, v in interval.items() if k.startswith("twin.")}
-            names = list(ends)
-            mean = np.array([np.mean(ends[k]) for k in names])
-            sd = np.array([np.ptp(ends[k]) / (2 * _NORMAL_90) for k in names])
+            intervals = model.body.get("interval", {})
+            ends = {k: v for k, v in intervals.items() if k.startswith("twin.")}
+            spread = {k: (np.mean(v), np.ptp(v) / (2 * _NORMAL_90)) for k, v in ends.items()}
         else:
-            names = [k for k in LAW_ERROR.usual if k in LAW_ERROR.unknown]
-            law = vars(Coefficients.of(model.body))
-            mean = np.array([LAW_ERROR.usual.get(k, law[k.removeprefix("twin.")]) for k in names])
-            sd = np.array([LAW_ERROR.unknown[k] for k in names])
+            spread = {k: (v, LAW_ERROR.unknown[k]) for k, v in LAW_ERROR.usual.items()
+                      if k in LAW_ERROR.unknown}  # fmt: skip
+        names = list(spread)
+        mean, sd = np.array(list(spread.values()), dtype=np.float64).reshape(-1, 2).T
         drawn = mean + sd * rng.standard_normal((len(models), len(names)))
     drawn = np.maximum(drawn + late, 0.0)  # no coefficient of the law and no latency is negative
     rows = (dict(zip(names, map(float, row), strict=True)) for row in drawn)
@@ -153,9 +297,9 @@ def _overfit(model: Model) -> float:
 
     The mean square error of the body's velocities on held-out data over that on fitted data.
     """
-    fits = [model.fit[f"body.{name}"] for name in _BODY if f"body.{name}" in model.fit]
-    ratios = [held / max(train, 1e-9) for one in fits
-              if (held := one.get("heldout")) and (train := one.get("train"))]  # fmt: skip
+    fits = [model.fit.get(f"body.{name}", {}) for name in _BODY]
+    pairs = [(one.get("heldout"), one.get("train")) for one in fits]
+    ratios = [held / max(train, 1e-9) for held, train in pairs if held and train]
     return max(1.0, float(np.mean(np.square(ratios)))) if ratios else 1.0
 
 
@@ -172,27 +316,27 @@ def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[
     return np.array(out)
 
 
-def sample_of(ranges: Ranges, path: Path) -> JointSample:
-    """The posterior sample that a file of ranges names.
+def read_realities(
+    robot: Robot, model: Model, ranges_file: Path, n: int, seed: int,
+    diagnosed: Diagnosed | None = None,
+) -> Realities:  # fmt: skip
+    """Draw n realities with the ranges in a file, which are those of the model.
 
     Raises:
-        InputError: If it names none.
+        InputError: If the ranges name no posterior sample, or are of another model.
     """
+    ranges = read_ranges(ranges_file)
     if not ranges.posterior:
         expected = "ranges of bench recordings, which sample the posterior"
-        raise InputError(path, "posterior", "none", expected)
-    return read_sample(path.with_name(ranges.posterior))
+        raise InputError(ranges_file, "posterior", "none", expected)
+    sample = read_sample(ranges_file.with_name(ranges.posterior))
+    _check_ranges(ranges, model, ranges_file)
+    rng = np.random.default_rng(seed)
+    return draw_realities(robot, model, ranges, sample, n, rng, diagnosed=diagnosed)
 
 
-def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.0) -> None:
-    """Check that the ranges, of the file ``path``, are those of the model.
-
-    A value may be outside a range by ``widths`` of its widths (a 90 % interval is narrower than a
-    posterior), and by 5 % of itself.
-
-    Raises:
-        InputError: If a value of the model is further outside, or a joint is not of the model.
-    """
+def _check_ranges(ranges: Ranges, model: Model, path: Path) -> None:
+    """Check that values of the model are at most one width and 5 % of themselves outside ranges."""
     known = numbers_of(model)
     for entry in ranges.entries:
         joint, _, tail = entry.parameter.partition(".")
@@ -203,7 +347,7 @@ def check_ranges(ranges: Ranges, model: Model, path: Path, *, widths: float = 1.
         if entry.distribution == "normal":
             low, high = (entry.first + side * _NORMAL_90 * entry.second for side in (-1, 1))
         value = known.get(entry.parameter, low)
-        slack = widths * (high - low) + 0.05 * abs(value)
+        slack = (high - low) + 0.05 * abs(value)
         if not low - slack <= value <= high + slack:
             found = f"{low:.4g} to {high:.4g}"
             raise InputError(path, entry.parameter, found, f"the model's {value:.4g} within")

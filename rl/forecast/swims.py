@@ -6,7 +6,6 @@ Results are kept, so that an interrupted forecast resumes.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +19,15 @@ from scipy.signal import lfilter
 from torch.utils.dlpack import from_dlpack
 
 from rl.controllers import Controller
+from rl.deploy.policy import PolicyController
+from rl.experiments.ablation import policy_in, weights_digest
 from rl.experiments.episodes import FIGURES, Episodes, measured
 from rl.experiments.film import Film
 from rl.experiments.reality import Starts
 from rl.experiments.statistics import interval
 from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
+from rl.make import digest
 from rl.task import CONTROL_S, Task
 from rl.world import Draws, World
 from sim.robot.live import Live, Simulator
@@ -39,8 +41,9 @@ from sim2real.progress import Progress
 from sim2real.robot import Robot
 from sim2real.structured import read_arrays
 
-Makers = Mapping[str, Callable[[int], Controller]]
-"""By name, a function of the number of robots to their controller."""
+Maker = Callable[[int], Controller]
+"""A function of the number of robots to their controller."""
+Watch = Callable[[Mask], None]
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,10 @@ class Forecaster:
 
     def swim(
         self,
-        controllers: Makers,
+        controllers: Mapping[str, Maker],
         *,
         file: Path | None = None,
         key: str = "",
-        shown: int = 20,
         progress: Progress = lambda share: None,
     ) -> dict[str, Array]:
         """Run all K policies in all N realities.
@@ -74,15 +76,14 @@ class Forecaster:
         all that determines the results besides names and number of policies and trials.
 
         Returns:
-            Each of ``FIGURES``, shape (K, N, T); of the first trial in the first ``shown``
-            realities ``paths``, positions every 0.1 s in m, NaN after the end, shape (K, n, S, 2),
-            and ``targets``, waypoints in m, shape (n, W, 2).
+            Each of ``FIGURES``, shape (K, N, T); of the first trial in the first twenty realities
+            ``paths``, positions every 0.1 s in m, NaN after the end, shape (K, n, S, 2), and
+            ``targets``, waypoints in m, shape (n, W, 2).
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
-        n, samples = min(shown, N), -(-(self.task.steps + 1) // 5)
-        inputs = (key, list(controllers), N, T, self.seed)
-        digest = hashlib.sha256(repr(inputs).encode()).hexdigest()
-        table = _kept(file, digest) or {
+        n, samples = min(20, N), -(-(self.task.steps + 1) // 5)
+        own = digest((key, list(controllers), N, T, self.seed))
+        table = _kept(file, own) or {
             **{name: np.full((K, N, T), np.nan) for name in FIGURES},
             "paths": np.full((K, n, samples, 2), np.nan),
             "targets": np.full((n, self.task.waypoints, 2), np.nan),
@@ -90,26 +91,28 @@ class Forecaster:
         parts = -(-N // self.settings.at_once)
         for part in range(parts):
             rows = self._rows(part)
+            head, law = rows[rows < n], np.repeat(self.realities.law[rows, 3], T)
             for k, make in enumerate(controllers.values()):
                 if np.isnan(table["success"][k, rows]).any():
                     episodes = self._episodes(part, make)
-                    for name, values in self._figures(episodes, rows).items():
+                    figures = measured(episodes, self.task)
+                    more = law * figures["energy"]  # the error of the energy of each reality
+                    figures["energy"] = figures["energy"] + more
+                    figures["reward"] = figures["reward"] - self.task.energy * more
+                    for name, values in figures.items():
                         table[name][k, rows] = values.reshape(-1, T)
-                    head = rows[rows < n]
                     path = episodes.pose[::5, : len(head) * T : T, :2]
                     table["paths"][k, head, : len(path)] = np.moveaxis(path, 1, 0)
                     table["targets"][head] = episodes.targets[: len(head) * T : T]
                     if file is not None:
                         stream = io.BytesIO()
-                        content: dict[str, Any] = {"digest": np.array(digest), **table}
+                        content: dict[str, Any] = {"digest": np.array(own), **table}
                         np.savez_compressed(stream, **content)
                         write_whole(file, stream.getvalue())
                 progress((part * K + k + 1) / (K * parts))
         return table
 
-    def film(
-        self, path: Path, names: Mapping[int, str], controller: Callable[[int], Controller]
-    ) -> Episodes:
+    def film(self, path: Path, names: Mapping[int, str], controller: Maker) -> Episodes:
         """Film the first trial in some of the first ``settings.at_once`` realities, side by side.
 
         They swim as they did in ``swim``, with all trials of their batch, which are returned.
@@ -119,21 +122,16 @@ class Forecaster:
         with Video(path) as video:
             width = 2 * (video.width // 4)
             return self._episodes(
-                0, controller, lambda world: Film(video, world, robots, width=width)
+                0, controller, watched=lambda world: Film(video, world, robots, width=width)
             )
 
-    def _rows(self, part: int) -> np.ndarray:
+    def _rows(self, part: int) -> Index:
         """Numbers of the realities of a batch."""
         first, N = part * self.settings.at_once, len(self.realities.models)
         return np.arange(first, min(N, first + self.settings.at_once))
 
-    def _episodes(
-        self,
-        part: int,
-        make: Callable[[int], Controller],
-        watched: Callable[[World], Callable[[Mask], None]] | None = None,
-    ) -> Episodes:
-        """Trials of one policy in the realities of a batch."""
+    def _episodes(self, part: int, make: Maker, **options: Callable[[World], Watch]) -> Episodes:
+        """Trials of one policy in the realities of a batch; ``options`` as of ``simulate``."""
         each = np.repeat(self._rows(part), self.trials)
         rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
         starts = Starts(*self.task.place(rng, E, len(self.robot.joints)))
@@ -145,57 +143,48 @@ class Forecaster:
         around = partial(Inexact, law=self.realities.law[each, :3], disturbance=disturbance)
         return simulate(
             self.robot, self.task, starts, draws, make(E), self.settings, name="forecast",
-            seed=int(rng.integers(2**31)), watched=watched, around=around,
+            seed=int(rng.integers(2**31)), around=around, **options,
         )  # fmt: skip
 
-    def _figures(self, episodes: Episodes, rows: np.ndarray) -> dict[str, Array]:
-        """Figures of a batch, with the error of the energy of each reality."""
-        figures = measured(episodes, self.task)
-        more = np.repeat(self.realities.law[rows, 3], self.trials) * figures["energy"]
-        figures["energy"] = figures["energy"] + more
-        figures["reward"] = figures["reward"] - self.task.energy * more
-        return figures
 
-
-def _kept(file: Path | None, digest: str) -> dict[str, Array] | None:
+def _kept(file: Path | None, own: str) -> dict[str, Array] | None:
     """The results in a file, if they are those of the same forecast."""
     if file is None or not file.exists():
         return None
     with contextlib.suppress(InputError):
         arrays = read_arrays(file, "trials of a forecast")
-        if str(arrays.pop("digest", None)) == digest:
+        if str(arrays.pop("digest", None)) == own:
             return arrays
     return None
 
 
 def predict_arms(
-    forecaster: Forecaster, arms: Mapping[str, Sequence[Callable[[int], Controller]]], file: Path,
-    key: str,
-) -> dict[str, Any]:  # fmt: skip
+    forecaster: Forecaster, arms: Sequence[str], agents: Sequence[Path], file: Path
+) -> dict[str, Any]:
     """Forecast of every arm of an ablation, the mean over its agents in each reality.
 
-    ``file`` keeps the trials, which are not run again if ``key``, a digest of the agents, is the
-    same.
+    ``agents`` are folders: all of the first arm, then those of the next. ``file`` keeps the trials,
+    which are not run again if the agents are the same.
 
     Returns:
         By arm and figure its mean with a 90 % interval; ``loses`` is the reward of the arm "all"
         less that of the arm, in the same realities.
     """
-    each = {f"{arm}-{k}": make for arm, of_arm in arms.items() for k, make in enumerate(of_arm)}
-    task, N = forecaster.task, len(forecaster.realities.models)
-    inputs = (key, forecaster.realities.digest(), forecaster.robot, task.name, task.energy,
-              task.steps, forecaster.settings)  # fmt: skip
+
+    def make(agent: Path, _n: int) -> Controller:
+        return PolicyController(policy_in(agent))
+
+    each = {agent.name: partial(make, agent) for agent in agents}
+    task, N, S = forecaster.task, len(forecaster.realities.models), len(agents) // len(arms)
+    inputs = (weights_digest(agents), forecaster.realities.digest(), forecaster.robot, task.name,
+              task.energy, task.steps, forecaster.settings)  # fmt: skip
     swum = forecaster.swim(each, file=file, key=repr(inputs))
-    even, first, mean = np.full(N, 1 / N), 0, {}
-    for arm, of_arm in arms.items():
-        own = slice(first, first := first + len(of_arm))
-        mean[arm] = {figure: swum[figure][own].mean(axis=0) for figure in FIGURES}
-    out: dict[str, Any] = {
-        arm: {figure: interval(x, even) for figure, x in of_arm.items()}
-        for arm, of_arm in mean.items()
-    }
+    even, rewards, out = np.full(N, 1 / N), {}, dict[str, Any]()
+    for a, arm in enumerate(arms):
+        mean = {figure: swum[figure][a * S : (a + 1) * S].mean(axis=0) for figure in FIGURES}
+        out[arm], rewards[arm] = {k: interval(x, even) for k, x in mean.items()}, mean["reward"]
     for arm in out.keys() - {"all"} if "all" in out else ():
-        out[arm]["loses"] = interval(mean["all"]["reward"] - mean[arm]["reward"], even)
+        out[arm]["loses"] = interval(rewards["all"] - rewards[arm], even)
     return out
 
 
@@ -210,11 +199,8 @@ class Inexact:
     def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
         """Wrap a simulator of E robots that are all reset at the same time.
 
-        Args:
-            simulator: The simulator.
-            law: Relative errors of surge, sway and yaw rate, shape (E, 3).
-            disturbance: Of surge and sway in m/s, yaw rate in rad/s and set-points in rad, shape
-                (T, E, 3 + J); repeated after T periods.
+        ``law`` are relative errors of surge, sway and yaw rate (E, 3); ``disturbance`` is of these
+        in m/s and rad/s and of set-points in rad, (T, E, 3 + J), repeated after T periods.
         """
         self.simulated, self._live = simulator, simulator.live()
         self.robot, self.n_envs = simulator.robot, simulator.n_envs
@@ -286,30 +272,25 @@ def _turned(vectors: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
     return torch.stack([c * x - s * y, s * x + c * y], dim=1)
 
 
-def disturbances(
-    sd: Array, periods: int, n: int, rng: np.random.Generator, *, correlation_s: float = 0.3
-) -> Array32:
+def disturbances(sd: Array, periods: int, n: int, rng: np.random.Generator) -> Array32:
     """Stationary random signals, first-order autoregressive, shape (periods, n, K).
 
-    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, as
-    residuals of simulated swims change with the beat.
+    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, 0.3
+    s, as residuals of simulated swims change with the beat.
     """
-    keep = float(np.exp(-CONTROL_S / correlation_s))
+    keep = float(np.exp(-CONTROL_S / 0.3))
     white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
     white[1:] *= np.sqrt(1 - keep**2)
     return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0) * sd, dtype=np.float32)
 
 
-def blocks(
-    residuals: Sequence[Array], periods: int, n: int, rng: np.random.Generator, *, length: int = 100
-) -> Array32:
+def blocks(residuals: Sequence[Array], periods: int, n: int, rng: np.random.Generator) -> Array32:
     """Signals made of blocks of recorded residuals, shape (periods, n, K) (a block bootstrap).
 
-    Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block stay together, so that their correlation
-    is kept, too. Residuals of each recording, shape (T, K), are at every control period; a block is
-    ``length`` periods, two seconds.
+    Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block of two seconds stay together, so that
+    their correlation is kept, too. Residuals (T, K) of each recording are at every control period.
     """
-    length = min(length, *(len(one) for one in residuals))
+    length = min(100, *(len(one) for one in residuals))
     starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]
     chosen = rng.integers(len(starts), size=(-(-periods // length), n))
     out = np.empty((len(chosen) * length, n, residuals[0].shape[1]), dtype=np.float32)

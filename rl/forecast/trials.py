@@ -1,4 +1,4 @@
-"""Trials of the real robot: they sharpen a forecast, or contradict it.
+"""Trials of the real robot sharpen a forecast or contradict it; what else would sharpen it.
 
 Draws are weighted by the likelihood of what was observed (importance sampling: Gordon, Salmond and
 Smith, IEE Proc. F 140 (1993) 107).
@@ -12,8 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.special import softmax
 
-from rl.experiments.statistics import effective, expected, normal_scores
+from rl.experiments.statistics import (
+    effective,
+    expected,
+    interval,
+    normal_scores,
+    quantiles,
+    reliability,
+)
+from rl.forecast.realities import DEVIATIONS
 from sim2real.arrays import Array
 from sim2real.csv_columns import read_table
 from sim2real.errors import InputError
@@ -92,17 +101,15 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
     ]
 
 
-def update(
-    trials: Sequence[Trials], figures: Mapping[str, Array], *, least: float = 20.0
-) -> Update:
+def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
     """Weights of the draws after trials.
 
     Figures are compared by their normal scores, as a rare failure would be most of the scatter of
     all trials. The mean of a policy's n trials is normal about the mean of a draw, with the
     covariance of simulated trials in one reality, or their own scatter where that is larger, by
-    1 / n. Where few draws agree, the likelihood is flattened until ``least`` of them count:
-    intervals then are wider than they need be, and not too narrow by chance. Figures are those of
-    the forecast, shape (K, N, T) each.
+    1 / n. Where few draws agree, the likelihood is flattened until 20 of them count: intervals then
+    are wider than they need be, and not too narrow by chance. Figures are those of the forecast,
+    shape (K, N, T) each.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)
@@ -129,7 +136,7 @@ def update(
         chance = rng.multivariate_normal(np.zeros(F), noise, size=N)
         predicted += _squares(mean + chance - mean.mean(axis=0), whole)
     p_value = float((1 + np.sum(predicted >= observed)) / (1 + N))
-    return Update(*_flattened(log, least), p_value, sum(len(one.values) for one in trials))
+    return Update(*_flattened(log), p_value, sum(len(one.values) for one in trials))
 
 
 def _scores(drawn: Array, seen: Array) -> tuple[Array, Array]:
@@ -145,19 +152,222 @@ def _squares(off: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("ni,in->n", off, np.linalg.solve(covariance, off.T)))
 
 
-def _flattened(log: Array, least: float) -> tuple[Array, float]:
+def _flattened(log: Array) -> tuple[Array, float]:
     """Weights, and their effective number, of log-likelihoods flattened as far as necessary."""
-    low, high = 0.0, 1.0
-    least = min(least, len(log) / 2)
-    weights = _weights(log)
+    low, high, least = 0.0, 1.0, min(20.0, len(log) / 2)
+    weights = softmax(log)
     if effective(weights) < least:
         for _ in range(40):
             power = (low + high) / 2
-            low, high = (power, high) if effective(_weights(power * log)) > least else (low, power)
-        weights = _weights(low * log)
+            enough = effective(softmax(power * log)) > least
+            low, high = (power, high) if enough else (low, power)
+        weights = softmax(low * log)
     return weights, effective(weights)
 
 
-def _weights(log: Array) -> Array:
-    weights = np.exp(log - log.max())
-    return np.asarray(weights / weights.sum())
+_MEASURED_BY = {
+    "law of the twin": "calibrate in the fluid (sim2real calibrate --fluid)",
+    "latency": "record steps through the robot's own link, on several days",
+    "density": "weigh the links",
+    "water": "record further swims in the pool and calibrate with them",
+    "effects of the body": "record the swim that sim2real diagnose suggests",
+}
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A measurement that would reduce the uncertainty of a forecast.
+
+    ``how`` to determine ``what``; ``shrinks`` is, by figure, the share by which the interval of the
+    mean is expected to become narrower if it determines its parameters exactly, 0 to 1.
+    """
+
+    what: str
+    how: str
+    shrinks: dict[str, float]
+
+    @property
+    def mean(self) -> float:
+        """Mean over the figures."""
+        return float(np.mean(list(self.shrinks.values())))
+
+
+def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
+    """What a parameter of a reality belongs to, and what measures it."""
+    head, _, tail = parameter.partition(".")
+    if head in joints and tail != "latency_s":
+        return f"servo {head}", f"record {head} on the bench, as sim2real design suggests"
+    kind = (
+        "law of the twin" if parameter in DEVIATIONS
+        else "latency" if head in joints
+        else "density" if parameter.startswith("body.normalised_density")
+        else "water" if head == "twin"
+        else "effects of the body"
+    )  # fmt: skip
+    return kind, _MEASURED_BY[kind]
+
+
+def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
+    """Share of an outcome's variance that each group of parameters explains by itself.
+
+    The outcome is a sum of linear and quadratic functions of the parameters; by a ridge penalty
+    that predicts left-out draws best (leave-one-out error in closed form: Golub, Heath and Wahba,
+    Technometrics 21 (1979) 215), parameters that do not matter have no share. The share of a group
+    is the variance of its functions, its first-order index where groups are independent (Sobol,
+    Math. Comput. Simul. 55 (2001) 271). Parameters (N, P) belong to P groups.
+    """
+    names = list(dict.fromkeys(groups))
+    sd = parameters.std(axis=0)
+    used = np.flatnonzero(sd > 0)
+    total = outcome.var()
+    if not used.size or total <= 0:
+        return dict.fromkeys(names, 0.0)
+    z = (parameters[:, used] - parameters[:, used].mean(axis=0)) / sd[used]
+    squares = z**2 - 1
+    columns = np.concatenate([z, squares - squares.mean(axis=0)], axis=1)
+    member = np.tile(np.array(groups)[used], 2)
+    left, singular, right = np.linalg.svd(columns, full_matrices=False)
+    centred = outcome - outcome.mean()
+    projected = left.T @ centred
+    found = (np.inf, np.zeros(columns.shape[1]))
+    for penalty in len(outcome) * np.logspace(-3, 3, 25):
+        kept = singular**2 / (singular**2 + penalty)
+        lever = (left**2) @ kept + 1 / len(outcome)
+        error = float(np.mean(((centred - left @ (kept * projected)) / (1 - lever)) ** 2))
+        if error < found[0]:
+            found = error, right.T @ (kept / np.maximum(singular, 1e-12) * projected)
+    if found[0] >= total:
+        return dict.fromkeys(names, 0.0)
+    return {
+        name: float((columns[:, member == name] @ found[1][member == name]).var() / total)
+        for name in names
+    }
+
+
+def shares_of(
+    parameters: Array, values: Array, weights: Array, groups: Sequence[str]
+) -> dict[str, float]:
+    """Share of a figure's variance between realities that each group explains, 0 to 1.
+
+    As ``first_order`` of the normal scores of trials (N, T), divided by the share of the variance
+    that is not the chance of single trials.
+    """
+    reliable, N = reliability(values), len(weights)
+    if reliable <= 0:
+        return dict.fromkeys(groups, 0.0)
+    rows = np.arange(N)
+    if not np.allclose(weights, weights[0]):
+        rows = np.random.default_rng(0).choice(N, N, p=weights)
+    found = first_order(parameters[rows], expected(normal_scores(values))[rows], groups)
+    whole = max(reliable, sum(found.values()))
+    return {name: share / whole for name, share in found.items()}
+
+
+def ranked(
+    names: Sequence[str],
+    parameters: Array,
+    figures: Mapping[str, Array],
+    weights: Array,
+    joints: Sequence[str],
+) -> list[Measurement]:
+    """Measurements, the one that is expected to shrink the intervals most first.
+
+    Of P parameters in N draws, shape (N, P), and the figures of one policy, shape (N, T) each.
+    Three trials on the real robot are a measurement too.
+    """
+    kinds = [group_of(name, joints) for name in names]
+    how = dict(kinds)
+    shrinks: dict[str, dict[str, float]] = {name: {} for name in how}
+    uncertain = {name: x for name, x in figures.items() if reliability(x) > 0}
+    for figure, values in uncertain.items():
+        shares = shares_of(parameters, values, weights, [name for name, _ in kinds])
+        for name, share in shares.items():
+            shrinks[name][figure] = 1 - float(np.sqrt(1 - share))
+    how["3 trials"] = "swim with this policy and give the results as --trials"
+    shrinks["3 trials"] = narrowed_by_trials(uncertain, weights, 3)
+    found = [Measurement(name, how[name], shares) for name, shares in shrinks.items() if shares]
+    return sorted(found, key=lambda one: -one.mean)
+
+
+def narrowed_by_trials(
+    figures: Mapping[str, Array], weights: Array, trials: int
+) -> dict[str, float]:
+    """Share by which trials are expected to narrow the interval of each figure, 0 to 1.
+
+    A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): the
+    real robot is one of the draws, its trials update the forecast as real ones will. The median
+    over 40 draws, as the interval grows many times if trials are like those of a rare failure. The
+    figures of one policy, shape (N, T) each, are those that differ between realities.
+    """
+    observed = tuple(name for name in figures if name != "success")
+    if not observed:
+        return dict.fromkeys(figures, 0.0)
+    N, T = figures[observed[0]].shape
+    mean = np.stack([expected(figures[name]) for name in observed], axis=1)
+    chance = np.stack([figures[name] for name in observed], axis=2)
+    chance = (chance - chance.mean(axis=1, keepdims=True)).reshape(N * T, -1) * np.sqrt(T / (T - 1))
+    rng, shares = np.random.default_rng(0), []
+    alone = {name: values[None] for name, values in figures.items()}
+
+    def widths(belief: Array) -> Array:
+        ends = [interval(values, belief)[1:] for values in figures.values()]
+        return np.diff(ends, axis=1)[:, 0]
+
+    before = widths(weights)
+    for truth in rng.choice(N, size=40, p=weights):
+        seen = mean[truth] + chance[rng.integers(N * T, size=trials)]
+        belief = weights * update([Trials(0, observed, seen)], alone).weights
+        shares.append(widths(belief / belief.sum()) / np.maximum(before, 1e-12))
+    narrower = 1 - np.median(shares, axis=0)
+    return {name: max(0.0, float(x)) for name, x in zip(figures, narrower, strict=True)}
+
+
+@dataclass(frozen=True)
+class TrainingRange:
+    """A parameter to randomize in the next training.
+
+    Attributes:
+        parameter: Its name in ``ranges.json``; latencies are those of single joints.
+        share: Share of the variance between realities that it explains, 0 to 1.
+        drawn: Its 5 % and 95 % quantile in the realities.
+        trained: The same in the training of the policy; None if the policy does not state it.
+        advice: ``widen``, ``narrow``, ``move`` or ``keep`` the range of the training, so that it
+            becomes that of the realities; ``draw`` from that if the training's is not known.
+    """
+
+    parameter: str
+    share: float
+    drawn: tuple[float, float]
+    trained: tuple[float, float] | None
+    advice: str
+
+
+def training_ranges(
+    names: Sequence[str],
+    parameters: Array,
+    values: Array,
+    weights: Array,
+    trained: Mapping[str, Sequence[float]] | None,
+) -> list[TrainingRange]:
+    """Ranges of the next training, those of the parameters that matter most first.
+
+    They explain at least 1 % of the variance of ``values``, the figure that policies are ranked by,
+    shape (N, T). Errors of the simulator itself cannot be randomized. ``trained`` are the quantiles
+    of the training by name; an effect that it lacks was 0.
+    """
+    shares = shares_of(parameters, values, weights, names)
+    out = []
+    for name, column in zip(names, parameters.T, strict=True):
+        if name in DEVIATIONS or shares[name] < 0.01:
+            continue
+        low, high = map(float, quantiles(column[:, None], weights, np.array([0.05, 0.95])))
+        before, advice = None, "draw"
+        if trained is not None:
+            first, last = map(float, trained.get(name, (0.0, 0.0)))
+            before, room = (first, last), 0.25 * (high - low)
+            less = first > low + room or last < high - room
+            more = first < low - room or last > high + room
+            advice = ("move" if more else "widen") if less else "narrow" if more else "keep"
+        shown = f"body.{name}" if name.startswith("twin.") else name
+        out.append(TrainingRange(shown, shares[name], (low, high), before, advice))
+    return sorted(out, key=lambda one: -one.share)

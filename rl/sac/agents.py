@@ -295,8 +295,8 @@ class Agents:
         """All tensors that an update changes, by name; not copies."""
         out = {"log_alpha": self.log_alpha, "alpha_moments": self._alpha_moments}
         out |= {"alpha_count": self._alpha_count, "average": self.average}
-        named = {"actor": self.actor, "critic": self.critic, "target": self.target}
-        for name, layers in named.items():
+        for name in ("actor", "critic", "target"):
+            layers: Layers = getattr(self, name)
             out |= {name: layers.flat, f"{name}_moments": layers.moments}
             out[f"{name}_count"] = layers.count
         return out

@@ -42,15 +42,12 @@ class Activations:
 class Layers:
     """C multilayer perceptrons (ReLU) of one shape, their gradients and Adam's moments.
 
-    Args:
-        C: Number of networks, whose parameters are 0.
-        sizes: Width of the input, of each hidden layer, of the output.
-        device: Device of the parameters.
-        norm: Whether hidden layers are normalised before the ReLU (Ba, Kiros, Hinton, "Layer
-            normalization", arXiv 1607.06450), without gain and bias.
+    ``sizes`` are the widths of the input, of each hidden layer, of the output. With ``norm`` hidden
+    layers are normalised before the ReLU, without gain and bias (Ba, Kiros, Hinton, "Layer
+    normalization", arXiv 1607.06450).
 
     Attributes:
-        flat, gradient: All parameters and their gradients, each one vector.
+        flat, gradient: All parameters, 0 at first, and their gradients, each one vector.
         weights, biases: Views of ``flat``, shapes (C, out, in) and (C, 1, out).
         moments: Adam's first and second moments, shape (2, parameters).
         count: Updates so far, shape (1,).

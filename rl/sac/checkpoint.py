@@ -1,11 +1,11 @@
-"""Files of a training run: checkpoint, policies and progress."""
+"""Files of a training run: checkpoint, policies, progress and learning curves."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,10 @@ from torch import Tensor
 
 from rl.sac.agents import Agents
 from rl.sac.plan import Plan
+from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.output import write_whole
+from sim2real.output import check_writable, write_whole
+from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 from sim2real.structured import read_arrays, reason
 
 COLUMNS = (
@@ -23,8 +25,6 @@ COLUMNS = (
     "entropy_coefficient", "energy_grown",
 )  # fmt: skip
 CHECKPOINT = "checkpoint.npz"
-EPISODES = 50.0
-"""Episodes over which an agent's success is averaged."""
 
 
 class Progress:
@@ -34,7 +34,7 @@ class Progress:
         steps: Steps of the environment for each agent so far.
         rows: One list of rows, ``COLUMNS`` each, for every agent.
         grown: How far each agent's energy weight has grown, from 0 to 1.
-        success: Share of each agent's last episodes that succeeded.
+        success: Share of each agent's last 50 episodes that succeeded.
     """
 
     def __init__(self, A: int, steps: int = 0) -> None:
@@ -51,7 +51,7 @@ class Progress:
             episodes, *means = tally[:, a].tolist()
             rows.append([self.steps, int(episodes), *means, *losses[:, a].tolist(), self.grown[a]])
             if episodes >= 1:
-                decay = math.exp(-episodes / EPISODES)
+                decay = math.exp(-episodes / 50.0)
                 self.success[a] = decay * self.success[a] + (1 - decay) * means[1]
             self.grown[a] = plan.grown(self.grown[a], self.steps, more, self.success[a])
 
@@ -129,11 +129,70 @@ def _progress(content: bytes, A: int, steps: int) -> Progress:
     """Progress of A agents, as ``save`` writes it; ``ValueError`` if it is anything else."""
     progress = Progress(A, steps)
     progress.rows, progress.grown, progress.success = json.loads(content)
-    rows = [row for of_agent in progress.rows for row in of_agent]
-    values = [*progress.grown, *progress.success, *(value for row in rows for value in row)]
-    lengths = {len(progress.rows), len(progress.grown), len(progress.success)}
-    if lengths != {A} or {len(row) for row in rows} - {len(COLUMNS)}:
+    table = np.array(progress.rows, dtype=np.float64)
+    shares = np.array([progress.grown, progress.success], dtype=np.float64)
+    if (*table.shape[:1], *table.shape[2:]) != (A, len(COLUMNS)) or shares.shape != (2, A):
         raise ValueError("progress of other agents")
-    if not all(type(value) in (int, float) for value in values):
-        raise ValueError("progress with other values than numbers")
     return progress
+
+
+def read_progress(folder: Path) -> dict[str, Array]:
+    """Columns of an agent's ``progress.csv``."""
+    table = np.genfromtxt(folder / "progress.csv", delimiter=",", names=True, ndmin=1)
+    return {name: table[name] for name in table.dtype.names or ()}
+
+
+def _curve(progress: Mapping[str, Array]) -> Array:
+    """Steps, mean return and success of groups of rows with at least 64 episodes, (3, points).
+
+    Successful episodes end first: rows with few episodes would be biased towards them.
+    """
+    points, rows = np.empty((0, 3)), list[int]()
+    for k in np.flatnonzero(progress["episodes"] > 0).tolist():
+        rows.append(k)
+        weight = progress["episodes"][rows]
+        if weight.sum() >= 64:
+            table = np.array([progress["mean_return"][rows], progress["success"][rows]])
+            means = np.average(table, axis=1, weights=weight)
+            points = np.vstack([points, [progress["steps"][k], *means]])
+            rows = []
+    return points.T
+
+
+def _mean_curve(curves: Sequence[Array]) -> Array:
+    """The mean of non-empty curves, in their common range of steps."""
+    curves = [curve for curve in curves if curve.size]
+    if not curves:
+        return np.empty((3, 0))
+    start, end = max(c[0, 0] for c in curves), min(c[0, -1] for c in curves)
+    steps = np.linspace(start, max(start, end), 100)
+    means = (np.mean([np.interp(steps, c[0], c[n]) for c in curves], axis=0) for n in (1, 2))
+    return np.array([steps, *means])
+
+
+def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
+    """Plot learning curves, return and success against steps, to a PNG.
+
+    ``agents`` are the folders of the agents of each group, the first of which is highlighted: a
+    line per agent of a single group, a mean per group of several.
+    """
+    check_writable(path)
+    with house_style():
+        figure = new_figure(420, "Return and success of episodes against training steps")
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for k, (group, folders) in enumerate(agents.items()):
+            colour = ACCENT if k == 0 else (INK, FAINT)[(k - 1) % 2]
+            style = ("-", "-", "-", "--", "--", ":")[k % 6]
+            curves = [_curve(read_progress(folder)) for folder in folders]
+            for n, curve in enumerate(curves if len(agents) == 1 else [_mean_curve(curves)]):
+                steps, mean, won = curve
+                label = group if n == 0 else None
+                upper.plot(steps / 1e3, mean, style, color=colour, lw=1.1, label=label)
+                lower.plot(steps / 1e3, 100 * won, style, color=colour, lw=1.1)
+        upper.set_title("mean return of the episodes that ended")
+        lower.set_title("share that arrived (%)")
+        lower.set(xlabel="steps of the environment, thousands", ylim=(0, 100))
+        if len(agents) > 1:
+            figure.legend(*upper.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=144)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from rl.make import Fidelity
 from rl.observer import PAPER, View
 from rl.task import TASKS, Task
 from rl.world import Draws
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_choice
 
 
 @dataclass(frozen=True)
@@ -70,19 +70,11 @@ PLAIN = Settings(
 """SAC with the paper's hyper-parameters (Lin, Liu, Wang, Table I)."""
 
 
-@dataclass(frozen=True)
-class Arm:
-    """Training conditions of one group of agents.
-
-    Attributes:
-        name: Name, also of its folder.
-        draws: Robots and noise that its episodes are drawn from.
-        energy: Final weight of energy; default: that of the task.
-    """
+class Arm(NamedTuple):
+    """A group of agents: its name, also of its folder, and the robots and noise of its episodes."""
 
     name: str
     draws: Draws
-    energy: float | None = None
 
 
 @dataclass(frozen=True)
@@ -141,29 +133,19 @@ class Plan:
             if not fits:
                 raise InputError("train", option, str(value), expected)
 
-    @property
-    def energy(self) -> float:
-        """Final weight of energy."""
-        return self.task.energy
-
     def grown(self, before: float, steps: int, more: int, success: float) -> float:
-        """Growth of an agent's energy weight, from 0 to 1.
+        """Growth of an agent's energy weight, 0 to 1, from that ``before``, ``more`` periods ago.
 
-        Args:
-            before: Growth so far.
-            steps: Control periods so far.
-            more: Control periods since the last call.
-            success: Share of its last episodes that succeeded.
+        ``success`` is the share of its last episodes that succeeded.
         """
         begin, length = self.ramp
         if steps < begin * self.steps or not success >= self.gate:
             return before
         return min(before + more / max(length * self.steps, 1.0), 1.0)
 
-    def price(self, arm: Arm, grown: float) -> float:
+    def price(self, grown: float) -> float:
         """Weight of energy of an agent, given its growth."""
-        full = self.energy if arm.energy is None else arm.energy
-        return full * (self.energy_start + (1 - self.energy_start) * grown)
+        return self.task.energy * (self.energy_start + (1 - self.energy_start) * grown)
 
     def content(self) -> dict[str, Any]:
         """All that determines the result, as JSON values."""
@@ -209,29 +191,25 @@ OPTIONS = ("recipe", "task", "energy_weight", *_OF_PLAN, *_OF_SETTINGS)
 
 
 def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
-    """A plan from options.
+    """A plan from some of ``OPTIONS`` and fields: seeds, fidelity, device, cell_m, threads.
 
-    Args:
-        options: Some of ``OPTIONS``; those missing or None have the value of the recipe.
-        fields: Fields of ``Plan``: seeds, fidelity, device, cell_m, threads.
+    Options that are missing or None have the value of the recipe.
 
     Raises:
         InputError: If an option is unknown or out of range.
     """
     given = {name: options[name] for name in OPTIONS if options.get(name) is not None}
     recipe = given.get("recipe", "default")
-    if recipe not in RECIPES:
-        raise InputError("train", "--recipe", repr(recipe), f"one of {', '.join(RECIPES)}")
+    check_choice("train", "--recipe", recipe, RECIPES)
     plan = RECIPES[recipe]
     task = given.get("task", plan.task.name)
-    if task not in TASKS:
-        raise InputError("train", "--task", repr(task), f"one of {', '.join(TASKS)}")
+    check_choice("train", "--task", task, TASKS)
     settings = {field: given[name] for name, field in _OF_SETTINGS.items() if name in given}
     if "hidden" in settings:
         settings["hidden"] = tuple(settings["hidden"])
     plan = replace(
         plan,
-        task=replace(TASKS[task], energy=given.get("energy_weight", plan.energy)),
+        task=replace(TASKS[task], energy=given.get("energy_weight", plan.task.energy)),
         settings=replace(plan.settings, **settings),
         **{name: given[name] for name in _OF_PLAN if name in given},
         **fields,

@@ -1,12 +1,9 @@
-"""Policies as zip files without pickled objects.
+"""Policies as zip files without pickled objects; the same policy gives the same bytes.
 
-A file has the members ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth``
-(tensors by name, as ``torch.save`` writes them). ``torch.load`` reads the tensors with
-``weights_only=True``, which cannot call anything else. The same policy gives the same bytes.
-
-Files of Stable-Baselines3 have the same layout, with members that are not read here, and with
-pickled objects in ``data``. These are never unpickled: settings are taken from the text beside
-them, and arrays of joint angles are found by their bytes.
+Members are ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth`` (tensors by
+name), which ``torch.load`` reads with ``weights_only=True``. Files of Stable-Baselines3 have the
+same layout, with pickled objects in ``data``. These are never unpickled: settings are taken from
+the text beside them, and arrays of joint angles are found by their bytes.
 """
 
 from __future__ import annotations
@@ -16,11 +13,11 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BufferedIOBase, BytesIO
+from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -87,10 +84,7 @@ class PolicyZip:
     def widths(self, layers: str, output: str | None = None) -> list[int]:
         """Number of inputs of a network, then of outputs of each of its linear layers.
 
-        These are the sequence ``layers`` and, if it is not one of that, the last one, ``output``.
-
-        Raises:
-            InputError: If it has no layers.
+        These are the sequence ``layers`` and the last one, ``output``; ``InputError`` without any.
         """
         numbered = re.compile(re.escape(layers) + r"\.(\d+)\.weight")
         found = {
@@ -109,46 +103,41 @@ class PolicyZip:
         if not holds:
             raise InputError(self.path, name, shown(self.settings.get(name)), expected)
 
-    def load_into(self, policy: nn.Module) -> None:
-        """Copy the weights to a policy; ``InputError`` unless it has the same networks."""
-        try:
-            policy.load_state_dict(dict(self.weights))
-        except RuntimeError as error:
-            problem = str(error).splitlines()[-1].strip()
-            raise InputError(self.path, "networks", problem, "those of an MlpPolicy") from None
+
+def load_weights(
+    path: str | os.PathLike[str],
+    policy: nn.Module,
+    weights: Mapping[str, Any],
+    expected: str = "those of an MlpPolicy",
+) -> None:
+    """Copy the weights of the file ``path`` to a policy; ``InputError`` for other networks."""
+    try:
+        policy.load_state_dict(dict(weights))
+    except RuntimeError as error:
+        problem = str(error).splitlines()[-1].strip()
+        raise InputError(path, "networks", problem, expected) from None
 
 
-class SavedAsZip:
-    """Agents of Stable-Baselines3 whose ``save`` writes a policy without pickled objects."""
-
-    policy: Any
-
-    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
-        """``settings`` and ``variables`` of the file, see ``PolicyZip``."""
-        raise NotImplementedError
-
-    def save(
-        self,
-        path: str | os.PathLike[str] | BufferedIOBase,
-        exclude: Iterable[str] | None = None,
-        include: Iterable[str] | None = None,
-    ) -> None:
-        """Write ``policy.zip`` atomically; ``exclude`` and ``include`` are not used."""
-        del exclude, include
-        settings, variables = self.content()
-        plain = finite_json(_plain({"schema": SCHEMA, **settings}))
-        content = json.dumps(plain, indent=2, allow_nan=False)
-        archive = BytesIO()
-        with zipfile.ZipFile(archive, "w") as file:
-            for name, data in (
-                ("data", content.encode()),
-                ("policy.pth", _saved(self.policy.state_dict())),
-                ("pytorch_variables.pth", _saved(variables)),
-            ):
-                entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-                entry.create_system, entry.external_attr = 3, 0o600 << 16
-                file.writestr(entry, data)
-        write_whole(cast("str | os.PathLike[str]", path), archive.getvalue())
+def write_policy_zip(
+    path: str | os.PathLike[str],
+    policy: nn.Module,
+    settings: Mapping[str, Any],
+    variables: Mapping[str, Tensor],
+) -> None:
+    """Write ``policy.zip`` atomically; see ``PolicyZip``."""
+    plain = finite_json(_plain({"schema": SCHEMA, **settings}))
+    content = json.dumps(plain, indent=2, allow_nan=False)
+    archive = BytesIO()
+    with zipfile.ZipFile(archive, "w") as file:
+        for name, data in (
+            ("data", content.encode()),
+            ("policy.pth", _saved(policy.state_dict())),
+            ("pytorch_variables.pth", _saved(variables)),
+        ):
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.create_system, entry.external_attr = 3, 0o600 << 16
+            file.writestr(entry, data)
+    write_whole(path, archive.getvalue())
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON, and arrays
@@ -166,7 +155,7 @@ def _saved(tensors: Mapping[str, Tensor]) -> bytes:
 
 
 def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
-    """Read a policy by ``SavedAsZip.save`` or Stable-Baselines3; nothing in it is executed.
+    """Read a policy of this library or Stable-Baselines3; nothing in it is executed.
 
     Raises:
         InputError: If it cannot be read as described in this module, or is of another algorithm.

@@ -14,13 +14,13 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3 import SAC
 from stable_baselines3.sac.policies import SACPolicy
-from torch import Tensor, nn
+from torch import nn
 
 from rl.deploy.policy import is_spread
 from rl.env import action_space, observation_space
 from rl.observer import PAPER, View
 from rl.sac.plan import Settings
-from rl.sac.policy_zip import PolicyZip, SavedAsZip, read_policy_zip
+from rl.sac.policy_zip import PolicyZip, load_weights, read_policy_zip, write_policy_zip
 from rl.world import World
 from sim2real.arrays import Array32
 from sim2real.errors import InputError
@@ -46,10 +46,8 @@ class NormedPolicy(SACPolicy):
         return critic
 
 
-class SwimSAC(SavedAsZip, SAC):
+class SwimSAC(SAC):
     """SAC whose networks are views of those of ``Agents``, which trains them.
-
-    ``predict`` is that of Stable-Baselines3; ``read_agent`` reads what ``save`` writes.
 
     Attributes:
         view: Definition of the observations.
@@ -67,8 +65,8 @@ class SwimSAC(SavedAsZip, SAC):
     trained_over: Mapping[str, Sequence[float]]
     by_price: dict[str, Any]
 
-    def content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
-        """Settings and further tensors of ``policy.zip``."""
+    def save(self, path: Any, *_: Any, **__: Any) -> None:  # noqa: ANN401 - as the base class
+        """Write ``policy.zip``, without pickled objects."""
         box: Any = self.action_space
         settings: dict[str, Any] = {"algorithm": "SAC", "num_timesteps": self.num_timesteps}
         settings |= {"action_low": box.low, "action_high": box.high}
@@ -77,7 +75,8 @@ class SwimSAC(SavedAsZip, SAC):
         if "view" in settings:
             settings["view"] = asdict(self.view)
         learned: Any = self.log_ent_coef
-        return settings, {} if learned is None else {"log_ent_coef": learned}
+        variables = {} if learned is None else {"log_ent_coef": learned}
+        write_policy_zip(path, self.policy, settings, variables)
 
 
 class Spaces(gymnasium.Env[Any, Any]):
@@ -141,7 +140,7 @@ def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
         policy_kwargs={"net_arch": {"pi": actor, "qf": critic}, "n_critics": critics},
         device="cpu",
     )
-    saved.load_into(agent.policy)
+    load_weights(path, agent.policy, saved.weights)
     learned = saved.variables.get("log_ent_coef")
     if learned is not None and learned.shape == (1,):
         coefficient: Any = agent.log_ent_coef
@@ -190,26 +189,16 @@ def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
     return {"prices": prices, "column": column, "share": share}
 
 
-def view_of(agent: SAC) -> View:
-    """View of an agent; that of the paper if it has none."""
-    view = getattr(agent, "view", PAPER)
-    return view if isinstance(view, View) else PAPER
-
-
 def start_from(model: SwimSAC, path: Path) -> None:
     """Copy the networks and the entropy coefficient of a saved model.
 
     Raises:
         InputError: If there is no saved model, or its shape or view differs.
     """
-    saved: Any = read_agent(path)
-    if view_of(saved) != model.view:
-        raise InputError(path, "view", f"{view_of(saved)}", f"{model.view}, as this training has")
-    try:
-        model.policy.load_state_dict(saved.policy.state_dict())
-    except RuntimeError as error:
-        problem = str(error).splitlines()[-1].strip()
-        raise InputError(path, "networks", problem, "those of this training's recipe") from None
+    saved = read_agent(path)
+    if (view := getattr(saved, "view", PAPER)) != model.view:
+        raise InputError(path, "view", f"{view}", f"{model.view}, as this training has")
+    load_weights(path, model.policy, saved.policy.state_dict(), "those of this training's recipe")
     if saved.log_ent_coef is None:
         raise InputError(path, "entropy coefficient", "a fixed one", "one that is learned")
     entropy: Any = model.log_ent_coef

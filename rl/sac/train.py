@@ -25,8 +25,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from rl.make import Fidelity, episodes_of, make_world, own_stream
-from rl.randomize import spread_of
+from rl.make import Fidelity, digest, episodes_of, make_world, own_stream, spread_of
 from rl.sac.agents import Agents
 from rl.sac.checkpoint import Progress, load, save
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan, plan_of
@@ -37,8 +36,10 @@ from sim2real.output import provenance, write_json
 from sim2real.robot import Robot
 from sim2real.structured import read_json
 
-__all__ = ["QUICK", "agent_names", "digest", "train", "train_in_parts", "train_run"]
+__all__ = ["QUICK", "agent_names", "digest_of", "train", "train_in_parts", "train_run"]
 
+ACCEPTED = (*OPTIONS, "first")
+"""Options of the command ``train`` that ``train_run`` accepts."""
 _ROW = 50
 """Decisions in a row of statistics."""
 
@@ -49,33 +50,21 @@ def train_run(
     robot: str,
     model: str,
     ranges: str | None = None,
-    name: str = "policy",
     seeds: Sequence[int] = (0,),
+    first: Sequence[str] = (),
     fidelity: Fidelity = "twin",
     device: str = "cpu",
     cell_m: float = 0.02,
     threads: int = 1,
-    first: Sequence[str] = (),
-    recipe: str = "default",
-    task: str | None = None,
-    steps: int | None = None,
-    envs: int | None = None,
-    segment: int | None = None,
-    updates_per_step: float | None = None,
-    learning_rate: float | None = None,
-    discount: float | None = None,
-    hidden: Sequence[int] | None = None,
-    energy_weight: float | None = None,
-    energy_start: float | None = None,
+    **options: Any,  # noqa: ANN401
 ) -> list[Path]:
     """Train one arm from files and JSON options, for any executor; the folders of the agents.
 
-    See ``Plan``, ``RECIPES`` and the command ``train`` for the options.
+    ``options`` are those of ``plan_of``; see ``Plan``, ``RECIPES`` and the command ``train``.
 
     Raises:
         InputError: If a file or an option is wrong.
     """
-    options = {option: value for option, value in locals().items() if option in OPTIONS}
     plan = plan_of(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
         threads=threads,
@@ -83,7 +72,7 @@ def train_run(
     fish, draws, inputs = episodes_of(robot, model, ranges)
     trainer = train_in_parts if device == "cpu" and len(seeds) > 1 else train
     note, policies = provenance([*inputs, *first], None), [Path(path) for path in first]
-    return trainer(folder, fish, [Arm(name, draws)], plan, note, first=policies)
+    return trainer(folder, fish, [Arm("policy", draws)], plan, note, first=policies)
 
 
 def train(
@@ -97,15 +86,10 @@ def train(
 ) -> list[Path]:
     """Train an agent for each arm and seed, all in one batch of robots.
 
-    Args:
-        folder: Folder of the run, with ``run.json``, ``checkpoint.npz`` and, for each agent,
-            ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``.
-        robot: Links, joints and data sheets.
-        arms: Groups of agents.
-        plan: Plan of the training.
-        note: Provenance.
-        first: Policies (``policy.zip``) to continue from, assigned to the seeds of every arm in
-            turn; random networks if empty. Replay memories are not part of them.
+    The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
+    agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies
+    (``policy.zip``) to continue from, assigned to the seeds of every arm in turn, without replay
+    memories; networks are random if there are none.
 
     Returns:
         Folders of the agents: all seeds of the first arm, then those of the next.
@@ -114,8 +98,8 @@ def train(
         InputError: If the folder has a run of another plan, or the first policies do not fit.
     """
     names = agent_names(arms, plan.seeds)
-    digests, prices = [digest(arm.draws) for arm in arms], [arm.energy for arm in arms]
-    content = {"plan": plan.content(), "agents": names, "draws": digests, "energy": prices}
+    digests = [digest_of(arm.draws) for arm in arms]
+    content = {"plan": plan.content(), "agents": names, "draws": digests}
     if first:
         for path in first:
             read_agent(path)  # refused, if at all, before anything is written
@@ -134,13 +118,12 @@ def train_in_parts(
     note: dict[str, Any] | None = None,
     *,
     first: Sequence[Path] = (),
-    parts: int = 2,
 ) -> list[Path]:
-    """Train as ``train`` does, with the seeds distributed over ``parts`` processes.
+    """Train as ``train`` does, with the seeds distributed over two processes.
 
-    Their folders are ``part-0`` and so on; each process has one simulator thread.
+    Their folders are ``part-0`` and ``part-1``; each process has one simulator thread.
     """
-    shares = [range(k, len(plan.seeds), parts) for k in range(min(parts, len(plan.seeds)))]
+    shares = [range(k, len(plan.seeds), 2) for k in range(min(2, len(plan.seeds)))]
     trainings = [
         partial(
             train, folder / f"part-{k}", robot, arms,
@@ -168,10 +151,10 @@ def agent_names(arms: Sequence[Arm], seeds: Sequence[int]) -> list[str]:
     return [f"{arm.name}-{seed}" for arm in arms for seed in seeds]
 
 
-def digest(draws: Draws) -> str:
+def digest_of(draws: Draws) -> str:
     """SHA-256 of models and noise."""
     models = [(model.joints, model.body, model.effects) for model in draws.models]
-    return hashlib.sha256(repr((models, draws.noise)).encode()).hexdigest()
+    return digest((models, draws.noise))
 
 
 def check_run(
@@ -215,11 +198,12 @@ def _train(
     decisions = Decisions(world, plan.view)
     decisions_per_env = -(-plan.steps // plan.view.period)
     settings = replace(plan.settings, memory=min(plan.settings.memory, decisions_per_env))
-    models = [make_sac(world, settings, plan.seeds[a % S], view=plan.view) for a in range(A)]
-    for a, (model, arm) in enumerate(zip(models, arm_of_agent, strict=True)):
-        model.trained_over = spread_of(arm.draws.models)
+    models = []
+    for a, arm in enumerate(arm_of_agent):
+        models.append(make_sac(world, settings, plan.seeds[a % S], view=plan.view))
+        models[a].trained_over = spread_of(arm.draws.models)
         if first:
-            start_from(model, first[a % S % len(first)])
+            start_from(models[a], first[a % S % len(first)])
     agents = Agents(models, settings, world.device)
     progress = load(folder, agents) or Progress(A)
     bar = tqdm(
@@ -228,14 +212,13 @@ def _train(
     )  # fmt: skip
     with bar, ThreadPoolExecutor(1) if plan.device == "cpu" else nullcontext() as pool:
         while progress.steps < plan.steps:
-            _segment(decisions, agents, arm_of_agent, plan, progress, bar, pool, swims=bool(first))
+            _segment(decisions, agents, plan, progress, bar, pool, swims=bool(first))
             save(folder, agents, progress, names)
 
 
 def _segment(
     decisions: Decisions,
     agents: Agents,
-    arms: Sequence[Arm],
     plan: Plan,
     progress: Progress,
     bar: Any,  # noqa: ANN401
@@ -254,7 +237,7 @@ def _segment(
     noise = torch.randn(A, n, J, device=world.device)
     decay = math.exp(-plan.view.decision_s / settings.noise_s) if settings.noise_s > 0 else 0.0
     due, batch_steps = 0.0, n * plan.view.period
-    _set_price(agents, arms, plan, progress)
+    _set_price(agents, plan, progress)
     while progress.steps < end:
         fresh = torch.randn(noise.shape, device=world.device)
         noise = decay * noise + (1 - decay * decay) ** 0.5 * fresh
@@ -285,13 +268,12 @@ def _segment(
         bar.update(batch_steps)
         if tally.steps >= _ROW or progress.steps >= end:
             progress.note(tally.take(), agents, plan)
-            _set_price(agents, arms, plan, progress)
+            _set_price(agents, plan, progress)
             bar.set_postfix_str(progress.summary())
 
 
-def _set_price(agents: Agents, arms: Sequence[Arm], plan: Plan, progress: Progress) -> None:
-    prices = [plan.price(arm, grown) for arm, grown in zip(arms, progress.grown, strict=True)]
-    agents.price.copy_(torch.tensor(prices)[:, None])
+def _set_price(agents: Agents, plan: Plan, progress: Progress) -> None:
+    agents.price.copy_(torch.tensor([plan.price(grown) for grown in progress.grown])[:, None])
 
 
 class Tally:

@@ -23,10 +23,9 @@ from rl.controllers.discrete_cpg import DiscreteCPGEnv
 from rl.env import FishEnv, FishVectorEnv
 from rl.make import FISH
 from rl.observer import PAPER, View
-from rl.randomize import Noise
 from rl.task import TASKS, Task, shortened
 from rl.vec_env import FishVecEnv
-from rl.world import Draws
+from rl.world import Draws, Noise
 from sim2real.errors import InputError
 
 
@@ -249,20 +248,6 @@ def test_no_row_is_swapped_at_resets(world_of):
         assert not still.size or still.max() < 1e-6, "a robot begins straight"
 
 
-def test_a_robot_alone_swims_as_in_a_batch(world_of):
-    def still(rng: np.random.Generator, n: int, J: int):
-        return np.zeros((n, 3)), np.zeros((n, J)), np.full((n, 1, 2), 0.7)
-
-    task = Task("still", still)
-    one, many = world_of(1, task), world_of(5, task)
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        action = torch.tensor(rng.uniform(-0.6, 0.6, (1, 3)), dtype=torch.float32)
-        a, b = one.step(action), many.step(action.expand(5, 3))
-        assert torch.allclose(a.observation.expand(5, -1), b.observation, atol=1e-6)
-        assert torch.allclose(a.reward.expand(5), b.reward, atol=1e-6)
-
-
 def test_reward_is_the_papers(world_of):
     world = world_of(8, "point")
     before = torch.linalg.vector_norm(world._target() - world.pose[:, :2], dim=1)
@@ -288,14 +273,6 @@ def test_noise_has_the_size_asked_for(world_of, model):
     error = world._past[:, -1] - torch.cat([world.pose, world.joint], dim=1)
     expected = [0.02, 0.02, 0.05, 0.01, 0.02, 0.03]
     assert np.allclose(error.std(dim=0).numpy(), expected, rtol=0.06)
-
-
-def test_a_seed_gives_the_same_episodes(world_of):
-    def run() -> torch.Tensor:
-        world = world_of(3, shortened(TASKS["near"], 5), seed=4)
-        return torch.stack([world.step(torch.full((3, 3), 0.3)).observation for _ in range(12)])
-
-    assert torch.equal(run(), run())
 
 
 def test_mixed_targets_are_near_as_often_as_far_and_all_in_the_pool():

@@ -13,16 +13,29 @@ from PIL import Image
 
 import rl.experiments.testbeds
 from rl.experiments.episodes import measured
+from rl.experiments.named import named_controllers
 from rl.experiments.statistics import best, effective, expected, interval
 from rl.experiments.testbeds import SimulationSettings
-from rl.forecast.causes import first_order, narrowed_by_trials, ranked, training_ranges
-from rl.forecast.diagnosed import Diagnosed, Possible
 from rl.forecast.forecast import limit_of
-from rl.forecast.make import named_controllers
-from rl.forecast.realities import DEVIATIONS, TWIN_ERROR, draw_realities, unexplained
+from rl.forecast.realities import (
+    DEVIATIONS,
+    TWIN_ERROR,
+    Diagnosed,
+    Possible,
+    draw_realities,
+    unexplained,
+)
 from rl.forecast.swims import Forecaster, Inexact, blocks, disturbances
-from rl.forecast.trials import Trials, read_trials, update
-from rl.randomize import draw_models, spread_of
+from rl.forecast.trials import (
+    Trials,
+    first_order,
+    narrowed_by_trials,
+    ranked,
+    read_trials,
+    training_ranges,
+    update,
+)
+from rl.make import draw_models, spread_of
 from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.law import FITTED
 from sim.twin.twin import Twin
@@ -320,7 +333,7 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     )
 
     def go(file, progress=lambda share: None):
-        return forecaster.swim(policies, file=file, shown=4, progress=progress)
+        return forecaster.swim(policies, file=file, progress=progress)
 
     def stop(share):
         if share > 0.4:
@@ -351,9 +364,8 @@ def test_a_film_shows_the_trials_that_were_forecast(robot, model, tmp_path):
         assert frames.n_frames == 13 and frames.size[0] == 3 * 320
         first = np.array(frames.convert("L"), dtype=int)
         frames.seek(12)
-        last = np.array(frames.convert("L"), dtype=int)
-    moved = np.abs(last - first).reshape(len(first), 3, 320).max(axis=(0, 2))
-    assert (moved > 50).all()
+        moved = np.abs(np.array(frames.convert("L"), dtype=int) - first)
+    assert (moved.reshape(len(first), 3, 320).max(axis=(0, 2)) > 50).all()
 
 
 @pytest.fixture

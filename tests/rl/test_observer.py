@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +15,29 @@ from rl.deploy.export import policy_of, write_policy
 from rl.deploy.header import c_header
 from rl.deploy.policy import PolicyController, read_npz
 from rl.observer import PAPER, Observer, View
-from rl.randomize import Noise
 from rl.sac.plan import Settings
 from rl.sac.sac import make_sac
 from rl.task import TASKS, shortened
-from rl.world import Decisions, Draws
-from tests.rl.test_export import COMPILER, answered_in_c
+from rl.world import Decisions, Draws, Noise
+
+COMPILER = shutil.which("gcc") or shutil.which("cc")
+FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+
+MAIN = """
+#include <stdio.h>
+#include "policy.h"
+int main(void) {
+    float gone, observation[11], action[3];
+    static policy_memory memory;
+    while (fread(&gone, sizeof gone, 1, stdin) == 1) {
+        if (fread(observation, sizeof observation, 1, stdin) != 1) return 1;
+        if (gone < 0) policy_begin(&memory, observation);
+        policy(&memory, gone < 0 ? 1 : (int)gone, observation, action);
+        if (fwrite(action, sizeof action, 1, stdout) != 1) return 1;
+    }
+    return 0;
+}
+"""
 
 LOW, HIGH = np.full(3, -0.8, np.float32), np.array([0.8, 0.7, 0.8], np.float32)
 VIEWS = [View(), PAPER, View(period=3, memory=3, scaled=False), View(1, False, 0, True, True)]
@@ -40,27 +60,17 @@ def test_numpy_and_pytorch_see_the_same(view):
     other.begin(torch.tensor(raw))
     for _ in range(30):
         raw = (raw + 0.3 * rng.normal(size=raw.shape)).astype(np.float32)
-        rows = rng.random(E) < 0.5
-        told = other.observe(torch.tensor(raw), torch.tensor(rows))
-        columns = one.observe(raw, rows)
+        told = other.observe(torch.tensor(raw))
+        columns = one.observe(raw)
         assert columns.shape == (E, view.size(3))
         assert columns.dtype == np.float32
         assert columns == pytest.approx(told.numpy(), abs=1e-5)
         action = np.tanh(rng.normal(size=(E, 3))).astype(np.float32)
-        one.decide(action, rows)
-        other.decide(torch.tensor(action), torch.tensor(rows))
-        tick = rng.integers(0, view.period, (E, 1)).astype(np.float32)
-        set_points = other.set_points(torch.tensor(tick)).numpy()
+        one.decide(action)
+        other.decide(torch.tensor(action))
+        tick = int(rng.integers(view.period))
+        set_points = other.set_points(tick).numpy()
         assert one.set_points(tick) == pytest.approx(set_points, abs=1e-6)
-
-
-def test_the_papers_view_changes_nothing():
-    observer = Observer(PAPER, LOW, HIGH, 5)
-    raw = np.random.default_rng(1).normal(size=(5, 11)).astype(np.float32)
-    observer.begin(raw)
-    assert np.array_equal(observer.observe(raw), raw)
-    observer.decide(np.ones((5, 3), np.float32))
-    assert observer.set_points(0) == pytest.approx(np.tile(HIGH, (5, 1)))
 
 
 def test_the_bearing_keeps_its_side_until_far_round():
@@ -101,19 +111,25 @@ def test_set_points_go_on_a_line_from_where_the_joints_are():
     assert line == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.fixture(scope="module", params=VIEWS[:2], ids=["default", "paper"])
+NETWORKS = [(VIEWS[0], (24, 24)), (PAPER, (24, 24)), (PAPER, (24, 7, 16)), (PAPER, ())]
+"""Views and hidden layers."""
+
+
+@pytest.fixture(scope="module", params=NETWORKS, ids=str)
 def trained(request, robot, model):
     """An agent that moves a lot, as a policy."""
     from rl.make import make_world
 
+    view, hidden = request.param
     world = make_world(robot, TASKS["near"], Draws((model,)), n_envs=1)
-    agent = make_sac(world, Settings(hidden=(24, 24)), 3, view=request.param)
+    agent = make_sac(world, Settings(hidden=hidden), 3, view=view)
     with torch.no_grad():
         for parameter in agent.actor.parameters():
             parameter.mul_(2.0)
     return agent, policy_of(agent)
 
 
+@pytest.mark.parametrize("trained", NETWORKS[:2], indirect=True, ids=str)
 def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model):
     """Decisions on the device, and NumPy at 50 Hz, on one noisy swim."""
     agent, policy = trained
@@ -126,7 +142,6 @@ def test_a_policy_does_in_training_what_it_does_outside(trained, world_of, model
     columns = decisions.reset()
     seen = outside.reset()
     controller = PolicyController(policy)
-    controller.reset(np.ones(4, dtype=bool))
     for _ in range(400 // policy.view.period):
         with torch.no_grad():
             action = agent.actor(columns, deterministic=True)
@@ -154,7 +169,6 @@ def swum(trained, robot, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     task = replace(TASKS["pentagram"], steps=SWUM_STEPS)
     world = make_world(robot, task, Draws((model,), Noise(0.002, 0.01, (0.003,))), n_envs=1)
     controller, rng = PolicyController(policy), np.random.default_rng(0)
-    controller.reset(np.ones(1, dtype=bool))
     seen, gone = world.reset(), -1
     rows, waits, sent = [], [], []
     for _ in range(SWUM_STEPS):
@@ -168,6 +182,17 @@ def swum(trained, robot, model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(rows), np.array(waits, dtype=np.float32), np.array(sent)
 
 
+def answered_in_c(folder: Path, gone: np.ndarray, observations: np.ndarray) -> np.ndarray:
+    """What the header in ``folder`` answers; -1 periods gone begin a swim."""
+    (folder / "main.c").write_text(MAIN)
+    program = folder / "main"
+    built = [COMPILER, *FLAGS, str(folder / "main.c"), "-o", str(program), "-lm"]
+    subprocess.run(built, check=True, capture_output=True, text=True)
+    sent = np.column_stack([gone, observations]).astype(np.float32).tobytes()
+    told = subprocess.run([program], input=sent, capture_output=True, check=True)
+    return np.frombuffer(told.stdout, dtype=np.float32).reshape(-1, 3)
+
+
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, swum, tmp_path):
     _, policy = trained
@@ -175,7 +200,6 @@ def test_npz_and_c_agree_on_a_swim_with_lost_frames(trained, swum, tmp_path):
     assert np.ptp(sent, axis=0).min() > 0.1
     write_policy(policy, tmp_path / "policy.npz", ("npz",))
     again = PolicyController(read_npz(tmp_path / "policy.npz"))
-    again.reset(np.ones(1, dtype=bool))
     told = [again.act(row[None], max(int(k), 1))[0] for row, k in zip(rows, gone, strict=True)]
     assert np.array_equal(np.array(told), sent)
     (tmp_path / "policy.h").write_text(c_header(policy))

@@ -15,9 +15,8 @@ import pytest
 import torch
 from stable_baselines3 import DQN, SAC
 
-from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, read_policy, read_table
-from rl.controllers.discrete_train import make_dqn
-from rl.deploy.export import SampledController, read_zip, set_price
+from rl.controllers.discrete_cpg import TABLE, DiscreteCPGEnv, make_dqn, read_policy, read_table
+from rl.deploy.export import read_zip, set_price
 from rl.experiments.named import controller_of
 from rl.observer import PAPER, View
 from rl.sac.plan import Settings
@@ -118,7 +117,6 @@ def test_nothing_in_a_file_is_executed(old, agents, tmp_path, kind, weights):
     readers = {
         "agent": lambda: read_agent(file),
         "zip": lambda: read_zip(file),
-        "sampled": lambda: SampledController(file),
         "first": lambda: start_from(agents["sac"], file),
         "gaits": lambda: read_policy(file, TABLE, LIMITS, 2),
         "named": lambda: controller_of(str(file), LIMITS, 2),

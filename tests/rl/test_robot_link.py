@@ -12,16 +12,8 @@ import numpy as np
 import pytest
 
 from rl.deploy import link as protocol
-from rl.deploy.bus_robot import Poses
-from rl.deploy.link import (
-    Link,
-    SetPoints,
-    Telemetry,
-    opened,
-    set_point_bytes,
-    telemetry_bytes,
-)
-from rl.deploy.virtual_robot import Received, served
+from rl.deploy.link import Link, SetPoints, Telemetry, opened, set_point_bytes, telemetry_bytes
+from rl.deploy.robots import Poses, Received, served
 from sim2real.errors import InputError
 from sim2real.hardware.shared_key import sealed, shared_key, unsealed
 
@@ -110,8 +102,7 @@ def drive(pilot: Link, robot: Still, joint: list[float], reached: object = None)
 @pytest.fixture
 def patient(monkeypatch) -> None:
     """Ends that wait long before they take the other for silent, on a busy computer."""
-    for module in ("virtual_robot", "bus_robot"):
-        monkeypatch.setattr(f"rl.deploy.{module}.SILENCE_S", PATIENCE_S)
+    monkeypatch.setattr("rl.deploy.robots.SILENCE_S", PATIENCE_S)
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from rl.deploy.link import (
 )
 from rl.deploy.pilot import CONTROL_S, REST_S, Measurements, Pilot, swim
 from rl.deploy.policy import Policy, PolicyController, npz
-from rl.deploy.virtual_robot import VirtualRobot, serve, virtual_robot
+from rl.deploy.robots import VirtualRobot, serve, virtual_robot
 from rl.observer import PAPER, View, observation_bounds, observation_names
 from sim.inference.swims import swim_of
 from sim.twin.twin import Twin
@@ -277,9 +277,7 @@ class TestCommand:
             run(options_of(tmp_path / "policy.npz"))
 
     def test_it_needs_no_torch(self) -> None:
-        program = (
-            "import sys, rl.commands.swim, rl.deploy.virtual_robot; print('torch' in sys.modules)"
-        )
+        program = "import sys, rl.commands.swim, rl.deploy.robots; print('torch' in sys.modules)"
         done = subprocess.run(
             [sys.executable, "-c", program],
             capture_output=True, text=True, check=True, cwd=POOL.parents[1],

@@ -15,19 +15,18 @@ import torch
 import rl.sac.train
 from rl.deploy.export import policy_of, set_price
 from rl.deploy.policy import PolicyController
-from rl.experiments import selection
+from rl.experiments import testbeds
 from rl.experiments.episodes import summary
 from rl.experiments.named import controller_of, shown, with_price
 from rl.experiments.testbeds import run_trials
+from rl.make import draw_models, noise_of
 from rl.observer import PAPER
-from rl.randomize import Noise, draw_models, noise_of
-from rl.sac.checkpoint import COLUMNS
-from rl.sac.curve import draw_curves, read_progress
+from rl.sac.checkpoint import COLUMNS, draw_curves, read_progress
 from rl.sac.plan import Settings
 from rl.sac.sac import read_agent
 from rl.sac.train import Arm, Plan, train, train_in_parts
 from rl.task import TASKS, shortened
-from rl.world import Draws
+from rl.world import Draws, Noise
 from sim2real.body import values
 from sim2real.errors import InputError
 from sim2real.ranges.entry import Ranges, normal, uniform
@@ -183,12 +182,11 @@ def test_the_energy_weight_grows_once_an_agent_succeeds():
     assert plan.grown(0.2, 600, 100, 0.5) == 0.2, "an agent that fails is not starved"
     assert plan.grown(0.2, 600, 100, 0.9) == pytest.approx(0.45)
     assert plan.grown(0.9, 600, 100, 0.9) == 1.0
-    prices = [plan.price(Arm("a", Draws()), grown) for grown in (0.0, 0.5, 1.0)]
+    prices = [plan.price(grown) for grown in (0.0, 0.5, 1.0)]
     assert prices == pytest.approx([1e-4, 5.5e-4, 1e-3])
-    assert plan.price(Arm("b", Draws(), energy=2.0), 1.0) == 2.0
 
 
-def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
+def test_prices_grow_as_planned(robot, model, tmp_path, monkeypatch):
     seen = []
     saved = rl.sac.train.save
 
@@ -197,10 +195,10 @@ def test_prices_are_each_agents_own(robot, model, tmp_path, monkeypatch):
         saved(folder, agents, progress, names)
 
     monkeypatch.setattr(rl.sac.train, "save", watched)
-    own = [replace(arm, energy=k) for arm, k in zip(arms(model), (0.01, 0.02), strict=True)]
-    train(tmp_path, robot, own, replace(PLAN, ramp=(0.0, 0.3), gate=0.0, energy_start=0.5))
-    assert seen[0] == pytest.approx([0.01, 0.01, 0.02, 0.02], rel=0.5)
-    assert seen[-1] == pytest.approx([0.01, 0.01, 0.02, 0.02])
+    plan = replace(PLAN, ramp=(0.0, 0.3), gate=0.0, energy_start=0.5)
+    train(tmp_path, robot, arms(model), plan)
+    assert seen[0] == pytest.approx([1e-3] * 4, rel=0.5)
+    assert seen[-1] == pytest.approx([1e-3] * 4)
 
 
 @pytest.mark.parametrize(
@@ -286,16 +284,16 @@ def test_a_damaged_checkpoint_is_told_in_a_line(robot, model, tmp_path):
 def test_agents_are_chosen_by_held_out_trials(robot, model, tmp_path, monkeypatch):
     """The one that does better in the same trials, at one weight, whatever training said."""
     folders = train(tmp_path, robot, arms(model)[:1], PLAN)
-    monkeypatch.setitem(selection.TASKS, "turn", shortened(TASKS["turn"], 60))
-    monkeypatch.setitem(selection.TASKS, "mixed", shortened(TASKS["mixed"], 60))
-    found = selection.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setitem(testbeds.TASKS, "mixed", shortened(TASKS["mixed"], 60))
+    found = testbeds.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
     scores = {name: rows["score"] for name, rows in found["agents"].items()}
     assert found["best"] == max(scores, key=scores.__getitem__)
     assert set(scores) == {"a-0", "a-1"}
     assert scores["a-0"] != scores["a-1"]
-    again = selection.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
+    again = testbeds.held_out(folders, robot, model, None, energy=1e-3, episodes=3)
     assert again == found
-    dear = selection.held_out(folders, robot, model, None, energy=1.0, episodes=3)
+    dear = testbeds.held_out(folders, robot, model, None, energy=1.0, episodes=3)
     assert dear["agents"]["a-0"]["score"] < scores["a-0"]
 
 
@@ -305,27 +303,27 @@ def test_each_agent_swims_at_the_price_that_does_best(robot, model, tmp_path, mo
     column = np.linspace(-3, 3, len(agent.by_price["column"]))  # prices that decide how it beats
     agent.by_price["column"] = column.astype(np.float32)
     agent.save(folder / "policy.zip")
-    prices = [2.0**one for one in selection.EXPONENTS]
+    prices = [2.0**one for one in testbeds.EXPONENTS]
     policies = {}
     for price in prices:
         set_price(agent, price)
         policies[price] = policy_of(agent)
-    monkeypatch.setattr(selection, "PRICED", ("turn",))
-    monkeypatch.setitem(selection.TASKS, "turn", shortened(TASKS["turn"], 60))
-    monkeypatch.setattr(selection, "controller_of", lambda *_: PolicyController(policies[1.0]))
+    monkeypatch.setattr(testbeds, "PRICED", ("turn",))
+    monkeypatch.setitem(testbeds.TASKS, "turn", shortened(TASKS["turn"], 60))
+    monkeypatch.setattr(testbeds, "controller_of", lambda *_: PolicyController(policies[1.0]))
 
-    chosen = selection.choose_prices([folder], robot, model, None, episodes=2)
+    chosen = testbeds.choose_prices([folder], robot, model, None, episodes=2)
     (price,) = chosen.values()
     assert read_agent(folder / "policy.zip").by_price["share"] == pytest.approx(np.log2(price))
     swum = run_trials(
         robot, model, None, TASKS["turn"],
         {str(one): PolicyController(policy) for one, policy in policies.items()},
-        episodes=2, seed=selection.PRICE_SEED,
+        episodes=2, seed=testbeds.PRICE_SEED,
     )  # fmt: skip
     spent = {one: summary(swum[str(one)], TASKS["turn"])["energy"] for one in prices}
     assert max(spent.values()) > 1.2 * spent[1.0]
     assert spent[price] <= 1.001 * spent[1.0], "nobody arrives, so that energy decides"
-    assert selection.choose_prices([folder], robot, model, None, episodes=2) == chosen
+    assert testbeds.choose_prices([folder], robot, model, None, episodes=2) == chosen
 
 
 def test_a_policy_is_called_with_a_price(tmp_path):

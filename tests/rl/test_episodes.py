@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rl.metrics import circle_radius, energy, path_length, turning_radius
+from rl.experiments.episodes import circle_radius, energy, path_length, turning_radius
 
 
 def circling(radius: np.ndarray, turned: float, rows: int = 200) -> tuple[np.ndarray, np.ndarray]:
