@@ -237,10 +237,10 @@ def with_checks(found: Diagnosis, case: Case, joints: Sequence[JointFindings]) -
         separations=tuple(
             pair
             for joint in joints
+            # sets of a change against references are not all fitted, and no design states them
+            if (stated := design_of(case.recordings, joint.name))
             for pair in separations(
-                joint.name,
-                design_of(case.recordings, joint.name),
-                set_probabilities(joint.joint, joint.finding),
+                joint.name, stated, set_probabilities(joint.joint, joint.finding)
             )
         ),
         rival_sets=tuple(
