@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rl.experiments.ablation_report import OUTCOME, TITLES, difference_figure, return_figure
-from rl.experiments.statistics import Difference
+from rl.experiments.ablation_report import OUTCOME, return_figure
 from sim2real.report.diagnosis_plots import Bar, bar_figure
 from sim2real.report.identification import parameter_figure
 from sim2real.report.ranges import density_figure, latency_figure
@@ -20,7 +19,6 @@ DENSITY = SimpleNamespace(
     interval=LINKS + 0.03 * np.array([[-1], [1]]),
 )  # fmt: skip
 LATENCIES = SimpleNamespace(seconds=np.full(7, 0.07), sd=np.full(7, 0.01), windows=True)
-LOST = Difference(mean=17.2, low=12.4, high=22.1, sd=9.0, pairs=24)
 
 
 def _fit(bench):
@@ -45,7 +43,6 @@ FIGURES = {
     ),
     "bars": lambda bench: bar_figure({"j1": [Bar("j1: one of backlash or play", 1.0, "98 %")]}, ""),
     "returns": lambda bench: _returns(),
-    "differences": lambda bench: difference_figure({x: LOST for x in TITLES if x[:3] == "no-"}),
 }
 
 
