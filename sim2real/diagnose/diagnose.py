@@ -25,8 +25,11 @@ from sim2real.diagnose.torque_speed_line import models_with_limits, on_their_lin
 from sim2real.diagnose.wording import diagnosis, with_checks
 from sim2real.effects import named
 from sim2real.identification.identify import fitted_joint
+from sim2real.identification.motor_choice import EXPLAINED
 from sim2real.identification.plain_fit import refitted
+from sim2real.identification.search import errors_of
 from sim2real.identification.servo_problem import Hypothesis, Tried, joined, residual_angles
+from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.output import sha256_of
 from sim2real.plausible import admitted
@@ -34,6 +37,7 @@ from sim2real.progress import Progress
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.batch import Batch
+from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import at_one_gain, firmware_gain
 
 __all__ = ["Case", "diagnose", "diagnose_all"]
@@ -152,7 +156,7 @@ def examined(
             after=after[j],
             least_squares=_least_squares(recorded[j], plain[j]),
             robust=_least_squares(recorded[j], one.offered),
-            identified=_identified(recorded[j], one, seed),
+            identified=_identified(recorded[j], one, plain[j], seed),
         )
         for j, one in enumerate(found)
     ]
@@ -210,8 +214,18 @@ def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
     return refitted(joint.traces, theta, [e for e in effects if e.fitted and not e.everywhere]).row
 
 
-def _identified(joint: JointCase, found: JointFindings, seed: int) -> JointModel | None:
-    """The servo as ``identify`` fits it, with the losses of its motor, where nothing is named."""
+def _identified(
+    joint: JointCase, found: JointFindings, plain: Hypothesis, seed: int
+) -> JointModel | None:
+    """The servo as ``identify`` fits it, with the losses of its motor, where nothing is named.
+
+    None where the plain servo explains the recordings, or leaves no more than that one.
+    """
     if found.offered.members != found.finding.tried.base or joint.references or joint.base:
         return None
-    return fitted_joint(joint.traces, joint.servo, seed)
+    before = rms(errors_of(plain.fit.servos.theta[0], joint.traces))
+    if before < EXPLAINED * joint.noise:
+        return None
+    model = fitted_joint(joint.traces, joint.servo, seed)
+    after = rms(errors_of(joint_row(model, joint.traces[0].load), joint.traces))
+    return model if after < 0.95 * before else None
