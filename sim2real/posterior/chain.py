@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Mapping
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -119,7 +122,7 @@ def run_chain(
         coordinates, log_posterior = np.empty((block, W, F)), np.empty((block, W))
         before = state.coords.copy()
         samples = sampler.sample(state, iterations=block, store=False)
-        for k, state in enumerate(samples):
+        for k, state in enumerate(interruptible(samples)):
             coordinates[k], log_posterior[k] = state.coords, state.log_prob
             accepted += np.any(state.coords != before, axis=1)
             before = state.coords.copy()
@@ -134,6 +137,29 @@ def run_chain(
             write_chain(chain, file)
         progress(chain.steps)
     return chain
+
+
+def interruptible(items: Iterable[Any]) -> Iterator[Any]:
+    """The items; an interrupt ends them even where it falls into a destructor, which ignores it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield from items
+        return
+    before, interrupted = signal.getsignal(signal.SIGINT), False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
+        if callable(before):
+            before(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        for item in items:
+            yield item
+            if interrupted:
+                raise KeyboardInterrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def write_chain(chain: Chain, file: Path) -> None:
