@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "identify_a_servo": ({}, ("model.json", "chirp.png"), "held out"),
     "find_what_is_missing": ({}, ("candidates.png",), "verdict: explained"),
-    "posterior_and_ranges": ({"STEPS": 240}, ("ranges.json", "latency.png"), "j1.kp"),
+    "posterior_and_ranges": ({"STEPS": 700}, ("ranges.json", "latency.png"), "j1.kp"),
     "calibrate_a_body": ({"SECONDS": 8}, ("calibrated.json", "calibration.png"), "twin.thrust"),
     "swim_your_own_robot": ({}, ("fish.toml", "way.png"), "path of the head"),
     "train_with_gymnasium": ({"STEPS": 150, "FILMED": 20}, ("policy.zip", "swim.gif"), "swim.gif"),

@@ -13,6 +13,7 @@ from simulated import robot
 from datasets.servo_steps import make as plant
 from sim2real.errors import InputError
 from sim2real.identification.identify import identify
+from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import read_robot
 from sim2real.servo.prediction import predict, replay
@@ -244,3 +245,14 @@ def test_wrong_wishes_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             identify(given, robot(joint), **options)
+
+
+def test_the_probability_of_intervals_is_stated_and_widens_them(fitted, tmp_path):
+    wide = identify([record(SERVO)], robot("j1"), interval=0.99)
+    write_model(wide, tmp_path / "m.json")
+    assert read_model(tmp_path / "m.json").interval_level == 0.99
+    for name in NAMES:
+        ends = fitted.joints["j1"].interval[name], wide.joints["j1"].interval[name]
+        assert np.ptp(ends[1]) > 1.3 * np.ptp(ends[0])
+    with pytest.raises(InputError, match="interval: found 1.5"):
+        identify([record(SERVO)], robot("j1"), interval=1.5)
