@@ -164,7 +164,7 @@ def cost(trial: Trial, controller: Controller, price: float) -> Array:
     time, energy, away = np.full(E, steps * CONTROL_S), np.zeros(E), np.zeros(E)
     running, count = np.ones(E, dtype=bool), np.zeros(E)
     seen = world.reset()
-    controller.reset(running)
+    controller.reset()
     for k in range(steps):
         step = world.step(torch.from_numpy(controller.act(seen.numpy())))
         seen = step.observation
