@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 Fit = tuple[Recording, str, Array, Mask | None]
+_SHADED = (
+    " The shaded samples were held out for the stated error; the model that is drawn was then fitted "
+    "to them as well."
+)
 
 _LEAD = (
     "Each servo is a PD controller with latency: torque = "
@@ -66,8 +70,7 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
                 recording, name, predicted, heldout=heldout, noise_rad=noise
             )
             label = f"{name} in {recording.name}"
-            shaded = ", held-out samples shaded" if panels[0].shaded_s else ""
-            caption = f"{label}{shaded}, and the residual below."
+            caption = f"{label}, and the residual below.{_SHADED if panels[0].shaded_s else ''}"
             blocks.append(series_block(panels, label, caption, close_up=close_up))
     return Section("Identification", _LEAD, blocks)
 

@@ -138,7 +138,8 @@ def _predicted(
 class Replay:
     """One joint of one recording and the angles in rad (T,) predicted for its commands.
 
-    ``held_out`` is a mask of the samples that the fit did not use, shape (T,).
+    ``held_out`` is a mask of the samples on which the model was scored before it was fitted to them
+    as well, shape (T,).
     """
 
     recording: Recording
