@@ -22,7 +22,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from sim2real.arrays import Array
 from sim2real.design.limits import CommandLimits
-from sim2real.identification.priors import motor_prior
+from sim2real.identification.priors import MOTOR_SHEET, motor_prior
 from sim2real.identification.problem import ServoProblem, plain_row
 from sim2real.inference.normal import Z90
 from sim2real.inference.parameters import Parameter, column, kronecker
@@ -157,7 +157,7 @@ def _from_sheet(
     frequency, damping, latency = np.exp(low + points[:, :3] * (high - low)).T
     line: tuple[str, ...] = ()
     rows = np.tile(plain_row(0.0, 0.0, 0.0), (draws, 1))
-    if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+    if servo.states(*MOTOR_SHEET):
         still = command_trace(load, np.zeros(2), 1.0)
         line = (*LINE, ROTOR) if shows_inertia([still]) else LINE
         prior = motor_prior(servo, [still])
@@ -178,7 +178,7 @@ def _from_sheet(
 def _prior_sd(names: tuple[str, ...], servo: Servo, load: Load) -> Array:
     """Standard deviations of the logarithms in the prior of the fit, shape (F,)."""
     known: dict[str, float] = {}
-    if servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+    if servo.states(*MOTOR_SHEET):
         prior = motor_prior(servo, [command_trace(load, np.zeros(2), 1.0)])
         known = {p.name: p.prior_sd for p in prior.parameters if p.log}
     return np.array([known.get(name, np.inf) for name in names])

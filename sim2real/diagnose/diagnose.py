@@ -149,13 +149,14 @@ def examined(
     plain = [one.finding.tried.plain for one in found]
     before = residual_angles(batch, joined([servo.fit for servo in plain]))
     after = residual_angles(batch, joined([one.offered.fit for one in found]))
+    robust = [_least_squares(*pair) for pair in zip(recorded, plain, strict=True)]
     return case, [
         replace(
             one,
             before=before[j],
             after=after[j],
-            least_squares=_least_squares(recorded[j], plain[j]),
-            robust=_least_squares(recorded[j], one.offered),
+            least_squares=robust[j],
+            robust=_least_squares(recorded[j], one.offered) if one.adds_effects else robust[j],
             identified=_identified(recorded[j], one, plain[j], seed),
         )
         for j, one in enumerate(found)
@@ -215,17 +216,18 @@ def _least_squares(joint: JointCase, servo: Hypothesis) -> Array:
 
 
 def _identified(
-    joint: JointCase, found: JointFindings, plain: Hypothesis, seed: int
+    joint: JointCase, found: JointFindings, plain: Hypothesis, seed: int, *, share: float = 0.95
 ) -> JointModel | None:
     """The servo as ``identify`` fits it, with the losses of its motor, where nothing is named.
 
-    None where the plain servo explains the recordings, or leaves no more than that one.
+    None where the plain servo explains the recordings, or where that one leaves no less than a
+    ``share`` of its error.
     """
-    if found.offered.members != found.finding.tried.base or joint.references or joint.base:
+    if found.adds_effects or joint.references or joint.base:
         return None
     before = rms(errors_of(plain.fit.servos.theta[0], joint.traces))
     if before < EXPLAINED * joint.noise:
         return None
     model = fitted_joint(joint.traces, joint.servo, seed)
     after = rms(errors_of(joint_row(model, joint.traces[0].load), joint.traces))
-    return model if after < 0.95 * before else None
+    return model if after < share * before else None

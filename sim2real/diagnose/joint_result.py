@@ -71,6 +71,11 @@ class JointFindings:
         return f"{self.name}.position_rad"
 
     @property
+    def adds_effects(self) -> bool:
+        """Whether the offered servo has effects that the plain one lacks."""
+        return self.offered.members != self.finding.tried.base
+
+    @property
     def error(self) -> float:
         """Of the plain servo on held-out data, or on the fitted where nothing is held out, rad."""
         fit = self.fit(enriched=False)
@@ -126,7 +131,7 @@ class JointFindings:
             effects = (*self.identified.effects, *rounding)
             return replace(self.identified, effects=effects, notes=self.model(enriched=False).notes)
         servo, theta = self.finding.tried.plain, self.least_squares
-        if enriched and self.offered.members != self.finding.tried.base:
+        if enriched and self.adds_effects:
             servo, theta = self.offered, self.robust
         if self.joint.servo is not None:
             theta = with_stated_line(self.joint.traces, self.joint.servo, theta)

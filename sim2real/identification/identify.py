@@ -15,7 +15,7 @@ from sim2real.errors import InputError, check_choice, check_level, check_whole, 
 from sim2real.identification import advice
 from sim2real.identification.motor_choice import choose_motor, fitted_again
 from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
-from sim2real.identification.priors import gains
+from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
 from sim2real.identification.search import continued, errors_of
 from sim2real.identification.uncertainty import (
@@ -46,8 +46,6 @@ from sim2real.servo.trace import (
     traces,
 )
 
-MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
-"""What a data sheet must state for the law ``motor``."""
 _SIDE_BY_SIDE = 2
 """Number of joints fitted concurrently, to keep the processor busy between rollouts."""
 
@@ -83,7 +81,7 @@ def identify(
             of a single recording.
         effects: Names of effects, or one name, to fit together with the gains of every joint.
         law: ``"motor"``: a motor with the limit of its torque that the recordings show (the line of
-            its data sheet, a flat limit, or both; ``torque_limit.fit_limit``), and with gear
+            its data sheet, a flat limit, or both; ``motor_choice.fit_limit``), and with gear
             friction if they show it; ``"pd"``: the linear servo. By default the motor, or the
             linear servo if ``effects`` are given or the data sheet states no torque or no speed,
             with a note in the latter case.
@@ -225,11 +223,6 @@ class _JointFits:
     best: Fit
     without_influence: list[str]
 
-    @property
-    def errors(self) -> tuple[float, float]:
-        """Root mean square errors in rad, without effects and with."""
-        return rms([self.base.error]), rms([self.best.error])
-
     def again(self, traces: list[Trace], rng: np.random.Generator, effort: float) -> _JointFits:
         """The same fits to more recordings."""
         if self.motor is not None and self.best is self.motor:
@@ -254,7 +247,7 @@ def _identify_joint(
     figures: dict[str, float | None] = {"heldout": _heldout(found.best, scored)}
     if joint.effects:
         figures["heldout_without_effects"] = _heldout(found.base, scored)
-        figures["train_without_effects"] = found.errors[0]
+        figures["train_without_effects"] = rms([found.base.error])
         if not shows_inertia(data) and any(e.name == "unmodelled_inertia" for e in joint.effects):
             notes.append(
                 "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"

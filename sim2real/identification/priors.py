@@ -31,6 +31,8 @@ MOTOR_TIME_S = 0.03
 """Time constant of small geared motors: rotor inertia times no-load speed over stall torque."""
 MOTOR_TIME_SD = 0.8
 """Standard deviation of its logarithm."""
+MOTOR_SHEET = ("max_torque_Nm", "no_load_speed_rad_s")
+"""What a data sheet must state for the prior of a motor."""
 LOG_UNIT = 0.3
 """Natural unit of a logarithm."""
 

@@ -91,17 +91,21 @@ class ServoProblem:
     @cached_property
     def exact(self) -> bool:
         """Whether all servos have a solution in closed form."""
-        free = np.ones((1, self.row.size)) * self.row
-        free[0, self.columns] = 1.0
-        return self.simulator.is_linear(free)
+        return self.simulator.is_linear(self._with_all)
 
     @cached_property
     def smooth(self) -> bool:
         """Whether longer sub-steps are stable: damping by an effect may not be with them."""
-        free = self.row.copy()[None]
-        free[0, self.columns] = 1.0
-        free[0, COLUMNS.index(CURRENT_LIMIT)] = 0.0  # only limits the torque
-        return not np.any(active_effects(free) & ~MOTOR_BIT)
+        servo = self._with_all
+        servo[0, COLUMNS.index(CURRENT_LIMIT)] = 0.0  # only limits the torque
+        return not np.any(active_effects(servo) & ~MOTOR_BIT)
+
+    @property
+    def _with_all(self) -> Array:
+        """A servo in which no free parameter is absent, shape (1, P)."""
+        servo = self.row[None].copy()
+        servo[0, self.columns] = 1.0
+        return servo
 
     def values(self, x: Array) -> Array:
         """Free parameters in SI units, shape (..., F)."""
@@ -329,15 +333,21 @@ class Fit:
         """Other minima with a loss larger by less than ``least``, shape (M, F)."""
         return self.others[self.behind < least]
 
+    def information(self, scale_rad: float | None = None, inflation: float | None = None) -> Array:
+        """Second derivatives of minus the log-posterior by ``x`` (Gauss-Newton), shape (F, F).
+
+        For residuals of another scale and correlation than its own, if these are given.
+        """
+        variance = (scale_rad or self.scale_rad) ** 2 * (inflation or self.inflation)
+        return np.asarray(self.slopes.T @ self.slopes / variance + self.prior)
+
     def told(self, name: str, *, share: float = 0.7) -> bool:
         """Whether the recordings, and not only the prior, determine a parameter.
 
         Its standard deviation is then less than this ``share`` of that of the prior.
         """
         k, problem = self.names.index(name), self.problem
-        weight = 1 / (self.scale_rad**2 * self.inflation)
-        information = weight * self.slopes.T @ self.slopes + self.prior
-        variance = float(np.linalg.pinv(information, hermitian=True)[k, k])
+        variance = float(np.linalg.pinv(self.information(), hermitian=True)[k, k])
         sd = variance**0.5 * problem.unit[k]
         return bool(sd < share * problem.parameters[k].prior_sd)
 
@@ -348,7 +358,7 @@ class Fit:
         for residuals of a given scale and correlation, so that fits are comparable.
         """
         problem = self.problem
-        curvature = self.slopes.T @ self.slopes / (scale_rad**2 * inflation) + self.prior
+        curvature = self.information(scale_rad, inflation)
         _, volume = np.linalg.slogdet(curvature / np.outer(problem.unit, problem.unit))
         sd = column(problem.parameters, "prior_sd")
         widths = sd[np.isfinite(sd)]

@@ -12,7 +12,13 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.effects import SIGNATURE, named
 from sim2real.errors import InputError
-from sim2real.identification.priors import motor_prior, of_effects, plain_parameters, scale_inertia
+from sim2real.identification.priors import (
+    MOTOR_SHEET,
+    motor_prior,
+    of_effects,
+    plain_parameters,
+    scale_inertia,
+)
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
@@ -108,7 +114,7 @@ def servo_problem(
     for name in RANDOM_EFFECTS:
         row[FIRST_COLUMN[name]] = 0.0
     ties, free = None, plain_parameters(with_loads, row)
-    if joint.motor and servo is not None and servo.states("max_torque_Nm", "no_load_speed_rad_s"):
+    if joint.motor and servo is not None and servo.states(*MOTOR_SHEET):
         prior = motor_prior(servo, with_loads)
         if joint.law == "current_limited":
             prior = prior.flat(max(joint.kd_Nms_per_rad, 1e-9))
@@ -204,9 +210,12 @@ def _determined(
     """The fit of the parameters to sample, and those of effects that are not determined."""
     problem = servo_problem(traces, joint, servo)
     best = fit(problem, problem.row[None])
-    of_effects = {p.name for p in problem.parameters if "." in p.name and p.name not in LINE}
-    opened = {best.names[k] for k in uncertainty(best, repeating=False).undetermined}
-    held = tuple(n for n in best.names if n in opened & of_effects and not n.startswith("motor."))
+    undetermined = uncertainty(best, repeating=False).undetermined
+    held = tuple(
+        name
+        for k, name in enumerate(best.names)
+        if k in undetermined and "." in name and not name.startswith("motor.")
+    )
     if held:
         problem = servo_problem(traces, joint, servo, held)
         best = fit(problem, problem.row[None])
@@ -225,9 +234,7 @@ def _factors(best: Fit) -> tuple[Array, Array]:
     A product of the first with its transpose is the covariance; a direction that the recordings
     leave open keeps the width of the prior.
     """
-    weight = 1 / (best.scale_rad**2 * best.inflation)
-    natural = best.problem.natural
-    information = weight * best.slopes.T @ best.slopes + best.prior + np.diag(natural**-2.0)
+    information = best.information() + np.diag(best.problem.natural**-2.0)
     factor = np.linalg.cholesky(np.linalg.inv(information))
     inverse = np.linalg.inv(factor)
     ratio, directions = np.linalg.eigh(inverse @ uncertainty(best).covariance @ inverse.T)

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 Fit = tuple[Recording, str, Array, Mask | None]
 _SHADED = (
-    " The shaded samples were held out for the stated error; the model that is drawn was then fitted "
-    "to them as well."
+    " The shaded samples were held out for the stated error; the model that is drawn was then "
+    "fitted to them as well."
 )
 
 _LEAD = (

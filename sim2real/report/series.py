@@ -161,9 +161,7 @@ def fit_panels(
     spans = [(float(t[first]), float(t[last])) for first, last in shaded]
     band = None if noise_rad is None else 2e3 * noise_rad
     title = "measured − predicted, mrad" + ("" if band is None else "; band: ± 2 × noise")
-    panels = [
-        Panel(position, "rad; shaded: held out for the stated error" if spans else "rad", spans)
-    ]
+    panels = [Panel(position, "rad; shaded: held out for the error" if spans else "rad", spans)]
     panels += [Panel(in_mrad(group), title, spans, band) for group in residual]
     start = largest_move(t, position.signals)
     near = (t >= start) & (t <= start + _CLOSE_S)
