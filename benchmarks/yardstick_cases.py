@@ -132,6 +132,8 @@ def servos(build: Path) -> Iterator[Case]:
             joints = {joint: dict(of) for joint, of in one["joints"].items()}
             for of, servo in zip(joints.values(), one.get("servos", ()), strict=False):
                 of |= {ours: servo[theirs] for theirs, ours in MOTOR.items()}
+                if one["plant"] == "voltage":  # its loads have the rotor's inertia in them
+                    of["motor.rotor_inertia_kgm2"] = 0.0
             yield Case(
                 f"{name}/{one['case'].removeprefix('case_')}",
                 ("identify", "diagnose", *(["diagnose with model"] if k % 4 == 1 else [])),
