@@ -151,7 +151,7 @@ def examined(job: tuple[str, int, int], *, steps: int) -> Row:
     link, joint = Link("link", 1.0, 0.1, 0.1, 0.1), Joint("j1", servo, (-2.0, 2.0))
     model = identify(recordings, Robot("bench", (link, link), (joint,))).joints["j1"]
     values = vars(model) | {f"motor.{name}": value for name, value in model.motor.items()}
-    found: Row = {n: [values[n], *model.interval[n]] for n in truth if n in model.interval}
+    found: Row = {n: [values.get(n, 0.0), *model.interval[n]] for n in truth if n in model.interval}
     row: Row = {"job": job, "law": model.law, "truth": truth, "identify": found, "posterior": {}}
     if steps:
         seen = traces(recordings, "j1")
