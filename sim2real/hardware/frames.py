@@ -21,7 +21,7 @@ class Packet:
 
 
 class Instruction(IntEnum):
-    """Instructions of Dynamixel and Feetech servos; SCS servos have no sync read."""
+    """Instructions of Dynamixel and Feetech servos."""
 
     PING = 0x01
     READ = 0x02

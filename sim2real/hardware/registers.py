@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -24,17 +23,17 @@ class Register:
         """Address behind its last byte."""
         return self.address + self.size
 
-    def encode(self, value: int, order: Literal["little", "big"]) -> bytes:
+    def encode(self, value: int) -> bytes:
         """The bytes of a value; ``OverflowError`` if it does not fit."""
         if self.sign_bit is not None:
             if abs(value) >> self.sign_bit:
                 raise OverflowError(f"{value} does not fit into {self.sign_bit} bits")
             value = abs(value) | (value < 0) << self.sign_bit
-        return value.to_bytes(self.size, order, signed=self.signed)
+        return value.to_bytes(self.size, "little", signed=self.signed)
 
-    def decode(self, data: bytes, order: Literal["little", "big"]) -> int:
+    def decode(self, data: bytes) -> int:
         """The value of ``size`` bytes."""
-        value = int.from_bytes(data, order, signed=self.signed)
+        value = int.from_bytes(data, "little", signed=self.signed)
         if self.sign_bit is not None and value >> self.sign_bit & 1:
             return -(value & ~(1 << self.sign_bit))
         return value
@@ -42,13 +41,11 @@ class Register:
 
 @dataclass(frozen=True)
 class Layout:
-    """The registers of a family of servos, under the same names for every family.
+    """The registers of the servos of a bus, under the same names for every bus.
 
     Attributes:
         volatile_from: First address of the memory that is lost without supply (RAM); what lies
             below (EEPROM) is never written.
-        order: Order of the bytes of a number.
-        sync_read: Whether several servos can be read by one instruction.
         reported: Registers that are read in each cycle, by one instruction.
         settings: Registers that are stored in a recording.
         changed: Registers that a recording changes, with their values while it runs, in the order
@@ -61,8 +58,6 @@ class Layout:
 
     registers: Mapping[str, Register]
     volatile_from: int
-    order: Literal["little", "big"]
-    sync_read: bool
     reported: tuple[str, ...]
     settings: tuple[str, ...]
     changed: Mapping[str, int]
@@ -85,8 +80,7 @@ class Layout:
         start, _ = self.span(names)
         registers = {name: self.registers[name] for name in names}
         return {
-            name: r.decode(data[r.address - start : r.end - start], self.order)
-            for name, r in registers.items()
+            name: r.decode(data[r.address - start : r.end - start]) for name, r in registers.items()
         }
 
 
@@ -104,34 +98,6 @@ _REPORTED = (
     "present_temperature",
 )
 _SETTINGS = ("return_delay", "status_level", "position_p", "position_i", "position_d")
-_FEETECH_ERRORS = {0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"}
-_FEETECH = {
-    "model": Register(3, 2),
-    "servo_id": Register(5, 1),
-    "baud": Register(6, 1),
-    "return_delay": Register(7, 1),
-    "status_level": Register(8, 1),
-    "min_position": Register(9, 2),
-    "max_position": Register(11, 2),
-    "max_temperature": Register(13, 1),
-    "max_voltage": Register(14, 1),
-    "min_voltage": Register(15, 1),
-    "max_torque": Register(16, 2),
-    "position_p": Register(21, 1),
-    "position_d": Register(22, 1),
-    "position_i": Register(23, 1),
-    TORQUE: Register(40, 1),
-    "goal_position": Register(42, 2, sign_bit=15),
-    "profile_velocity": Register(46, 2, sign_bit=15),
-    "present_position": Register(56, 2, sign_bit=15),
-    "present_velocity": Register(58, 2, sign_bit=15),
-    "present_load": Register(60, 2, sign_bit=10),
-    "present_voltage": Register(62, 1),
-    "present_temperature": Register(63, 1),
-    "errors": Register(65, 1),
-}
-_FEETECH_SETTINGS = (*_SETTINGS, "max_torque", "profile_velocity")
-
 LAYOUTS: Mapping[str, Layout] = {
     # DYNAMIXEL X and MX (Protocol 2.0), control table of the e-Manual
     "dynamixel": Layout(
@@ -166,8 +132,6 @@ LAYOUTS: Mapping[str, Layout] = {
             "present_temperature": Register(146, 1),
         },
         volatile_from=64,
-        order="little",
-        sync_read=True,
         reported=_REPORTED,
         settings=(
             "firmware",
@@ -185,41 +149,51 @@ LAYOUTS: Mapping[str, Layout] = {
         velocity_unit_rad_s=0.229 * 0.10471975511965977,  # 0.229 rev/min
     ),
     # Feetech STS and SMS, memory table of the STS series
-    "sts": Layout(
+    "feetech": Layout(
         registers={
-            **_FEETECH,
             "firmware": Register(0, 2),
+            "model": Register(3, 2),
+            "servo_id": Register(5, 1),
+            "baud": Register(6, 1),
+            "return_delay": Register(7, 1),
+            "status_level": Register(8, 1),
+            "min_position": Register(9, 2),
+            "max_position": Register(11, 2),
+            "max_temperature": Register(13, 1),
+            "max_voltage": Register(14, 1),
+            "min_voltage": Register(15, 1),
+            "max_torque": Register(16, 2),
+            "position_p": Register(21, 1),
+            "position_d": Register(22, 1),
+            "position_i": Register(23, 1),
+            TORQUE: Register(40, 1),
+            "goal_position": Register(42, 2, sign_bit=15),
+            "profile_velocity": Register(46, 2, sign_bit=15),
+            "present_position": Register(56, 2, sign_bit=15),
+            "present_velocity": Register(58, 2, sign_bit=15),
+            "present_load": Register(60, 2, sign_bit=10),
+            "present_voltage": Register(62, 1),
+            "present_temperature": Register(63, 1),
+            "errors": Register(65, 1),
             "position_offset": Register(31, 2, sign_bit=11),
             "operating_mode": Register(33, 1),
             "profile_acceleration": Register(41, 1),
             "present_current": Register(69, 2, sign_bit=15),
         },
         volatile_from=40,
-        order="little",
-        sync_read=True,
         reported=(*_REPORTED, "present_current"),
         settings=(
             "firmware",
-            *_FEETECH_SETTINGS,
+            *_SETTINGS,
+            "max_torque",
+            "profile_velocity",
             "position_offset",
             "operating_mode",
             "profile_acceleration",
         ),
         changed={"profile_velocity": 0, "profile_acceleration": 0},
         position_modes={0: "position"},
-        errors=_FEETECH_ERRORS,
-    ),
-    # Feetech SCS, memory table of the SCS series: no acceleration, mode or current
-    "scs": Layout(
-        registers={**_FEETECH, "goal_position": Register(42, 2)},
-        volatile_from=40,
-        order="big",
-        sync_read=False,
-        reported=_REPORTED,
-        settings=_FEETECH_SETTINGS,
-        changed={"profile_velocity": 0},
-        position_modes={},
-        errors=_FEETECH_ERRORS,
+        errors={0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"},
     ),
 }
-"""The families of servos."""
+"""By the name of the bus."""

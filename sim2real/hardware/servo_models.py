@@ -29,7 +29,7 @@ class ServoModel:
     """A model of servo.
 
     Attributes:
-        name, family, bus: Its name, and those of its registers' layout and of its bus.
+        name, bus: Its name, and that of its bus.
         ticks_per_turn, centre_ticks: Ticks of a turn, and at the centre.
         source: Where the figures come from.
         number: Number that it reports; None for all others with the first byte ``main_version``.
@@ -39,7 +39,6 @@ class ServoModel:
     """
 
     name: str
-    family: str
     bus: str
     ticks_per_turn: float
     centre_ticks: int
@@ -53,7 +52,7 @@ class ServoModel:
     @property
     def layout(self) -> Layout:
         """Its registers."""
-        return LAYOUTS[self.family]
+        return LAYOUTS[self.bus]
 
     @property
     def velocity_unit_rad_s(self) -> float:
@@ -122,7 +121,7 @@ def servo_models(bus: str | None = None) -> tuple[ServoModel, ...]:
     content = tomllib.loads(_FILE.read_text(encoding="utf-8"))
     models = []
     for entry in content["models"]:
-        values = content["families"][entry["family"]] | entry
+        values = content["buses"][entry["bus"]] | entry
         ratings = tuple(
             Rating(supply_V, torque_Nm, speed_rpm * 2 * math.pi / 60)
             for supply_V, torque_Nm, speed_rpm in values.pop("ratings", ())

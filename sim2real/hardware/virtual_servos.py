@@ -120,13 +120,12 @@ class RegisterServo(VirtualServo):
     def get(self, name: str) -> int:
         """Value of a register."""
         register = self._layout[name]
-        data = bytes(self.memory[register.address : register.end])
-        return register.decode(data, self._layout.order)
+        return register.decode(bytes(self.memory[register.address : register.end]))
 
     def put(self, name: str, value: int) -> None:
         """Set a register without any effect, for example when the servo is made."""
         register = self._layout[name]
-        self.memory[register.address : register.end] = register.encode(value, self._layout.order)
+        self.memory[register.address : register.end] = register.encode(value)
 
     def advance(self, now: float) -> None:
         """Advance the simulation to ``now``; an expired watchdog stops the shaft."""
@@ -153,8 +152,7 @@ class RegisterServo(VirtualServo):
         if code == Instruction.PING:
             return self._status(None, self._identification())
         if code == Instruction.SYNC_READ and everyone:
-            asked = self._layout.sync_read and self.servo_id in rest
-            return self._read(address, count, now) if asked else None
+            return self._read(address, count, now) if self.servo_id in rest else None
         if code == Instruction.SYNC_WRITE and everyone:
             for start in range(0, len(rest) - count, count + 1):  # an identity and its bytes
                 if rest[start] == self.servo_id:
@@ -283,7 +281,7 @@ class VirtualDynamixel(RegisterServo):
 
 
 class VirtualFeetech(RegisterServo):
-    """One Feetech servo (STS, SMS or SCS)."""
+    """One Feetech servo (STS or SMS)."""
 
     word_bytes = 1
     answers_writes = 1
