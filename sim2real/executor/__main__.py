@@ -58,8 +58,7 @@ def _function(path: str, job: str) -> Callable[..., Any]:
 def locked(folder: Path) -> Iterator[None]:
     """Lock the folder; its file ``lock`` names the process that holds it.
 
-    Raises:
-        InputError: If another process does not release it in ``PATIENCE_S``.
+    ``InputError`` if another process does not release it in ``PATIENCE_S``.
     """
     with (folder / "lock").open("a+") as lock:
         deadline = time.monotonic() + PATIENCE_S

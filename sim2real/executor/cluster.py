@@ -29,14 +29,12 @@ def run_on_ray(
 
     A job is taken from ``jobs`` when the nodes have room for it; nodes may join and leave. A job
     whose process dies, or whose node is lost, gets up to ``retries`` more attempts. Every node has
-    the folders at the same path; ``variables`` are added to its environment.
+    the folders at the same path; ``variables`` are added to its environment. ``InputError`` if
+    there is no Ray, no such cluster, or no node large enough for a job.
 
     Yields:
         The outcome of each job as it ends, and None about once a second in between. Closing the
         iterator kills running jobs.
-
-    Raises:
-        InputError: If there is no Ray, no such cluster, or no node large enough for a job.
     """
     ray: Any = library("ray", "--executor")
     joined = not ray.is_initialized()

@@ -53,37 +53,28 @@ class Actuator:
 
     The torque of the drive is ``clip(kp (command - position) - kd velocity, -limit, limit) -
     back_emf velocity``; the linear law has neither limit nor back-EMF.
-
-    Attributes:
-        joint: Name of the joint.
-        kp: Proportional gain, N m/rad.
-        kd: Derivative gain inside the drive's limit, N m s/rad.
-        back_emf: Damping outside the limit, N m s/rad; 0 with the law ``pd``. With ``motor`` it
-            is the slope of the torque-speed line, and ``kd`` the remaining gain, negative
-            where the line damps more than the servo does.
-        limit: Largest torque of the drive in N m, None if no limit was identified.
-        latency: Time from sending a set-point to its effect, s.
-        inertia: Inertia of the load on the output shaft, kg m2.
-        gravity: Torque of the horizontal pendulum of the load, N m; it hangs down at position 0.
-        per_inertia: The load was not known: gains are per kg m2 and ``inertia`` is 1.
-        effects: Parameters of the other effects by name, in the catalogue's units; with a limit
-            that is the motor's own also ``torque_saturation``.
-        motor: Remaining parameters of the law ``motor``.
-        sheet: Limits and data sheet of the joint, if a robot was given.
     """
 
     joint: str
-    kp: float
-    kd: float
-    latency: float
-    inertia: float
+    kp: float  # proportional gain, N m/rad
+    kd: float  # derivative gain inside the drive's limit, N m s/rad
+    latency: float  # time from sending a set-point to its effect, s
+    inertia: float  # inertia of the load on the output shaft, kg m2
+    # damping outside the limit, N m s/rad; 0 with the law ``pd``. With ``motor`` it is the slope of
+    # the torque-speed line, and ``kd`` the remaining gain, negative where the line damps more than
+    # the servo does
     back_emf: float = 0.0
+    # largest torque of the drive in N m, None if no limit was identified
     limit: float | None = None
+    # torque of the horizontal pendulum of the load, N m; it hangs down at position 0
     gravity: float = 0.0
-    per_inertia: bool = False
+    per_inertia: bool = False  # the load was not known: gains are per kg m2 and ``inertia`` is 1
+    # parameters of the other effects by name, in the catalogue's units; with a limit that is the
+    # motor's own also ``torque_saturation``
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # remaining parameters of the law ``motor``
     motor: Mapping[str, float] = field(default_factory=dict)
-    sheet: Joint | None = None
+    sheet: Joint | None = None  # limits and data sheet of the joint, if a robot was given
 
     def value(self, effect: str, parameter: str) -> float:
         """A parameter of an effect, 0 if the joint does not have it."""
@@ -200,13 +191,12 @@ class Export:
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
     """The servos of a model, in its order.
 
+    ``InputError`` if the model has no joint, the robot lacks a joint of the model, or an effect or
+    a law is unknown.
+
     Args:
         model: The fitted model.
         robot: Source of limits and data sheets where no value was identified.
-
-    Raises:
-        InputError: If the model has no joint, the robot lacks a joint of the model, or an effect
-            or a law is unknown.
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")

@@ -40,7 +40,8 @@ def simulate(
 ) -> dict[str, Array]:
     """Simulated sensor angles of an exported model for given commands.
 
-    The model starts at rest on the first set-points.
+    The model starts at rest on the first set-points. ``InputError`` if MuJoCo is not installed or
+    the model lacks a joint.
 
     Args:
         xml: The model, as `mujoco.mujoco` writes it.
@@ -52,9 +53,6 @@ def simulate(
 
     Returns:
         Angles in rad by joint, each of shape (T,).
-
-    Raises:
-        InputError: If MuJoCo is not installed or the model lacks a joint.
     """
     mj = library("mujoco", "mujoco")
     model = mj.MjModel.from_xml_string(xml)
@@ -118,18 +116,12 @@ def _rest(
 
 @dataclass(frozen=True)
 class Agreement:
-    """Difference of the exported actuator, simulated in MuJoCo, from the servo.
-
-    Attributes:
-        joint: The joint.
-        error_rad: RMS difference from ``what``.
-        what: A held-out recording, or the full model.
-        coarse: ``integrator``, ``timestep_s`` and ``error_rad`` of each of ``CASES``.
-    """
+    """Difference of the exported actuator, simulated in MuJoCo, from the servo."""
 
     joint: str
-    error_rad: float
-    what: str
+    error_rad: float  # RMS difference from ``what``
+    what: str  # a held-out recording, or the full model
+    # ``integrator``, ``timestep_s`` and ``error_rad`` of each of ``CASES``
     coarse: Sequence[Mapping[str, Any]] = field(default_factory=list)
 
     def __str__(self) -> str:

@@ -36,24 +36,16 @@ Error = Callable[[JointModel, str, Sequence[Trace]], float]
 
 @dataclass(frozen=True)
 class Refit:
-    """Errors of one joint that was refitted without effects that the target lacks.
-
-    Attributes:
-        joint: Name of the joint.
-        dropped: Names of the dropped effects.
-        full_rad: RMS difference of the refitted joint from the full model.
-        dropped_rad: RMS difference without refit of the other parameters.
-        recorded_rad: RMS errors on a held-out recording, of the full model and of the refitted
-            one; None without recordings.
-        held_out: That recording.
-    """
+    """Errors of one joint that was refitted without effects that the target lacks."""
 
     joint: str
-    dropped: tuple[str, ...]
-    full_rad: float
-    dropped_rad: float
+    dropped: tuple[str, ...]  # names of the dropped effects
+    full_rad: float  # RMS difference of the refitted joint from the full model
+    dropped_rad: float  # RMS difference without refit of the other parameters
+    # RMS errors on a held-out recording, of the full model and of the refitted one; None without
+    # recordings
     recorded_rad: tuple[float, float] | None = None
-    held_out: str = ""
+    held_out: str = ""  # that recording
 
     def __str__(self) -> str:
         """The errors in mrad."""
@@ -69,21 +61,13 @@ class Refit:
 
 @dataclass(frozen=True)
 class Compared:
-    """Errors of a joint as exported and of the alternative, with effects and without any.
-
-    Attributes:
-        joint: Name of the joint.
-        plain: Whether the plain servo is exported.
-        effects_rad: RMS error with the effects that the target expresses.
-        plain_rad: RMS error of the plain servo.
-        what: What both were compared with.
-    """
+    """Errors of a joint as exported and of the alternative, with effects and without any."""
 
     joint: str
-    plain: bool
-    effects_rad: float
-    plain_rad: float
-    what: str
+    plain: bool  # whether the plain servo is exported
+    effects_rad: float  # RMS error with the effects that the target expresses
+    plain_rad: float  # RMS error of the plain servo
+    what: str  # what both were compared with
 
     def __str__(self) -> str:
         """The errors in mrad, and how to export the other model."""
@@ -95,19 +79,13 @@ class Compared:
 
 @dataclass(frozen=True)
 class Nearest:
-    """A model that a target expresses.
-
-    Attributes:
-        model: The model.
-        dropped: Parts of the full model that it lacks, for the head of an exported file.
-        refits: Errors of the refitted joints.
-        compared: Errors of joints with effects, and of the plain servo.
-    """
+    """A model that a target expresses."""
 
     model: Model
+    # parts of the full model that it lacks, for the head of an exported file
     dropped: tuple[LeftOut, ...]
-    refits: tuple[Refit, ...]
-    compared: tuple[Compared, ...] = ()
+    refits: tuple[Refit, ...]  # errors of the refitted joints
+    compared: tuple[Compared, ...] = ()  # errors of joints with effects, and of the plain servo
 
 
 @dataclass(frozen=True)
@@ -137,9 +115,9 @@ def nearest(
 ) -> Nearest:
     """The model without the effects that a target lacks, with its other parameters refitted.
 
-    Effects that no other parameter can replace are kept, and the target lists them: those drawn
-    for each set-point, errors of the angle sensor that depend only on the angle, and corrections
-    of the load, which belongs to the link of the robot.
+    Effects that no other parameter can replace are kept, and the target lists them: those drawn for
+    each set-point, errors of the angle sensor that depend only on the angle, and corrections of the
+    load, which belongs to the link of the robot. ``InputError`` if the model has an unknown effect.
 
     Args:
         model: The fitted model.
@@ -157,9 +135,6 @@ def nearest(
         costly: Limits that make the target's model more complex beside a torque-speed line, which
             are dropped, and listed, if no motion reaches them.
         error: RMS error in the target.
-
-    Raises:
-        InputError: If the model has an unknown effect.
     """
     joints = dict(model.joints)
     dropped: list[LeftOut] = []

@@ -119,26 +119,17 @@ class RangesTarget:
     """A simulator that draws parameters of joints once per episode.
 
     Latencies, which are set when an actuator is built, and the noise of joints are further tables.
-
-    Attributes:
-        name: Its name.
-        fields: Its name of each quantity that it draws; kp and kd of one name are drawn together,
-            uniformly.
-        normal: Its name of a normal distribution.
-        imports: Python text above the tables.
-        functions: Python text below them.
-        delay: Remark on the table of delays.
-        noise: Remark on the table of the noise of joints.
-        steps: Name of a function that returns delays in physics steps, and what they are.
     """
 
     name: str
+    # its name of each quantity that it draws; kp and kd of one name are drawn together, uniformly
     fields: Mapping[str, str]
-    normal: str
-    imports: str
-    functions: str
-    delay: str
-    noise: str
+    normal: str  # its name of a normal distribution
+    imports: str  # Python text above the tables
+    functions: str  # Python text below them
+    delay: str  # remark on the table of delays
+    noise: str  # remark on the table of the noise of joints
+    # name of a function that returns delays in physics steps, and what they are
     steps: tuple[str, str] | None = None
 
     def write(self, ranges: Ranges) -> Export:

@@ -43,19 +43,12 @@ _DRY = "coulomb_friction"
 
 @dataclass(frozen=True)
 class FittingData:
-    """Data for the refit of a joint.
+    """Data for the refit of a joint."""
 
-    Attributes:
-        own: Predictions of its full model on the standard excitation.
-        fitted: Recordings to fit, or ``own``.
-        scored: Held-out recordings; empty without recordings.
-        held_out: Description of the held-out part.
-    """
-
-    own: list[Trace]
-    fitted: list[Trace]
-    scored: list[Trace]
-    held_out: str
+    own: list[Trace]  # predictions of its full model on the standard excitation
+    fitted: list[Trace]  # recordings to fit, or ``own``
+    scored: list[Trace]  # held-out recordings; empty without recordings
+    held_out: str  # description of the held-out part
 
 
 def without(joint: JointModel, lost: Collection[str]) -> JointModel:

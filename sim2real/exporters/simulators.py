@@ -48,17 +48,14 @@ ONE_LIMIT = (
 
 @dataclass(frozen=True)
 class Target:
-    """A simulator or format that actuators are exported to.
+    """A simulator or format that actuators are exported to."""
 
-    Attributes:
-        write: Text of a model's actuators, from the model, the robot or None as source of limits,
-            and parts that were dropped from the model, to be listed.
-        has: Effects of the catalogue that it expresses, and ``motor.NAME`` of the motor.
-        expressed: Those of one joint, with the limit of its drive.
-    """
-
+    # text of a model's actuators, from the model, the robot or None as source of limits, and parts
+    # that were dropped from the model, to be listed
     write: Callable[..., Export]
+    # effects of the catalogue that it expresses, and ``motor.NAME`` of the motor
     has: tuple[str, ...]
+    # those of one joint, with the limit of its drive
     expressed: Callable[[JointModel], Collection[str]]
 
 

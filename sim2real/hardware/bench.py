@@ -80,8 +80,7 @@ def loads(
 def robot_text(bus: str, servos: Sequence[Found], reach_rad: float) -> str:
     """A ``robot.toml`` with one joint of +-``reach_rad`` for each servo, and its model's ratings.
 
-    Raises:
-        InputError: If the ratings of a model are not known.
+    ``InputError`` if the ratings of a model are not known.
     """
     if not 0 < reach_rad <= LONGEST_REACH_RAD:
         expected = f"more than 0 and at most {LONGEST_REACH_RAD:g} rad"

@@ -38,10 +38,8 @@ class Journal:
 
     It is on the disk before the first change; a command that is killed leaves it behind, and the
     next one on the port restores the servos. It is in the folder for state of this user:
-    ``XDG_STATE_HOME``, or what the system uses instead.
-
-    Raises:
-        InputError: If another command uses the port.
+    ``XDG_STATE_HOME``, or what the system uses instead. ``InputError`` if another command uses the
+    port.
     """
 
     def __init__(self, port: str) -> None:
@@ -70,10 +68,7 @@ class Journal:
         """Note servos before they are changed; returns them as they are noted.
 
         Those that are noted already stay as they are: what they have now is not what they had
-        before the first change.
-
-        Raises:
-            InputError: If the journal cannot be written.
+        before the first change. ``InputError`` if the journal cannot be written.
         """
         noted = {(entry.bus, entry.servo_id): entry for entry in self.pending()}
         for entry in about_to_change:
@@ -130,9 +125,7 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
     """Context manager of an open bus.
 
     If an earlier command on this port could not restore its servos, this is done first.
-
-    Raises:
-        InputError: If there is no such bus or port, or another command uses the port.
+    ``InputError`` if there is no such bus or port, or another command uses the port.
     """
     kind = bus_class(name)
     rate = kind.baud_rates[0] if baud is None else baud

@@ -97,10 +97,7 @@ def stand(lens: Lens, corners_px: Array, corners_m: Array) -> Plane:
     """The pose of the camera from corners in the picture (N, 2) and in the plane z = 0, m, (N, 2).
 
     It has the least reprojection error, from a start by the homography of the corners (Zhang, IEEE
-    PAMI 22 (2000) 1330, section 3.1).
-
-    Raises:
-        ValueError: If no pose of a camera fits the corners.
+    PAMI 22 (2000) 1330, section 3.1). ``ValueError`` if no pose of a camera fits the corners.
     """
     import cv2
 
@@ -193,8 +190,7 @@ def charuco_board(
 def read_camera(path: str | os.PathLike[str]) -> Camera:
     """Read ``camera.toml``.
 
-    Raises:
-        InputError: If the file or one of its fields does not conform to the format.
+    ``InputError`` if the file or one of its fields does not conform to the format.
     """
     top = Fields(path, "", read_toml(path))
     glass, pool = top.table("lens"), top.table("pool")
@@ -256,8 +252,7 @@ def write_camera(
 ) -> Path:
     """Write ``camera.toml``; without a marker its table has values to be filled in.
 
-    Raises:
-        InputError: If the folder cannot be written.
+    ``InputError`` if the folder cannot be written.
     """
     shown = marker or Marker("4x4_50", 0, 0.06)
 
@@ -329,8 +324,7 @@ def views(
 def calibrate(chosen: Sequence[View], size: tuple[int, int], *, fewest: int = 6) -> Lens:
     """Focal lengths, principal point and distortion by least squares (Zhang, PAMI 22 (2000) 1330).
 
-    Raises:
-        ValueError: If there are too few views.
+    ``ValueError`` if there are too few views.
     """
     import cv2
 

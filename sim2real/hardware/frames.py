@@ -37,22 +37,14 @@ class Protocol:
 
     The checksum is the complement of the sum of everything between header and checksum, in one
     byte; the length counts all but the first ``uncounted`` bytes.
-
-    Attributes:
-        header: First bytes of every frame.
-        head: Number of bytes from which the size of a frame is known.
-        overhead: Bytes of a frame besides the parameters, without stuffing.
-        largest: Largest number of bytes of a frame.
-        largest_id: Largest identity of a servo.
-        uncounted: Bytes that the length does not count.
     """
 
-    header: bytes
-    head: int
-    overhead: int
-    largest: int
-    largest_id: int
-    uncounted: int
+    header: bytes  # first bytes of every frame
+    head: int  # number of bytes from which the size of a frame is known
+    overhead: int  # bytes of a frame besides the parameters, without stuffing
+    largest: int  # largest number of bytes of a frame
+    largest_id: int  # largest identity of a servo
+    uncounted: int  # bytes that the length does not count
 
     def encode(self, packet: Packet) -> bytes:
         """The packet as bytes; ``ValueError`` for a wrong identity or too many parameters."""

@@ -72,8 +72,7 @@ class Wiring:
     def check(self, robot: Robot, largest_id: int) -> list[str]:
         """Names of the joints, checked against robot and bus before the port is opened.
 
-        Raises:
-            InputError: If numbers do not match, or a name or an identity is wrong.
+        ``InputError`` if numbers do not match, or a name or an identity is wrong.
         """
         names = list(self.joints or [joint.name for joint in robot.joints])
         known = ", ".join(joint.name for joint in robot.joints)
@@ -100,8 +99,7 @@ def check_ids(ids: Sequence[int], largest: int) -> None:
 def mount(robot: Robot, servos: Sequence[BusServo], wiring: Wiring) -> tuple[Mounting, ...]:
     """Assign servos to the joints of a robot.
 
-    Raises:
-        InputError: If the wiring is wrong, or the limits of a joint exceed the range of its servo.
+    ``InputError`` if the wiring is wrong, or the limits of a joint exceed the range of its servo.
     """
     names = wiring.check(robot, max(wiring.ids, default=0))
     mountings = []

@@ -43,16 +43,11 @@ class RegisterBus(ServoBus):
 
     A write is confirmed by reading the register, so that it does not matter whether the servo
     answers to writes, and which answers are lost.
-
-    Attributes:
-        layout: The registers.
-        word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
-        answer_bytes: Bytes of an answer besides its data.
     """
 
     layout: ClassVar[Layout]
-    word_bytes: ClassVar[int]
-    answer_bytes: ClassVar[int]
+    word_bytes: ClassVar[int]  # bytes of an address, and of a number of bytes, in an instruction
+    answer_bytes: ClassVar[int]  # bytes of an answer besides its data
 
     def __init__(self, transport: Transport, baud: int | None = None) -> None:
         super().__init__(transport, baud)

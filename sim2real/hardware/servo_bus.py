@@ -109,19 +109,13 @@ def reason(error: Stopped | OSError) -> str:
 
 
 class ServoBus(ABC):
-    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost.
+    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost."""
 
-    Attributes:
-        name: Name of the bus on the command line.
-        baud_rates: Rates at which such servos are searched for, the usual first.
-        protocol: Frames of its packets.
-        longest_answer: Largest number of bytes of an answer's frame.
-    """
-
-    name: ClassVar[str]
+    name: ClassVar[str]  # name of the bus on the command line
+    # rates at which such servos are searched for, the usual first
     baud_rates: ClassVar[tuple[int, ...]]
-    protocol: ClassVar[Protocol]
-    longest_answer: ClassVar[int]
+    protocol: ClassVar[Protocol]  # frames of its packets
+    longest_answer: ClassVar[int]  # largest number of bytes of an answer's frame
 
     def __init__(self, transport: Transport, baud: int | None = None) -> None:
         self._transport, self.baud = transport, baud or self.baud_rates[0]

@@ -21,8 +21,7 @@ SHORTEST, CODE_BYTES = 16, 16
 def shared_key(file: str | os.PathLike[str] | None = None) -> bytes | None:
     """The key in a file, or by default in ``SIM2REAL_KEY``, stripped; None if there is none.
 
-    Raises:
-        InputError: If the file cannot be read, or the key is too short.
+    ``InputError`` if the file cannot be read, or the key is too short.
     """
     text = os.environ.get(VARIABLE) if file is None else read_text(Path(file))
     if text is None:

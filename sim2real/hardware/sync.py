@@ -16,8 +16,7 @@ _LEAST_OVERLAP = 0.3
 def flash(track: Track, *, least: float = 10.0) -> float:
     """Time in the video at which a lamp is switched on: the largest step of brightness.
 
-    Raises:
-        ValueError: If no step is as large as ``least`` grey levels and larger than the others.
+    ``ValueError`` if no step is as large as ``least`` grey levels and larger than the others.
     """
     steps = np.diff(track.brightness)
     k = int(np.argmax(steps))
@@ -31,10 +30,8 @@ def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tupl
 
     Bending of a joint rotates the head in the opposite direction. The yaw rate is regressed on the
     rates of all joints at every lag up to ``reach_s``; the lag with the best fit is refined by a
-    parabola. The lag is the recording's time at the video's first frame in s.
-
-    Raises:
-        ValueError: If they hardly overlap, or there is no motion.
+    parabola. The lag is the recording's time at the video's first frame in s. ``ValueError`` if
+    they hardly overlap, or there is no motion.
     """
     t = np.arange(servo.t[0], servo.t[-1], _GRID_S)
     yaw_t = np.arange(track.t[0], track.t[-1], _GRID_S)

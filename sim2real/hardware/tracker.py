@@ -158,9 +158,8 @@ def track(
 ) -> Track:
     """Track the body in a video; ``progress`` is called after every frame.
 
-    Raises:
-        InputError: If the video cannot be read, has another size than the camera, or the body is
-            not found in any frame.
+    ``InputError`` if the video cannot be read, has another size than the camera, or the body is not
+    found in any frame.
     """
     import cv2
 
@@ -189,8 +188,7 @@ def open_video(
 ) -> tuple[Iterator[Picture], float]:
     """Frames of a video and their rate in 1/s.
 
-    Raises:
-        InputError: If it cannot be read, or its size is not that of the camera.
+    ``InputError`` if it cannot be read, or its size is not that of the camera.
     """
     import cv2
 
@@ -223,11 +221,7 @@ def _checked(path: str | os.PathLike[str]) -> str:
 
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
-    """One picture, blue, green, red, shape (V, U, 3).
-
-    Raises:
-        InputError: If it can't be read.
-    """
+    """One picture, blue, green, red, shape (V, U, 3). ``InputError`` if it can't be read."""
     import cv2
 
     picture = cv2.imread(_checked(path))

@@ -35,15 +35,12 @@ WRITE_TIMEOUT_S = 0.5
 
 
 class Transport(Protocol):
-    """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost.
+    """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost."""
 
-    Attributes:
-        together: Whether requests to several servos may be pending at once. A shared wire does not
-            allow it; a radio that sends them in order does.
-        device_s: Clock of the remote device at the last answered request, if it sends one.
-    """
-
+    # whether requests to several servos may be pending at once. A shared wire does not allow it; a
+    # radio that sends them in order does
     together: bool
+    # clock of the remote device at the last answered request, if it sends one
     device_s: float | None
 
     def write(self, data: bytes) -> None:
@@ -61,10 +58,8 @@ def open_transport(url: str, *, baud: int = 115_200) -> Transport:
 
     It is a serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network (``socket://``,
     ``rfc2217://``), or a radio (``udp://HOST:PORT``, with the key in the environment variable
-    ``SIM2REAL_KEY`` if there is one).
-
-    Raises:
-        InputError: If there is no such port, or it cannot be opened.
+    ``SIM2REAL_KEY`` if there is one). ``InputError`` if there is no such port, or it cannot be
+    opened.
     """
     if url.startswith("udp://"):
         return UdpTransport(url, shared_key())

@@ -86,9 +86,7 @@ def serve_udp(
     """Serve a radio at ``address`` until ``stop``; ``announce`` is called with its URL.
 
     ``loss`` is the share of lost datagrams in both directions. Port 0 stands for any free port.
-
-    Raises:
-        InputError: If the address is not available.
+    ``InputError`` if the address is not available.
     """
     radio = VirtualRadio(key)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as socket_:

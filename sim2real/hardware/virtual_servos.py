@@ -74,16 +74,12 @@ class RegisterServo(VirtualServo):
 
     A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
     is stored only. The current or load is the torque as a share of the stall torque.
-
-    Attributes:
-        word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
-        answers_writes: Value of the register ``status_level`` with which writes are answered.
-        factory: Values of registers.
     """
 
-    word_bytes: ClassVar[int]
+    word_bytes: ClassVar[int]  # bytes of an address, and of a number of bytes, in an instruction
+    # value of the register ``status_level`` with which writes are answered
     answers_writes: ClassVar[int]
-    factory: ClassVar[Mapping[str, int]]
+    factory: ClassVar[Mapping[str, int]]  # values of registers
 
     def __init__(
         self, model: ServoModel, servo_id: int, law: Law, now: float, **more: float

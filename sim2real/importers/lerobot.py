@@ -41,6 +41,8 @@ def read_lerobot(
 ) -> Recording:
     """Read one episode of a dataset as a recording with unknown loads.
 
+    ``InputError`` if the dataset, the episode or a joint is invalid.
+
     Args:
         path: The dataset's folder, with ``meta/info.json`` in it.
         conversion: Units of the angles, by joint.
@@ -50,9 +52,6 @@ def read_lerobot(
 
     Returns:
         A ``servo`` recording of T rows at the frames' times, from 0.
-
-    Raises:
-        InputError: If the dataset, the episode or a joint is invalid.
     """
     root = Path(path)
     info = Fields(root / "meta" / "info.json", "", read_json(root / "meta" / "info.json"))

@@ -19,21 +19,13 @@ PLACEHOLDER = {"max_torque_Nm": 1000.0, "no_load_speed_rad_s": 100.0}
 
 @dataclass(frozen=True)
 class Body:
-    """One body, in the frame of the base with every joint at 0.
-
-    Attributes:
-        name: Its name.
-        parent: Name of its parent body; empty for the base.
-        mass: Mass in kg; 0 if not stated.
-        com: Centre of mass in m, shape (3,).
-        inertia: About the centre of mass in kg m2, shape (3, 3).
-    """
+    """One body, in the frame of the base with every joint at 0."""
 
     name: str
-    parent: str
-    mass: float
-    com: Array
-    inertia: Array
+    parent: str  # name of its parent body; empty for the base
+    mass: float  # mass in kg; 0 if not stated
+    com: Array  # centre of mass in m, shape (3,)
+    inertia: Array  # about the centre of mass in kg m2, shape (3, 3)
 
 
 @dataclass(frozen=True)
@@ -81,14 +73,12 @@ def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, li
     Bodies between two joints become one rigid link at angle 0; joints that are not chosen are rigid
     as well. The length of a link is from its joint to the axis of the next, its inertia about an
     axis through its centre of mass parallel to its joint (the head: to the first joint). Without a
-    chain of joints no links are written, as robots here are chains.
+    chain of joints no links are written, as robots here are chains. ``InputError`` if there is no
+    hinge, or a joint is not one.
 
     Args:
         tree: The robot.
         joints: The joints to take, in order; all hinges if None.
-
-    Raises:
-        InputError: If there is no hinge, or a joint is not one.
     """
     chosen = _chosen(tree, joints)
     notes = list(tree.left_out)

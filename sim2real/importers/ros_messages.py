@@ -33,18 +33,11 @@ Times = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Message:
-    """One message.
+    """One message."""
 
-    Attributes:
-        receive_ns: Time at which the recorder received it.
-        header_ns: The stamp in its header; 0 if there is none.
-        type: Its ROS 2 type name, also for ROS 1.
-        content: Its fields.
-    """
-
-    receive_ns: int
-    header_ns: int
-    type: str
+    receive_ns: int  # time at which the recorder received it
+    header_ns: int  # the stamp in its header; 0 if there is none
+    type: str  # its ROS 2 type name, also for ROS 1
     content: Any
 
     @property
@@ -57,21 +50,13 @@ class Message:
 
 @dataclass(frozen=True)
 class Stream:
-    """The N messages of one topic, with the times of sampling or sending.
-
-    Attributes:
-        file: The bag.
-        topic: The topic.
-        messages: The messages.
-        t: Their times in ns, shape (N,).
-        clock: Kind of the times.
-    """
+    """The N messages of one topic of a bag, with the times of sampling or sending."""
 
     file: str | os.PathLike[str]
     topic: str
     messages: Sequence[Message]
-    t: Times
-    clock: str
+    t: Times  # in ns, shape (N,)
+    clock: str  # kind of the times
 
 
 def read_messages(
@@ -79,12 +64,8 @@ def read_messages(
 ) -> dict[str, list[Message]]:
     """Messages of the given topics, in the order received.
 
-    Args:
-        path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
-        allowed_types: The allowed message types, by topic.
-
-    Raises:
-        InputError: If the bag can't be read or a topic is missing, empty or of another type.
+    ``path`` is a ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag. ``InputError``
+    if the bag can't be read or a topic is missing, empty or of another type.
     """
     with optional(str(path)):
         from rosbags.highlevel import AnyReader
@@ -113,9 +94,9 @@ def read_messages(
                 header_ns = stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0
                 message = Message(receive_ns, header_ns, connection.msgtype, content)
                 messages[connection.topic].append(message)
-    except InputError:
-        raise
     except Exception as error:  # errors of damaged bags depend on the storage
+        if isinstance(error, InputError):
+            raise
         problem = f"no bag that can be read ({error})"
         raise InputError(path, "", problem, "a ROS 1 or ROS 2 bag") from error
     for topic, received in messages.items():
@@ -131,13 +112,13 @@ def streams(
 
     Header stamps if every message of a topic has one, else receive times. If both differ by more
     than the transmission time of a message, they are of different clocks (simulated time, or
-    another computer), and receive times are used for all topics.
-
-    Raises:
-        InputError: If a clock was set back.
+    another computer), and receive times are used for all topics. ``InputError`` if a clock was set
+    back.
     """
-    receive = {topic: _ns([m.receive_ns for m in sent]) for topic, sent in messages.items()}
-    header = {topic: _ns([m.header_ns for m in sent]) for topic, sent in messages.items()}
+    receive, header = (
+        {topic: np.array([getattr(m, name) for m in sent]) for topic, sent in messages.items()}
+        for name in ("receive_ns", "header_ns")
+    )
     stamped = {topic for topic in messages if header[topic].all()}
     delays = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
     if stamped != set(messages) and max(delays, default=0) > LARGEST_DELAY_NS:
@@ -161,10 +142,6 @@ def streams(
     return result
 
 
-def _ns(times: list[int]) -> Times:
-    return np.array(times, dtype=np.int64)
-
-
 def joint_series(
     stream: Stream,
     joints: Sequence[str],
@@ -176,14 +153,9 @@ def joint_series(
 
     NaN, which drivers send for missing values, is omitted.
 
-    Args:
-        stream: Messages and times.
-        joints: The joints.
-        values: Reads the values by joint name out of one message.
-        angles: Whether they are angles in rad, which every joint must have.
-
-    Raises:
-        InputError: If a message is inconsistent, a value too large, or a joint has no angle.
+    ``values`` reads them by joint name out of one message; with ``angles`` they are in rad, and
+    every joint must have some. ``InputError`` if a message is inconsistent, a value too large, or a
+    joint has no angle.
     """
     rows = []
     for k, message in enumerate(stream.messages):
@@ -212,9 +184,7 @@ def measured(message: Message, field: str) -> dict[str, float]:
     """``field`` of a JointState by joint name; empty if the field is empty.
 
     For a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
-
-    Raises:
-        ValueError: If names and values do not match; arguments: found, expected.
+    ``ValueError`` if names and values do not match; arguments: found, expected.
     """
     content, name = message.content, field
     if message.type == CONTROLLER:
@@ -230,10 +200,8 @@ def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
     For a trajectory it is the future point (``time_from_start`` above 0, or the only point), sent
     when the trajectory starts: interpolation by the controller is attributed to the servo. With
     several future points the controller computes the set-points: they are in the ``reference``
-    (``desired`` before ROS 2 Humble) of its state.
-
-    Raises:
-        ValueError: If names and values do not match, or there are several points ahead.
+    (``desired`` before ROS 2 Humble) of its state. ``ValueError`` if names and values do not match,
+    or there are several points ahead.
     """
     if message.type in (FLOAT, ARRAY):
         return _by_name(joints, np.atleast_1d(message.content.data).tolist(), "data")

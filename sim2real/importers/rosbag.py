@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.importers.options import import_warnings
 from sim2real.importers.ros_messages import (
     COMMAND_TYPES,
     STATE_TYPES,
     Stream,
-    Times,
     joint_series,
     measured,
     read_messages,
@@ -44,31 +41,22 @@ def read_bag(
 ) -> Recording:
     """Read the joint states and commands of a bag as a recording with unknown loads.
 
-    There is a row for each state and each command, so that a set-point has the time at which it
-    was sent. A row with only a command has no measured values; every row has the last set-point of
-    each joint. The first row is that in which the last joint gets its first set-point: earlier
-    states have no command and are omitted, and counted in the metadata. The last row is the last
-    state. Joints that a state does not name are missing samples.
-
-    See `ros_messages.streams` for the times, and `ros_messages.set_points` for the set-point of a
-    trajectory.
+    There is a row for each state and each command, so that a set-point has the time at which it was
+    sent. A row with only a command has no measured values; every row has the last set-point of each
+    joint. The first row is that in which the last joint gets its first set-point: earlier states
+    have no command and are omitted, and counted in the metadata. The last row is the last state.
+    Joints that a state does not name are missing samples. ``InputError`` if the bag, a topic, a
+    message or a joint is invalid, or two sources write one topic.
 
     Args:
         path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
-        state_topic: Topic of ``JointState`` messages, or of a controller's state
-            (``JointTrajectoryControllerState``).
-        command_topic: Topic of ``JointState``, ``JointTrajectory``,
-            ``JointTrajectoryControllerState`` (its reference) or ``Float64MultiArray`` messages
-            (an array is in the order of ``joints``); or a topic for each joint, of ``Float64``
-            for example, in the order of ``joints``.
+        state_topic: Topic of one of ``STATE_TYPES``.
+        command_topic: Topic of one of ``COMMAND_TYPES`` (see `ros_messages.set_points`), or a
+            topic for each joint in the order of ``joints``.
         joints: The J joints to read; default: those named in the first command.
 
     Returns:
         A ``servo`` recording of T rows, ``t`` from 0.
-
-    Raises:
-        InputError: If the bag, a topic, a message or a joint is invalid, or two sources write one
-            topic.
     """
     listed = [command_topic] if isinstance(command_topic, str) else list(command_topic)
     if len(listed) != 1 and len(joints or ()) != len(listed):
@@ -81,15 +69,13 @@ def read_bag(
     state = bag[state_topic]
     names = _joint_names(joints, bag[listed[0]], state)
     position = joint_series(state, names, partial(measured, field="position"))
-    warnings = check_sources(state, position, commands=False)
+    warnings = check_source(state, position)
     command: dict[str, pd.Series[float]] = {}
     for topic in dict.fromkeys(listed):
         own = names
         if len(listed) > 1:
             own = tuple(name for name, one in zip(names, listed, strict=True) if one == topic)
-        of_topic = joint_series(bag[topic], own, partial(set_points, joints=own))
-        warnings += check_sources(bag[topic], of_topic, commands=True)
-        command |= of_topic
+        command |= joint_series(bag[topic], own, partial(set_points, joints=own))
     start = max(values.index[0] for values in command.values())
     for joint, values in position.items():
         if values.index[-1] <= start:
@@ -151,108 +137,44 @@ def _joint_names(joints: Sequence[str] | None, first: Stream, state: Stream) -> 
     return names
 
 
-def check_sources(
+def check_source(
     stream: Stream,
     series: Mapping[str, pd.Series[float]],
     *,
-    commands: bool,
     fewest: int = 5,
     warned: float = 0.01,
     most_warned: float = 0.1,
+    least_rad: float = 0.02,
 ) -> list[str]:
-    """Check that the angles of each joint on a topic are of one source.
+    """Warnings of angles that lie apart from those before and after them, which agree.
 
-    An angle that lies apart from those before and after it, which agree, contradicts them. Two
-    sources are certain where such messages come within a quarter of the usual interval of another
-    (equal stamps), at every second, third ... place throughout, or form a moving series of their
-    own. Joints that are moved near half the sampling rate, and set-points that are sent as steps,
-    do none of these.
-
-    Args:
-        stream: The messages.
-        series: Angles in rad of each joint by time in ns, in order of time.
-        commands: Whether they are set-points, which may jump to and fro by themselves.
-        fewest: Fewest contradictions that are not left to chance.
-        warned: Share of contradictions that may be failed readings.
-        most_warned: Largest such share; with more, no result would be right.
-
-    Returns:
-        Sentences on what may be a second source, or failed readings.
-
-    Raises:
-        InputError: If two sources write the topic, or too many angles contradict others.
+    They are failed readings, or of a second source of the topic. ``series`` are angles in rad of
+    each joint by time in ns, in order of time. Fewer than ``fewest`` are left to chance; there is a
+    warning above the share ``warned``, an error above ``most_warned``; they lie apart by at least
+    ``least_rad``, several counts of coarse encoders. ``InputError`` if too many angles contradict
+    others.
     """
     warnings = []
     for joint, values in series.items():
-        t: Times = np.asarray(values.index, np.int64)
-        angles: Array = np.asarray(values, np.float64)
-        apart, size = _contradictions(angles)
-        two = apart.size >= fewest and _of_two_sources(t, angles, apart, size, commands)
-        share = 0.0 if commands or apart.size < fewest else apart.size / angles.size
-        if two or share > warned:
-            why = "two publishers" if two else "two publishers, or failed readings"
-            found = (
-                f"{apart.size} of {angles.size} angles of {joint} apart from those before and "
-                f"after them (the first {size[0]:.2g} rad, {(t[apart[0]] - t[0]) / 1e9:.4g} s "
-                f"after the first message): {why}"
+        t, angles = np.asarray(values.index, np.int64), np.asarray(values, np.float64)
+        before, after = np.diff(angles)[:-1], -np.diff(angles)[1:]
+        size = np.minimum(np.abs(before), np.abs(after))
+        agree = np.abs(angles[2:] - angles[:-2])
+        # above noise, and common motion
+        least = max(8 * float(np.quantile(agree, 0.25)), least_rad) if agree.size else 0.0
+        apart = np.flatnonzero((before * after > 0) & (size > np.maximum(5 * agree, least)))
+        if apart.size < max(fewest, warned * angles.size):
+            continue
+        found = (
+            f"{apart.size} of {angles.size} angles of {joint} apart from those before and after "
+            f"them (the first {size[apart[0]]:.2g} rad, {(t[apart[0] + 1] - t[0]) / 1e9:.4g} s "
+            "after the first message): two publishers, or failed readings"
+        )
+        if apart.size > most_warned * angles.size:
+            expected = (
+                f"messages of one source (ros2 topic info --verbose {stream.topic} lists the "
+                "publishers): record again with one, or remove the messages of the other"
             )
-            if two or share > most_warned:
-                expected = (
-                    f"messages of one source (ros2 topic info --verbose {stream.topic} lists the "
-                    "publishers): record again with one, or remove the messages of the other"
-                )
-                raise InputError(stream.file, stream.topic, found, expected)
-            warnings.append(f"{stream.topic}: {found}.")
-        same = np.flatnonzero((np.diff(t) == 0) & (np.abs(np.diff(angles)) > 1e-6))
-        if same.size > 1:
-            largest = float(np.abs(np.diff(angles))[same].max())
-            warnings.append(
-                f"{stream.topic}: {same.size} messages have the same time as the previous one and "
-                f"another angle of {joint}, up to {largest:.2g} rad apart, the first "
-                f"{(t[same[0]] - t[0]) / 1e9:.4g} s after the first message: two publishers of the "
-                "topic, or coarse stamps. The last one is imported."
-            )
+            raise InputError(stream.file, stream.topic, found, expected)
+        warnings.append(f"{stream.topic}: {found}.")
     return warnings
-
-
-def _contradictions(angles: Array, least_rad: float = 0.02) -> tuple[NDArray[np.intp], Array]:
-    """Places of angles apart from both neighbours, which agree, and their distances in rad.
-
-    A distance is at least ``least_rad``, several counts of coarse encoders.
-    """
-    if angles.size < 3:
-        return np.empty(0, np.intp), np.empty(0)
-    before, after = angles[1:-1] - angles[:-2], angles[1:-1] - angles[2:]
-    size = np.minimum(np.abs(before), np.abs(after))
-    agree = np.abs(angles[2:] - angles[:-2])
-    least = max(8 * float(np.quantile(agree, 0.25)), least_rad)  # above noise, and common motion
-    apart = (before * after > 0) & (size > np.maximum(5 * agree, least))
-    return np.flatnonzero(apart) + 1, size[apart]
-
-
-def _of_two_sources(
-    t: Times,
-    angles: Array,
-    apart: NDArray[np.intp],
-    size: Array,
-    commands: bool,
-    fastest_commands_s: float = 0.03,
-) -> bool:
-    """Whether messages ``apart`` from their neighbours can only be of a second source.
-
-    Set-points that alternate at shorter intervals than ``fastest_commands_s`` are of two.
-    """
-    steps = np.diff(t) / 1e9
-    usual = float(np.quantile(steps, 0.75))
-    nearest = np.minimum(steps[apart - 1], steps[apart])
-    if float(np.mean(nearest <= 0.25 * usual)) > 0.5:
-        return True
-    places = np.diff(apart)
-    every = int(np.median(places))
-    regular = float(np.mean(places == every)) > 0.8 and every * apart.size > 0.3 * angles.size
-    if regular and (not commands or usual < fastest_commands_s):
-        return True
-    theirs = angles[apart]
-    moves = float(np.subtract(*np.quantile(theirs, [0.75, 0.25]))) > 0.02
-    own = float(np.median(np.abs(np.diff(theirs)))) < 0.2 * float(np.median(size))
-    return not commands and moves and own

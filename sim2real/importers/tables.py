@@ -33,8 +33,7 @@ COMMENTS = ("#", "//", "%")
 def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
     """Parse ``--columns t=COLUMN J.command=COLUMN ...``: names of the log's columns.
 
-    Raises:
-        InputError: If there is none for the time, or a joint lacks its command or position.
+    ``InputError`` if there is none for the time, or a joint lacks its command or position.
     """
     columns: dict[str, str] = {}
     for pair in pairs or ():
@@ -65,7 +64,8 @@ def read_table(
 
     An array of several columns is indexed: ``qpos[2]``. Rows before every joint has its first
     set-point are omitted; a set-point that is missing later is the previous one, as in a servo.
-    ``t`` starts at 0.
+    ``t`` starts at 0. ``InputError`` if a column is missing or invalid, a unit is not stated, or
+    the sampling period in the unit of time is not one of a servo.
 
     Args:
         path: The log.
@@ -73,10 +73,6 @@ def read_table(
             the units in their names.
         conversion: Units of the angles.
         time_unit: ``s``, ``ms``, ``us`` or ``ns``.
-
-    Raises:
-        InputError: If a column is missing or invalid, a unit is not stated, or the sampling period
-            in the unit of time is not one of a servo.
     """
     file = Path(path)
     if time_unit not in SECONDS_PER:
