@@ -261,6 +261,11 @@ def limit_effects(joint: JointModel) -> set[str]:
     return set() if joint.motor.get("stall_torque_Nm") else {SATURATION, BEYOND_LIMIT}
 
 
+def listed(effect: str, values: Mapping[str, float]) -> str:
+    """An effect with its parameters that are not 0."""
+    return f"{effect} ({', '.join(f'{name} = {x:.6g}' for name, x in values.items() if x)})"
+
+
 def left_out(
     servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str]
 ) -> list[LeftOut]:
@@ -278,9 +283,8 @@ def left_out(
         lines.append(LeftOut(servo.joint, "unit of the gains", why))
     for effect, values in servo.effects.items():
         if effect not in has:
-            shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items() if value)
             why = reasons.get(effect, f"{target} has no equivalent")
-            lines.append(LeftOut(servo.joint, f"{effect} ({shown})", why))
+            lines.append(LeftOut(servo.joint, listed(effect, values), why))
     for name, value in servo.motor.items():
         if f"motor.{name}" not in has:
             meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")

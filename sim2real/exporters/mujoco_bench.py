@@ -14,8 +14,14 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError, library
 from sim2real.exporters.actuator import SATURATION, Export
 from sim2real.exporters.mujoco import INTEGRATOR, TIMESTEP_S, expressed, mujoco
-from sim2real.exporters.nearest import Nearest, Which, nearest, rollout_error
-from sim2real.exporters.refit import FittingData, fitting_data
+from sim2real.exporters.nearest import (
+    FittingData,
+    Nearest,
+    Which,
+    fitting_data,
+    nearest,
+    rollout_error,
+)
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording

@@ -10,8 +10,7 @@ import simulated
 from exported import TYPICAL, export, joint, needs_mujoco, servo, typical
 
 from sim2real.exporters.mujoco_bench import CASES, mujoco_error, mujoco_export
-from sim2real.exporters.nearest import nearest
-from sim2real.exporters.refit import excitation, without
+from sim2real.exporters.nearest import excitation, nearest, without
 from sim2real.exporters.simulators import TARGETS
 from sim2real.identification.search import errors_of
 from sim2real.inference.least_squares import rms
