@@ -17,7 +17,7 @@ from rl.deploy.policy import Policy, read_npz
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.hardware.process import interruption
-from sim2real.hardware.shared_key import shared_key
+from sim2real.hardware.datagram import shared_key
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
 from sim2real.robot import Robot, read_robot

@@ -148,14 +148,11 @@ class Actuator:
         return self.sheet.servo.no_load_speed_rad_s if self.sheet else None
 
     def stop(self, shortest_s: float = 0.0) -> tuple[float, float]:
-        """Time constant in s and impedance of friction that stops the shaft as identified.
+        """Time constant, at least ``shortest_s``, and impedance of friction that stops the shaft.
 
         Those of MuJoCo's soft constraint: with impedance d and time constant T the shaft stops in
         ``T d / 2`` and creeps with the time constant ``T (1 - d) / 2``. Source: MuJoCo's
         documentation, Computation, Constraint model, where the former is 1 / b.
-
-        Args:
-            shortest_s: Shortest time constant, two time steps of the simulation, s.
         """
         stick, creep = (self.motor.get(name, 0.0) for name in ("stick_time_s", "creep_time_s"))
         if not stick:
@@ -189,14 +186,10 @@ class Export:
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
-    """The servos of a model, in its order.
+    """The servos of a model, in its order; limits that were not identified are the robot's.
 
     ``InputError`` if the model has no joint, the robot lacks a joint of the model, or an effect or
     a law is unknown.
-
-    Args:
-        model: The fitted model.
-        robot: Source of limits and data sheets where no value was identified.
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")
@@ -269,13 +262,9 @@ def listed(effect: str, values: Mapping[str, float]) -> str:
 def left_out(
     servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str]
 ) -> list[LeftOut]:
-    """What a target does not express of one actuator.
+    """What a target with these effects, and ``motor.NAME``, does not express of one actuator.
 
-    Args:
-        servo: The actuator.
-        target: Name of the target.
-        has: The effects that it expresses, and ``motor.NAME`` of parameters of the motor.
-        lacks: Reasons for the effects that it lacks, where those of ``LACKS`` do not fit.
+    ``lacks`` are reasons for effects that it lacks, where those of ``LACKS`` do not fit.
     """
     lines, reasons = [], LACKS | dict(lacks)
     if servo.per_inertia:
@@ -294,12 +283,7 @@ def left_out(
 
 
 def limit_with_back_emf(servo: Actuator, damping: str) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF inside the limit where its controller reduces the damping.
-
-    Args:
-        servo: The actuator.
-        damping: The target's name of the damping of its drive, which cannot be negative.
-    """
+    """The actuator with its back-EMF inside the limit where its controller reduces the damping."""
     if servo.kd >= 0:
         return servo, []
     why = f"{damping} cannot be negative: the limit applies to the sum of drive and back-EMF"

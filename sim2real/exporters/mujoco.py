@@ -96,14 +96,8 @@ def mujoco(
 ) -> Export:
     """An MJCF model of a fitted model's actuators, for MuJoCo 3.12 and later.
 
-    Args:
-        model: The fitted model.
-        robot: Source of the limits of the joints (``range``).
-        dropped: Parts that were dropped from the model, to be listed, see `nearest`.
-        remarks: Further lines for the head of the file.
-
-    Raises:
-        InputError: See `actuators`.
+    The head lists parts that were dropped from the model (see `nearest`) and ``remarks``; ``range``
+    of the joints is the robot's. ``InputError`` as of `actuators`.
     """
     root = Element("mujoco", model="sim2real")
     SubElement(root, "compiler", angle="radian")

@@ -368,11 +368,7 @@ def fitting_data(
 
 
 def excitation(joint: JointModel, name: str, reach_rad: float = REACH_RAD) -> list[Trace]:
-    """Predictions of a joint's model on standard commands, as noiseless traces.
-
-    The commands are random steps, a chirp from 0.1 to 2.5 Hz and a slow triangle wave, of at most
-    ``reach_rad``.
-    """
+    """Predictions of a joint on steps, a chirp of 0.1 to 2.5 Hz and a triangle, as traces."""
     t = 0.01 * np.arange(round(SECONDS / 0.01), dtype=np.float64)
     rng = np.random.default_rng(20240)
     moves = 0.5 + np.cumsum(rng.uniform(0.3, 0.9, 50))

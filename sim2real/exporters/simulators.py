@@ -71,17 +71,7 @@ def _python(
     lacks: Mapping[str, str] | None = None,
     damping: str = "",
 ) -> Target:
-    """A simulator that is configured by Python text.
-
-    Args:
-        name: Its name.
-        text: The text of actuators.
-        has: See `Target`.
-        partly: What it lacks, and why, of effects, the latency and ``BEYOND_LIMIT`` that it
-            expresses in part.
-        lacks: Reasons for effects that it lacks.
-        damping: Its name of the damping of a drive, where the back-EMF is apart from that.
-    """
+    """A simulator that is configured by Python text."""
 
     def write(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
         servos: list[Actuator] = []
@@ -126,9 +116,6 @@ def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = 
     identified damping the joint has that of the motor's back-EMF, at most the whole; the rest is
     its controller's, whose gains a URDF does not have. Limits of angle, torque and speed, of which
     a URDF requires all, are the robot's; without it joints are ``continuous``.
-
-    Raises:
-        InputError: See `actuators`.
     """
     root = Element("robot", name=robot.name if robot else "sim2real")
     SubElement(root, "link", name="bench")
@@ -207,11 +194,7 @@ LAW = (
 def actuators_json(
     model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()
 ) -> Export:
-    """JSON with all identified parameters of the joints, and the law as a formula.
-
-    Raises:
-        InputError: See `actuators`.
-    """
+    """JSON with all identified parameters of the joints, and the law as a formula."""
     joints: dict[str, dict[str, Any]] = {}
     for servo in actuators(model, robot):
         joints[servo.joint] = {

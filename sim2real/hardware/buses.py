@@ -153,16 +153,15 @@ def release(
 ) -> list[int]:
     """Stop every servo, switch its torque off and restore its values, given by identity.
 
-    Returns:
-        Identities of those that did not confirm it; their torque may still be on.
+    Those that are returned did not confirm it; their torque may still be on.
     """
-    unconfirmed = []
-    for servo_id, values in changed.items():
+
+    def confirmed(servo_id: int) -> bool:
         with contextlib.suppress(OSError):
-            if any(bus.restore(servo_id, values) for _ in range(attempts)):
-                continue
-        unconfirmed.append(servo_id)
-    return unconfirmed
+            return any(bus.restore(servo_id, changed[servo_id]) for _ in range(attempts))
+        return False
+
+    return [servo_id for servo_id in changed if not confirmed(servo_id)]
 
 
 def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:

@@ -119,12 +119,9 @@ DYNAMIXEL = Protocol2(b"\xff\xff\xfd\x00", 7, 10, 1024, 252, uncounted=7)
 class FrameDecoder:
     """Extracts the valid packets from a stream of bytes, without raising errors.
 
-    After a wrong length or checksum it continues at the next byte, so that a packet after noise, or
-    after the start of another, is found. It buffers at most one frame, of ``longest`` bytes. The
-    smaller that is, the fewer packets a corrupted length hides.
-
-    Attributes:
-        garbled: Number of headers without a valid packet.
+    After a wrong length or checksum, counted as ``garbled``, it continues at the next byte, so that
+    a packet after noise is found. It buffers at most one frame, of ``longest`` bytes. The smaller
+    that is, the fewer packets a corrupted length hides.
     """
 
     def __init__(self, protocol: Protocol, longest: int | None = None) -> None:

@@ -131,12 +131,7 @@ class ServoBus(ABC):
 
     @abstractmethod
     def servo(self, servo_id: int) -> BusServo:
-        """Model and scale of a servo.
-
-        Raises:
-            Stopped: If it does not answer.
-            InputError: If its model is unknown, or it does not control its position.
-        """
+        """Model and scale of a servo; ``Stopped`` or ``InputError`` if it cannot be driven."""
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo, for the recording, if it tells them: firmware, gains, delays."""
@@ -182,16 +177,10 @@ class ServoBus(ABC):
     def transfer(
         self, data: bytes, expected: Sequence[Callable[[Packet], bool]], deadline: float
     ) -> list[Packet | None]:
-        """Send bytes and wait for the replies until ``deadline``, by ``time.monotonic``.
+        """Send encoded requests and wait for the replies until ``deadline``, by ``time.monotonic``.
 
-        Args:
-            data: Encoded requests.
-            expected: For each expected reply whether a packet is that reply. Others are ignored,
-                such as the echo of a request on a single wire.
-            deadline: Time limit.
-
-        Returns:
-            The expected replies in order; None for those that are missing.
+        ``expected`` tell of each reply whether a packet is it. Others are ignored, such as the echo
+        of a request on a single wire. Those that are missing are None.
         """
         replies: list[Packet | None] = [None] * len(expected)
         due = list(range(len(expected)))

@@ -27,10 +27,8 @@ LARGEST_JUMP_RAD = 0.1
 def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
     """The servos in their joints, with the scales that they report.
 
-    Raises:
-        Stopped: If a servo does not answer.
-        InputError: If its model is unknown, it does not control its position, or it does not fit
-            its joint; or if the rate of the bus is too slow.
+    ``Stopped`` if a servo does not answer, ``InputError`` if its model is unknown, it does not
+    control its position or does not fit its joint, or if the rate of the bus is too slow.
     """
     bus = connection.bus
     mountings = mount(robot, [bus.servo(servo_id) for servo_id in wiring.ids], wiring)
@@ -106,10 +104,8 @@ def approach(
 ) -> None:
     """Move every joint slowly to its first set-point in rad, and wait until it is at rest.
 
-    Raises:
-        Stopped: If a servo does not answer, is above ``hottest_C`` or outside of its range, or the
-            user has asked to stop.
-        OSError: If the port is lost.
+    ``Stopped`` if a servo does not answer, is above ``hottest_C`` or outside of its range, or the
+    user has asked to stop; ``OSError`` if the port is lost.
     """
     start, ways = {}, {}
     for mounting, angle in zip(mountings, target, strict=True):

@@ -13,18 +13,6 @@ _GRID_S = 0.01
 _LEAST_OVERLAP = 0.3
 
 
-def flash(track: Track, *, least: float = 10.0) -> float:
-    """Time in the video at which a lamp is switched on: the largest step of brightness.
-
-    ``ValueError`` if no step is as large as ``least`` grey levels and larger than the others.
-    """
-    steps = np.diff(track.brightness)
-    k = int(np.argmax(steps))
-    if steps[k] < max(least, 6 * float(np.std(np.delete(steps, k)))):
-        raise ValueError(f"no flash: the largest step is {steps[k]:.1f} grey levels")
-    return float(track.t[k] + track.t[k + 1]) / 2
-
-
 def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tuple[float, float]:
     """Lag of the video relative to the recording, and the explained share of variance.
 

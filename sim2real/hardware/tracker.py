@@ -37,12 +37,11 @@ class Track:
     """Track of the body in a video.
 
     ``t`` are times in s since the first frame (T,), ``pose`` x, y in m and unwrapped heading in rad
-    (T, 3), NaN if not found, ``brightness`` the mean grey level of each frame (T,).
+    (T, 3), NaN if not found.
     """
 
     t: Array
     pose: Array
-    brightness: Array
 
     @property
     def seen(self) -> Mask:
@@ -165,11 +164,9 @@ def track(
 
     frames, rate = open_video(video, camera)
     found: list[Array] = []
-    bright: list[float] = []
     tracker = MarkerTracker(camera.plane, camera.marker) if camera.marker else None
     for picture in frames:
         grey: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)  # type: ignore[assignment]
-        bright.append(float(grey[::8, ::8].mean()))
         pose = tracker.see(grey) if tracker else None
         if tracker is None and camera.blob is not None:
             pose = find_blob(picture, camera.plane, camera.blob)
@@ -180,7 +177,7 @@ def track(
         target = "marker" if camera.marker else "blob"
         raise InputError(video, "", f"no {target} in any of {len(poses)} frames", f"the {target}")
     poses = camera.marker.body(poses) if camera.marker else ahead(poses)
-    return Track(np.arange(len(poses)) / rate, poses, np.array(bright))
+    return Track(np.arange(len(poses)) / rate, poses)
 
 
 def open_video(

@@ -24,8 +24,8 @@ from sim2real.hardware.datagram import (
     Datagram,
     read_answer,
     request,
+    shared_key,
 )
-from sim2real.hardware.shared_key import shared_key
 
 _PORTS = "a serial port, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
 PATIENCE = 25
@@ -54,12 +54,10 @@ class Transport(Protocol):
 
 
 def open_transport(url: str, *, baud: int = 115_200) -> Transport:
-    """Open the transport of a URL.
+    """Open a serial port (local, ``socket://``, ``rfc2217://``) or a radio (``udp://HOST:PORT``).
 
-    It is a serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network (``socket://``,
-    ``rfc2217://``), or a radio (``udp://HOST:PORT``, with the key in the environment variable
-    ``SIM2REAL_KEY`` if there is one). ``InputError`` if there is no such port, or it cannot be
-    opened.
+    The radio's key is in the environment variable ``SIM2REAL_KEY``, if there is one. ``InputError``
+    if there is no such port, or it cannot be opened.
     """
     if url.startswith("udp://"):
         return UdpTransport(url, shared_key())

@@ -26,21 +26,14 @@ TOP = ("mass", "arm_mass", "length", "entries", *TEXTS, *NUMBERS)
 
 
 def read_bam(path: str | os.PathLike[str]) -> Recording:
-    """Read a raw (or resampled) BAM log, a JSON file, as a recording of joint ``j1``.
+    """Read a raw (or resampled) BAM log, a JSON file, as a ``servo`` recording of joint ``j1``.
 
     Commands are empty while the torque is off, which is imported only at the end of a recording: if
     the torque is switched on again, the rest is omitted, as stated in ``metadata["left_out"]``.
     Speed, load, temperature and supply become columns if they were measured (a recorder writes 0
-    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the other fields, and a
-    sentence of ``metadata["import_warnings"]`` names unknown fields of the log. A hyphen in the
-    name of a field, as in ``arm-mass``, is read as an underscore. ``InputError`` if a field does
-    not conform to the format or the torque is off at the start.
-
-    Args:
-        path: The log.
-
-    Returns:
-        A ``servo`` recording with its T rows at the logged timestamps.
+    throughout, or nothing, if not); ``metadata["not_imported"]`` lists the other fields. A hyphen
+    in the name of a field, as in ``arm-mass``, is read as an underscore. ``InputError`` if a field
+    does not conform to the format or the torque is off at the start.
     """
     top = _top(path)
     load, source = _load(top)

@@ -75,10 +75,6 @@ def robot_toml(tree: Tree, joints: Sequence[str] | None = None) -> tuple[str, li
     axis through its centre of mass parallel to its joint (the head: to the first joint). Without a
     chain of joints no links are written, as robots here are chains. ``InputError`` if there is no
     hinge, or a joint is not one.
-
-    Args:
-        tree: The robot.
-        joints: The joints to take, in order; all hinges if None.
     """
     chosen = _chosen(tree, joints)
     notes = list(tree.left_out)

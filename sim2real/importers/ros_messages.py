@@ -149,9 +149,7 @@ def joint_series(
     *,
     angles: bool = True,
 ) -> dict[str, pd.Series[float]]:
-    """Values of joints in a stream, each by time in ns in order of time.
-
-    NaN, which drivers send for missing values, is omitted.
+    """Values of joints in a stream, each by time in ns in order of time; NaN is omitted.
 
     ``values`` reads them by joint name out of one message; with ``angles`` they are in rad, and
     every joint must have some. ``InputError`` if a message is inconsistent, a value too large, or a

@@ -39,24 +39,18 @@ def read_bag(
     command_topic: str | Sequence[str],
     joints: Sequence[str] | None = None,
 ) -> Recording:
-    """Read the joint states and commands of a bag as a recording with unknown loads.
+    """Read the joint states and commands of a bag as a ``servo`` recording with unknown loads.
 
     There is a row for each state and each command, so that a set-point has the time at which it was
     sent. A row with only a command has no measured values; every row has the last set-point of each
     joint. The first row is that in which the last joint gets its first set-point: earlier states
-    have no command and are omitted, and counted in the metadata. The last row is the last state.
-    Joints that a state does not name are missing samples. ``InputError`` if the bag, a topic, a
-    message or a joint is invalid, or two sources write one topic.
+    are omitted, and counted in the metadata. The last row is the last state. Joints that a state
+    does not name are missing samples.
 
-    Args:
-        path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
-        state_topic: Topic of one of ``STATE_TYPES``.
-        command_topic: Topic of one of ``COMMAND_TYPES`` (see `ros_messages.set_points`), or a
-            topic for each joint in the order of ``joints``.
-        joints: The J joints to read; default: those named in the first command.
-
-    Returns:
-        A ``servo`` recording of T rows, ``t`` from 0.
+    The bag is a ``.bag``, ``.db3`` or ``.mcap`` file or a folder; topics are of ``STATE_TYPES`` and
+    ``COMMAND_TYPES``, that of the commands one for all joints or one for each. Joints are by
+    default those named in the first command. ``InputError`` if the bag, a topic, a message or a
+    joint is invalid, or two sources write the states.
     """
     listed = [command_topic] if isinstance(command_topic, str) else list(command_topic)
     if len(listed) != 1 and len(joints or ()) != len(listed):

@@ -62,17 +62,11 @@ def read_table(
 ) -> Recording:
     """Read a table of text or an ``.npz`` as a recording with unknown loads.
 
-    An array of several columns is indexed: ``qpos[2]``. Rows before every joint has its first
-    set-point are omitted; a set-point that is missing later is the previous one, as in a servo.
-    ``t`` starts at 0. ``InputError`` if a column is missing or invalid, a unit is not stated, or
-    the sampling period in the unit of time is not one of a servo.
-
-    Args:
-        path: The log.
-        columns: Names of its columns, see `column_map`. Except for angles and times, columns have
-            the units in their names.
-        conversion: Units of the angles.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``.
+    Columns are chosen by ``column_map``; one of an array is indexed: ``qpos[2]``. Except for angles
+    and times they have the units in their names. Rows before every joint has its first set-point
+    are omitted; a set-point that is missing later is the previous one, as in a servo. ``t`` starts
+    at 0. ``InputError`` if a column is missing or invalid, a unit is not stated, or the sampling
+    period in the unit of time is not one of a servo.
     """
     file = Path(path)
     if time_unit not in SECONDS_PER:
