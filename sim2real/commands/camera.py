@@ -23,8 +23,7 @@ from sim2real.hardware.camera import (
     write_camera,
 )
 from sim2real.hardware.plots import track_figure
-from sim2real.hardware.sync import correlated, joined
-from sim2real.hardware.tracker import Track, open_video, read_picture, track
+from sim2real.hardware.tracker import Track, correlated, joined, open_video, read_picture, track
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, read_recording, write_recording
 from sim2real.report.drawing import save_png

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
+from sim2real.hardware.registers import model_named
 from sim2real.hardware.servo_bus import Found, ServoBus
-from sim2real.hardware.servo_models import model_named
 
 LONGEST_REACH_RAD = 2.5
 

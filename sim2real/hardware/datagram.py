@@ -7,11 +7,10 @@ from UDP to serial works as well: servos ignore bytes before a header, and an an
 begin with ``4C 58`` consists of replies only.
 
 Where radio and computer share a key, ``4C 59`` is followed by a session (16 bytes), a number of
-four bytes and the rest as above, and 16 bytes authenticate all of it: the first of
-its HMAC-SHA-256 (RFC 2104). The first
-eight bytes of the session are the computer's. It begins with number 0, no packets and zeros in the
-place of the other eight, which the radio answers with random ones, so that no earlier session can
-be replayed.
+four bytes and the rest as above, and authenticated by the first 16 bytes of its HMAC-SHA-256 (RFC
+2104). The first eight bytes of the session are the computer's. It begins with number 0, no packets
+and zeros in the place of the other eight, which the radio answers with random ones, so that no
+earlier session can be replayed.
 
 A radio should keep the sender that it heard first until that has been silent for ``SILENCE_S`` or
 has sent no packets, and ignore numbers that are not 1 to ``AHEAD`` larger than the last

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from sim2real.errors import InputError
 from sim2real.hardware import frames
 from sim2real.hardware.frames import BROADCAST, FrameDecoder, Instruction, Packet, Protocol
-from sim2real.hardware.registers import LAYOUTS, TORQUE, Layout
+from sim2real.hardware.registers import LAYOUTS, TORQUE, Layout, ServoModel, model_of, servo_models
 from sim2real.hardware.servo_bus import (
     INSISTENCE,
     PATIENCE_S,
@@ -24,7 +24,6 @@ from sim2real.hardware.servo_bus import (
     Stopped,
     T,
 )
-from sim2real.hardware.servo_models import ServoModel, model_of, servo_models
 from sim2real.hardware.transport import Transport
 
 FIRST_SHARE = 0.7

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from tqdm import tqdm
@@ -13,11 +19,55 @@ from tqdm import tqdm
 from sim2real.errors import InputError
 from sim2real.hardware.buses import Changed, Connection, release
 from sim2real.hardware.mounting import Mounting, Wiring, mount
-from sim2real.hardware.process import interruption
 from sim2real.hardware.recorder import BUSY_SHARE, Run, columns, record, row_file
 from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
 from sim2real.robot import Robot
 from sim2real.signals import Excitation
+
+
+@contextmanager
+def interruption() -> Iterator[Callable[[], bool]]:
+    """Context manager that gives a function: whether the user has asked to stop.
+
+    Ctrl-C, kill and a closed terminal set a flag, so that no packet is cut off. In threads other
+    than the main one no signal is handled, and it returns False.
+    """
+    asked = threading.Event()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []
+    before = [(number, signal.signal(number, ask)) for number in numbers]
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+
+
+@contextmanager
+def priority() -> Iterator[None]:
+    """Context manager that gives the calling thread real-time priority, where it is permitted.
+
+    The timing of the bus is then kept on a loaded computer; the loop sleeps most of the time, so
+    other programs are hardly affected. Linux requires root or a limit on ``rtprio``.
+    """
+    granted = False
+    if sys.platform == "linux":
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+            granted = True
+    try:
+        yield
+    finally:
+        if granted:
+            os.sched_setscheduler(0, *before)
+
 
 RATE_HZ = 50.0
 APPROACH_RAD_S = 0.5

@@ -9,8 +9,7 @@ from typing import ClassVar, Literal
 from sim2real.hardware.frames import BROADCAST, Instruction, Packet
 from sim2real.hardware.lx import SCALE, LxCommand, expects_reply
 from sim2real.hardware.register_bus import ALERT
-from sim2real.hardware.registers import TORQUE
-from sim2real.hardware.servo_models import ServoModel
+from sim2real.hardware.registers import TORQUE, ServoModel
 from sim2real.hardware.virtual_bus import Law, VirtualServo
 
 Refusal = Literal["instruction", "range", "length", "access"]

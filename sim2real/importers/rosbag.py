@@ -1,28 +1,236 @@
-"""ROS 1 and ROS 2 bags: joint states and the set-points sent to the joints."""
+"""ROS 1 and ROS 2 bags: joint states and the set-points sent to the joints (package rosbags)."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from sim2real.errors import InputError
+from sim2real.csv_columns import LARGEST_ANGLE_RAD
+from sim2real.errors import InputError, optional
 from sim2real.importers.options import import_warnings
-from sim2real.importers.ros_messages import (
-    COMMAND_TYPES,
-    STATE_TYPES,
-    Stream,
-    joint_series,
-    measured,
-    read_messages,
-    set_points,
-    streams,
-)
 from sim2real.recording import Recording
+from sim2real.structured import LARGEST_STREAM_BYTES, check_size
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+FLOAT = "std_msgs/msg/Float64"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+STATE_TYPES = (JOINT_STATE, CONTROLLER)
+COMMAND_TYPES = (JOINT_STATE, TRAJECTORY, CONTROLLER, ARRAY, FLOAT)
+
+LARGEST_DELAY_NS = 10**8  # from stamp to receipt, if both are of the same clock
+LARGEST_DISORDER_NS = 10**9  # of stamps of a clock that was not set back
+
+Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message."""
+
+    receive_ns: int  # time at which the recorder received it
+    header_ns: int  # the stamp in its header; 0 if there is none
+    type: str  # its ROS 2 type name, also for ROS 1
+    content: Any
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of its joints; empty for types without names."""
+        if self.type == JOINT_STATE:
+            return tuple(self.content.name)
+        return tuple(self.content.joint_names) if self.type in (TRAJECTORY, CONTROLLER) else ()
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The N messages of one topic of a bag, with the times of sampling or sending."""
+
+    file: str | os.PathLike[str]
+    topic: str
+    messages: Sequence[Message]
+    t: Times  # in ns, shape (N,)
+    clock: str  # kind of the times
+
+
+def read_messages(
+    path: str | os.PathLike[str], allowed_types: Mapping[str, tuple[str, ...]]
+) -> dict[str, list[Message]]:
+    """Messages of the given topics, in the order received.
+
+    ``path`` is a ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag. ``InputError``
+    if the bag can't be read or a topic is missing, empty or of another type.
+    """
+    with optional(str(path)):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    if not Path(path).exists():
+        raise InputError(path, "", "no such file", "a ROS 1 or ROS 2 bag")
+    if not Path(path).is_dir():
+        check_size(Path(path), LARGEST_STREAM_BYTES)
+    messages: dict[str, list[Message]] = {topic: [] for topic in allowed_types}
+    try:
+        # Older ROS 2 bags do not contain the definitions of their messages.
+        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as bag:
+            recorded = sorted({(c.topic, c.msgtype) for c in bag.connections})
+            for topic, allowed in allowed_types.items():
+                kinds = [kind for name, kind in recorded if name == topic]
+                if not kinds:
+                    listed = ", ".join(f"{name} ({kind})" for name, kind in recorded) or "none"
+                    expected = f"one of: {listed}"
+                    raise InputError(path, topic, "no such topic in the bag", expected)
+                if not set(kinds) <= set(allowed):
+                    raise InputError(path, topic, ", ".join(kinds), " or ".join(allowed))
+            connections = [c for c in bag.connections if c.topic in allowed_types]
+            for connection, receive_ns, raw in bag.messages(connections):
+                content: Any = bag.deserialize(raw, connection.msgtype)
+                stamp = getattr(getattr(content, "header", None), "stamp", None)
+                header_ns = stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0
+                message = Message(receive_ns, header_ns, connection.msgtype, content)
+                messages[connection.topic].append(message)
+    except Exception as error:  # errors of damaged bags depend on the storage
+        if isinstance(error, InputError):
+            raise
+        problem = f"no bag that can be read ({error})"
+        raise InputError(path, "", problem, "a ROS 1 or ROS 2 bag") from error
+    for topic, received in messages.items():
+        if not received:
+            raise InputError(path, topic, "0 messages", "at least one")
+    return messages
+
+
+def streams(
+    file: str | os.PathLike[str], messages: Mapping[str, Sequence[Message]]
+) -> dict[str, Stream]:
+    """The messages of each topic with their times.
+
+    Header stamps if every message of a topic has one, else receive times. If both differ by more
+    than the transmission time of a message, they are of different clocks (simulated time, or
+    another computer), and receive times are used for all topics. ``InputError`` if a clock was set
+    back.
+    """
+    receive, header = (
+        {topic: np.array([getattr(m, name) for m in sent]) for topic, sent in messages.items()}
+        for name in ("receive_ns", "header_ns")
+    )
+    stamped = {topic for topic in messages if header[topic].all()}
+    delays = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
+    if stamped != set(messages) and max(delays, default=0) > LARGEST_DELAY_NS:
+        stamped = set()
+    result = {}
+    for topic, sent in messages.items():
+        t, clock = receive[topic], "receive time"
+        if topic in stamped:
+            t, clock = header[topic], "header stamp"
+        back = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
+        if back.size:
+            k, expected = int(back[0]), "a clock never set back"
+            found = f"a time {(t[k] - t[k + 1]) / 1e9:g} s before the previous one"
+            if back.size > 1:
+                found += f", and {back.size} such times"
+                expected += (
+                    ", or one publisher of the topic instead of two with clocks of their own"
+                )
+            raise InputError(file, f"{topic}, message {k + 1}", found, expected)
+        result[topic] = Stream(file, topic, sent, t, clock)
+    return result
+
+
+def joint_series(
+    stream: Stream,
+    joints: Sequence[str],
+    values: Callable[[Message], Mapping[str, float]],
+    *,
+    angles: bool = True,
+) -> dict[str, pd.Series[float]]:
+    """Values of joints in a stream, each by time in ns in order of time; NaN is omitted.
+
+    ``values`` reads them by joint name out of one message; with ``angles`` they are in rad, and
+    every joint must have some. ``InputError`` if a message is inconsistent, a value too large, or a
+    joint has no angle.
+    """
+    rows = []
+    for k, message in enumerate(stream.messages):
+        try:
+            read = values(message)
+        except ValueError as error:
+            raise InputError(stream.file, f"{stream.topic}, message {k}", *error.args) from None
+        rows.append([read.get(joint, np.nan) for joint in joints])
+    table = np.array(rows, dtype=np.float64)
+    limit = LARGEST_ANGLE_RAD if angles else sys.float_info.max
+    for k, j in np.argwhere(np.abs(table) > limit):
+        place = f"{stream.topic}, message {k}, {joints[j]}"
+        expected = f"a size of at most {limit:.3g} (for angles: radians, not degrees)"
+        raise InputError(stream.file, place, f"{table[k, j]:g}", expected)
+    frame = pd.DataFrame(table, stream.t, list(joints)).sort_index(kind="stable")
+    series = {joint: frame[joint].dropna() for joint in joints if frame[joint].notna().any()}
+    for joint in joints if angles else ():
+        if joint not in series:
+            available = sorted({name for message in stream.messages for name in message.joints})
+            expected = f"one of {', '.join(available)}" if available else "one"
+            raise InputError(stream.file, stream.topic, f"no angle of joint {joint}", expected)
+    return series
+
+
+def measured(message: Message, field: str) -> dict[str, float]:
+    """``field`` of a JointState by joint name; empty if the field is empty.
+
+    For a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
+    ``ValueError`` if names and values do not match; arguments: found, expected.
+    """
+    content, name = message.content, field
+    if message.type == CONTROLLER:
+        content = _point(content, "feedback", "actual")
+        name = {"position": "positions", "velocity": "velocities"}.get(field, field)
+    values = getattr(content, name)
+    return _by_name(message.joints, values, field) if len(values) else {}
+
+
+def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
+    """Set-points in rad by joint name; ``joints`` are the names for an array or a number.
+
+    For a trajectory it is the future point (``time_from_start`` above 0, or the only point), sent
+    when the trajectory starts: interpolation by the controller is attributed to the servo. With
+    several future points the controller computes the set-points: they are in the ``reference``
+    (``desired`` before ROS 2 Humble) of its state. ``ValueError`` if names and values do not match,
+    or there are several points ahead.
+    """
+    if message.type in (FLOAT, ARRAY):
+        return _by_name(joints, np.atleast_1d(message.content.data).tolist(), "data")
+    if message.type == JOINT_STATE:
+        return _by_name(message.joints, message.content.position, "position")
+    if message.type == CONTROLLER:
+        reference = _point(message.content, "reference", "desired")
+        return _by_name(message.joints, reference.positions, "positions")
+    points = message.content.points
+    ahead = [p for p in points if (p.time_from_start.sec, p.time_from_start.nanosec) > (0, 0)]
+    chosen = ahead or points
+    if len(chosen) != 1:
+        expected = "one in each message (or the topic of the controller's own state)"
+        raise ValueError(f"{len(chosen)} trajectory points ahead", expected)
+    return _by_name(message.joints, chosen[0].positions, "positions")
+
+
+def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
+    """A point of a controller's state by its present or, if empty, its former name."""
+    point = getattr(content, name, None)
+    return point if point is not None and len(point.positions) else getattr(content, before, point)
+
+
+def _by_name(names: Sequence[str], values: Sequence[float], field: str) -> dict[str, float]:
+    if len(names) != len(values):
+        raise ValueError(f"{len(values)} values in {field}", f"one for each of {', '.join(names)}")
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}
 SOURCE = (

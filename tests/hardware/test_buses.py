@@ -14,8 +14,8 @@ from virtual_bench import LAW, LIMITS, limit, limits, record, refused, robot_fil
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.hardware.buses import BUSES, Changed, Journal, connection, latency_advice
+from sim2real.hardware.registers import model_of, servo_models
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.servo_models import model_of, servo_models
 from sim2real.hardware.virtual_bus import Shaft
 from sim2real.recording import read_recording
 

@@ -6,8 +6,7 @@ import pytest
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.hardware.camera import Blob, Camera, Lens, Marker, read_camera, stand, write_camera
-from sim2real.hardware.sync import correlated, joined
-from sim2real.hardware.tracker import Track, track
+from sim2real.hardware.tracker import Track, correlated, joined, track
 from sim2real.recording import Recording, read_recording, write_recording
 
 pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")

@@ -5,8 +5,7 @@ import pytest
 from good_input import message
 
 from sim2real.cli import main
-from sim2real.importers.robots import robot_toml
-from sim2real.importers.urdf import read_urdf
+from sim2real.importers.urdf import read_urdf, robot_toml
 from sim2real.robot import read_robot
 
 # A base, an upper arm of 0.3 m with a plate welded to it, turned by a quarter about x, and a

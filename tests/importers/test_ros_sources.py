@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from good_input import message
 
-from sim2real.importers.ros_messages import JOINT_STATE, Message, Stream, streams
-from sim2real.importers.rosbag import check_source
+from sim2real.importers.rosbag import JOINT_STATE, Message, Stream, check_source, streams
 
 T = np.arange(0, 12, 0.008)
 FREE = np.arange(0, 12, 0.0131)
