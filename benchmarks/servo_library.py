@@ -26,8 +26,7 @@ from sim2real.model import Model, write_model
 from sim2real.recording import Recording, read_recording
 from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.robot import Robot, read_robot
-from sim2real.servo_library.catalogue import FOLDER, shipped
-from sim2real.servo_library.entry import ServoEntry, at, prepared
+from sim2real.servo_library.catalogue import FOLDER, ServoEntry, at, prepared, shipped
 
 PAGE = ROOT / "reports" / "servo_library.md"
 BENCH_V = 7.4
