@@ -113,10 +113,7 @@ class Actuator:
 
     @property
     def largest_torque(self) -> float:
-        """Largest torque of a motor with a torque-speed line, at any speed, N m.
-
-        Braking adds the back-EMF to the stall torque, up to twice the latter at the no-load speed.
-        """
+        """Largest torque at any speed, N m; braking adds the back-EMF to the stall torque."""
         braking = 2 * (self.limit or 0.0)
         return braking if self.current_limit is None else min(self.current_limit, braking)
 
@@ -127,10 +124,7 @@ class Actuator:
 
     @property
     def passive_damping(self) -> float:
-        """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole.
-
-        The share of the controller is then not negative below the limit of the drive.
-        """
+        """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole."""
         return max(min(self.back_emf, self.kd + self.back_emf), 0.0)
 
     @property
@@ -262,10 +256,7 @@ def listed(effect: str, values: Mapping[str, float]) -> str:
 def left_out(
     servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str]
 ) -> list[LeftOut]:
-    """What a target with these effects, and ``motor.NAME``, does not express of one actuator.
-
-    ``lacks`` are reasons for effects that it lacks, where those of ``LACKS`` do not fit.
-    """
+    """What a target with these effects and reasons (beside ``LACKS``) does not express."""
     lines, reasons = [], LACKS | dict(lacks)
     if servo.per_inertia:
         why = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"

@@ -131,10 +131,7 @@ def xml_text(root: Element, lines: Sequence[LeftOut], remarks: Sequence[str] = (
 
 
 def _two_limits(servo: Actuator) -> bool:
-    """Whether a limit of the current, below that of the drive, can limit all motors of the joint.
-
-    The back-EMF within this limit is then a motor too.
-    """
+    """Whether a limit of the current can limit all motors of the joint, the back-EMF as well."""
     others = any(servo.value(name, "torque_Nm") for name in PASSIVE)
     others |= bool(servo.effects.keys() & PID or _train(servo))
     if servo.current_limit is None or others:

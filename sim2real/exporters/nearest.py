@@ -228,7 +228,7 @@ class _Task:
         return replace(made[_PLAIN if plain else best], compared=(compared,))
 
     def without(self, dropped: set[str], *, dry: bool) -> Nearest:
-        """The joint without some parts, refitted if others may replace those that move it."""
+        """A joint without some parts; the rotor of a lost gear train turns with the load."""
         joint, data, lines = self.joint, self.data, []
         if SATURATION in dropped & self.still and joint.motor.get("stall_torque_Nm"):
             why = "no motion of the recordings or the standard excitation reaches it"
@@ -295,10 +295,7 @@ class _Task:
 
 
 def without(joint: JointModel, lost: Collection[str]) -> JointModel:
-    """A joint without some effects, with 0 for parameters of some, and without ``motor.NAME``.
-
-    The rotor of a gear train that is lost stays: it turns with the load.
-    """
+    """A joint without some parts; the rotor of a lost gear train turns with the load."""
     motor = {key: x for key, x in joint.motor.items() if f"motor.{key}" not in lost}
     effects = tuple(
         FittedEffect(

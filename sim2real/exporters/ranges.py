@@ -116,10 +116,7 @@ def _uniform(drawn: Range, least: float = 0.0) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class RangesTarget:
-    """A simulator that draws parameters of joints once per episode.
-
-    Latencies, which are set when an actuator is built, and the noise of joints are further tables.
-    """
+    """A simulator that draws parameters of joints once per episode."""
 
     name: str
     # its name of each quantity that it draws; kp and kd of one name are drawn together, uniformly

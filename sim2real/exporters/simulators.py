@@ -65,10 +65,7 @@ Text = Callable[[Sequence[Actuator], Robot | None, Sequence[LeftOut]], str]
 def _target(
     has: Sequence[str], text: Text, lacks: Callable[[Actuator], list[LeftOut]], damping: str = ""
 ) -> Target:
-    """A target with this text and, of each servo, lines of what it does not express.
-
-    ``damping`` is its name of the damping of a drive, where the back-EMF is apart from that.
-    """
+    """A target with this text; ``damping`` is its name of a drive's, apart from the back-EMF."""
 
     def write(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
         servos: list[Actuator] = []

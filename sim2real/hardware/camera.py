@@ -56,10 +56,7 @@ class Plane:
         return position
 
     def world(self, pixels: Array, height: float = 0.0) -> Array:
-        """x, y in m of pixels (N, 2) in the plane z = ``height``, shape (N, 2).
-
-        The distortion has no inverse in closed form; OpenCV's fixed-point iteration runs to 1e-10.
-        """
+        """x, y in m of pixels (N, 2) in the plane z = ``height``, (N, 2), by iteration to 1e-10."""
         import cv2
 
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
@@ -188,10 +185,7 @@ def charuco_board(
 
 
 def read_camera(path: str | os.PathLike[str]) -> Camera:
-    """Read ``camera.toml``.
-
-    ``InputError`` if the file or one of its fields does not conform to the format.
-    """
+    """Read ``camera.toml``; ``InputError`` if it does not conform to the format."""
     top = Fields(path, "", read_toml(path))
     glass, pool = top.table("lens"), top.table("pool")
     width, height = _matrix(glass, "size_px", (2,))
@@ -250,10 +244,7 @@ def write_camera(
     corners_m: Array,
     marker: Marker | None = None,
 ) -> Path:
-    """Write ``camera.toml``; without a marker its table has values to be filled in.
-
-    ``InputError`` if the folder cannot be written.
-    """
+    """Write ``camera.toml``; without a marker its table has values to be filled in."""
     shown = marker or Marker("4x4_50", 0, 0.06)
 
     def listed(values: Array, digits: int) -> object:
@@ -322,10 +313,7 @@ def views(
 
 
 def calibrate(chosen: Sequence[View], size: tuple[int, int], *, fewest: int = 6) -> Lens:
-    """Focal lengths, principal point and distortion by least squares (Zhang, PAMI 22 (2000) 1330).
-
-    ``ValueError`` if there are too few views.
-    """
+    """The lens by least squares (Zhang, PAMI 22 (2000) 1330); ``ValueError`` with too few views."""
     import cv2
 
     if len(chosen) < fewest:

@@ -96,10 +96,7 @@ def read_answer(datagram: bytes, key: bytes | None = None) -> Datagram | None:
 
 
 def shared_key(file: str | os.PathLike[str] | None = None) -> bytes | None:
-    """The key in a file, or by default in ``SIM2REAL_KEY``, stripped; None if there is none.
-
-    ``InputError`` if the file cannot be read, or the key is too short.
-    """
+    """The key in a file, or by default in ``SIM2REAL_KEY``; None if there is none."""
     text = os.environ.get(VARIABLE) if file is None else read_text(Path(file))
     if text is None:
         return None

@@ -10,10 +10,7 @@ BROADCAST = 254
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """An instruction or command to a servo, or its answer.
-
-    ``code`` is the instruction; in the answer of a Feetech servo, its error byte.
-    """
+    """An instruction or an answer; ``code`` of a Feetech servo's answer is its error byte."""
 
     servo_id: int
     code: int

@@ -227,10 +227,7 @@ class RegisterBus(ServoBus):
                 raise Stopped(f"servo {servo_id} does not accept {value} as its {name}")
 
     def _goals_held(self, ids: Sequence[int], deadline: float) -> dict[int, int]:
-        """Set-points in effect of servos whose answer is missing, as far as the time allows.
-
-        Their positions are not asked for again: they would be later than those of the others.
-        """
+        """Set-points in effect of servos whose answer is missing; positions would be too late."""
         held, register = {}, self.layout["goal_position"]
         for after, servo_id in zip(reversed(range(len(ids))), ids, strict=True):
             patience = (deadline - time.monotonic()) / (after + 1)

@@ -14,10 +14,7 @@ from sim2real.hardware.servo_bus import Found, Reading, Scale
 
 @dataclass(frozen=True)
 class Register:
-    """A number in the memory of a servo, of ``size`` bytes from ``address``.
-
-    It is in two's complement if ``signed``; ``sign_bit`` makes the rest of the number negative.
-    """
+    """A number of ``size`` bytes in the memory of a servo, in two's complement if ``signed``."""
 
     address: int
     size: int

@@ -124,10 +124,7 @@ class Finder:
         return Sighting(found, float(likeness), width * self.cell_m)
 
     def search(self, frame: Picture, window: tuple[int, int, int, int], *, most: int = 12) -> Array:
-        """Candidate poses (N, 3), the most similar first; all positions at 24 angles are compared.
-
-        ``window`` are first column and row, last column and row (exclusive) of the search.
-        """
+        """Candidate poses (N, 3) in a window (left, top, right, bottom), the most similar first."""
         import cv2
 
         left, top, right, bottom = window

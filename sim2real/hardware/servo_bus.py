@@ -37,11 +37,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class BusServo:
-    """A servo on the bus.
-
-    ``quantities`` are what it reports in each cycle besides its position, named as the columns of
-    a recording.
-    """
+    """A servo on the bus, and columns of what it reports in each cycle besides its position."""
 
     servo_id: int
     scale: Scale
@@ -50,10 +46,7 @@ class BusServo:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a servo reported in a cycle; None or NaN for values without a reply.
-
-    ``goal_ticks`` is the set-point in effect, ``load`` the drive as a share of the largest.
-    """
+    """What a servo reported in a cycle; None or NaN for values without a reply."""
 
     position_ticks: int | None = None
     goal_ticks: int | None = None

@@ -27,11 +27,7 @@ from sim2real.signals import Excitation
 
 @contextmanager
 def interruption() -> Iterator[Callable[[], bool]]:
-    """Context manager that gives a function: whether the user has asked to stop.
-
-    Ctrl-C, kill and a closed terminal set a flag, so that no packet is cut off. In threads other
-    than the main one no signal is handled, and it returns False.
-    """
+    """Context manager of a function: whether a signal, in the main thread, asks to stop."""
     asked = threading.Event()
 
     def ask(number: int, frame: FrameType | None) -> None:
@@ -190,10 +186,7 @@ def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[
 def let_go(
     connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
 ) -> list[Mounting]:
-    """Release all servos; returns those whose torque may still be on.
-
-    Those that are changed and do not confirm it stay in the journal.
-    """
+    """Release all servos; those whose torque may still be on, which stay in the journal."""
     values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
     values |= {entry.servo_id: entry.values for entry in changed}
     left = release(connection.bus, values)

@@ -137,10 +137,7 @@ def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6)
 
 
 def ahead(poses: Array) -> Array:
-    """Poses (T, 3) of blobs with unwrapped headings in the mean direction of motion.
-
-    A robot swims head first; NaN where the blob is missing.
-    """
+    """Poses (T, 3) of blobs with unwrapped headings; NaN if missing. A robot swims head first."""
     out = np.array(poses)
     found = np.flatnonzero(np.isfinite(out[:, 2]))
     if found.size < 2:
@@ -157,11 +154,7 @@ def ahead(poses: Array) -> Array:
 def track(
     video: str | os.PathLike[str], camera: Camera, *, progress: Callable[[], None] = lambda: None
 ) -> Track:
-    """Track the body in a video; ``progress`` is called after every frame.
-
-    ``InputError`` if the video cannot be read, has another size than the camera, or the body is not
-    found in any frame.
-    """
+    """Track the body in a video; ``InputError`` if that fails. ``progress`` after each frame."""
     import cv2
 
     frames, rate = open_video(video, camera)
@@ -185,10 +178,7 @@ def track(
 def open_video(
     video: str | os.PathLike[str], camera: Camera | None = None
 ) -> tuple[Iterator[Picture], float]:
-    """Frames of a video and their rate in 1/s.
-
-    ``InputError`` if it cannot be read, or its size is not that of the camera.
-    """
+    """Frames of a video and their rate in 1/s; ``InputError`` if it cannot be used."""
     import cv2
 
     source = cv2.VideoCapture(_checked(video))
@@ -280,10 +270,7 @@ def _explained(rates: Array, yaw_rate: Array, lag: int, shortest: float) -> floa
 
 
 def joined(track: Track, servo: Recording, start_s: float) -> dict[str, Array]:
-    """Body columns on the recording's clock; NaN where neighbouring frames are missing.
-
-    ``start_s`` is the recording's time at the video's first frame.
-    """
+    """Body columns on the recording's clock; the video's first frame is at ``start_s``."""
     t = servo.t - start_s
     gap = 1.5 * float(np.median(np.diff(track.t)))
     frame_t = track.t[track.seen]

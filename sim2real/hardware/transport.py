@@ -144,10 +144,7 @@ class SerialTransport:
 
 
 class UdpTransport:
-    """A radio at ``udp://HOST:PORT``, which shares ``key``. Missing answers are not errors.
-
-    Late answers, to other datagrams than the last one, are dropped.
-    """
+    """A radio at ``udp://HOST:PORT``, which shares ``key``; missing answers are not errors."""
 
     together = True
 

@@ -42,10 +42,7 @@ class Conversion:
     calibration: str | os.PathLike[str] = ""
 
     def check_joints(self, joints: Sequence[str]) -> None:
-        """Check that units are stated for all joints of the log, and for these only.
-
-        ``InputError`` if one is missing, or stated for a joint that the log lacks.
-        """
+        """Raise ``InputError`` unless units are stated for all joints, and for these only."""
         quantities = {joint: [f"{joint}.{quantity}" for quantity in ANGLES] for joint in joints}
         known = {"", *joints, *(name for names in quantities.values() for name in names)}
         if unknown := ", ".join(name for name in self.units if name not in known):
@@ -166,10 +163,7 @@ def import_warnings(sentences: Sequence[str]) -> dict[str, list[str]]:
 
 
 def check_increasing(file: str | os.PathLike[str], t: Array, place: str, first: int) -> None:
-    """Raise ``InputError`` unless times (T,) in s increase.
-
-    ``place`` is a time's place in the log, formatted with its number from ``first`` on.
-    """
+    """Raise ``InputError`` unless times (T,) in s increase; ``place`` has the number's place."""
     decreasing = np.flatnonzero(~(np.diff(t) > 0))
     if decreasing.size:
         k = int(decreasing[0]) + 1

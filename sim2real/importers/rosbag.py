@@ -65,11 +65,7 @@ class Stream:
 def read_messages(
     path: str | os.PathLike[str], allowed_types: Mapping[str, tuple[str, ...]]
 ) -> dict[str, list[Message]]:
-    """Messages of the given topics, in the order received.
-
-    ``path`` is a ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag. ``InputError``
-    if the bag can't be read or a topic is missing, empty or of another type.
-    """
+    """Messages of the given topics in the order received; ``InputError`` if that fails."""
     with optional(str(path)):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

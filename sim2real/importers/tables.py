@@ -31,10 +31,7 @@ COMMENTS = ("#", "//", "%")
 
 
 def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
-    """Parse ``--columns t=COLUMN J.command=COLUMN ...``: names of the log's columns.
-
-    ``InputError`` if there is none for the time, or a joint lacks its command or position.
-    """
+    """Names of the log's columns by ``--columns t=COLUMN J.command=COLUMN ...``."""
     columns: dict[str, str] = {}
     for pair in pairs or ():
         ours, equals, theirs = pair.partition("=")

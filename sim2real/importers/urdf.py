@@ -245,10 +245,7 @@ class _Part:
         return values
 
     def frame(self, place: Array, turned: Array) -> tuple[Array, Array]:
-        """Its position (3,) and rotation (3, 3), from those of the element that it is in.
-
-        Roll, pitch and yaw turn about fixed axes in that order.
-        """
+        """Its position (3,) and rotation (3, 3); roll, pitch and yaw turn about fixed axes."""
         from scipy.spatial.transform import Rotation
 
         origin = self.part("origin")
@@ -257,10 +254,7 @@ class _Part:
 
 
 def read_urdf(path: str | os.PathLike[str]) -> Tree:
-    """The links and joints of a URDF, every joint at 0; xacro must have been run on it.
-
-    ``InputError`` if it is no URDF, or its links do not form a tree.
-    """
+    """The links and joints of a URDF, without xacro, every joint at 0; else ``InputError``."""
     file = Path(path)
     root = _root(file)
     links = {_name(file, link): link for link in root.findall("link")}

@@ -94,20 +94,12 @@ class ServoEntry(NotebookDisplay):
 
 
 def read_entry(path: str | os.PathLike[str]) -> ServoEntry:
-    """Read an entry.
-
-    Raises:
-        InputError: If it is no model, or lacks what an entry needs.
-    """
+    """Read an entry; ``InputError`` if it is no model, or lacks what an entry needs."""
     return entry_of(read_model(path), path)
 
 
 def entry_of(model: Model, file: str | os.PathLike[str]) -> ServoEntry:
-    """The entry that a model of one joint describes in ``provenance.servo``.
-
-    Raises:
-        InputError: If it lacks what an entry needs; the message names ``file``.
-    """
+    """The entry that a model describes; ``InputError``, naming ``file``, if something lacks."""
     fields = Fields(file, "provenance.servo", model.provenance.get("servo", {}))
     _check_joint(model, file)
     names = ("name", "type", "origin", "source", "licence", "date")
