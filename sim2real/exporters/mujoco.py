@@ -282,9 +282,8 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
 
     def motor(name: str, **terms: str) -> None:
         attributes = {"name": f"{servo.joint}_{name}", "joint": servo.joint, "input": "none"}
-        SubElement(
-            section, "dcmotor", attributes | {"resistance": "1", "motorconst": "0 0"} | terms
-        )
+        attributes |= {"resistance": "1", "motorconst": "0 0"}
+        SubElement(section, "dcmotor", attributes | terms)
 
     if _two_limits(servo):
         constant = math.sqrt(servo.back_emf - servo.damping_beyond)
@@ -306,10 +305,8 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
         sliding, breakaway = falling["torque_Nm"], falling["breakaway_Nm"]
         stiffness = servo.inertia / (4 * TIMESTEP_S) ** 2  # as stiff as the step allows
         damping = 0.03 * math.sqrt(stiffness * servo.inertia)
-        motor(
-            "friction",
-            lugre=_text(stiffness, damping, sliding, breakaway, falling["velocity_rad_s"]),
-        )
+        lugre = _text(stiffness, damping, sliding, breakaway, falling["velocity_rad_s"])
+        motor("friction", lugre=lugre)
         give = max(sliding, breakaway) / stiffness
         why = f"bristles yield {give:.2g} rad before slip; a shorter timestep allows less"
         return [LeftOut(servo.joint, "rigid sticking of stribeck_friction", why)]
@@ -337,13 +334,8 @@ def _inertial(body: Element, inertia: float, weight: float) -> None:
         arm = min(0.05, inertia * GRAVITY_M_S2 / (2 * abs(weight)))
         mass = abs(weight) / (GRAVITY_M_S2 * arm)
     central = inertia - mass * arm**2
-    SubElement(
-        body,
-        "inertial",
-        pos=_text(0, 0, -math.copysign(arm, weight)),
-        mass=_text(mass),
-        diaginertia=_text(central, central, central),
-    )
+    about, place = _text(central, central, central), _text(0, 0, -math.copysign(arm, weight))
+    SubElement(body, "inertial", pos=place, mass=_text(mass), diaginertia=about)
 
 
 def _add_tendon(section: Element, name: str, joints: dict[str, float]) -> Element:

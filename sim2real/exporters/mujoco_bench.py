@@ -168,14 +168,9 @@ def _agreement(name: str, joint: JointModel, data: FittingData) -> Agreement:
     traces, what = data.own, "the full model"
     if data.scored:
         traces, what = data.scored, f"{data.held_out}, held out"
-    coarse = [
-        {
-            "integrator": integrator,
-            "timestep_s": step,
-            "error_rad": mujoco_error(joint, name, traces, integrator, step),
-        }
-        for integrator, step in CASES
-    ]
+    names = ("integrator", "timestep_s", "error_rad")
+    errors = [(*case, mujoco_error(joint, name, traces, *case)) for case in CASES]
+    coarse = [dict(zip(names, one, strict=True)) for one in errors]
     return Agreement(name, mujoco_error(joint, name, traces), what, coarse)
 
 

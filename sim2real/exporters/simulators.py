@@ -127,9 +127,8 @@ def _urdf_text(servos: Sequence[Actuator], robot: Robot | None, lines: Sequence[
         SubElement(joint, "parent", link="bench")
         SubElement(joint, "child", link=f"{servo.joint}_link")
         SubElement(joint, "axis", xyz="0 1 0")
-        SubElement(
-            joint, "dynamics", numbers(damping=servo.passive_damping, friction=servo.friction)
-        )
+        losses = numbers(damping=servo.passive_damping, friction=servo.friction)
+        SubElement(joint, "dynamics", losses)
         if servo.sheet is not None:
             low, high = servo.sheet.limits_rad
             effort, velocity = servo.stall_torque, servo.no_load_speed

@@ -46,28 +46,18 @@ class Register:
 class Layout:
     """The registers of the servos of a bus, under the same names for every bus.
 
-    Attributes:
-        volatile_from: First address of the memory that is lost without supply (RAM); what lies
-            below (EEPROM) is never written.
-        reported: Registers that are read in each cycle, by one instruction.
-        settings: Registers that are stored in a recording.
-        changed: Registers that a recording changes, with their values while it runs, in the order
-            in which they are restored.
-        position_modes, multi_turn_modes: Operating modes in which a set-point is an angle; those of
-            them in which the stored range of positions does not apply.
-        errors: Names of the bits of the register ``errors``.
-        velocity_unit_rad_s: Unit of velocities in rad/s; None for ticks per second.
+    The memory below ``volatile_from`` (EEPROM) is never written; the rest is lost without supply.
     """
 
     registers: Mapping[str, Register]
     volatile_from: int
-    reported: tuple[str, ...]
-    settings: tuple[str, ...]
-    changed: Mapping[str, int]
-    position_modes: Mapping[int, str]
-    errors: Mapping[int, str]
-    multi_turn_modes: tuple[int, ...] = ()
-    velocity_unit_rad_s: float | None = None
+    reported: tuple[str, ...]  # in each cycle, by one instruction
+    settings: tuple[str, ...]  # stored in a recording
+    changed: Mapping[str, int]  # values during a recording, in the order of their restoration
+    position_modes: Mapping[int, str]  # operating modes in which a set-point is an angle
+    errors: Mapping[int, str]  # names of the bits of the register ``errors``
+    multi_turn_modes: tuple[int, ...] = ()  # those without the stored range of positions
+    velocity_unit_rad_s: float | None = None  # None for ticks per second
 
     def __getitem__(self, name: str) -> Register:
         return self.registers[name]
@@ -216,26 +206,17 @@ class Rating:
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A model of servo.
-
-    Attributes:
-        name, bus: Its name, and that of its bus.
-        ticks_per_turn, centre_ticks: Ticks of a turn, and at the centre.
-        source: Where the figures come from.
-        number: Number that it reports; None for all others with the first byte ``main_version``.
-        current_unit_A: Unit of its current; None if it reports a load.
-        gains: Divisors of the registers of gains, by name.
-        ratings: Ratings by supply voltage.
-    """
+    """A model of servo on a bus."""
 
     name: str
     bus: str
     ticks_per_turn: float
     centre_ticks: int
-    source: str
-    number: int | None = None
+    source: str  # where the figures come from
+    number: int | None = None  # None for all others with the first byte ``main_version``
     main_version: int | None = None
-    current_unit_A: float | None = None
+    current_unit_A: float | None = None  # None if it reports a load
+    # divisors of the registers of gains, by name
     gains: Mapping[str, float] = field(default_factory=dict)
     ratings: tuple[Rating, ...] = ()
 

@@ -32,7 +32,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
 from sim2real.errors import InputError, one_of, shown
-from sim2real.importers.options import import_warnings
+from sim2real.importers.options import check_increasing, import_warnings
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load, Recording
 from sim2real.structured import Fields, finite_number, read_json
@@ -64,10 +64,7 @@ def read_bam(path: str | os.PathLike[str]) -> Recording:
         raise InputError(top.file, "entries", found, "at least two samples of a BAM log")
     samples = [Fields(top.file, f"entries[{k}]", entry) for k, entry in enumerate(entries)]
     t = np.array([sample.number("timestamp") for sample in samples])
-    decreasing = np.flatnonzero(np.diff(t) <= 0)
-    if decreasing.size:
-        k = int(decreasing[0])
-        raise samples[k + 1].error("timestamp", f"a time after {t[k]:g} s")
+    check_increasing(top.file, t, "entries[{}].timestamp", 0)
     off, stop = _torque(samples)
     command = [_angle(sample, "goal_position") for sample in samples[:off]]
     position = [_angle(sample, "position") for sample in samples]

@@ -150,22 +150,17 @@ def _check_joint(model: Model, file: str | os.PathLike[str]) -> None:
 
 def _check_identified(entry: ServoEntry, file: str | os.PathLike[str]) -> None:
     """Check that an identified servo has intervals and an error on data that no fit used."""
-    needed = {
-        f"fit.{ERROR}.heldout": (
-            entry.held_out_rad is not None,
-            "an error on data that the fit did not use",
-        ),
-        "provenance.servo.scored_on": (
-            bool(entry.scored_on),
-            "the data that the held-out error was measured on",
-        ),
-    }
-    for name in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
-        there = name in entry.joint.interval
-        needed[f"joints.{JOINT}.interval.{name}"] = (there, "a 90 % interval")
-    for where, (there, expected) in needed.items():
+
+    def needs(there: bool, where: str, expected: str) -> None:
         if not there:
             raise InputError(file, where, "nothing", expected)
+
+    known, data = entry.held_out_rad is not None, "the data that the held-out error was measured on"
+    needs(known, f"fit.{ERROR}.heldout", "an error on data that the fit did not use")
+    needs(bool(entry.scored_on), "provenance.servo.scored_on", data)
+    for name in ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s"):
+        there = name in entry.joint.interval
+        needs(there, f"joints.{JOINT}.interval.{name}", "a 90 % interval")
 
 
 def prepared(
