@@ -37,7 +37,7 @@ from sim2real.recording import Recording, write_recording
 from sim2real.structured import read_json
 
 BAGS = (".bag", ".db3", ".mcap")
-TABLES = (".csv", ".tsv", ".npz")
+TABLES = (".csv", ".tsv")
 KINDS = f"a BAM log (.json), a ROS bag (a folder, {', '.join(BAGS)}), a LeRobot dataset (a folder "
 KINDS += f"with meta/info.json) or a table ({', '.join(TABLES)})"
 LOADS = ("inertia", "pendulum")
