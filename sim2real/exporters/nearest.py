@@ -128,24 +128,14 @@ def nearest(
 
     Effects that no other parameter can replace are kept, and the target lists them: those drawn for
     each set-point, errors of the angle sensor that depend only on the angle, and corrections of the
-    load, which belongs to the link of the robot. ``InputError`` if the model has an unknown effect.
+    load, which belongs to the link of the robot.
 
-    Args:
-        model: The fitted model.
-        expressed: Names of the effects of a joint that the target expresses, and ``motor.NAME`` of
-            the losses of its motor; the torque-speed line is always expressed. A target with this
-            line and a current limit, but not the damping beyond it, has ``torque_saturation``
-            without ``BEYOND_LIMIT``.
-        recordings: Recordings to refit to; the last is held out, or the last quarter of a single
-            one. If no recording moves a joint, the predictions of the model are used.
-        robot: Source of the limits of the standard excitation.
-        which: Whether to export a joint with effects, as a plain servo, or as whichever has the
-            smaller error on all these data, held-out ones included.
-        rough: Effects that the target expresses but simulates inaccurately, which are dropped if
-            the error is smaller without them.
-        costly: Limits that make the target's model more complex beside a torque-speed line, which
-            are dropped, and listed, if no motion reaches them.
-        error: RMS error in the target.
+    ``expressed`` are effects of a joint, and ``motor.NAME``, beside the torque-speed line; a target
+    with a current limit but not the damping beyond it has ``torque_saturation`` without
+    ``BEYOND_LIMIT``. The last recording is held out, or the last quarter of a single one; without
+    motion of a joint the predictions of the model are used. ``rough`` effects are simulated
+    inaccurately and dropped if the error is smaller without them, ``costly`` limits beside a
+    torque-speed line if no motion reaches them. ``InputError`` if the model has an unknown effect.
     """
     joints, found = dict(model.joints), Nearest(model)
     for name, joint in model.joints.items():

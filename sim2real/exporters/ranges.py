@@ -1,9 +1,7 @@
 """Export of randomization ranges: a table, and a Python function that draws from it.
 
-Names: Isaac Lab 2.3 and 3.0 (``isaaclab.envs.mdp.events``), mjlab 1.5 and 1.6
-(``mjlab.envs.mdp.dr``, ``mjlab.managers.event_manager``), Newton 1.8 (``newton.Model``,
-``newton.actuators``), MuJoCo Playground (``randomization_fn`` of
-https://github.com/google-deepmind/mujoco_playground).
+Names: Isaac Lab 2.3 and 3.0 (``isaaclab.envs.mdp.events``), mjlab 1.5 and 1.6, Newton 1.8, MuJoCo
+Playground (``randomization_fn`` of https://github.com/google-deepmind/mujoco_playground).
 """
 
 from __future__ import annotations
@@ -122,8 +120,8 @@ class RangesTarget:
     # its name of each quantity that it draws; kp and kd of one name are drawn together, uniformly
     fields: Mapping[str, str]
     normal: str  # its name of a normal distribution
-    imports: str  # Python text above the tables
-    functions: str  # Python text below them
+    imports: str
+    functions: str
     delay: str  # remark on the table of delays
     noise: str  # remark on the table of the noise of joints
     # name of a function that returns delays in physics steps, and what they are

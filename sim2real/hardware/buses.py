@@ -36,10 +36,9 @@ class Changed:
 class Journal:
     """The journal of one port, which is locked: one command at a time uses a port.
 
-    It is on the disk before the first change; a command that is killed leaves it behind, and the
-    next one on the port restores the servos. It is in the folder for state of this user:
-    ``XDG_STATE_HOME``, or what the system uses instead. ``InputError`` if another command uses the
-    port.
+    It is on the disk, in the user's folder for state, before the first change; a command that is
+    killed leaves it behind, and the next one on the port restores the servos. ``InputError`` if
+    another command uses the port.
     """
 
     def __init__(self, port: str) -> None:

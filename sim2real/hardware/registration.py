@@ -77,8 +77,8 @@ class Finder:
     def register(self, frame: Picture, pose: Array, blur_m: float | None = None) -> Sighting | None:
         """Fit the print to a grey ``frame`` (V, U) from a pose within half a cell and 10 degrees.
 
-        The initial blur is about half a pixel by default. None if the print would leave the frame
-        or the fit fails; the likeness shows whether the print is present.
+        None if the print would leave the frame or the fit fails; the likeness shows whether it is
+        there.
         """
         from scipy.optimize import least_squares
 

@@ -49,8 +49,7 @@ def interruption() -> Iterator[Callable[[], bool]]:
 def priority() -> Iterator[None]:
     """Context manager that gives the calling thread real-time priority, where it is permitted.
 
-    The timing of the bus is then kept on a loaded computer; the loop sleeps most of the time, so
-    other programs are hardly affected. Linux requires root or a limit on ``rtprio``.
+    The bus is then in time on a loaded computer. Linux requires root or a limit on ``rtprio``.
     """
     granted = False
     if sys.platform == "linux":

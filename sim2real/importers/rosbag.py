@@ -245,16 +245,13 @@ def read_bag(
 ) -> Recording:
     """Read the joint states and commands of a bag as a ``servo`` recording with unknown loads.
 
-    There is a row for each state and each command, so that a set-point has the time at which it was
-    sent. A row with only a command has no measured values; every row has the last set-point of each
-    joint. The first row is that in which the last joint gets its first set-point: earlier states
-    are omitted, and counted in the metadata. The last row is the last state. Joints that a state
-    does not name are missing samples.
-
-    The bag is a ``.bag``, ``.db3`` or ``.mcap`` file or a folder; topics are of ``STATE_TYPES`` and
-    ``COMMAND_TYPES``, that of the commands one for all joints or one for each. Joints are by
-    default those named in the first command. ``InputError`` if the bag, a topic, a message or a
-    joint is invalid, or two sources write the states.
+    There is a row for each state and each command, at its own time. A row with only a command has
+    no measured values; every row has the last set-point of each joint. Rows begin where the last
+    joint gets its first set-point (earlier states are counted in the metadata) and end with the
+    last state. Topics are of ``STATE_TYPES`` and ``COMMAND_TYPES``, that of the commands one for
+    all joints or one for each; joints are by default those named in the first command.
+    ``InputError`` if the bag, a topic, a message or a joint is invalid, or two sources write the
+    states.
     """
     listed = [command_topic] if isinstance(command_topic, str) else list(command_topic)
     if len(listed) != 1 and len(joints or ()) != len(listed):
