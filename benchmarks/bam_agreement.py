@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.harness import command_line
 from sim2real.arrays import Array
-from sim2real.importers.bam_parameters import read_bam_parameters
+from sim2real.importers.bam import read_bam_parameters
 from sim2real.model import Model
 from sim2real.recording import GRAVITY_M_S2, Load
 from sim2real.servo.prediction import predict

@@ -26,8 +26,7 @@ from sim2real.model import Model, write_model
 from sim2real.recording import Recording, read_recording
 from sim2real.report.servo_table import COLUMNS, cells
 from sim2real.robot import Robot, read_robot
-from sim2real.servo_library.catalogue import FOLDER, shipped
-from sim2real.servo_library.entry import ServoEntry, at, prepared
+from sim2real.servo_library.catalogue import FOLDER, ServoEntry, at, prepared, shipped
 
 PAGE = ROOT / "reports" / "servo_library.md"
 BENCH_V = 7.4
@@ -50,7 +49,7 @@ Made by `python -m benchmarks.servo_library`. `sim2real servos` lists the entrie
 
 *held out*: root mean square error on trajectories that no fit used, while the torque is on. BAM's
 entries are its published parameters (Apache-2.0), mapped to the law of the motor by
-`sim2real.importers.bam_parameters`; the notes of each entry say what was not mapped. BAM's files
+`sim2real.importers.bam`; the notes of each entry say what was not mapped. BAM's files
 state no load: servos other than the XL330 have a pendulum of a third of the stall torque.
 
 ## Other settings of the same servo

@@ -77,7 +77,6 @@ def write_good_files(folder: Path) -> None:
         (folder / f"{name}.json").write_text(json.dumps(content))
     table = {"time": 1e3 * t, "goal": np.degrees(command), "angle": np.degrees(angle)}
     pd.DataFrame(table).to_csv(folder / "table.csv", index=False)
-    np.savez(folder / "arrays.npz", time=t, ctrl=command[:, None], qpos=angle[:, None])
     _write_policies(folder)
 
 

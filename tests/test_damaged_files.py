@@ -52,7 +52,6 @@ OPEN = "--diagnosis diagnosis.json --contexts contexts.toml"
 EXPORTS = ("mujoco", "mjlab", "isaaclab", "newton", "genesis", "urdf", "json")
 RANDOM = ("isaaclab", "mjlab", "newton", "mujoco-playground")
 TABLE = "--columns t=time pan.command=goal pan.position=angle --units deg --time-unit ms"
-ARRAYS = "--columns t=time j1.command=ctrl[0] j1.position=qpos[0] --units rad --time-unit s"
 COMMANDS: dict[str, float] = {
     "check a.csv b.csv " + BENCH: 4,
     "check swim.csv " + FISH: 2,
@@ -78,7 +77,6 @@ COMMANDS: dict[str, float] = {
     **{f"export-ranges ranges.json --to {to} --out out.py": 1 for to in RANDOM},
     "import bam.json --out out.csv": 3,
     f"import table.csv {TABLE} --out out.csv": 3,
-    f"import arrays.npz {ARRAYS} --out out.csv": 2,
     f"simulate calibrated.json swim.csv {FISH} --fidelity twin --out out.csv": 4,
     f"simulate calibrated.json few.csv {FISH} --cell-m 0.04 --out out.csv": 0.5,
     f"calibrate swim.csv {FISH} --model calibrated.json --no-plots --out out.json": 1,

@@ -16,8 +16,8 @@ from rl.deploy.pilot import ANSWER_S, Pilot, Track, swim
 from rl.deploy.policy import Policy, read_npz
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.hardware.process import interruption
-from sim2real.hardware.shared_key import shared_key
+from sim2real.hardware.datagram import shared_key
+from sim2real.hardware.session import interruption
 from sim2real.output import check_writable, provenance
 from sim2real.recording import Recording, write_recording
 from sim2real.robot import Robot, read_robot
@@ -114,9 +114,8 @@ def _on_bus(
     from rl.deploy.robots import bus_robot
     from sim2real.hardware.buses import bus_class, connection
     from sim2real.hardware.mounting import Wiring
-    from sim2real.hardware.process import priority
     from sim2real.hardware.servo_bus import Stopped
-    from sim2real.hardware.session import mounted
+    from sim2real.hardware.session import mounted, priority
 
     robot = _described(options, policy)
     try:

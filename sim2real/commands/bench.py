@@ -16,9 +16,8 @@ from sim2real.errors import InputError, if_installed
 from sim2real.hardware.bench import Weight, loads, robot_text, scan, table
 from sim2real.hardware.buses import Connection, bus_class, connection
 from sim2real.hardware.mounting import Wiring, check_ids
-from sim2real.hardware.process import priority
 from sim2real.hardware.servo_bus import PATIENCE_S, Found, Stopped
-from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted
+from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted, priority
 from sim2real.model import Model, write_model
 from sim2real.output import check_writable, provenance, write_whole
 from sim2real.recording import Recording, read_recording

@@ -23,8 +23,7 @@ from sim2real.hardware.camera import (
     write_camera,
 )
 from sim2real.hardware.plots import track_figure
-from sim2real.hardware.sync import correlated, flash, joined
-from sim2real.hardware.tracker import Track, open_video, read_picture, track
+from sim2real.hardware.tracker import Track, correlated, joined, open_video, read_picture, track
 from sim2real.output import beside, check_writable
 from sim2real.recording import Recording, read_recording, write_recording
 from sim2real.report.drawing import save_png
@@ -90,12 +89,10 @@ def _with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> 
             print(f"video begins at {start:.3f} s; joints explain {100 * share:.0f} % of the yaw")
             if share < _SURE:
                 raise ValueError(f"the joints explain {100 * share:.0f} % of the yaw rate")
-        elif options.sync == "flash":
-            start = float(servo.t[0]) - flash(seen)
         else:
             start = -float(options.sync)
     except ValueError as error:
-        expected = "correlate, flash, or the video's time in s at the recording's 0"
+        expected = "correlate, or the video's time in s at the recording's 0"
         found = f"{options.sync} ({error})"
         raise InputError("track", "--sync", found, expected) from None
     columns = {**servo.columns, **joined(seen, servo, start)}

@@ -68,8 +68,7 @@ video FILE: overhead video of the pool
 --out CSV!: pool recording to write
 --servo CSV: recording of the servos to combine with the poses
 --joints JOINT+ = j1: names of the joints, without --servo
---sync HOW = correlate: correlate (yaw with joints), flash (a lamp lit at the recording's start), or
-    the video's time in s at the recording's 0
+--sync HOW = correlate: correlate (yaw with joints), or the video's time in s at the recording's 0
 """
 _CALIBRATE_CAMERA = """
 pictures PICTURE+: pictures of a ChArUco board, or a video of one

@@ -17,8 +17,7 @@ import numpy as np
 from sim2real.clock import check_sampling
 from sim2real.errors import InputError
 from sim2real.findings import all_findings
-from sim2real.importers.bam import read_bam
-from sim2real.importers.bam_parameters import is_bam_parameters, read_bam_parameters
+from sim2real.importers.bam import is_bam_parameters, read_bam, read_bam_parameters
 from sim2real.importers.lerobot import is_lerobot, read_lerobot
 from sim2real.importers.options import (
     MAP,
@@ -29,17 +28,16 @@ from sim2real.importers.options import (
     loads_of,
     refuse,
 )
-from sim2real.importers.robots import robot_toml
 from sim2real.importers.rosbag import read_bag
 from sim2real.importers.tables import column_map, read_table
-from sim2real.importers.urdf import read_urdf
+from sim2real.importers.urdf import read_urdf, robot_toml
 from sim2real.model import write_model
 from sim2real.output import check_writable, write_whole
 from sim2real.recording import Recording, write_recording
 from sim2real.structured import read_json
 
 BAGS = (".bag", ".db3", ".mcap")
-TABLES = (".csv", ".tsv", ".npz")
+TABLES = (".csv", ".tsv")
 KINDS = f"a BAM log (.json), a ROS bag (a folder, {', '.join(BAGS)}), a LeRobot dataset (a folder "
 KINDS += f"with meta/info.json) or a table ({', '.join(TABLES)})"
 LOADS = ("inertia", "pendulum")

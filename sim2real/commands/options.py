@@ -77,7 +77,7 @@ _DENSITY = """
 """
 _IMPORT = """
 source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder), a table
-    (.csv, .tsv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)
+    (.csv, .tsv), or BAM's parameters of a servo (.json)
 --out CSV!: recording to write (of parameters: model)
 --state-topic TOPIC: bag: measured joint states
 --joints JOINT+: bag, dataset: joints, in order

@@ -14,10 +14,9 @@ from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.buses import bus_class, connection
 from sim2real.hardware.mounting import Wiring
-from sim2real.hardware.process import priority
 from sim2real.hardware.recorder import Run
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted
+from sim2real.hardware.session import RATE_HZ, bus_settings, drive, mounted, priority
 from sim2real.output import check_writable, provenance
 from sim2real.recording import SCHEMA
 from sim2real.robot import Joint, Robot, read_robot

@@ -43,7 +43,7 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _one(options: argparse.Namespace) -> int:
-    from sim2real.servo_library.entry import at
+    from sim2real.servo_library.catalogue import at
 
     entry = verbs.servos()[options.name]
     entry = at(entry, firmware_gain=options.firmware_gain, supply_V=options.supply)
@@ -61,7 +61,7 @@ def _one(options: argparse.Namespace) -> int:
 def _add(options: argparse.Namespace) -> int:
     """Check a model, write the entry, and print its row of the table for the review."""
     from sim2real.report.servo_table import markdown_row
-    from sim2real.servo_library.entry import prepared
+    from sim2real.servo_library.catalogue import prepared
 
     if options.model is None:
         raise InputError("servos add", "MODEL", "nothing", "an identified servo (MODEL.json)")

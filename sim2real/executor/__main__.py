@@ -56,11 +56,7 @@ def _function(path: str, job: str) -> Callable[..., Any]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock the folder; its file ``lock`` names the process that holds it.
-
-    Raises:
-        InputError: If another process does not release it in ``PATIENCE_S``.
-    """
+    """Lock the folder, or ``InputError`` after ``PATIENCE_S``; ``lock`` names the process."""
     with (folder / "lock").open("a+") as lock:
         deadline = time.monotonic() + PATIENCE_S
         while True:

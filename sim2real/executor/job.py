@@ -104,11 +104,7 @@ class Job:
             )
 
     def failure(self, status: int) -> str | None:
-        """Reason why a process that ended with ``status`` failed; None if the job is done.
-
-        Raises:
-            Died: If it was killed by a signal.
-        """
+        """Why a process that ended with ``status`` failed; None if done, ``Died`` if killed."""
         if self.is_done():
             return None
         if status < 0:
@@ -132,20 +128,12 @@ class JobOutcome:
 
 
 def write_job(job: Job) -> None:
-    """Write ``job.json`` into the run folder, which is created if missing.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
+    """Write ``job.json`` into the run folder, which is created if missing."""
     write_json(job.folder / _JOB, job.content)
 
 
 def read_job(folder: Path) -> Job:
-    """Read the job of a run folder.
-
-    Raises:
-        InputError: If its ``job.json`` is missing or wrong.
-    """
+    """Read the job of a run folder; ``InputError`` if its ``job.json`` is missing or wrong."""
     path = folder / _JOB
     fields = Fields(path, "", read_json(path))
     options = fields.content.get("options")

@@ -53,37 +53,28 @@ class Actuator:
 
     The torque of the drive is ``clip(kp (command - position) - kd velocity, -limit, limit) -
     back_emf velocity``; the linear law has neither limit nor back-EMF.
-
-    Attributes:
-        joint: Name of the joint.
-        kp: Proportional gain, N m/rad.
-        kd: Derivative gain inside the drive's limit, N m s/rad.
-        back_emf: Damping outside the limit, N m s/rad; 0 with the law ``pd``. With ``motor`` it
-            is the slope of the torque-speed line, and ``kd`` the remaining gain, negative
-            where the line damps more than the servo does.
-        limit: Largest torque of the drive in N m, None if no limit was identified.
-        latency: Time from sending a set-point to its effect, s.
-        inertia: Inertia of the load on the output shaft, kg m2.
-        gravity: Torque of the horizontal pendulum of the load, N m; it hangs down at position 0.
-        per_inertia: The load was not known: gains are per kg m2 and ``inertia`` is 1.
-        effects: Parameters of the other effects by name, in the catalogue's units; with a limit
-            that is the motor's own also ``torque_saturation``.
-        motor: Remaining parameters of the law ``motor``.
-        sheet: Limits and data sheet of the joint, if a robot was given.
     """
 
     joint: str
-    kp: float
-    kd: float
-    latency: float
-    inertia: float
+    kp: float  # proportional gain, N m/rad
+    kd: float  # derivative gain inside the drive's limit, N m s/rad
+    latency: float  # time from sending a set-point to its effect, s
+    inertia: float  # inertia of the load on the output shaft, kg m2
+    # damping outside the limit, N m s/rad; 0 with the law ``pd``. With ``motor`` it is the slope of
+    # the torque-speed line, and ``kd`` the remaining gain, negative where the line damps more than
+    # the servo does
     back_emf: float = 0.0
+    # largest torque of the drive in N m, None if no limit was identified
     limit: float | None = None
+    # torque of the horizontal pendulum of the load, N m; it hangs down at position 0
     gravity: float = 0.0
-    per_inertia: bool = False
+    per_inertia: bool = False  # the load was not known: gains are per kg m2 and ``inertia`` is 1
+    # parameters of the other effects by name, in the catalogue's units; with a limit that is the
+    # motor's own also ``torque_saturation``
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # remaining parameters of the law ``motor``
     motor: Mapping[str, float] = field(default_factory=dict)
-    sheet: Joint | None = None
+    sheet: Joint | None = None  # limits and data sheet of the joint, if a robot was given
 
     def value(self, effect: str, parameter: str) -> float:
         """A parameter of an effect, 0 if the joint does not have it."""
@@ -122,10 +113,7 @@ class Actuator:
 
     @property
     def largest_torque(self) -> float:
-        """Largest torque of a motor with a torque-speed line, at any speed, N m.
-
-        Braking adds the back-EMF to the stall torque, up to twice the latter at the no-load speed.
-        """
+        """Largest torque at any speed, N m; braking adds the back-EMF to the stall torque."""
         braking = 2 * (self.limit or 0.0)
         return braking if self.current_limit is None else min(self.current_limit, braking)
 
@@ -136,10 +124,7 @@ class Actuator:
 
     @property
     def passive_damping(self) -> float:
-        """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole.
-
-        The share of the controller is then not negative below the limit of the drive.
-        """
+        """Damping of the joint in N m s/rad: that of the back-EMF, at most the whole."""
         return max(min(self.back_emf, self.kd + self.back_emf), 0.0)
 
     @property
@@ -157,14 +142,11 @@ class Actuator:
         return self.sheet.servo.no_load_speed_rad_s if self.sheet else None
 
     def stop(self, shortest_s: float = 0.0) -> tuple[float, float]:
-        """Time constant in s and impedance of friction that stops the shaft as identified.
+        """Time constant, at least ``shortest_s``, and impedance of friction that stops the shaft.
 
         Those of MuJoCo's soft constraint: with impedance d and time constant T the shaft stops in
         ``T d / 2`` and creeps with the time constant ``T (1 - d) / 2``. Source: MuJoCo's
         documentation, Computation, Constraint model, where the former is 1 / b.
-
-        Args:
-            shortest_s: Shortest time constant, two time steps of the simulation, s.
         """
         stick, creep = (self.motor.get(name, 0.0) for name in ("stick_time_s", "creep_time_s"))
         if not stick:
@@ -198,15 +180,10 @@ class Export:
 
 
 def actuators(model: Model, robot: Robot | None = None) -> tuple[Actuator, ...]:
-    """The servos of a model, in its order.
+    """The servos of a model, in its order; limits that were not identified are the robot's.
 
-    Args:
-        model: The fitted model.
-        robot: Source of limits and data sheets where no value was identified.
-
-    Raises:
-        InputError: If the model has no joint, the robot lacks a joint of the model, or an effect
-            or a law is unknown.
+    ``InputError`` if the model has no joint, the robot lacks a joint of the model, or an effect or
+    a law is unknown.
     """
     if not model.joints:
         raise InputError("model", "joints", "none", "at least one identified joint")
@@ -271,26 +248,23 @@ def limit_effects(joint: JointModel) -> set[str]:
     return set() if joint.motor.get("stall_torque_Nm") else {SATURATION, BEYOND_LIMIT}
 
 
+def listed(effect: str, values: Mapping[str, float]) -> str:
+    """An effect with its parameters that are not 0."""
+    return f"{effect} ({', '.join(f'{name} = {x:.6g}' for name, x in values.items() if x)})"
+
+
 def left_out(
     servo: Actuator, target: str, has: Iterable[str], lacks: Mapping[str, str]
 ) -> list[LeftOut]:
-    """What a target does not express of one actuator.
-
-    Args:
-        servo: The actuator.
-        target: Name of the target.
-        has: The effects that it expresses, and ``motor.NAME`` of parameters of the motor.
-        lacks: Reasons for the effects that it lacks, where those of ``LACKS`` do not fit.
-    """
+    """What a target with these effects and reasons (beside ``LACKS``) does not express."""
     lines, reasons = [], LACKS | dict(lacks)
     if servo.per_inertia:
         why = "the load was not known, so gains and torques are per kg m2 of inertia on the shaft"
         lines.append(LeftOut(servo.joint, "unit of the gains", why))
     for effect, values in servo.effects.items():
         if effect not in has:
-            shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items() if value)
             why = reasons.get(effect, f"{target} has no equivalent")
-            lines.append(LeftOut(servo.joint, f"{effect} ({shown})", why))
+            lines.append(LeftOut(servo.joint, listed(effect, values), why))
     for name, value in servo.motor.items():
         if f"motor.{name}" not in has:
             meaning = MOTOR_LACKS.get(name, "a share of gear friction that grows with load")
@@ -300,12 +274,7 @@ def left_out(
 
 
 def limit_with_back_emf(servo: Actuator, damping: str) -> tuple[Actuator, list[LeftOut]]:
-    """The actuator with its back-EMF inside the limit where its controller reduces the damping.
-
-    Args:
-        servo: The actuator.
-        damping: The target's name of the damping of its drive, which cannot be negative.
-    """
+    """The actuator with its back-EMF inside the limit where its controller reduces the damping."""
     if servo.kd >= 0:
         return servo, []
     why = f"{damping} cannot be negative: the limit applies to the sum of drive and back-EMF"

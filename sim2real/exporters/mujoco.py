@@ -96,14 +96,8 @@ def mujoco(
 ) -> Export:
     """An MJCF model of a fitted model's actuators, for MuJoCo 3.12 and later.
 
-    Args:
-        model: The fitted model.
-        robot: Source of the limits of the joints (``range``).
-        dropped: Parts that were dropped from the model, to be listed, see `nearest`.
-        remarks: Further lines for the head of the file.
-
-    Raises:
-        InputError: See `actuators`.
+    The head lists parts that were dropped from the model (see `nearest`) and ``remarks``; ``range``
+    of the joints is the robot's. ``InputError`` as of `actuators`.
     """
     root = Element("mujoco", model="sim2real")
     SubElement(root, "compiler", angle="radian")
@@ -137,10 +131,7 @@ def xml_text(root: Element, lines: Sequence[LeftOut], remarks: Sequence[str] = (
 
 
 def _two_limits(servo: Actuator) -> bool:
-    """Whether a limit of the current, below that of the drive, can limit all motors of the joint.
-
-    The back-EMF within this limit is then a motor too.
-    """
+    """Whether a limit of the current can limit all motors of the joint, the back-EMF as well."""
     others = any(servo.value(name, "torque_Nm") for name in PASSIVE)
     others |= bool(servo.effects.keys() & PID or _train(servo))
     if servo.current_limit is None or others:
@@ -291,9 +282,8 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
 
     def motor(name: str, **terms: str) -> None:
         attributes = {"name": f"{servo.joint}_{name}", "joint": servo.joint, "input": "none"}
-        SubElement(
-            section, "dcmotor", attributes | {"resistance": "1", "motorconst": "0 0"} | terms
-        )
+        attributes |= {"resistance": "1", "motorconst": "0 0"}
+        SubElement(section, "dcmotor", attributes | terms)
 
     if _two_limits(servo):
         constant = math.sqrt(servo.back_emf - servo.damping_beyond)
@@ -315,10 +305,8 @@ def _passive(servo: Actuator, section: Element) -> list[LeftOut]:
         sliding, breakaway = falling["torque_Nm"], falling["breakaway_Nm"]
         stiffness = servo.inertia / (4 * TIMESTEP_S) ** 2  # as stiff as the step allows
         damping = 0.03 * math.sqrt(stiffness * servo.inertia)
-        motor(
-            "friction",
-            lugre=_text(stiffness, damping, sliding, breakaway, falling["velocity_rad_s"]),
-        )
+        lugre = _text(stiffness, damping, sliding, breakaway, falling["velocity_rad_s"])
+        motor("friction", lugre=lugre)
         give = max(sliding, breakaway) / stiffness
         why = f"bristles yield {give:.2g} rad before slip; a shorter timestep allows less"
         return [LeftOut(servo.joint, "rigid sticking of stribeck_friction", why)]
@@ -346,13 +334,8 @@ def _inertial(body: Element, inertia: float, weight: float) -> None:
         arm = min(0.05, inertia * GRAVITY_M_S2 / (2 * abs(weight)))
         mass = abs(weight) / (GRAVITY_M_S2 * arm)
     central = inertia - mass * arm**2
-    SubElement(
-        body,
-        "inertial",
-        pos=_text(0, 0, -math.copysign(arm, weight)),
-        mass=_text(mass),
-        diaginertia=_text(central, central, central),
-    )
+    about, place = _text(central, central, central), _text(0, 0, -math.copysign(arm, weight))
+    SubElement(body, "inertial", pos=place, mass=_text(mass), diaginertia=about)
 
 
 def _add_tendon(section: Element, name: str, joints: dict[str, float]) -> Element:

@@ -14,8 +14,14 @@ from sim2real.arrays import Array
 from sim2real.errors import InputError, library
 from sim2real.exporters.actuator import SATURATION, Export
 from sim2real.exporters.mujoco import INTEGRATOR, TIMESTEP_S, expressed, mujoco
-from sim2real.exporters.nearest import Nearest, Which, nearest, rollout_error
-from sim2real.exporters.refit import FittingData, fitting_data
+from sim2real.exporters.nearest import (
+    FittingData,
+    Nearest,
+    Which,
+    fitting_data,
+    nearest,
+    rollout_error,
+)
 from sim2real.inference.least_squares import rms
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
@@ -38,23 +44,12 @@ def simulate(
     integrator: str | None = None,
     timestep_s: float | None = None,
 ) -> dict[str, Array]:
-    """Simulated sensor angles of an exported model for given commands.
+    """Simulated sensor angles in rad (T,) by joint, of an exported model for given commands.
 
-    The model starts at rest on the first set-points.
-
-    Args:
-        xml: The model, as `mujoco.mujoco` writes it.
-        t: Times in s, shape (T,), increasing.
-        command: Set-points in rad by joint, each of shape (T,), without NaN.
-        start: Initial angle in rad by joint; default: the first set-point.
-        integrator: ``"Euler"``, ``"implicitfast"``, ...; default: that of the model.
-        timestep_s: Time step in s; default: that of the model.
-
-    Returns:
-        Angles in rad by joint, each of shape (T,).
-
-    Raises:
-        InputError: If MuJoCo is not installed or the model lacks a joint.
+    Times ``t`` in s and set-points in rad are of shape (T,), without NaN. The model starts at rest
+    on the first set-points, or at the angles ``start``; integrator (``"Euler"``, ...) and time step
+    are by default the model's. ``InputError`` if MuJoCo is not installed or the model lacks a
+    joint.
     """
     mj = library("mujoco", "mujoco")
     model = mj.MjModel.from_xml_string(xml)
@@ -118,18 +113,12 @@ def _rest(
 
 @dataclass(frozen=True)
 class Agreement:
-    """Difference of the exported actuator, simulated in MuJoCo, from the servo.
-
-    Attributes:
-        joint: The joint.
-        error_rad: RMS difference from ``what``.
-        what: A held-out recording, or the full model.
-        coarse: ``integrator``, ``timestep_s`` and ``error_rad`` of each of ``CASES``.
-    """
+    """Difference of the exported actuator, simulated in MuJoCo, from the servo."""
 
     joint: str
-    error_rad: float
-    what: str
+    error_rad: float  # RMS difference from ``what``
+    what: str  # a held-out recording, or the full model
+    # ``integrator``, ``timestep_s`` and ``error_rad`` of each of ``CASES``
     coarse: Sequence[Mapping[str, Any]] = field(default_factory=list)
 
     def __str__(self) -> str:
@@ -149,20 +138,12 @@ def mujoco_export(
     robot: Robot | None = None,
     which: Which = "nearest",
 ) -> tuple[Export, Nearest, tuple[Agreement, ...]]:
-    """Export a model to MuJoCo, refitted without the effects that MuJoCo lacks.
+    """Export a model to MuJoCo, refitted without the effects that MuJoCo lacks, see `nearest`.
 
     If MuJoCo is installed, the file is simulated, at the time steps of ``CASES`` as well, and the
     errors by which `nearest` chooses are those of MuJoCo. Joints with ``BRISTLES`` are then
-    exported with Coulomb friction instead if its simulation is nearer to the data.
-
-    Args:
-        model: The fitted model.
-        recordings: Recordings to refit to, see `nearest`.
-        robot: Source of limits.
-        which: Which model to export, see `nearest`.
-
-    Returns:
-        The export, the model that it expresses, and the difference of MuJoCo by joint.
+    exported with Coulomb friction instead if its simulation is nearer to the data. Also returns the
+    model that is expressed, and the difference of MuJoCo by joint.
     """
     installed = find_spec("mujoco") is not None
     result = nearest(
@@ -187,14 +168,9 @@ def _agreement(name: str, joint: JointModel, data: FittingData) -> Agreement:
     traces, what = data.own, "the full model"
     if data.scored:
         traces, what = data.scored, f"{data.held_out}, held out"
-    coarse = [
-        {
-            "integrator": integrator,
-            "timestep_s": step,
-            "error_rad": mujoco_error(joint, name, traces, integrator, step),
-        }
-        for integrator, step in CASES
-    ]
+    names = ("integrator", "timestep_s", "error_rad")
+    errors = [(*case, mujoco_error(joint, name, traces, *case)) for case in CASES]
+    coarse = [dict(zip(names, one, strict=True)) for one in errors]
     return Agreement(name, mujoco_error(joint, name, traces), what, coarse)
 
 
@@ -205,18 +181,7 @@ def mujoco_error(
     integrator: str = INTEGRATOR,
     timestep_s: float = TIMESTEP_S,
 ) -> float:
-    """RMS difference of MuJoCo from the used samples of traces, each with its load.
-
-    Args:
-        joint: A joint that MuJoCo expresses.
-        name: Its name.
-        traces: Commands and measured angles.
-        integrator: Integrator of MuJoCo.
-        timestep_s: Time step in s.
-
-    Returns:
-        The difference in rad; infinite if MuJoCo's simulation diverges.
-    """
+    """RMS difference in rad of MuJoCo from traces, each with its load; infinite if it diverges."""
     errors = []
     for trace in traces:
         bench = joint if joint.per_inertia else replace(joint, load=trace.load)

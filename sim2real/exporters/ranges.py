@@ -1,9 +1,7 @@
 """Export of randomization ranges: a table, and a Python function that draws from it.
 
-Names: Isaac Lab 2.3 and 3.0 (``isaaclab.envs.mdp.events``), mjlab 1.5 and 1.6
-(``mjlab.envs.mdp.dr``, ``mjlab.managers.event_manager``), Newton 1.8 (``newton.Model``,
-``newton.actuators``), MuJoCo Playground (``randomization_fn`` of
-https://github.com/google-deepmind/mujoco_playground).
+Names: Isaac Lab 2.3 and 3.0 (``isaaclab.envs.mdp.events``), mjlab 1.5 and 1.6, Newton 1.8, MuJoCo
+Playground (``randomization_fn`` of https://github.com/google-deepmind/mujoco_playground).
 """
 
 from __future__ import annotations
@@ -116,29 +114,17 @@ def _uniform(drawn: Range, least: float = 0.0) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class RangesTarget:
-    """A simulator that draws parameters of joints once per episode.
-
-    Latencies, which are set when an actuator is built, and the noise of joints are further tables.
-
-    Attributes:
-        name: Its name.
-        fields: Its name of each quantity that it draws; kp and kd of one name are drawn together,
-            uniformly.
-        normal: Its name of a normal distribution.
-        imports: Python text above the tables.
-        functions: Python text below them.
-        delay: Remark on the table of delays.
-        noise: Remark on the table of the noise of joints.
-        steps: Name of a function that returns delays in physics steps, and what they are.
-    """
+    """A simulator that draws parameters of joints once per episode."""
 
     name: str
+    # its name of each quantity that it draws; kp and kd of one name are drawn together, uniformly
     fields: Mapping[str, str]
-    normal: str
+    normal: str  # its name of a normal distribution
     imports: str
     functions: str
-    delay: str
-    noise: str
+    delay: str  # remark on the table of delays
+    noise: str  # remark on the table of the noise of joints
+    # name of a function that returns delays in physics steps, and what they are
     steps: tuple[str, str] | None = None
 
     def write(self, ranges: Ranges) -> Export:

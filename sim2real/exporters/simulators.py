@@ -48,22 +48,38 @@ ONE_LIMIT = (
 
 @dataclass(frozen=True)
 class Target:
-    """A simulator or format that actuators are exported to.
+    """A simulator or format that actuators are exported to."""
 
-    Attributes:
-        write: Text of a model's actuators, from the model, the robot or None as source of limits,
-            and parts that were dropped from the model, to be listed.
-        has: Effects of the catalogue that it expresses, and ``motor.NAME`` of the motor.
-        expressed: Those of one joint, with the limit of its drive.
-    """
-
+    # text of a model's actuators, from the model, the robot or None as source of limits, and parts
+    # that were dropped from the model, to be listed
     write: Callable[..., Export]
+    # effects of the catalogue that it expresses, and ``motor.NAME`` of the motor
     has: tuple[str, ...]
+    # those of one joint, with the limit of its drive
     expressed: Callable[[JointModel], Collection[str]]
 
 
-def _always(*has: str) -> Callable[[JointModel], Collection[str]]:
-    return lambda joint: {*has, *limit_effects(joint)}
+Text = Callable[[Sequence[Actuator], Robot | None, Sequence[LeftOut]], str]
+
+
+def _target(
+    has: Sequence[str], text: Text, lacks: Callable[[Actuator], list[LeftOut]], damping: str = ""
+) -> Target:
+    """A target with this text; ``damping`` is its name of a drive's, apart from the back-EMF."""
+
+    def write(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+        servos: list[Actuator] = []
+        lines: list[LeftOut] = []
+        for servo in actuators(model, robot):
+            if damping:
+                servo, moved = limit_with_back_emf(servo, damping)
+                lines += moved
+            servos.append(servo)
+            lines += lacks(servo)
+        lines += [*dropped, *shared_left_out(model)]
+        return Export(text(servos, robot, lines), tuple(lines))
+
+    return Target(write, tuple(has), lambda joint: {*has, *limit_effects(joint)})
 
 
 def _python(
@@ -74,77 +90,45 @@ def _python(
     lacks: Mapping[str, str] | None = None,
     damping: str = "",
 ) -> Target:
-    """A simulator that is configured by Python text.
+    """A simulator that is configured by Python text."""
 
-    Args:
-        name: Its name.
-        text: The text of actuators.
-        has: See `Target`.
-        partly: What it lacks, and why, of effects, the latency and ``BEYOND_LIMIT`` that it
-            expresses in part.
-        lacks: Reasons for effects that it lacks.
-        damping: Its name of the damping of a drive, where the back-EMF is apart from that.
-    """
+    def lacking(servo: Actuator) -> list[LeftOut]:
+        lines = left_out(servo, name, has, lacks or {})
+        beyond = servo.damping_beyond if servo.current_limit is not None else 0.0
+        values = {"latency": servo.latency, BEYOND_LIMIT: beyond, **servo.effects}
+        for part, (what, why) in partly.items():
+            if values.get(part):
+                lines.append(LeftOut(servo.joint, what.format(values[part]), why))
+        if servo.beyond_load < 0:
+            why = "an armature cannot be negative; subtract it from the link's inertia"
+            lines.append(LeftOut(servo.joint, "unmodelled_inertia", why))
+        load = f"inertia of the load ({servo.inertia:.6g} kg m2)"
+        return [*lines, LeftOut(servo.joint, load, "it belongs to the link")]
 
-    def write(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
-        servos: list[Actuator] = []
-        lines: list[LeftOut] = []
-        for servo in actuators(model, robot):
-            if damping:
-                servo, moved = limit_with_back_emf(servo, damping)
-                lines += moved
-            servos.append(servo)
-            lines += left_out(servo, name, has, lacks or {})
-            beyond = servo.damping_beyond if servo.current_limit is not None else 0.0
-            values = {"latency": servo.latency, BEYOND_LIMIT: beyond, **servo.effects}
-            for part, (what, why) in partly.items():
-                if values.get(part):
-                    lines.append(LeftOut(servo.joint, what.format(values[part]), why))
-            lines += _of_link(servo)
-        lines += [*dropped, *shared_left_out(model)]
-        return Export(comment(head(lines)) + text(servos), tuple(lines))
+    def written(servos: Sequence[Actuator], _: Robot | None, lines: Sequence[LeftOut]) -> str:
+        return comment(head(lines)) + text(servos)
 
-    return Target(write, has, _always(*has))
+    return _target(has, written, lacking, damping)
 
 
-def _of_link(servo: Actuator) -> list[LeftOut]:
-    """What belongs to the link of a robot, not to its actuator: the load, negative armature."""
-    lines = [
-        LeftOut(
-            servo.joint,
-            f"inertia of the load ({servo.inertia:.6g} kg m2)",
-            "it belongs to the link",
-        )
-    ]
-    if servo.beyond_load < 0:
-        why = "an armature cannot be negative; subtract it from the link's inertia"
-        lines.insert(0, LeftOut(servo.joint, "unmodelled_inertia", why))
-    return lines
-
-
-def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()) -> Export:
+def _urdf_text(servos: Sequence[Actuator], robot: Robot | None, lines: Sequence[LeftOut]) -> str:
     """A URDF (http://wiki.ros.org/urdf/XML) with one link on each joint.
 
     ``damping`` and ``friction`` of ``<dynamics>`` are positive and oppose the motion. Of the
     identified damping the joint has that of the motor's back-EMF, at most the whole; the rest is
     its controller's, whose gains a URDF does not have. Limits of angle, torque and speed, of which
     a URDF requires all, are the robot's; without it joints are ``continuous``.
-
-    Raises:
-        InputError: See `actuators`.
     """
     root = Element("robot", name=robot.name if robot else "sim2real")
     SubElement(root, "link", name="bench")
-    lines: list[LeftOut] = []
-    for servo in actuators(model, robot):
+    for servo in servos:
         kind = "revolute" if servo.sheet else "continuous"
         joint = SubElement(root, "joint", name=servo.joint, type=kind)
         SubElement(joint, "parent", link="bench")
         SubElement(joint, "child", link=f"{servo.joint}_link")
         SubElement(joint, "axis", xyz="0 1 0")
-        SubElement(
-            joint, "dynamics", numbers(damping=servo.passive_damping, friction=servo.friction)
-        )
+        losses = numbers(damping=servo.passive_damping, friction=servo.friction)
+        SubElement(joint, "dynamics", losses)
         if servo.sheet is not None:
             low, high = servo.sheet.limits_rad
             effort, velocity = servo.stall_torque, servo.no_load_speed
@@ -155,9 +139,7 @@ def urdf(model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = 
         moment = servo.inertia + servo.beyond_load
         terms = numbers(ixx=moment, iyy=moment, izz=moment, ixy=0.0, ixz=0.0, iyz=0.0)
         SubElement(inertial, "inertia", terms)
-        lines += _not_in_urdf(servo)
-    lines += [*dropped, *shared_left_out(model)]
-    return Export(f'<?xml version="1.0"?>\n{xml_text(root, lines)}', tuple(lines))
+    return f'<?xml version="1.0"?>\n{xml_text(root, lines)}'
 
 
 def _not_in_urdf(servo: Actuator) -> list[LeftOut]:
@@ -167,30 +149,18 @@ def _not_in_urdf(servo: Actuator) -> list[LeftOut]:
     beside = f"{there}, in addition to the damping of {damping:.6g} N m s/rad in the joint"
     limit = servo.limit if servo.limit is not None and servo.sheet is None else 0.0
     clipped = damping if servo.back_emf > damping else 0.0
+    limits = "a URDF has it only with limits of angle and speed, which a robot file contains"
+    below = "only below the limit of the drive; at the limit the damping is "
+    below += f"{servo.back_emf:.6g} N m s/rad"
+    added = "a URDF has no armature: it is added to the inertia of the link here; do so for yours"
     rows = (
         ("kp", servo.kp, "N m/rad", there),
         ("kd", kd if abs(kd) > 1e-9 * damping else 0.0, "N m s/rad", beside if damping else there),
         ("latency", servo.latency, "s", there),
-        (
-            "torque limit",
-            limit,
-            "N m",
-            "a URDF has it only with limits of angle and speed, which a robot file contains",
-        ),
-        (
-            "damping",
-            clipped,
-            "N m s/rad",
-            "only below the limit of the drive; at the limit the damping is "
-            f"{servo.back_emf:.6g} N m s/rad",
-        ),
+        ("torque limit", limit, "N m", limits),
+        ("damping", clipped, "N m s/rad", below),
         ("pendulum", servo.gravity, "N m", inertia_only),
-        (
-            "unmodelled_inertia",
-            servo.beyond_load,
-            "kg m2",
-            "a URDF has no armature: it is added to the inertia of the link here; do so for yours",
-        ),
+        ("unmodelled_inertia", servo.beyond_load, "kg m2", added),
     )
     lines = [
         LeftOut(servo.joint, f"{name} ({value:.6g} {unit})", why)
@@ -207,16 +177,10 @@ LAW = (
 )
 
 
-def actuators_json(
-    model: Model, robot: Robot | None = None, dropped: Sequence[LeftOut] = ()
-) -> Export:
-    """JSON with all identified parameters of the joints, and the law as a formula.
-
-    Raises:
-        InputError: See `actuators`.
-    """
+def _json_text(servos: Sequence[Actuator], _: Robot | None, lines: Sequence[LeftOut]) -> str:
+    """JSON with all identified parameters of the joints, and the law as a formula."""
     joints: dict[str, dict[str, Any]] = {}
-    for servo in actuators(model, robot):
+    for servo in servos:
         joints[servo.joint] = {
             "kp_Nm_per_rad": servo.kp,
             "kd_Nms_per_rad": servo.kd,
@@ -233,10 +197,9 @@ def actuators_json(
             sheet = vars(servo.sheet.servo)
             joints[servo.joint]["limits_rad"] = list(servo.sheet.limits_rad)
             joints[servo.joint]["data_sheet"] = {n: sheet[n] for n in sheet if n != "where"}
-    lines = (*dropped, *shared_left_out(model))
     content = {"schema": "sim2real.actuators/1", "law": LAW, "joints": joints}
     content["not_expressed"] = [str(line) for line in lines]
-    return Export(json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n", lines)
+    return json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n"
 
 
 TARGETS: Mapping[str, Target] = {
@@ -289,7 +252,7 @@ TARGETS: Mapping[str, Target] = {
             )
         },
     ),
-    "urdf": Target(urdf, FRICTION_AND_ROTOR, _always(*FRICTION_AND_ROTOR)),
-    "json": Target(actuators_json, (), _always(*(effect.name for effect in CATALOGUE))),
+    "urdf": _target(FRICTION_AND_ROTOR, _urdf_text, _not_in_urdf),
+    "json": _target([effect.name for effect in CATALOGUE], _json_text, lambda servo: []),
 }
 """By the name that ``export-servo --to`` takes."""

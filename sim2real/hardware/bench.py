@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim2real.errors import InputError
+from sim2real.hardware.registers import model_named
 from sim2real.hardware.servo_bus import Found, ServoBus
-from sim2real.hardware.servo_models import model_named
 
 LONGEST_REACH_RAD = 2.5
 
@@ -16,10 +16,7 @@ LONGEST_REACH_RAD = 2.5
 def scan(
     bus: ServoBus, ids: Iterable[int], patience_s: float, *, attempts: int = 3
 ) -> tuple[list[Found], list[int]]:
-    """Servos that answer, and identities with corrupted answers, possibly of several servos.
-
-    Nothing is written to any servo. ``OSError`` if the port is lost.
-    """
+    """Servos that answer, and identities with corrupted answers; nothing is written to them."""
     servos, garbled = [], []
     for servo_id in ids:
         before = bus.garbled
@@ -78,11 +75,7 @@ def loads(
 
 
 def robot_text(bus: str, servos: Sequence[Found], reach_rad: float) -> str:
-    """A ``robot.toml`` with one joint of +-``reach_rad`` for each servo, and its model's ratings.
-
-    Raises:
-        InputError: If the ratings of a model are not known.
-    """
+    """A ``robot.toml`` with a joint of +-``reach_rad`` a servo; ``InputError`` without ratings."""
     if not 0 < reach_rad <= LONGEST_REACH_RAD:
         expected = f"more than 0 and at most {LONGEST_REACH_RAD:g} rad"
         raise InputError("--reach", "", f"{reach_rad:g} rad", expected)

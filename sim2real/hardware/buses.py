@@ -36,12 +36,9 @@ class Changed:
 class Journal:
     """The journal of one port, which is locked: one command at a time uses a port.
 
-    It is on the disk before the first change; a command that is killed leaves it behind, and the
-    next one on the port restores the servos. It is in the folder for state of this user:
-    ``XDG_STATE_HOME``, or what the system uses instead.
-
-    Raises:
-        InputError: If another command uses the port.
+    It is on the disk, in the user's folder for state, before the first change; a command that is
+    killed leaves it behind, and the next one on the port restores the servos. ``InputError`` if
+    another command uses the port.
     """
 
     def __init__(self, port: str) -> None:
@@ -67,14 +64,7 @@ class Journal:
         return []
 
     def note(self, about_to_change: Sequence[Changed]) -> list[Changed]:
-        """Note servos before they are changed; returns them as they are noted.
-
-        Those that are noted already stay as they are: what they have now is not what they had
-        before the first change.
-
-        Raises:
-            InputError: If the journal cannot be written.
-        """
+        """Note servos before they are changed; as they are noted: before the first change."""
         noted = {(entry.bus, entry.servo_id): entry for entry in self.pending()}
         for entry in about_to_change:
             noted.setdefault((entry.bus, entry.servo_id), entry)
@@ -127,13 +117,7 @@ def bus_class(name: str) -> type[ServoBus]:
 
 @contextmanager
 def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connection]:
-    """Context manager of an open bus.
-
-    If an earlier command on this port could not restore its servos, this is done first.
-
-    Raises:
-        InputError: If there is no such bus or port, or another command uses the port.
-    """
+    """Context manager of an open bus; what an earlier command left changed is restored first."""
     kind = bus_class(name)
     rate = kind.baud_rates[0] if baud is None else baud
     if rate <= 0:
@@ -158,18 +142,14 @@ def connection(name: str, port: str, baud: int | None = None) -> Iterator[Connec
 def release(
     bus: ServoBus, changed: Mapping[int, Mapping[str, int]], *, attempts: int = 2
 ) -> list[int]:
-    """Stop every servo, switch its torque off and restore its values, given by identity.
+    """Stop every servo and restore its values; identities whose torque may still be on."""
 
-    Returns:
-        Identities of those that did not confirm it; their torque may still be on.
-    """
-    unconfirmed = []
-    for servo_id, values in changed.items():
+    def confirmed(servo_id: int) -> bool:
         with contextlib.suppress(OSError):
-            if any(bus.restore(servo_id, values) for _ in range(attempts)):
-                continue
-        unconfirmed.append(servo_id)
-    return unconfirmed
+            return any(bus.restore(servo_id, changed[servo_id]) for _ in range(attempts))
+        return False
+
+    return [servo_id for servo_id in changed if not confirmed(servo_id)]
 
 
 def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
@@ -190,10 +170,7 @@ def _restore(port: str, pending: Sequence[Changed], journal: Journal) -> None:
 
 
 def latency_advice(port: str, system: Path = Path("/sys"), *, longest_ms: int = 1) -> str | None:
-    """One line if a USB adapter on Linux holds bytes back for too long; None otherwise.
-
-    ``system`` is where sysfs is mounted.
-    """
+    """One line if a USB adapter on Linux holds bytes back for too long, by sysfs in ``system``."""
     name = os.path.basename(os.path.realpath(port))
     folders = system / "class/tty" / name / "device", system / "bus/usb-serial/devices" / name
     for folder in () if "://" in port else folders:

@@ -56,10 +56,7 @@ class Plane:
         return position
 
     def world(self, pixels: Array, height: float = 0.0) -> Array:
-        """x, y in m of pixels (N, 2) in the plane z = ``height``, shape (N, 2).
-
-        The distortion has no inverse in closed form; OpenCV's fixed-point iteration runs to 1e-10.
-        """
+        """x, y in m of pixels (N, 2) in the plane z = ``height``, (N, 2), by iteration to 1e-10."""
         import cv2
 
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
@@ -97,10 +94,7 @@ def stand(lens: Lens, corners_px: Array, corners_m: Array) -> Plane:
     """The pose of the camera from corners in the picture (N, 2) and in the plane z = 0, m, (N, 2).
 
     It has the least reprojection error, from a start by the homography of the corners (Zhang, IEEE
-    PAMI 22 (2000) 1330, section 3.1).
-
-    Raises:
-        ValueError: If no pose of a camera fits the corners.
+    PAMI 22 (2000) 1330, section 3.1). ``ValueError`` if no pose of a camera fits the corners.
     """
     import cv2
 
@@ -191,11 +185,7 @@ def charuco_board(
 
 
 def read_camera(path: str | os.PathLike[str]) -> Camera:
-    """Read ``camera.toml``.
-
-    Raises:
-        InputError: If the file or one of its fields does not conform to the format.
-    """
+    """Read ``camera.toml``; ``InputError`` if it does not conform to the format."""
     top = Fields(path, "", read_toml(path))
     glass, pool = top.table("lens"), top.table("pool")
     width, height = _matrix(glass, "size_px", (2,))
@@ -254,11 +244,7 @@ def write_camera(
     corners_m: Array,
     marker: Marker | None = None,
 ) -> Path:
-    """Write ``camera.toml``; without a marker its table has values to be filled in.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
+    """Write ``camera.toml``; without a marker its table has values to be filled in."""
     shown = marker or Marker("4x4_50", 0, 0.06)
 
     def listed(values: Array, digits: int) -> object:
@@ -327,11 +313,7 @@ def views(
 
 
 def calibrate(chosen: Sequence[View], size: tuple[int, int], *, fewest: int = 6) -> Lens:
-    """Focal lengths, principal point and distortion by least squares (Zhang, PAMI 22 (2000) 1330).
-
-    Raises:
-        ValueError: If there are too few views.
-    """
+    """The lens by least squares (Zhang, PAMI 22 (2000) 1330); ``ValueError`` with too few views."""
     import cv2
 
     if len(chosen) < fewest:

@@ -7,10 +7,10 @@ from UDP to serial works as well: servos ignore bytes before a header, and an an
 begin with ``4C 58`` consists of replies only.
 
 Where radio and computer share a key, ``4C 59`` is followed by a session (16 bytes), a number of
-four bytes and the rest as above, and 16 bytes authenticate all of it (``shared_key.py``). The first
-eight bytes of the session are the computer's. It begins with number 0, no packets and zeros in the
-place of the other eight, which the radio answers with random ones, so that no earlier session can
-be replayed.
+four bytes and the rest as above, and authenticated by the first 16 bytes of its HMAC-SHA-256 (RFC
+2104). The first eight bytes of the session are the computer's. It begins with number 0, no packets
+and zeros in the place of the other eight, which the radio answers with random ones, so that no
+earlier session can be replayed.
 
 A radio should keep the sender that it heard first until that has been silent for ``SILENCE_S`` or
 has sent no packets, and ignore numbers that are not 1 to ``AHEAD`` larger than the last
@@ -20,10 +20,17 @@ computer's address can move the servos. Nothing is encrypted.
 
 from __future__ import annotations
 
+import hmac
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
-from sim2real.hardware.shared_key import sealed, unsealed
+from sim2real.errors import InputError
+from sim2real.structured import read_text
 
+VARIABLE = "SIM2REAL_KEY"
+SHORTEST, CODE_BYTES = 16, 16
+"""Characters of a key, bytes of a code."""
 MARK, SEALED_MARK = b"\x4c\x58", b"\x4c\x59"
 HALF = 8
 """Bytes of a session that each end chooses."""
@@ -86,3 +93,32 @@ def read_answer(datagram: bytes, key: bytes | None = None) -> Datagram | None:
         return Datagram(datagram) if key is None else None
     clock = int.from_bytes(parsed.data[:_CLOCK], "little") * 1e-6
     return Datagram(parsed.data[_CLOCK:], parsed.number, clock, parsed.session)
+
+
+def shared_key(file: str | os.PathLike[str] | None = None) -> bytes | None:
+    """The key in a file, or by default in ``SIM2REAL_KEY``; None if there is none."""
+    text = os.environ.get(VARIABLE) if file is None else read_text(Path(file))
+    if text is None:
+        return None
+    key = text.strip()
+    if len(key) < SHORTEST:
+        found = f"a key of {len(key)} characters"
+        raise InputError(VARIABLE if file is None else file, "", found, f"at least {SHORTEST}")
+    return key.encode()
+
+
+def sealed(content: bytes, key: bytes | None) -> bytes:
+    """The datagram with ``content``; the content alone without a key."""
+    return content if key is None else content + _code(content, key)
+
+
+def unsealed(datagram: bytes, key: bytes | None) -> bytes | None:
+    """The content of a datagram; None if it was sealed with another key or not at all."""
+    if key is None:
+        return datagram
+    content, code = datagram[:-CODE_BYTES], datagram[-CODE_BYTES:]
+    return content if hmac.compare_digest(code, _code(content, key)) else None
+
+
+def _code(content: bytes, key: bytes) -> bytes:
+    return hmac.digest(key, content, "sha256")[:CODE_BYTES]

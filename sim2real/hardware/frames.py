@@ -10,10 +10,7 @@ BROADCAST = 254
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """An instruction or command to a servo, or its answer.
-
-    ``code`` is the instruction; in the answer of a Feetech servo, its error byte.
-    """
+    """An instruction or an answer; ``code`` of a Feetech servo's answer is its error byte."""
 
     servo_id: int
     code: int
@@ -21,7 +18,7 @@ class Packet:
 
 
 class Instruction(IntEnum):
-    """Instructions of Dynamixel and Feetech servos; SCS servos have no sync read."""
+    """Instructions of Dynamixel and Feetech servos."""
 
     PING = 0x01
     READ = 0x02
@@ -37,22 +34,14 @@ class Protocol:
 
     The checksum is the complement of the sum of everything between header and checksum, in one
     byte; the length counts all but the first ``uncounted`` bytes.
-
-    Attributes:
-        header: First bytes of every frame.
-        head: Number of bytes from which the size of a frame is known.
-        overhead: Bytes of a frame besides the parameters, without stuffing.
-        largest: Largest number of bytes of a frame.
-        largest_id: Largest identity of a servo.
-        uncounted: Bytes that the length does not count.
     """
 
-    header: bytes
-    head: int
-    overhead: int
-    largest: int
-    largest_id: int
-    uncounted: int
+    header: bytes  # first bytes of every frame
+    head: int  # number of bytes from which the size of a frame is known
+    overhead: int  # bytes of a frame besides the parameters, without stuffing
+    largest: int  # largest number of bytes of a frame
+    largest_id: int  # largest identity of a servo
+    uncounted: int  # bytes that the length does not count
 
     def encode(self, packet: Packet) -> bytes:
         """The packet as bytes; ``ValueError`` for a wrong identity or too many parameters."""
@@ -127,12 +116,9 @@ DYNAMIXEL = Protocol2(b"\xff\xff\xfd\x00", 7, 10, 1024, 252, uncounted=7)
 class FrameDecoder:
     """Extracts the valid packets from a stream of bytes, without raising errors.
 
-    After a wrong length or checksum it continues at the next byte, so that a packet after noise, or
-    after the start of another, is found. It buffers at most one frame, of ``longest`` bytes. The
-    smaller that is, the fewer packets a corrupted length hides.
-
-    Attributes:
-        garbled: Number of headers without a valid packet.
+    After a wrong length or checksum, counted as ``garbled``, it continues at the next byte, so that
+    a packet after noise is found. It buffers at most one frame, of ``longest`` bytes. The smaller
+    that is, the fewer packets a corrupted length hides.
     """
 
     def __init__(self, protocol: Protocol, longest: int | None = None) -> None:

@@ -61,11 +61,8 @@ def expects_reply(packet: Packet) -> bool:
 
 def is_reply(request: Packet, packet: Packet) -> bool:
     """Whether ``packet`` is the reply to ``request``; an echo of the request is not."""
-    return (
-        packet.code == request.code
-        and request.servo_id in (packet.servo_id, BROADCAST)
-        and len(packet.parameters) == REPLY_BYTES[LxCommand(request.code)]
-    )
+    fits = packet.code == request.code and request.servo_id in (packet.servo_id, BROADCAST)
+    return fits and len(packet.parameters) == REPLY_BYTES[LxCommand(request.code)]
 
 
 def move(servo_id: int, ticks: int) -> Packet:

@@ -59,10 +59,7 @@ class Mounting:
 
 @dataclass(frozen=True)
 class Wiring:
-    """Which servo is in which joint: identities, names, trims, and the joints that are reversed.
-
-    By default all joints of the robot, with trims of 0.
-    """
+    """Which servo is in which joint; by default all joints of the robot, with trims of 0."""
 
     ids: Sequence[int]
     joints: Sequence[str] | None = None
@@ -70,11 +67,7 @@ class Wiring:
     reverse: Sequence[str] | None = None
 
     def check(self, robot: Robot, largest_id: int) -> list[str]:
-        """Names of the joints, checked against robot and bus before the port is opened.
-
-        Raises:
-            InputError: If numbers do not match, or a name or an identity is wrong.
-        """
+        """Names of the joints, checked before the port is opened; ``InputError`` if wrong."""
         names = list(self.joints or [joint.name for joint in robot.joints])
         known = ", ".join(joint.name for joint in robot.joints)
         for name in [*names, *(self.reverse or [])]:
@@ -98,11 +91,7 @@ def check_ids(ids: Sequence[int], largest: int) -> None:
 
 
 def mount(robot: Robot, servos: Sequence[BusServo], wiring: Wiring) -> tuple[Mounting, ...]:
-    """Assign servos to the joints of a robot.
-
-    Raises:
-        InputError: If the wiring is wrong, or the limits of a joint exceed the range of its servo.
-    """
+    """Assign servos to the joints of a robot; ``InputError`` if one does not fit."""
     names = wiring.check(robot, max(wiring.ids, default=0))
     mountings = []
     for name, servo, trim in zip(names, servos, wiring.trim_ticks or [0] * len(names), strict=True):

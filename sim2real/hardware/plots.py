@@ -9,30 +9,25 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.hardware.tracker import Track
+from sim2real.report.series import Panel, series_figure
 from sim2real.report.style import ACCENT, FAINT, INK, MUTED, house_style, new_figure
 from sim2real.robot import Joint
 from sim2real.signals import Excitation
+from sim2real.viewers.scenes import COMMAND, SignalGroup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def signal_figure(excitation: Excitation, joints: Sequence[Joint]) -> Figure:
-    """Plot the set-points of each joint over time with its limits."""
-    with house_style():
-        figure = new_figure(60 + 120 * len(joints), "set-points")
-        panels = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
-        for j, (axes, joint) in enumerate(zip(panels, joints, strict=True)):
-            axes.step(excitation.t, excitation.command[:, j], where="post", color=INK, lw=1.0)
-            for limit in joint.limits_rad:
-                axes.axhline(limit, color=ACCENT, lw=0.8)
-            fastest = f"fastest {excitation.largest_rate[j]:.2f} rad/s"
-            axes.set_title(f"{joint.name}: set-point, rad; limits red; {fastest}")
-        panels[-1].set_xlabel("time, s")
-    return figure
-
-
-_ARROW_M = 0.18
+    """Plot the set-points of each joint over time."""
+    panels = []
+    for j, joint in enumerate(joints):
+        group = SignalGroup((joint.name,), "rad", excitation.t, {COMMAND: excitation.command[:, j]})
+        low, high = joint.limits_rad
+        title = f"{joint.name}: set-point, rad, within {low:g} to {high:g}; fastest "
+        panels.append(Panel(group, f"{title}{excitation.largest_rate[j]:.2f} rad/s"))
+    return series_figure(panels, "set-points")
 
 
 def track_figure(track: Track, corners_m: Array) -> Figure:
@@ -45,14 +40,9 @@ def track_figure(track: Track, corners_m: Array) -> Figure:
         axes.fill(*corners_m.T, facecolor="none", edgecolor=MUTED, linewidth=1.0)
         axes.plot(*track.pose[:, :2].T, color=ACCENT, linewidth=1.2)
         stride = max(1, round(1.0 / float(np.median(np.diff(track.t)))))
-        shown = track.pose[::stride][track.seen[::stride]]
-        ends = shown[:, :2] + _ARROW_M * np.stack([np.cos(shown[:, 2]), np.sin(shown[:, 2])], 1)
-        for (x, y, _), (x1, y1) in zip(shown, ends, strict=True):
-            axes.annotate(
-                "", (x1, y1), (x, y), arrowprops={"arrowstyle": "->", "color": FAINT, "lw": 1.0}
-            )
-        start = track.pose[track.seen][0]
-        axes.plot(start[0], start[1], "o", color=INK, markersize=5)
+        x, y, yaw = track.pose[::stride][track.seen[::stride]].T
+        axes.quiver(x, y, np.cos(yaw), np.sin(yaw), color=FAINT, width=0.004, scale=20)
+        axes.plot(*track.pose[track.seen][0, :2], "o", color=INK, markersize=5)
         axes.grid(visible=False)
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
         coverage = f"seen in {100 * track.seen.mean():.0f} % of {track.t.size} frames"

@@ -89,11 +89,7 @@ def row_file(
 
     It gives a function that appends a row and flushes it; NaN is written as an empty cell. The
     sidecar is written before the first row, and again at the end. Files with fewer than two rows
-    are removed.
-
-    Raises:
-        InputError: If the folder cannot be written.
-        Stopped: If a row cannot be written.
+    are removed. ``InputError`` if the folder cannot be written, ``Stopped`` if a row cannot.
     """
     check_writable(path)
     if is_stream(path):

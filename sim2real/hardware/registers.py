@@ -1,18 +1,20 @@
-"""Memory of servos that are controlled by reading and writing registers: Dynamixel and Feetech."""
+"""Registers of Dynamixel and Feetech servos; their models are in ``servo_models.toml``."""
 
 from __future__ import annotations
 
+import math
+import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from sim2real.hardware.servo_bus import Found, Reading, Scale
 
 
 @dataclass(frozen=True)
 class Register:
-    """A number in the memory of a servo, of ``size`` bytes from ``address``.
-
-    It is in two's complement if ``signed``; ``sign_bit`` makes the rest of the number negative.
-    """
+    """A number of ``size`` bytes in the memory of a servo, in two's complement if ``signed``."""
 
     address: int
     size: int
@@ -24,17 +26,17 @@ class Register:
         """Address behind its last byte."""
         return self.address + self.size
 
-    def encode(self, value: int, order: Literal["little", "big"]) -> bytes:
+    def encode(self, value: int) -> bytes:
         """The bytes of a value; ``OverflowError`` if it does not fit."""
         if self.sign_bit is not None:
             if abs(value) >> self.sign_bit:
                 raise OverflowError(f"{value} does not fit into {self.sign_bit} bits")
             value = abs(value) | (value < 0) << self.sign_bit
-        return value.to_bytes(self.size, order, signed=self.signed)
+        return value.to_bytes(self.size, "little", signed=self.signed)
 
-    def decode(self, data: bytes, order: Literal["little", "big"]) -> int:
+    def decode(self, data: bytes) -> int:
         """The value of ``size`` bytes."""
-        value = int.from_bytes(data, order, signed=self.signed)
+        value = int.from_bytes(data, "little", signed=self.signed)
         if self.sign_bit is not None and value >> self.sign_bit & 1:
             return -(value & ~(1 << self.sign_bit))
         return value
@@ -42,34 +44,20 @@ class Register:
 
 @dataclass(frozen=True)
 class Layout:
-    """The registers of a family of servos, under the same names for every family.
+    """The registers of the servos of a bus, under the same names for every bus.
 
-    Attributes:
-        volatile_from: First address of the memory that is lost without supply (RAM); what lies
-            below (EEPROM) is never written.
-        order: Order of the bytes of a number.
-        sync_read: Whether several servos can be read by one instruction.
-        reported: Registers that are read in each cycle, by one instruction.
-        settings: Registers that are stored in a recording.
-        changed: Registers that a recording changes, with their values while it runs, in the order
-            in which they are restored.
-        position_modes, multi_turn_modes: Operating modes in which a set-point is an angle; those of
-            them in which the stored range of positions does not apply.
-        errors: Names of the bits of the register ``errors``.
-        velocity_unit_rad_s: Unit of velocities in rad/s; None for ticks per second.
+    The memory below ``volatile_from`` (EEPROM) is never written; the rest is lost without supply.
     """
 
     registers: Mapping[str, Register]
     volatile_from: int
-    order: Literal["little", "big"]
-    sync_read: bool
-    reported: tuple[str, ...]
-    settings: tuple[str, ...]
-    changed: Mapping[str, int]
-    position_modes: Mapping[int, str]
-    errors: Mapping[int, str]
-    multi_turn_modes: tuple[int, ...] = ()
-    velocity_unit_rad_s: float | None = None
+    reported: tuple[str, ...]  # in each cycle, by one instruction
+    settings: tuple[str, ...]  # stored in a recording
+    changed: Mapping[str, int]  # values during a recording, in the order of their restoration
+    position_modes: Mapping[int, str]  # operating modes in which a set-point is an angle
+    errors: Mapping[int, str]  # names of the bits of the register ``errors``
+    multi_turn_modes: tuple[int, ...] = ()  # those without the stored range of positions
+    velocity_unit_rad_s: float | None = None  # None for ticks per second
 
     def __getitem__(self, name: str) -> Register:
         return self.registers[name]
@@ -85,8 +73,7 @@ class Layout:
         start, _ = self.span(names)
         registers = {name: self.registers[name] for name in names}
         return {
-            name: r.decode(data[r.address - start : r.end - start], self.order)
-            for name, r in registers.items()
+            name: r.decode(data[r.address - start : r.end - start]) for name, r in registers.items()
         }
 
 
@@ -104,34 +91,6 @@ _REPORTED = (
     "present_temperature",
 )
 _SETTINGS = ("return_delay", "status_level", "position_p", "position_i", "position_d")
-_FEETECH_ERRORS = {0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"}
-_FEETECH = {
-    "model": Register(3, 2),
-    "servo_id": Register(5, 1),
-    "baud": Register(6, 1),
-    "return_delay": Register(7, 1),
-    "status_level": Register(8, 1),
-    "min_position": Register(9, 2),
-    "max_position": Register(11, 2),
-    "max_temperature": Register(13, 1),
-    "max_voltage": Register(14, 1),
-    "min_voltage": Register(15, 1),
-    "max_torque": Register(16, 2),
-    "position_p": Register(21, 1),
-    "position_d": Register(22, 1),
-    "position_i": Register(23, 1),
-    TORQUE: Register(40, 1),
-    "goal_position": Register(42, 2, sign_bit=15),
-    "profile_velocity": Register(46, 2, sign_bit=15),
-    "present_position": Register(56, 2, sign_bit=15),
-    "present_velocity": Register(58, 2, sign_bit=15),
-    "present_load": Register(60, 2, sign_bit=10),
-    "present_voltage": Register(62, 1),
-    "present_temperature": Register(63, 1),
-    "errors": Register(65, 1),
-}
-_FEETECH_SETTINGS = (*_SETTINGS, "max_torque", "profile_velocity")
-
 LAYOUTS: Mapping[str, Layout] = {
     # DYNAMIXEL X and MX (Protocol 2.0), control table of the e-Manual
     "dynamixel": Layout(
@@ -166,8 +125,6 @@ LAYOUTS: Mapping[str, Layout] = {
             "present_temperature": Register(146, 1),
         },
         volatile_from=64,
-        order="little",
-        sync_read=True,
         reported=_REPORTED,
         settings=(
             "firmware",
@@ -185,41 +142,172 @@ LAYOUTS: Mapping[str, Layout] = {
         velocity_unit_rad_s=0.229 * 0.10471975511965977,  # 0.229 rev/min
     ),
     # Feetech STS and SMS, memory table of the STS series
-    "sts": Layout(
+    "feetech": Layout(
         registers={
-            **_FEETECH,
             "firmware": Register(0, 2),
+            "model": Register(3, 2),
+            "servo_id": Register(5, 1),
+            "baud": Register(6, 1),
+            "return_delay": Register(7, 1),
+            "status_level": Register(8, 1),
+            "min_position": Register(9, 2),
+            "max_position": Register(11, 2),
+            "max_temperature": Register(13, 1),
+            "max_voltage": Register(14, 1),
+            "min_voltage": Register(15, 1),
+            "max_torque": Register(16, 2),
+            "position_p": Register(21, 1),
+            "position_d": Register(22, 1),
+            "position_i": Register(23, 1),
+            TORQUE: Register(40, 1),
+            "goal_position": Register(42, 2, sign_bit=15),
+            "profile_velocity": Register(46, 2, sign_bit=15),
+            "present_position": Register(56, 2, sign_bit=15),
+            "present_velocity": Register(58, 2, sign_bit=15),
+            "present_load": Register(60, 2, sign_bit=10),
+            "present_voltage": Register(62, 1),
+            "present_temperature": Register(63, 1),
+            "errors": Register(65, 1),
             "position_offset": Register(31, 2, sign_bit=11),
             "operating_mode": Register(33, 1),
             "profile_acceleration": Register(41, 1),
             "present_current": Register(69, 2, sign_bit=15),
         },
         volatile_from=40,
-        order="little",
-        sync_read=True,
         reported=(*_REPORTED, "present_current"),
         settings=(
             "firmware",
-            *_FEETECH_SETTINGS,
+            *_SETTINGS,
+            "max_torque",
+            "profile_velocity",
             "position_offset",
             "operating_mode",
             "profile_acceleration",
         ),
         changed={"profile_velocity": 0, "profile_acceleration": 0},
         position_modes={0: "position"},
-        errors=_FEETECH_ERRORS,
-    ),
-    # Feetech SCS, memory table of the SCS series: no acceleration, mode or current
-    "scs": Layout(
-        registers={**_FEETECH, "goal_position": Register(42, 2)},
-        volatile_from=40,
-        order="big",
-        sync_read=False,
-        reported=_REPORTED,
-        settings=_FEETECH_SETTINGS,
-        changed={"profile_velocity": 0},
-        position_modes={},
-        errors=_FEETECH_ERRORS,
+        errors={0: "voltage", 1: "sensor", 2: "temperature", 3: "current", 5: "overload"},
     ),
 }
-"""The families of servos."""
+"""By the name of the bus."""
+
+
+_FILE = Path(__file__).with_name("servo_models.toml")
+
+
+@dataclass(frozen=True)
+class Rating:
+    """Ratings of a motor at a supply voltage: stall torque and no-load speed."""
+
+    supply_V: float
+    stall_torque_Nm: float
+    no_load_speed_rad_s: float
+
+
+@dataclass(frozen=True)
+class ServoModel:
+    """A model of servo on a bus."""
+
+    name: str
+    bus: str
+    ticks_per_turn: float
+    centre_ticks: int
+    source: str  # where the figures come from
+    number: int | None = None  # None for all others with the first byte ``main_version``
+    main_version: int | None = None
+    current_unit_A: float | None = None  # None if it reports a load
+    # divisors of the registers of gains, by name
+    gains: Mapping[str, float] = field(default_factory=dict)
+    ratings: tuple[Rating, ...] = ()
+
+    @property
+    def layout(self) -> Layout:
+        """Its registers."""
+        return LAYOUTS[self.bus]
+
+    @property
+    def velocity_unit_rad_s(self) -> float:
+        """Unit of its velocities."""
+        return self.layout.velocity_unit_rad_s or self.scale(0, 0).tick_rad
+
+    def scale(self, lowest_ticks: int, largest_ticks: int) -> Scale:
+        """Conversion of its ticks, with the range of set-points that it accepts."""
+        tick_rad = 2 * math.pi / self.ticks_per_turn
+        return Scale(tick_rad, self.centre_ticks, lowest_ticks, largest_ticks)
+
+    def rating(self, supply_V: float) -> Rating | None:
+        """The ratings at the voltage nearest to a supply."""
+        return min(self.ratings, key=lambda r: abs(r.supply_V - supply_V), default=None)
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What it reports besides its position, named as the columns of a recording."""
+        drive = [] if self.current_unit_A is None else ["current_A"]
+        if "present_current" in self.layout.registers or not drive:
+            drive.append("load")
+        return ("velocity_rad_s", *drive, "temperature_C")
+
+    def reading(self, data: bytes) -> Reading:
+        """Present values in physical units, from the block of the layout's ``reported``."""
+        values = self.layout.decode(self.layout.reported, data)
+        current = load = math.nan
+        if self.current_unit_A is not None:  # in some servos, one register for either
+            drive = values.get("present_current", values["present_load"])
+            current = drive * self.current_unit_A
+        if "load" in self.quantities:
+            load = values["present_load"] / 1000
+        return Reading(
+            position_ticks=values["present_position"],
+            goal_ticks=values["goal_position"],
+            velocity_rad_s=values["present_velocity"] * self.velocity_unit_rad_s,
+            current_A=current,
+            load=load,
+            supply_V=values["present_voltage"] / 10,
+            temperature_C=float(values["present_temperature"]),
+        )
+
+    def found(self, servo_id: int, values: Mapping[str, int]) -> Found:
+        """The state of a servo, from the registers that were read."""
+        ticks, tenths = values.get("present_position"), values.get("present_voltage")
+        bits, powered = values.get("errors", 0), values.get(TORQUE)
+        errors = [what for bit, what in self.layout.errors.items() if bits >> bit & 1]
+        low, high = values.get("min_voltage", 0), values.get("max_voltage", math.inf)
+        if tenths is not None and not low <= tenths <= high:
+            errors.append(f"supply outside {low / 10:.1f} to {high / 10:.1f} V")
+        return Found(
+            servo_id,
+            model=self.name,
+            ticks=ticks,
+            angle_rad=None if ticks is None else self.scale(0, 0).angle(ticks),
+            supply_V=None if tenths is None else tenths / 10,
+            temperature_C=values.get("present_temperature"),
+            powered=None if powered is None else powered != 0,
+            errors=tuple(errors),
+        )
+
+
+@cache
+def servo_models(bus: str | None = None) -> tuple[ServoModel, ...]:
+    """All known models, or those of a bus."""
+    content = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+    models = []
+    for entry in content["models"]:
+        values = content["buses"][entry["bus"]] | entry
+        ratings = tuple(
+            Rating(supply_V, torque_Nm, speed_rpm * 2 * math.pi / 60)
+            for supply_V, torque_Nm, speed_rpm in values.pop("ratings", ())
+        )
+        models.append(ServoModel(**values, ratings=ratings))
+    return tuple(model for model in models if bus in (None, model.bus))
+
+
+def model_of(bus: str, number: int) -> ServoModel | None:
+    """The model with a number on a bus; None if it is unknown."""
+    known = servo_models(bus)
+    exact = next((model for model in known if model.number == number), None)
+    return exact or next((model for model in known if model.main_version == number & 0xFF), None)
+
+
+def model_named(bus: str, name: str) -> ServoModel | None:
+    """The model with a name on a bus, ignoring case; None if it is unknown."""
+    return next((m for m in servo_models(bus) if m.name.lower() == name.lower()), None)

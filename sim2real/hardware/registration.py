@@ -77,8 +77,8 @@ class Finder:
     def register(self, frame: Picture, pose: Array, blur_m: float | None = None) -> Sighting | None:
         """Fit the print to a grey ``frame`` (V, U) from a pose within half a cell and 10 degrees.
 
-        The initial blur is about half a pixel by default. None if the print would leave the frame
-        or the fit fails; the likeness shows whether the print is present.
+        None if the print would leave the frame or the fit fails; the likeness shows whether it is
+        there.
         """
         from scipy.optimize import least_squares
 
@@ -124,10 +124,7 @@ class Finder:
         return Sighting(found, float(likeness), width * self.cell_m)
 
     def search(self, frame: Picture, window: tuple[int, int, int, int], *, most: int = 12) -> Array:
-        """Candidate poses (N, 3), the most similar first; all positions at 24 angles are compared.
-
-        ``window`` are first column and row, last column and row (exclusive) of the search.
-        """
+        """Candidate poses (N, 3) in a window (left, top, right, bottom), the most similar first."""
         import cv2
 
         left, top, right, bottom = window

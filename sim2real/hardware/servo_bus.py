@@ -37,11 +37,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class BusServo:
-    """A servo on the bus.
-
-    ``quantities`` are what it reports in each cycle besides its position, named as the columns of
-    a recording.
-    """
+    """A servo on the bus, and columns of what it reports in each cycle besides its position."""
 
     servo_id: int
     scale: Scale
@@ -50,10 +46,7 @@ class BusServo:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a servo reported in a cycle; None or NaN for values without a reply.
-
-    ``goal_ticks`` is the set-point in effect, ``load`` the drive as a share of the largest.
-    """
+    """What a servo reported in a cycle; None or NaN for values without a reply."""
 
     position_ticks: int | None = None
     goal_ticks: int | None = None
@@ -109,19 +102,13 @@ def reason(error: Stopped | OSError) -> str:
 
 
 class ServoBus(ABC):
-    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost.
+    """Servos on one port, at ``baud`` bits per second. ``OSError`` if the port is lost."""
 
-    Attributes:
-        name: Name of the bus on the command line.
-        baud_rates: Rates at which such servos are searched for, the usual first.
-        protocol: Frames of its packets.
-        longest_answer: Largest number of bytes of an answer's frame.
-    """
-
-    name: ClassVar[str]
+    name: ClassVar[str]  # name of the bus on the command line
+    # rates at which such servos are searched for, the usual first
     baud_rates: ClassVar[tuple[int, ...]]
-    protocol: ClassVar[Protocol]
-    longest_answer: ClassVar[int]
+    protocol: ClassVar[Protocol]  # frames of its packets
+    longest_answer: ClassVar[int]  # largest number of bytes of an answer's frame
 
     def __init__(self, transport: Transport, baud: int | None = None) -> None:
         self._transport, self.baud = transport, baud or self.baud_rates[0]
@@ -137,12 +124,7 @@ class ServoBus(ABC):
 
     @abstractmethod
     def servo(self, servo_id: int) -> BusServo:
-        """Model and scale of a servo.
-
-        Raises:
-            Stopped: If it does not answer.
-            InputError: If its model is unknown, or it does not control its position.
-        """
+        """Model and scale of a servo; ``Stopped`` or ``InputError`` if it cannot be driven."""
 
     def settings(self, servo_id: int) -> dict[str, Any]:
         """Settings of a servo, for the recording, if it tells them: firmware, gains, delays."""
@@ -188,16 +170,10 @@ class ServoBus(ABC):
     def transfer(
         self, data: bytes, expected: Sequence[Callable[[Packet], bool]], deadline: float
     ) -> list[Packet | None]:
-        """Send bytes and wait for the replies until ``deadline``, by ``time.monotonic``.
+        """Send encoded requests and wait for the replies until ``deadline``, by ``time.monotonic``.
 
-        Args:
-            data: Encoded requests.
-            expected: For each expected reply whether a packet is that reply. Others are ignored,
-                such as the echo of a request on a single wire.
-            deadline: Time limit.
-
-        Returns:
-            The expected replies in order; None for those that are missing.
+        ``expected`` tell of each reply whether a packet is it. Others are ignored, such as the echo
+        of a request on a single wire. Those that are missing are None.
         """
         replies: list[Packet | None] = [None] * len(expected)
         due = list(range(len(expected)))

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from tqdm import tqdm
@@ -13,11 +19,50 @@ from tqdm import tqdm
 from sim2real.errors import InputError
 from sim2real.hardware.buses import Changed, Connection, release
 from sim2real.hardware.mounting import Mounting, Wiring, mount
-from sim2real.hardware.process import interruption
 from sim2real.hardware.recorder import BUSY_SHARE, Run, columns, record, row_file
 from sim2real.hardware.servo_bus import ServoBus, Stopped, reason
 from sim2real.robot import Robot
 from sim2real.signals import Excitation
+
+
+@contextmanager
+def interruption() -> Iterator[Callable[[], bool]]:
+    """Context manager of a function: whether a signal, in the main thread, asks to stop."""
+    asked = threading.Event()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []
+    before = [(number, signal.signal(number, ask)) for number in numbers]
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+
+
+@contextmanager
+def priority() -> Iterator[None]:
+    """Context manager that gives the calling thread real-time priority, where it is permitted.
+
+    The bus is then in time on a loaded computer. Linux requires root or a limit on ``rtprio``.
+    """
+    granted = False
+    if sys.platform == "linux":
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+            granted = True
+    try:
+        yield
+    finally:
+        if granted:
+            os.sched_setscheduler(0, *before)
+
 
 RATE_HZ = 50.0
 APPROACH_RAD_S = 0.5
@@ -27,10 +72,8 @@ LARGEST_JUMP_RAD = 0.1
 def mounted(connection: Connection, robot: Robot, wiring: Wiring) -> tuple[Mounting, ...]:
     """The servos in their joints, with the scales that they report.
 
-    Raises:
-        Stopped: If a servo does not answer.
-        InputError: If its model is unknown, it does not control its position, or it does not fit
-            its joint; or if the rate of the bus is too slow.
+    ``Stopped`` if a servo does not answer, ``InputError`` if its model is unknown, it does not
+    control its position or does not fit its joint, or if the rate of the bus is too slow.
     """
     bus = connection.bus
     mountings = mount(robot, [bus.servo(servo_id) for servo_id in wiring.ids], wiring)
@@ -106,10 +149,8 @@ def approach(
 ) -> None:
     """Move every joint slowly to its first set-point in rad, and wait until it is at rest.
 
-    Raises:
-        Stopped: If a servo does not answer, is above ``hottest_C`` or outside of its range, or the
-            user has asked to stop.
-        OSError: If the port is lost.
+    ``Stopped`` if a servo does not answer, is above ``hottest_C`` or outside of its range, or the
+    user has asked to stop; ``OSError`` if the port is lost.
     """
     start, ways = {}, {}
     for mounting, angle in zip(mountings, target, strict=True):
@@ -144,10 +185,7 @@ def note_changes(connection: Connection, mountings: Sequence[Mounting]) -> list[
 def let_go(
     connection: Connection, mountings: Sequence[Mounting], changed: Sequence[Changed]
 ) -> list[Mounting]:
-    """Release all servos; returns those whose torque may still be on.
-
-    Those that are changed and do not confirm it stay in the journal.
-    """
+    """Release all servos; those whose torque may still be on, which stay in the journal."""
     values: dict[int, Mapping[str, int]] = {mounting.servo_id: {} for mounting in mountings}
     values |= {entry.servo_id: entry.values for entry in changed}
     left = release(connection.bus, values)

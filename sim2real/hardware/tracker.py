@@ -1,4 +1,4 @@
-"""Tracking of the body's pose in an overhead video.
+"""Tracking of the body's pose in an overhead video, and its synchronisation with the servos.
 
 The position of the marker is predicted from its motion; if it is not found there, it is searched
 nearby, then in the whole frame. Frames in which it is not found are missing. Robots that cannot
@@ -18,7 +18,9 @@ from sim2real.arrays import Array, Mask, Picture
 from sim2real.errors import InputError
 from sim2real.hardware.camera import Blob, Camera, Marker, Plane
 from sim2real.hardware.registration import Finder, Sighting
+from sim2real.recording import Recording
 from sim2real.structured import LARGEST_STREAM_BYTES, check_size
+from sim2real.velocity import body_velocity
 
 LIKENESS = 0.85
 """Smallest correlation with the print of a valid sighting."""
@@ -37,12 +39,11 @@ class Track:
     """Track of the body in a video.
 
     ``t`` are times in s since the first frame (T,), ``pose`` x, y in m and unwrapped heading in rad
-    (T, 3), NaN if not found, ``brightness`` the mean grey level of each frame (T,).
+    (T, 3), NaN if not found.
     """
 
     t: Array
     pose: Array
-    brightness: Array
 
     @property
     def seen(self) -> Mask:
@@ -136,10 +137,7 @@ def find_blob(picture: Picture, plane: Plane, blob: Blob, *, fewest_px: int = 6)
 
 
 def ahead(poses: Array) -> Array:
-    """Poses (T, 3) of blobs with unwrapped headings in the mean direction of motion.
-
-    A robot swims head first; NaN where the blob is missing.
-    """
+    """Poses (T, 3) of blobs with unwrapped headings; NaN if missing. A robot swims head first."""
     out = np.array(poses)
     found = np.flatnonzero(np.isfinite(out[:, 2]))
     if found.size < 2:
@@ -156,21 +154,14 @@ def ahead(poses: Array) -> Array:
 def track(
     video: str | os.PathLike[str], camera: Camera, *, progress: Callable[[], None] = lambda: None
 ) -> Track:
-    """Track the body in a video; ``progress`` is called after every frame.
-
-    Raises:
-        InputError: If the video cannot be read, has another size than the camera, or the body is
-            not found in any frame.
-    """
+    """Track the body in a video; ``InputError`` if that fails. ``progress`` after each frame."""
     import cv2
 
     frames, rate = open_video(video, camera)
     found: list[Array] = []
-    bright: list[float] = []
     tracker = MarkerTracker(camera.plane, camera.marker) if camera.marker else None
     for picture in frames:
         grey: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)  # type: ignore[assignment]
-        bright.append(float(grey[::8, ::8].mean()))
         pose = tracker.see(grey) if tracker else None
         if tracker is None and camera.blob is not None:
             pose = find_blob(picture, camera.plane, camera.blob)
@@ -181,17 +172,13 @@ def track(
         target = "marker" if camera.marker else "blob"
         raise InputError(video, "", f"no {target} in any of {len(poses)} frames", f"the {target}")
     poses = camera.marker.body(poses) if camera.marker else ahead(poses)
-    return Track(np.arange(len(poses)) / rate, poses, np.array(bright))
+    return Track(np.arange(len(poses)) / rate, poses)
 
 
 def open_video(
     video: str | os.PathLike[str], camera: Camera | None = None
 ) -> tuple[Iterator[Picture], float]:
-    """Frames of a video and their rate in 1/s.
-
-    Raises:
-        InputError: If it cannot be read, or its size is not that of the camera.
-    """
+    """Frames of a video and their rate in 1/s; ``InputError`` if it cannot be used."""
     import cv2
 
     source = cv2.VideoCapture(_checked(video))
@@ -223,14 +210,76 @@ def _checked(path: str | os.PathLike[str]) -> str:
 
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
-    """One picture, blue, green, red, shape (V, U, 3).
-
-    Raises:
-        InputError: If it can't be read.
-    """
+    """One picture, blue, green, red, shape (V, U, 3). ``InputError`` if it can't be read."""
     import cv2
 
     picture = cv2.imread(_checked(path))
     if picture is None:
         raise InputError(path, "", "no picture that can be read", "a PNG or JPEG")
     return picture  # type: ignore[return-value]
+
+
+_GRID_S = 0.01
+_LEAST_OVERLAP = 0.3
+
+
+def correlated(track: Track, servo: Recording, *, reach_s: float = 10.0) -> tuple[float, float]:
+    """Lag of the video relative to the recording, and the explained share of variance.
+
+    Bending of a joint rotates the head in the opposite direction. The yaw rate is regressed on the
+    rates of all joints at every lag up to ``reach_s``; the lag with the best fit is refined by a
+    parabola. The lag is the recording's time at the video's first frame in s. ``ValueError`` if
+    they hardly overlap, or there is no motion.
+    """
+    t = np.arange(servo.t[0], servo.t[-1], _GRID_S)
+    yaw_t = np.arange(track.t[0], track.t[-1], _GRID_S)
+    yaw_rate = np.interp(yaw_t, track.t, body_velocity(track.t, track.pose)[:, 2])
+    rates = np.stack([_rate(servo.t, angle, t) for angle in servo.position.T], axis=1)
+    if not (rates.std() > 0 and yaw_rate.std() > 0):
+        raise ValueError("nothing moves")
+    lags = np.arange(-round(reach_s / _GRID_S), round(reach_s / _GRID_S) + 1)
+    shortest = _LEAST_OVERLAP * min(t.size, yaw_t.size)
+    shares = np.array([_explained(rates, yaw_rate, int(lag), shortest) for lag in lags])
+    if not np.isfinite(shares).any():
+        raise ValueError("the video and the recording hardly overlap")
+    k = int(np.nanargmax(shares))
+    offset = 0.0
+    if 0 < k < len(lags) - 1:
+        a, b, c = shares[k - 1 : k + 2]
+        if a - 2 * b + c < 0:  # False with NaN
+            offset = 0.5 * (a - c) / (a - 2 * b + c)
+    return float(servo.t[0] + (lags[k] + offset) * _GRID_S), float(shares[k])
+
+
+def _rate(t: Array, angle: Array, grid: Array) -> Array:
+    """Rate of a joint on a grid of times; missing angles are interpolated."""
+    measured = np.isfinite(angle)
+    return np.interp(grid, t, np.gradient(np.interp(t, t[measured], angle[measured]), t))
+
+
+def _explained(rates: Array, yaw_rate: Array, lag: int, shortest: float) -> float:
+    """Share of the variance explained if the video starts ``lag`` steps into the recording."""
+    start, stop = max(0, lag), min(len(rates), lag + yaw_rate.size)
+    if stop - start < shortest:
+        return float("nan")
+    design = np.column_stack([np.ones(stop - start), rates[start:stop]])
+    observed = yaw_rate[start - lag : stop - lag]
+    normal = design.T @ design + 1e-9 * np.eye(design.shape[1])
+    missed = observed - design @ np.linalg.solve(normal, design.T @ observed)
+    return 1 - float(missed @ missed) / max(float(observed.var() * observed.size), 1e-12)
+
+
+def joined(track: Track, servo: Recording, start_s: float) -> dict[str, Array]:
+    """Body columns on the recording's clock; the video's first frame is at ``start_s``."""
+    t = servo.t - start_s
+    gap = 1.5 * float(np.median(np.diff(track.t)))
+    frame_t = track.t[track.seen]
+    after = np.searchsorted(frame_t, t)
+    before, after = (np.clip(k, 0, frame_t.size - 1) for k in (after - 1, after))
+    inside = (t >= frame_t[0]) & (t <= frame_t[-1])
+    valid = inside & (frame_t[after] - frame_t[before] <= gap)
+    names = ("body.x_m", "body.y_m", "body.yaw_rad")
+    return {
+        name: np.where(valid, np.interp(t, frame_t, column), np.nan)
+        for name, column in zip(names, track.pose[track.seen].T, strict=True)
+    }

@@ -24,8 +24,8 @@ from sim2real.hardware.datagram import (
     Datagram,
     read_answer,
     request,
+    shared_key,
 )
-from sim2real.hardware.shared_key import shared_key
 
 _PORTS = "a serial port, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
 PATIENCE = 25
@@ -35,15 +35,12 @@ WRITE_TIMEOUT_S = 0.5
 
 
 class Transport(Protocol):
-    """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost.
+    """A connection to the bus. Calls return by their deadline; ``OSError`` if it is lost."""
 
-    Attributes:
-        together: Whether requests to several servos may be pending at once. A shared wire does not
-            allow it; a radio that sends them in order does.
-        device_s: Clock of the remote device at the last answered request, if it sends one.
-    """
-
+    # whether requests to several servos may be pending at once. A shared wire does not allow it; a
+    # radio that sends them in order does
     together: bool
+    # clock of the remote device at the last answered request, if it sends one
     device_s: float | None
 
     def write(self, data: bytes) -> None:
@@ -57,14 +54,10 @@ class Transport(Protocol):
 
 
 def open_transport(url: str, *, baud: int = 115_200) -> Transport:
-    """Open the transport of a URL.
+    """Open a serial port (local, ``socket://``, ``rfc2217://``) or a radio (``udp://HOST:PORT``).
 
-    It is a serial port (``/dev/ttyUSB0``, ``COM3``), one served over a network (``socket://``,
-    ``rfc2217://``), or a radio (``udp://HOST:PORT``, with the key in the environment variable
-    ``SIM2REAL_KEY`` if there is one).
-
-    Raises:
-        InputError: If there is no such port, or it cannot be opened.
+    The radio's key is in the environment variable ``SIM2REAL_KEY``, if there is one. ``InputError``
+    if there is no such port, or it cannot be opened.
     """
     if url.startswith("udp://"):
         return UdpTransport(url, shared_key())
@@ -151,10 +144,7 @@ class SerialTransport:
 
 
 class UdpTransport:
-    """A radio at ``udp://HOST:PORT``, which shares ``key``. Missing answers are not errors.
-
-    Late answers, to other datagrams than the last one, are dropped.
-    """
+    """A radio at ``udp://HOST:PORT``, which shares ``key``; missing answers are not errors."""
 
     together = True
 

@@ -109,11 +109,7 @@ class Shaft:
 
 
 class VirtualServo(ABC):
-    """A virtual servo, initially at rest at its centre with its torque off.
-
-    ``now`` is the present time in s, of the clock of later calls. A servo that is not ``connected``
-    receives and sends nothing.
-    """
+    """A virtual servo, at rest at its centre with its torque off at the time ``now``."""
 
     def __init__(
         self,

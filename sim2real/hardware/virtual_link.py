@@ -33,11 +33,7 @@ TICK_S = 0.02  # period of the simulation without requests
 def serve_terminal(
     bus: VirtualBus, announce: Callable[[str], object], stop: Callable[[], bool]
 ) -> None:
-    """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name.
-
-    If the host has set another rate than that of the bus, the servos understand nothing.
-    ``InputError`` on a system without pseudo-terminals.
-    """
+    """Serve a pseudo-terminal until ``stop``; ``announce`` is called with its name."""
     try:
         import tty
 
@@ -83,13 +79,7 @@ def serve_udp(
     loss: float = 0.0,
     key: bytes | None = None,
 ) -> None:
-    """Serve a radio at ``address`` until ``stop``; ``announce`` is called with its URL.
-
-    ``loss`` is the share of lost datagrams in both directions. Port 0 stands for any free port.
-
-    Raises:
-        InputError: If the address is not available.
-    """
+    """Serve a radio until ``stop``, with this share of lost datagrams; port 0 is any free one."""
     radio = VirtualRadio(key)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as socket_:
         try:

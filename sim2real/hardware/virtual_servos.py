@@ -9,8 +9,7 @@ from typing import ClassVar, Literal
 from sim2real.hardware.frames import BROADCAST, Instruction, Packet
 from sim2real.hardware.lx import SCALE, LxCommand, expects_reply
 from sim2real.hardware.register_bus import ALERT
-from sim2real.hardware.registers import TORQUE
-from sim2real.hardware.servo_models import ServoModel
+from sim2real.hardware.registers import TORQUE, ServoModel
 from sim2real.hardware.virtual_bus import Law, VirtualServo
 
 Refusal = Literal["instruction", "range", "length", "access"]
@@ -74,16 +73,12 @@ class RegisterServo(VirtualServo):
 
     A set-point is approached with ``profile_velocity`` if that is not 0; ``profile_acceleration``
     is stored only. The current or load is the torque as a share of the stall torque.
-
-    Attributes:
-        word_bytes: Bytes of an address, and of a number of bytes, in an instruction.
-        answers_writes: Value of the register ``status_level`` with which writes are answered.
-        factory: Values of registers.
     """
 
-    word_bytes: ClassVar[int]
+    word_bytes: ClassVar[int]  # bytes of an address, and of a number of bytes, in an instruction
+    # value of the register ``status_level`` with which writes are answered
     answers_writes: ClassVar[int]
-    factory: ClassVar[Mapping[str, int]]
+    factory: ClassVar[Mapping[str, int]]  # values of registers
 
     def __init__(
         self, model: ServoModel, servo_id: int, law: Law, now: float, **more: float
@@ -120,13 +115,12 @@ class RegisterServo(VirtualServo):
     def get(self, name: str) -> int:
         """Value of a register."""
         register = self._layout[name]
-        data = bytes(self.memory[register.address : register.end])
-        return register.decode(data, self._layout.order)
+        return register.decode(bytes(self.memory[register.address : register.end]))
 
     def put(self, name: str, value: int) -> None:
         """Set a register without any effect, for example when the servo is made."""
         register = self._layout[name]
-        self.memory[register.address : register.end] = register.encode(value, self._layout.order)
+        self.memory[register.address : register.end] = register.encode(value)
 
     def advance(self, now: float) -> None:
         """Advance the simulation to ``now``; an expired watchdog stops the shaft."""
@@ -153,8 +147,7 @@ class RegisterServo(VirtualServo):
         if code == Instruction.PING:
             return self._status(None, self._identification())
         if code == Instruction.SYNC_READ and everyone:
-            asked = self._layout.sync_read and self.servo_id in rest
-            return self._read(address, count, now) if asked else None
+            return self._read(address, count, now) if self.servo_id in rest else None
         if code == Instruction.SYNC_WRITE and everyone:
             for start in range(0, len(rest) - count, count + 1):  # an identity and its bytes
                 if rest[start] == self.servo_id:
@@ -283,7 +276,7 @@ class VirtualDynamixel(RegisterServo):
 
 
 class VirtualFeetech(RegisterServo):
-    """One Feetech servo (STS, SMS or SCS)."""
+    """One Feetech servo (STS or SMS)."""
 
     word_bytes = 1
     answers_writes = 1

@@ -39,20 +39,12 @@ def read_lerobot(
     episode: int | None = None,
     joints: Sequence[str] | None = None,
 ) -> Recording:
-    """Read one episode of a dataset as a recording with unknown loads.
+    """Read one episode of a dataset as a ``servo`` recording with unknown loads, from time 0.
 
-    Args:
-        path: The dataset's folder, with ``meta/info.json`` in it.
-        conversion: Units of the angles, by joint.
-        episode: Its index; may be None if there is only one.
-        joints: The joints to read; default: all. If the dataset does not name its joints: names
-            for all of them, in order. A suffix ``.pos`` of a name is removed.
-
-    Returns:
-        A ``servo`` recording of T rows at the frames' times, from 0.
-
-    Raises:
-        InputError: If the dataset, the episode or a joint is invalid.
+    The path is that of the folder with ``meta/info.json``; the episode may be None if there is only
+    one. If the dataset does not name its joints, ``joints`` are names for all of them, in order;
+    else they select. A suffix ``.pos`` of a name is removed. ``InputError`` if the dataset, the
+    episode or a joint is invalid.
     """
     root = Path(path)
     info = Fields(root / "meta" / "info.json", "", read_json(root / "meta" / "info.json"))

@@ -27,29 +27,22 @@ PENDULUM = "J=MASS_KG,LENGTH_M, two numbers above 0"
 
 @dataclass(frozen=True)
 class Conversion:
-    """Conversion of the angles of a log to radians, see `conversion`.
+    """Conversion of the angles of a log to radians, see `conversion`."""
 
-    Attributes:
-        units: Unit of each joint by name, of ``J.command`` or ``J.position`` alone, and of all
-            others under ``""``.
-        counts_per_turn: Encoder counts per turn of the output shaft, for ``counts`` and the
-            calibrated ranges; 0 if no unit needs it.
-        zero_count: The count at angle 0; default: the middle of the calibrated range.
-        calibration: A LeRobot calibration file: for each joint ``range_min`` and ``range_max`` in
-            counts; empty if no unit needs it.
-    """
-
+    # unit of each joint by name, of ``J.command`` or ``J.position`` alone, and of all others under
+    # ``""``
     units: Mapping[str, str]
+    # encoder counts per turn of the output shaft, for ``counts`` and the calibrated ranges; 0 if no
+    # unit needs it
     counts_per_turn: int = 0
+    # the count at angle 0; default: the middle of the calibrated range
     zero_count: float | None = None
+    # a LeRobot calibration file: for each joint ``range_min`` and ``range_max`` in counts; empty if
+    # no unit needs it
     calibration: str | os.PathLike[str] = ""
 
     def check_joints(self, joints: Sequence[str]) -> None:
-        """Check that units are stated for all joints of the log, and for these only.
-
-        Raises:
-            InputError: If one is missing, or stated for a joint that the log lacks.
-        """
+        """Raise ``InputError`` unless units are stated for all joints, and for these only."""
         quantities = {joint: [f"{joint}.{quantity}" for quantity in ANGLES] for joint in joints}
         known = {"", *joints, *(name for names in quantities.values() for name in names)}
         if unknown := ", ".join(name for name in self.units if name not in known):
@@ -66,11 +59,8 @@ class Conversion:
         """Commands or positions of a joint in rad, of the shape of ``values``.
 
         A calibrated range (LeRobot's ``RANGE_M100_100`` and ``RANGE_0_100``) spans from
-        ``range_min`` to ``range_max``, its middle is angle 0, as with LeRobot's degrees, and its
-        direction is that of the log.
-
-        Raises:
-            InputError: If the calibration lacks the joint, or an angle is too large.
+        ``range_min`` to ``range_max``; its middle is angle 0, as with LeRobot's degrees.
+        ``InputError`` if the calibration lacks the joint, or an angle is too large.
         """
         names = (f"{joint}.{quantity}", joint, "")
         unit = next(self.units[name] for name in names if name in self.units)
@@ -113,17 +103,9 @@ def conversion(
 ) -> Conversion:
     """The conversion for ``--units UNIT`` or ``--units UNIT JOINT=UNIT JOINT.command=UNIT ...``.
 
-    Args:
-        units: Units.
-        counts_per_turn: See `Conversion`.
-        zero_count: See `Conversion`.
-        calibration: See `Conversion`.
-        source: The log, for messages.
-        lacking: Other options of the log that are missing, each with its expected value.
-
-    Raises:
-        InputError: If a unit, or what it needs, is missing, a unit is unknown, or a value does not
-            apply to any of the units.
+    ``lacking`` are other options of the log that are missing, each with its expected value.
+    ``InputError`` if a unit, or what it needs, is missing, a unit is unknown, or a value does not
+    apply to any of the units.
     """
     by_joint: dict[str, str] = {}
     for text in units or ():
@@ -160,11 +142,7 @@ def conversion(
 
 
 def ask_for(source: str | os.PathLike[str], lacking: Sequence[str]) -> None:
-    """Raise one error for all missing options.
-
-    Raises:
-        InputError: If any option is missing.
-    """
+    """Raise one ``InputError`` for all missing options, if there are any."""
     if lacking:
         names = ", ".join(text.split(" ")[0] for text in lacking)
         raise InputError(source, "", f"no {names}", "; ".join(lacking))
@@ -173,17 +151,7 @@ def ask_for(source: str | os.PathLike[str], lacking: Sequence[str]) -> None:
 def refuse(
     source: str | os.PathLike[str], options: Sequence[str], of: str, applicable: Sequence[str]
 ) -> None:
-    """Raise one error for all options that do not apply.
-
-    Args:
-        source: The log.
-        options: The options that do not apply, such as ``--units``.
-        of: What they do not apply to.
-        applicable: The options that do.
-
-    Raises:
-        InputError: If there are any.
-    """
+    """Raise one ``InputError`` for all options of a log that do not apply ``of`` its kind."""
     if options:
         expected = f"only options that apply to it: {', '.join(applicable)}"
         raise InputError(source, "", f"{', '.join(options)} for {of}", expected)
@@ -195,17 +163,7 @@ def import_warnings(sentences: Sequence[str]) -> dict[str, list[str]]:
 
 
 def check_increasing(file: str | os.PathLike[str], t: Array, place: str, first: int) -> None:
-    """Check that times (T,) in s increase.
-
-    Args:
-        file: The log.
-        t: The times.
-        place: A time's place in the log, formatted with its number.
-        first: Number of the first time.
-
-    Raises:
-        InputError: If they do not.
-    """
+    """Raise ``InputError`` unless times (T,) in s increase; ``place`` has the number's place."""
     decreasing = np.flatnonzero(~(np.diff(t) > 0))
     if decreasing.size:
         k = int(decreasing[0]) + 1
@@ -216,18 +174,12 @@ def check_increasing(file: str | os.PathLike[str], t: Array, place: str, first: 
 def loads_of(
     inertia: Sequence[str] | None, pendulum: Sequence[str] | None, joints: Sequence[str]
 ) -> dict[str, Load]:
-    """Loads stated by joint.
+    """Loads by joint, of options ``J=KGM2`` and ``J=MASS_KG,LENGTH_M``.
 
-    Args:
-        inertia: ``J=KGM2``: inertia of the load in kg m2, with the pendulum and without the rotor.
-        pendulum: ``J=MASS_KG,LENGTH_M``: a point mass in kg that hangs straight down at angle 0,
-            and its distance from the shaft in m. Without a stated inertia the load is this mass
-            only, ``mass length^2``.
-        joints: The joints of the log.
-
-    Raises:
-        InputError: If one of them is not of that form, names a joint that was not recorded, or an
-            inertia is less than that of its pendulum.
+    The inertia in kg m2 is that of the load with its pendulum, without the rotor; the pendulum is a
+    point mass that hangs straight down at angle 0. Without an inertia the load is this mass only.
+    ``InputError`` if one is not of that form, names a joint that was not recorded, or an inertia is
+    less than that of its pendulum.
     """
     totals = _by_joint("--inertia", inertia, joints, 1, INERTIA)
     loads = {joint: Load(value) for joint, (value,) in totals.items()}

@@ -1,31 +1,232 @@
-"""ROS 1 and ROS 2 bags: joint states and the set-points sent to the joints."""
+"""ROS 1 and ROS 2 bags: joint states and the set-points sent to the joints (package rosbags)."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from sim2real.arrays import Array
-from sim2real.errors import InputError
+from sim2real.csv_columns import LARGEST_ANGLE_RAD
+from sim2real.errors import InputError, optional
 from sim2real.importers.options import import_warnings
-from sim2real.importers.ros_messages import (
-    COMMAND_TYPES,
-    STATE_TYPES,
-    Stream,
-    Times,
-    joint_series,
-    measured,
-    read_messages,
-    set_points,
-    streams,
-)
 from sim2real.recording import Recording
+from sim2real.structured import LARGEST_STREAM_BYTES, check_size
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+FLOAT = "std_msgs/msg/Float64"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+STATE_TYPES = (JOINT_STATE, CONTROLLER)
+COMMAND_TYPES = (JOINT_STATE, TRAJECTORY, CONTROLLER, ARRAY, FLOAT)
+
+LARGEST_DELAY_NS = 10**8  # from stamp to receipt, if both are of the same clock
+LARGEST_DISORDER_NS = 10**9  # of stamps of a clock that was not set back
+
+Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message."""
+
+    receive_ns: int  # time at which the recorder received it
+    header_ns: int  # the stamp in its header; 0 if there is none
+    type: str  # its ROS 2 type name, also for ROS 1
+    content: Any
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of its joints; empty for types without names."""
+        if self.type == JOINT_STATE:
+            return tuple(self.content.name)
+        return tuple(self.content.joint_names) if self.type in (TRAJECTORY, CONTROLLER) else ()
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The N messages of one topic of a bag, with the times of sampling or sending."""
+
+    file: str | os.PathLike[str]
+    topic: str
+    messages: Sequence[Message]
+    t: Times  # in ns, shape (N,)
+    clock: str  # kind of the times
+
+
+def read_messages(
+    path: str | os.PathLike[str], allowed_types: Mapping[str, tuple[str, ...]]
+) -> dict[str, list[Message]]:
+    """Messages of the given topics in the order received; ``InputError`` if that fails."""
+    with optional(str(path)):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    if not Path(path).exists():
+        raise InputError(path, "", "no such file", "a ROS 1 or ROS 2 bag")
+    if not Path(path).is_dir():
+        check_size(Path(path), LARGEST_STREAM_BYTES)
+    messages: dict[str, list[Message]] = {topic: [] for topic in allowed_types}
+    try:
+        # Older ROS 2 bags do not contain the definitions of their messages.
+        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as bag:
+            recorded = sorted({(c.topic, c.msgtype) for c in bag.connections})
+            for topic, allowed in allowed_types.items():
+                kinds = [kind for name, kind in recorded if name == topic]
+                if not kinds:
+                    listed = ", ".join(f"{name} ({kind})" for name, kind in recorded) or "none"
+                    expected = f"one of: {listed}"
+                    raise InputError(path, topic, "no such topic in the bag", expected)
+                if not set(kinds) <= set(allowed):
+                    raise InputError(path, topic, ", ".join(kinds), " or ".join(allowed))
+            connections = [c for c in bag.connections if c.topic in allowed_types]
+            for connection, receive_ns, raw in bag.messages(connections):
+                content: Any = bag.deserialize(raw, connection.msgtype)
+                stamp = getattr(getattr(content, "header", None), "stamp", None)
+                header_ns = stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0
+                message = Message(receive_ns, header_ns, connection.msgtype, content)
+                messages[connection.topic].append(message)
+    except Exception as error:  # errors of damaged bags depend on the storage
+        if isinstance(error, InputError):
+            raise
+        problem = f"no bag that can be read ({error})"
+        raise InputError(path, "", problem, "a ROS 1 or ROS 2 bag") from error
+    for topic, received in messages.items():
+        if not received:
+            raise InputError(path, topic, "0 messages", "at least one")
+    return messages
+
+
+def streams(
+    file: str | os.PathLike[str], messages: Mapping[str, Sequence[Message]]
+) -> dict[str, Stream]:
+    """The messages of each topic with their times.
+
+    Header stamps if every message of a topic has one, else receive times. If both differ by more
+    than the transmission time of a message, they are of different clocks (simulated time, or
+    another computer), and receive times are used for all topics. ``InputError`` if a clock was set
+    back.
+    """
+    receive, header = (
+        {topic: np.array([getattr(m, name) for m in sent]) for topic, sent in messages.items()}
+        for name in ("receive_ns", "header_ns")
+    )
+    stamped = {topic for topic in messages if header[topic].all()}
+    delays = [abs(float(np.median(receive[topic] - header[topic]))) for topic in stamped]
+    if stamped != set(messages) and max(delays, default=0) > LARGEST_DELAY_NS:
+        stamped = set()
+    result = {}
+    for topic, sent in messages.items():
+        t, clock = receive[topic], "receive time"
+        if topic in stamped:
+            t, clock = header[topic], "header stamp"
+        back = np.flatnonzero(np.diff(t) < -LARGEST_DISORDER_NS)
+        if back.size:
+            k, expected = int(back[0]), "a clock never set back"
+            found = f"a time {(t[k] - t[k + 1]) / 1e9:g} s before the previous one"
+            if back.size > 1:
+                found += f", and {back.size} such times"
+                expected += (
+                    ", or one publisher of the topic instead of two with clocks of their own"
+                )
+            raise InputError(file, f"{topic}, message {k + 1}", found, expected)
+        result[topic] = Stream(file, topic, sent, t, clock)
+    return result
+
+
+def joint_series(
+    stream: Stream,
+    joints: Sequence[str],
+    values: Callable[[Message], Mapping[str, float]],
+    *,
+    angles: bool = True,
+) -> dict[str, pd.Series[float]]:
+    """Values of joints in a stream, each by time in ns in order of time; NaN is omitted.
+
+    ``values`` reads them by joint name out of one message; with ``angles`` they are in rad, and
+    every joint must have some. ``InputError`` if a message is inconsistent, a value too large, or a
+    joint has no angle.
+    """
+    rows = []
+    for k, message in enumerate(stream.messages):
+        try:
+            read = values(message)
+        except ValueError as error:
+            raise InputError(stream.file, f"{stream.topic}, message {k}", *error.args) from None
+        rows.append([read.get(joint, np.nan) for joint in joints])
+    table = np.array(rows, dtype=np.float64)
+    limit = LARGEST_ANGLE_RAD if angles else sys.float_info.max
+    for k, j in np.argwhere(np.abs(table) > limit):
+        place = f"{stream.topic}, message {k}, {joints[j]}"
+        expected = f"a size of at most {limit:.3g} (for angles: radians, not degrees)"
+        raise InputError(stream.file, place, f"{table[k, j]:g}", expected)
+    frame = pd.DataFrame(table, stream.t, list(joints)).sort_index(kind="stable")
+    series = {joint: frame[joint].dropna() for joint in joints if frame[joint].notna().any()}
+    for joint in joints if angles else ():
+        if joint not in series:
+            available = sorted({name for message in stream.messages for name in message.joints})
+            expected = f"one of {', '.join(available)}" if available else "one"
+            raise InputError(stream.file, stream.topic, f"no angle of joint {joint}", expected)
+    return series
+
+
+def measured(message: Message, field: str) -> dict[str, float]:
+    """``field`` of a JointState by joint name; empty if the field is empty.
+
+    For a controller's state it is that of ``feedback`` (``actual`` before ROS 2 Humble).
+    ``ValueError`` if names and values do not match; arguments: found, expected.
+    """
+    content, name = message.content, field
+    if message.type == CONTROLLER:
+        content = _point(content, "feedback", "actual")
+        name = {"position": "positions", "velocity": "velocities"}.get(field, field)
+    values = getattr(content, name)
+    return _by_name(message.joints, values, field) if len(values) else {}
+
+
+def set_points(message: Message, joints: Sequence[str]) -> dict[str, float]:
+    """Set-points in rad by joint name; ``joints`` are the names for an array or a number.
+
+    For a trajectory it is the future point (``time_from_start`` above 0, or the only point), sent
+    when the trajectory starts: interpolation by the controller is attributed to the servo. With
+    several future points the controller computes the set-points: they are in the ``reference``
+    (``desired`` before ROS 2 Humble) of its state. ``ValueError`` if names and values do not match,
+    or there are several points ahead.
+    """
+    if message.type in (FLOAT, ARRAY):
+        return _by_name(joints, np.atleast_1d(message.content.data).tolist(), "data")
+    if message.type == JOINT_STATE:
+        return _by_name(message.joints, message.content.position, "position")
+    if message.type == CONTROLLER:
+        reference = _point(message.content, "reference", "desired")
+        return _by_name(message.joints, reference.positions, "positions")
+    points = message.content.points
+    ahead = [p for p in points if (p.time_from_start.sec, p.time_from_start.nanosec) > (0, 0)]
+    chosen = ahead or points
+    if len(chosen) != 1:
+        expected = "one in each message (or the topic of the controller's own state)"
+        raise ValueError(f"{len(chosen)} trajectory points ahead", expected)
+    return _by_name(message.joints, chosen[0].positions, "positions")
+
+
+def _point(content: Any, name: str, before: str) -> Any:  # noqa: ANN401
+    """A point of a controller's state by its present or, if empty, its former name."""
+    point = getattr(content, name, None)
+    return point if point is not None and len(point.positions) else getattr(content, before, point)
+
+
+def _by_name(names: Sequence[str], values: Sequence[float], field: str) -> dict[str, float]:
+    if len(names) != len(values):
+        raise ValueError(f"{len(values)} values in {field}", f"one for each of {', '.join(names)}")
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
 
 OPTIONAL = {"velocity": "velocity_rad_s", "effort": "load"}
 SOURCE = (
@@ -42,33 +243,15 @@ def read_bag(
     command_topic: str | Sequence[str],
     joints: Sequence[str] | None = None,
 ) -> Recording:
-    """Read the joint states and commands of a bag as a recording with unknown loads.
+    """Read the joint states and commands of a bag as a ``servo`` recording with unknown loads.
 
-    There is a row for each state and each command, so that a set-point has the time at which it
-    was sent. A row with only a command has no measured values; every row has the last set-point of
-    each joint. The first row is that in which the last joint gets its first set-point: earlier
-    states have no command and are omitted, and counted in the metadata. The last row is the last
-    state. Joints that a state does not name are missing samples.
-
-    See `ros_messages.streams` for the times, and `ros_messages.set_points` for the set-point of a
-    trajectory.
-
-    Args:
-        path: A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 bag.
-        state_topic: Topic of ``JointState`` messages, or of a controller's state
-            (``JointTrajectoryControllerState``).
-        command_topic: Topic of ``JointState``, ``JointTrajectory``,
-            ``JointTrajectoryControllerState`` (its reference) or ``Float64MultiArray`` messages
-            (an array is in the order of ``joints``); or a topic for each joint, of ``Float64``
-            for example, in the order of ``joints``.
-        joints: The J joints to read; default: those named in the first command.
-
-    Returns:
-        A ``servo`` recording of T rows, ``t`` from 0.
-
-    Raises:
-        InputError: If the bag, a topic, a message or a joint is invalid, or two sources write one
-            topic.
+    There is a row for each state and each command, at its own time. A row with only a command has
+    no measured values; every row has the last set-point of each joint. Rows begin where the last
+    joint gets its first set-point (earlier states are counted in the metadata) and end with the
+    last state. Topics are of ``STATE_TYPES`` and ``COMMAND_TYPES``, that of the commands one for
+    all joints or one for each; joints are by default those named in the first command.
+    ``InputError`` if the bag, a topic, a message or a joint is invalid, or two sources write the
+    states.
     """
     listed = [command_topic] if isinstance(command_topic, str) else list(command_topic)
     if len(listed) != 1 and len(joints or ()) != len(listed):
@@ -81,15 +264,13 @@ def read_bag(
     state = bag[state_topic]
     names = _joint_names(joints, bag[listed[0]], state)
     position = joint_series(state, names, partial(measured, field="position"))
-    warnings = check_sources(state, position, commands=False)
+    warnings = check_source(state, position)
     command: dict[str, pd.Series[float]] = {}
     for topic in dict.fromkeys(listed):
         own = names
         if len(listed) > 1:
             own = tuple(name for name, one in zip(names, listed, strict=True) if one == topic)
-        of_topic = joint_series(bag[topic], own, partial(set_points, joints=own))
-        warnings += check_sources(bag[topic], of_topic, commands=True)
-        command |= of_topic
+        command |= joint_series(bag[topic], own, partial(set_points, joints=own))
     start = max(values.index[0] for values in command.values())
     for joint, values in position.items():
         if values.index[-1] <= start:
@@ -151,108 +332,44 @@ def _joint_names(joints: Sequence[str] | None, first: Stream, state: Stream) -> 
     return names
 
 
-def check_sources(
+def check_source(
     stream: Stream,
     series: Mapping[str, pd.Series[float]],
     *,
-    commands: bool,
     fewest: int = 5,
     warned: float = 0.01,
     most_warned: float = 0.1,
+    least_rad: float = 0.02,
 ) -> list[str]:
-    """Check that the angles of each joint on a topic are of one source.
+    """Warnings of angles that lie apart from those before and after them, which agree.
 
-    An angle that lies apart from those before and after it, which agree, contradicts them. Two
-    sources are certain where such messages come within a quarter of the usual interval of another
-    (equal stamps), at every second, third ... place throughout, or form a moving series of their
-    own. Joints that are moved near half the sampling rate, and set-points that are sent as steps,
-    do none of these.
-
-    Args:
-        stream: The messages.
-        series: Angles in rad of each joint by time in ns, in order of time.
-        commands: Whether they are set-points, which may jump to and fro by themselves.
-        fewest: Fewest contradictions that are not left to chance.
-        warned: Share of contradictions that may be failed readings.
-        most_warned: Largest such share; with more, no result would be right.
-
-    Returns:
-        Sentences on what may be a second source, or failed readings.
-
-    Raises:
-        InputError: If two sources write the topic, or too many angles contradict others.
+    They are failed readings, or of a second source of the topic. ``series`` are angles in rad of
+    each joint by time in ns, in order of time. Fewer than ``fewest`` are left to chance; there is a
+    warning above the share ``warned``, an error above ``most_warned``; they lie apart by at least
+    ``least_rad``, several counts of coarse encoders. ``InputError`` if too many angles contradict
+    others.
     """
     warnings = []
     for joint, values in series.items():
-        t: Times = np.asarray(values.index, np.int64)
-        angles: Array = np.asarray(values, np.float64)
-        apart, size = _contradictions(angles)
-        two = apart.size >= fewest and _of_two_sources(t, angles, apart, size, commands)
-        share = 0.0 if commands or apart.size < fewest else apart.size / angles.size
-        if two or share > warned:
-            why = "two publishers" if two else "two publishers, or failed readings"
-            found = (
-                f"{apart.size} of {angles.size} angles of {joint} apart from those before and "
-                f"after them (the first {size[0]:.2g} rad, {(t[apart[0]] - t[0]) / 1e9:.4g} s "
-                f"after the first message): {why}"
+        t, angles = np.asarray(values.index, np.int64), np.asarray(values, np.float64)
+        before, after = np.diff(angles)[:-1], -np.diff(angles)[1:]
+        size = np.minimum(np.abs(before), np.abs(after))
+        agree = np.abs(angles[2:] - angles[:-2])
+        # above noise, and common motion
+        least = max(8 * float(np.quantile(agree, 0.25)), least_rad) if agree.size else 0.0
+        apart = np.flatnonzero((before * after > 0) & (size > np.maximum(5 * agree, least)))
+        if apart.size < max(fewest, warned * angles.size):
+            continue
+        found = (
+            f"{apart.size} of {angles.size} angles of {joint} apart from those before and after "
+            f"them (the first {size[apart[0]]:.2g} rad, {(t[apart[0] + 1] - t[0]) / 1e9:.4g} s "
+            "after the first message): two publishers, or failed readings"
+        )
+        if apart.size > most_warned * angles.size:
+            expected = (
+                f"messages of one source (ros2 topic info --verbose {stream.topic} lists the "
+                "publishers): record again with one, or remove the messages of the other"
             )
-            if two or share > most_warned:
-                expected = (
-                    f"messages of one source (ros2 topic info --verbose {stream.topic} lists the "
-                    "publishers): record again with one, or remove the messages of the other"
-                )
-                raise InputError(stream.file, stream.topic, found, expected)
-            warnings.append(f"{stream.topic}: {found}.")
-        same = np.flatnonzero((np.diff(t) == 0) & (np.abs(np.diff(angles)) > 1e-6))
-        if same.size > 1:
-            largest = float(np.abs(np.diff(angles))[same].max())
-            warnings.append(
-                f"{stream.topic}: {same.size} messages have the same time as the previous one and "
-                f"another angle of {joint}, up to {largest:.2g} rad apart, the first "
-                f"{(t[same[0]] - t[0]) / 1e9:.4g} s after the first message: two publishers of the "
-                "topic, or coarse stamps. The last one is imported."
-            )
+            raise InputError(stream.file, stream.topic, found, expected)
+        warnings.append(f"{stream.topic}: {found}.")
     return warnings
-
-
-def _contradictions(angles: Array, least_rad: float = 0.02) -> tuple[NDArray[np.intp], Array]:
-    """Places of angles apart from both neighbours, which agree, and their distances in rad.
-
-    A distance is at least ``least_rad``, several counts of coarse encoders.
-    """
-    if angles.size < 3:
-        return np.empty(0, np.intp), np.empty(0)
-    before, after = angles[1:-1] - angles[:-2], angles[1:-1] - angles[2:]
-    size = np.minimum(np.abs(before), np.abs(after))
-    agree = np.abs(angles[2:] - angles[:-2])
-    least = max(8 * float(np.quantile(agree, 0.25)), least_rad)  # above noise, and common motion
-    apart = (before * after > 0) & (size > np.maximum(5 * agree, least))
-    return np.flatnonzero(apart) + 1, size[apart]
-
-
-def _of_two_sources(
-    t: Times,
-    angles: Array,
-    apart: NDArray[np.intp],
-    size: Array,
-    commands: bool,
-    fastest_commands_s: float = 0.03,
-) -> bool:
-    """Whether messages ``apart`` from their neighbours can only be of a second source.
-
-    Set-points that alternate at shorter intervals than ``fastest_commands_s`` are of two.
-    """
-    steps = np.diff(t) / 1e9
-    usual = float(np.quantile(steps, 0.75))
-    nearest = np.minimum(steps[apart - 1], steps[apart])
-    if float(np.mean(nearest <= 0.25 * usual)) > 0.5:
-        return True
-    places = np.diff(apart)
-    every = int(np.median(places))
-    regular = float(np.mean(places == every)) > 0.8 and every * apart.size > 0.3 * angles.size
-    if regular and (not commands or usual < fastest_commands_s):
-        return True
-    theirs = angles[apart]
-    moves = float(np.subtract(*np.quantile(theirs, [0.75, 0.25]))) > 0.02
-    own = float(np.median(np.abs(np.diff(theirs)))) < 0.2 * float(np.median(size))
-    return not commands and moves and own

@@ -1,8 +1,7 @@
 """Import of tables with a map of their columns.
 
 Text with columns separated by commas, as Dynamixel and Feetech tools write it, by semicolons, tabs
-or spaces, with decimal points or commas and lines of comments; and ``.npz`` archives of arrays by
-the names of MuJoCo's ``mjData`` (``time``, ``qpos``, ``ctrl``).
+or spaces, with decimal points or commas and lines of comments.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from sim2real.csv_columns import LARGEST_FILE_BYTES
 from sim2real.errors import InputError, shown
 from sim2real.importers.options import ANGLES, MAP, SECONDS_PER, Conversion, check_increasing
 from sim2real.recording import Recording
-from sim2real.structured import check_size, read_arrays
+from sim2real.structured import check_size
 
 OTHERS = ("velocity_rad_s", "current_A", "load", "temperature_C")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
@@ -31,11 +30,7 @@ COMMENTS = ("#", "//", "%")
 
 
 def column_map(pairs: Sequence[str] | None) -> dict[str, str]:
-    """Parse ``--columns t=COLUMN J.command=COLUMN ...``: names of the log's columns.
-
-    Raises:
-        InputError: If there is none for the time, or a joint lacks its command or position.
-    """
+    """Names of the log's columns by ``--columns t=COLUMN J.command=COLUMN ...``."""
     columns: dict[str, str] = {}
     for pair in pairs or ():
         ours, equals, theirs = pair.partition("=")
@@ -61,31 +56,19 @@ def read_table(
     *,
     time_unit: str | None,
 ) -> Recording:
-    """Read a table of text or an ``.npz`` as a recording with unknown loads.
+    """Read a table of text as a recording with unknown loads.
 
-    An array of several columns is indexed: ``qpos[2]``. Rows before every joint has its first
-    set-point are omitted; a set-point that is missing later is the previous one, as in a servo.
-    ``t`` starts at 0.
-
-    Args:
-        path: The log.
-        columns: Names of its columns, see `column_map`. Except for angles and times, columns have
-            the units in their names.
-        conversion: Units of the angles.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``.
-
-    Raises:
-        InputError: If a column is missing or invalid, a unit is not stated, or the sampling period
-            in the unit of time is not one of a servo.
+    Columns are chosen by ``column_map``. Except for angles and times they have the units in their
+    names. Rows before every joint has its first set-point
+    are omitted; a set-point that is missing later is the previous one, as in a servo. ``t`` starts
+    at 0. ``InputError`` if a column is missing or invalid, a unit is not stated, or the sampling
+    period in the unit of time is not one of a servo.
     """
     file = Path(path)
     if time_unit not in SECONDS_PER:
         found = "nothing" if time_unit is None else repr(time_unit)
         raise InputError("--time-unit", "", found, f"one of {', '.join(SECONDS_PER)}")
-    if file.suffix == ".npz":
-        table, form = _npz(file, columns), ""
-    else:
-        table, form = _csv(file, columns)
+    table, form = _csv(file, columns)
     t = (table["t"] - table["t"][0]) * SECONDS_PER[time_unit]
     check_increasing(file, t, "row {} of the data", 1)
     joints = _joints(columns)
@@ -241,34 +224,3 @@ def _numbers(file: Path, theirs: str, cells: pd.Series, comma: bool) -> Array:
         place = f"row {wrong[0] + 1} of the data, {theirs}"
         raise InputError(file, place, found, "a number or an empty cell")
     return values
-
-
-def _npz(file: Path, columns: Mapping[str, str]) -> dict[str, Array]:
-    """The columns of an archive: arrays ``NAME``, or columns ``NAME[K]`` of one."""
-    stored = read_arrays(file, "an .npz archive", what="arrays of numbers")
-    read = {}
-    for ours, theirs in columns.items():
-        name, _, index = theirs.removesuffix("]").partition("[")
-        if name not in stored:
-            raise InputError(file, "", f"no array {name}", f"one of {', '.join(stored)}")
-        try:
-            values = np.asarray(stored[name], dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            found = f"no arrays of numbers ({error})"
-            raise InputError(file, "", found, "an .npz archive") from None
-        wide = values.shape[1] if values.ndim == 2 else 0
-        if values.ndim == 2 and index.isdecimal() and int(index) < wide:
-            values = values[:, int(index)]
-        elif values.ndim != 1 or index:
-            shape = " x ".join(str(n) for n in values.shape)
-            expected = f"{name}[K] with K below {wide}"
-            raise InputError(file, theirs, f"an array of {shape}", expected)
-        if (infinite := np.flatnonzero(np.isinf(values))).size:
-            place = f"row {infinite[0] + 1} of the data, {theirs}"
-            raise InputError(file, place, f"{values[infinite[0]]}", "a number or NaN")
-        read[ours] = values
-    rows = {values.size for values in read.values()}
-    if len(rows) > 1 or rows.pop() < 2:
-        sizes = ", ".join(f"{columns[ours]}: {values.size}" for ours, values in read.items())
-        raise InputError(file, "", f"rows: {sizes}", "as many in each, at least two")
-    return read

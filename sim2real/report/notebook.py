@@ -27,8 +27,7 @@ from sim2real.report.servo_table import servos_section
 from sim2real.report.text import section_text
 from sim2real.robot import Density, Robot
 from sim2real.servo.prediction import Prediction
-from sim2real.servo_library.catalogue import ServoLibrary
-from sim2real.servo_library.entry import ServoEntry
+from sim2real.servo_library.catalogue import ServoEntry, ServoLibrary
 
 
 def result_html(result: object) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from sim2real.report.page import Note, Section, Table
 from sim2real.report.quantity import milliradians, printable
 from sim2real.report.style import ACCENT, INK, house_style, new_figure
-from sim2real.servo_library.entry import ServoEntry
+from sim2real.servo_library.catalogue import ServoEntry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

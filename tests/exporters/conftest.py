@@ -7,7 +7,7 @@ import pytest
 @pytest.fixture(autouse=True)
 def brief(monkeypatch):
     """A standard excitation of six seconds, as refits take most of the time of these tests."""
-    monkeypatch.setattr("sim2real.exporters.refit.SECONDS", 6.0)
+    monkeypatch.setattr("sim2real.exporters.nearest.SECONDS", 6.0)
 
 
 @pytest.fixture

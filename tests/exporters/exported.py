@@ -21,13 +21,7 @@ def typical(*names):
     return {name: TYPICAL[name] for name in names}
 
 
-def joint(
-    load=None,
-    motor=None,
-    latency_s=simulated.LATENCY,
-    kd=simulated.KD,
-    **effects,
-):
+def joint(load=None, motor=None, latency_s=simulated.LATENCY, kd=simulated.KD, **effects):
     load = load or Load(simulated.INERTIA)
     fitted = tuple(FittedEffect(name, values) for name, values in effects.items())
     return JointModel(

@@ -10,8 +10,7 @@ import simulated
 from exported import TYPICAL, export, joint, needs_mujoco, servo, typical
 
 from sim2real.exporters.mujoco_bench import CASES, mujoco_error, mujoco_export
-from sim2real.exporters.nearest import nearest
-from sim2real.exporters.refit import excitation, without
+from sim2real.exporters.nearest import excitation, nearest, without
 from sim2real.exporters.simulators import TARGETS
 from sim2real.identification.search import errors_of
 from sim2real.inference.least_squares import rms
@@ -46,9 +45,7 @@ def test_a_refit_is_nearer_than_dropping(target, effect):
 
 
 @pytest.mark.parametrize("effect", ["backlash", "compliance"])
-def test_the_rotor_of_a_gear_train_that_a_target_lacks_still_turns_with_the_load(
-    effect,
-):
+def test_the_rotor_of_a_gear_train_that_a_target_lacks_still_turns_with_the_load(effect):
     rotor, beside = 0.0015, 0.0004
     train = {effect: TYPICAL[effect] | {"rotor_inertia_kgm2": rotor}}
     whole = joint(unmodelled_inertia={"inertia_kgm2": beside}, **train)
@@ -145,9 +142,7 @@ def test_gains_per_inertia_stay_per_inertia():
 
 
 @pytest.mark.parametrize("no_load_speed", [4.0, 40.0])
-def test_damping_of_joint_and_controller_in_a_urdf_are_positive_and_the_whole(
-    no_load_speed,
-):
+def test_damping_of_joint_and_controller_in_a_urdf_are_positive_and_the_whole(no_load_speed):
     line = {"stall_torque_Nm": 1.0, "no_load_speed_rad_s": no_load_speed}
     made = TARGETS["urdf"].write(servo(motor=line))
     dynamics = ElementTree.fromstring(made.text).find("joint/dynamics")

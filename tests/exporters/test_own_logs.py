@@ -61,8 +61,7 @@ def imported(folder: Path, **servo: float) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("friction", "deadband", "effect"),
-    [(0.03, 0.0, "coulomb_friction"), (0.0, 0.02, "deadband")],
+    ("friction", "deadband", "effect"), [(0.03, 0.0, "coulomb_friction"), (0.0, 0.02, "deadband")]
 )
 def test_the_enriched_model_is_as_near_to_the_log_as_the_plain_one(
     friction: float, deadband: float, effect: str, tmp_path: Path

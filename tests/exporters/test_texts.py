@@ -302,9 +302,7 @@ def test_newton(modules):
     assert builder.custom_attributes["mujoco:solreffriction"].values == {6: (0.008, 1.0)}
 
 
-def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf(
-    modules,
-):
+def test_a_pd_drive_within_the_line_is_a_drive_that_clips_before_the_back_emf(modules):
     """What Newton and mjlab compute from the exported numbers is the law of the motor."""
     dt = 0.0002
     t = dt * np.arange(10_000)

@@ -72,8 +72,8 @@ def test_bad_input_is_one_line(tmp_path, capsys, more, status, part):
 
 
 def test_a_servo_without_ratings_needs_a_robot_file(tmp_path, capsys):
-    with served(1, bus="feetech", model="SCS0009") as servos:
-        refused(capsys, bench(servos.port, tmp_path, UNKNOWN), 2, "ratings of servo 1 (SCS0009)")
+    with served(1, bus="feetech", model="STS") as servos:
+        refused(capsys, bench(servos.port, tmp_path, UNKNOWN), 2, "ratings of servo 1 (STS)")
         robot = ["--robot", str(robot_file(tmp_path, 2))]
         status = bench(servos.port, tmp_path / "out", UNKNOWN, *robot)
         refused(capsys, status, 2, "--ids: found 1 numbers, expected 2")

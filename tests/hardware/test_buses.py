@@ -14,8 +14,8 @@ from virtual_bench import LAW, LIMITS, limit, limits, record, refused, robot_fil
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.hardware.buses import BUSES, Changed, Journal, connection, latency_advice
+from sim2real.hardware.registers import model_of, servo_models
 from sim2real.hardware.servo_bus import Stopped
-from sim2real.hardware.servo_models import model_of, servo_models
 from sim2real.hardware.virtual_bus import Shaft
 from sim2real.recording import read_recording
 
@@ -66,15 +66,6 @@ def test_a_recording_stores_settings_and_restores_limits(tmp_path, bus):
         assert {name: registers[name] for name in LIMITS} == LIMITS
     if bus == "dynamixel":
         assert stored["servos"][0]["gains"]["position_p"] == 400 / 128
-
-
-def test_scs_servos_are_read_one_by_one_with_the_high_byte_first(tmp_path):
-    with served(2, bus="feetech", model="SCS0009") as bench:
-        assert record(tmp_path, bench.port, "--bus", "feetech", "--seconds", "1", joints=2) == 0
-        assert not any(servo.powered for servo in bench.servos)
-    recording = read_recording(tmp_path / "run.csv")
-    assert np.nanmax(np.abs(recording.position)) > 0.4
-    assert np.isnan(recording.position).mean() < 0.2
 
 
 @pytest.mark.parametrize(

@@ -80,25 +80,12 @@ def test_pieces_do_not_matter(protocol, pieces):
 
 @settings(max_examples=100, deadline=None)
 @given(
-    st.sampled_from(list(PROTOCOLS.values())),
-    st.lists(st.tuples(st.binary(max_size=12), PACKETS)),
+    st.sampled_from(list(PROTOCOLS.values())), st.lists(st.tuples(st.binary(max_size=12), PACKETS))
 )
 def test_packets_between_garbage_are_all_found(protocol, stream):
     stream = [(bytes(set(x) - set(protocol.header)), packet) for x, packet in stream]
     data = b"".join(garbage + protocol.encode(packet) for garbage, packet in stream)
     assert FrameDecoder(protocol).feed(data) == [packet for _, packet in stream]
-
-
-@pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=PROTOCOLS)
-def test_packets_are_found_after_any_noise(protocol):
-    rng, decoder, lost = np.random.default_rng(0), FrameDecoder(protocol, 64), 0
-    for k in range(500):
-        packet = Packet(k % 250, 3, rng.bytes(int(rng.integers(5))))
-        noise = rng.choice([0xFF, 0xFD, 0x00, 0x01, 0x30, 0x55], int(rng.integers(12)))
-        quiet = bytes(64)  # completes a frame that the noise began
-        data = noise.astype(np.uint8).tobytes() + quiet + protocol.encode(packet)
-        lost += packet not in decoder.feed(data)
-    assert lost <= 2, "but for chance agreement of a checksum"
 
 
 @settings(max_examples=300, deadline=None)
@@ -143,12 +130,11 @@ def test_what_a_protocol_lacks_is_refused(protocol, packet):
 
 def test_numbers_of_registers():
     speed = Register(58, 2, sign_bit=15)
-    assert speed.encode(-3, "little") == b"\x03\x80"
-    assert speed.encode(-3, "big") == b"\x80\x03"
-    assert Register(60, 2, sign_bit=10).decode(b"\x05\x04", "little") == -5
-    assert Register(128, 4, signed=True).encode(-2, "little") == b"\xfe\xff\xff\xff"
+    assert speed.encode(-3) == b"\x03\x80"
+    assert Register(60, 2, sign_bit=10).decode(b"\x05\x04") == -5
+    assert Register(128, 4, signed=True).encode(-2) == b"\xfe\xff\xff\xff"
     with pytest.raises(OverflowError):
-        speed.encode(40_000, "little")
+        speed.encode(40_000)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)

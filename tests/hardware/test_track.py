@@ -6,8 +6,7 @@ import pytest
 from sim2real.cli import main
 from sim2real.errors import InputError
 from sim2real.hardware.camera import Blob, Camera, Lens, Marker, read_camera, stand, write_camera
-from sim2real.hardware.sync import correlated, flash, joined
-from sim2real.hardware.tracker import Track, track
+from sim2real.hardware.tracker import Track, correlated, joined, track
 from sim2real.recording import Recording, read_recording, write_recording
 
 pytest.importorskip("cv2", reason="the extra 'hardware' is not installed")
@@ -155,7 +154,7 @@ def motion(start: float, rng: np.random.Generator) -> tuple[Track, Recording]:
     yaw = -joints(yaw_t + start) @ [0.4, -0.2] + 0.2 * yaw_t
     pose = np.column_stack([0.1 * yaw_t, 0 * yaw_t, yaw]) + rng.normal(0, 0.004, (yaw_t.size, 3))
     servo = Recording("s", "servo", ("a", "b"), t, joints(t), joints(t))
-    return Track(yaw_t, pose, np.full(yaw_t.size, 90.0)), servo
+    return Track(yaw_t, pose), servo
 
 
 @pytest.mark.parametrize("start", [0.0, 1.234, 3.7])
@@ -168,12 +167,3 @@ def test_the_clocks_are_found_within_a_frame(start):
     inside = (servo.t > start + 0.1) & (servo.t < start + 8.9)
     assert np.isfinite(columns["body.yaw_rad"][inside]).all()
     assert np.isnan(columns["body.yaw_rad"][servo.t > start + 9.1]).all()
-
-
-def test_a_flash_is_found():
-    seen, _ = motion(0.0, np.random.default_rng(3))
-    bright = 90 + np.random.default_rng(4).normal(0, 0.5, seen.t.size)
-    bright[100:106] += 40
-    assert abs(flash(Track(seen.t, seen.pose, bright)) - (seen.t[99] + seen.t[100]) / 2) < 1e-9
-    with pytest.raises(ValueError, match="no flash"):
-        flash(seen)

@@ -15,12 +15,7 @@ FPS = 30
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
-def dataset(
-    root,
-    version,
-    episodes,
-    names="default",
-):
+def dataset(root, version, episodes, names="default"):
     """A dataset of episodes, each a state and an action of shape (T, J)."""
     length = episodes[0][0].shape[1]
     if names == "default":

@@ -160,7 +160,7 @@ def entry_with(k, **changes):
         (entry_with(3, goal_position=-180), "entries[3].goal_position: found -180"),
         (entry_with(3, goal_position=None), "entries[3].goal_position: found None"),
         (entry_with(3, speed=True), "entries[3].speed: found True"),
-        (entry_with(3, timestamp=0.0), "entries[3].timestamp: found 0.0"),
+        (entry_with(3, timestamp=0.0), "entries[3].timestamp: found 0 s after"),
         (entry_with(3, torque_enable=1), "entries[3].torque_enable: found 1"),
         (entry_with(3, position=...), "entries[3].position: found nothing"),
         (raw_log(off_from=0), "entries[0].torque_enable: found False"),

@@ -8,7 +8,7 @@ import pytest
 from good_input import message
 
 from sim2real.cli import main
-from sim2real.importers.bam_parameters import read_bam_parameters
+from sim2real.importers.bam import read_bam_parameters
 from sim2real.model import read_model
 from sim2real.recording import GRAVITY_M_S2, Load
 from sim2real.servo.prediction import predict

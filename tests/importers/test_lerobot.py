@@ -4,14 +4,10 @@ import math
 import numpy as np
 import pytest
 from good_input import message
-from simulated import steps
 
 from sim2real.cli import main
 from sim2real.importers.lerobot import read_lerobot
 from sim2real.importers.options import conversion
-from sim2real.model import JointModel, Model, read_model
-from sim2real.recording import read_recording
-from sim2real.servo.prediction import predict
 
 pytest.importorskip("pyarrow", reason="LeRobot datasets are read with pyarrow")
 
@@ -55,33 +51,6 @@ def test_joints_chosen_and_joints_named(tmp_path):
     named = read_lerobot(bare, DEGREES, episode=0, joints=["a", "b", "c"])
     assert named.position[:, 1] == pytest.approx(np.radians(EPISODES[0][0][:, 1]), abs=1e-5)
     message(lambda: read_lerobot(bare, DEGREES, episode=0), "--joints", "3 names")
-
-
-def test_from_dataset_to_gains(tmp_path):
-    """Servos at 30 Hz, in degrees and float32, are identified through the command line."""
-    truth = Model({name: JointModel(900.0, 28.0, 0.06, 1.0) for name in MOTORS})
-    rng = np.random.default_rng(1)
-    t = np.arange(30 * FPS) / FPS
-    sent = {name: steps(t, rng) for name in MOTORS}
-    seen = predict(truth, t, sent)
-    state, action = (np.degrees(np.stack([of[x] for x in MOTORS], axis=1)) for of in (seen, sent))
-    state += rng.normal(0, 0.05, state.shape)
-    root = dataset(tmp_path / "arm", "v3.0", [(state, action)])
-    out, model = tmp_path / "arm.csv", tmp_path / "model.json"
-    assert main(["import", str(root), "--units", "deg", "--out", str(out)]) == 0
-    assert read_recording(out).joints == tuple(MOTORS)
-    robot = "name = 'arm'\n" + "".join(
-        f"[[joints]]\nname = '{n}'\nservo = 's'\nlimits_rad = [-2, 2]\n" for n in MOTORS
-    )
-    robot += "[servos.s]\nmax_torque_Nm = 1\nno_load_speed_rad_s = 5\nposition_step_rad = 0\n"
-    (tmp_path / "robot.toml").write_text(robot)
-    arguments = ["--robot", str(tmp_path / "robot.toml"), "--out", str(model), "--no-plots"]
-    assert main(["identify", str(out), *arguments]) == 0
-    for joint in read_model(model).joints.values():
-        assert joint.per_inertia and joint.inertia_kgm2 == 1.0
-        assert joint.kp_Nm_per_rad == pytest.approx(900, rel=0.03)
-        assert joint.kd_Nms_per_rad == pytest.approx(28, rel=0.03)
-        assert joint.latency_s == pytest.approx(0.06, abs=0.001)
 
 
 def test_what_is_not_read_is_named(tmp_path, capsys):

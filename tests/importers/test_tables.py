@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from good_input import message
 
-from sim2real.cli import main
 from sim2real.importers.options import conversion
 from sim2real.importers.tables import column_map, read_table
-from sim2real.recording import read_recording
 
 DYNAMIXEL = """time_ms,Goal Position,Present Position,Present Current,Present Input Voltage
 1000,,2048,0,11.9
@@ -43,23 +41,6 @@ def test_counts_by_a_column_map(tmp_path):
     assert log.columns["pan.load"] == pytest.approx([3, 3, np.nan, 40], nan_ok=True)
     assert log.columns["supply_V"] == pytest.approx([11.9, 11.9, 11.8, 11.8])
     assert log.metadata["rows_before_first_command"] == 1
-
-
-def test_mujoco_arrays_through_the_command_line(tmp_path):
-    t = 0.002 * np.arange(50)
-    qpos, ctrl = np.zeros((50, 9)), np.stack([np.sin(t + 0.1), np.cos(t + 0.1)], axis=1)
-    qpos[:, 7], qpos[:, 8] = np.sin(t), np.cos(t)
-    np.savez(tmp_path / "log.npz", time=t + 3, qpos=qpos, ctrl=ctrl)
-    columns = ["t=time", "hip.command=ctrl[0]", "hip.position=qpos[7]"]
-    columns += ["knee.command=ctrl[1]", "knee.position=qpos[8]"]
-    out = tmp_path / "out.csv"
-    call = ["import", str(tmp_path / "log.npz"), "--columns", *columns]
-    assert main([*call, "--units", "rad", "--time-unit", "s", "--out", str(out)]) == 0
-    recording = read_recording(out)
-    assert recording.joints == ("hip", "knee")
-    assert recording.t == pytest.approx(t)
-    assert recording.position == pytest.approx(qpos[:, 7:], abs=1e-8)
-    assert recording.command == pytest.approx(ctrl, abs=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -120,35 +101,6 @@ def ticks(step):
 )
 def test_bad_forms_and_units(tmp_path, text, unit, parts):
     message(lambda: plain(csv(tmp_path, text), unit), *parts)
-
-
-Q = np.zeros((4, 2))
-
-
-@pytest.mark.parametrize(
-    ("position", "arrays", "parts"),
-    [
-        ("qpos[0]", {"qpos": Q}, ("no array ctrl", "one of time, qpos")),
-        ("qpos[0]", {"qpos": Q, "ctrl": Q[:3]}, ("rows:", "as many in each")),
-        ("qpos[2]", {"qpos": Q, "ctrl": Q}, ("qpos[2]", "an array of 4 x 2")),
-        ("qpos", {"qpos": Q, "ctrl": Q}, ("qpos", "an array of 4 x 2")),
-        ("qpos[0]", {"qpos": np.array(["a"]), "ctrl": Q}, ("no arrays of numbers",)),
-        (
-            "qpos[0]",
-            {"time": [0, 1, 2, np.inf], "qpos": Q, "ctrl": Q},
-            ("row 4 of the data", "inf"),
-        ),
-        ("qpos[0]", None, ("no arrays of numbers",)),
-    ],
-)
-def test_bad_arrays(tmp_path, position, arrays, parts):
-    file = tmp_path / "log.npz"
-    if arrays is None:
-        file.write_bytes(b"no archive")
-    else:
-        np.savez(file, **{"time": np.arange(4.0)} | arrays)
-    columns = column_map(["t=time", "j.command=ctrl[0]", f"j.position={position}"])
-    message(lambda: read_table(file, columns, conversion(["rad"]), time_unit="s"), *parts)
 
 
 def variant(separator=",", comma=False, comment="", header="{}"):

@@ -10,8 +10,7 @@ import sim2real as s2r
 from sim2real.cli import main
 from sim2real.report.servo_table import markdown_row
 from sim2real.servo.prediction import predict
-from sim2real.servo_library.catalogue import FOLDER
-from sim2real.servo_library.entry import at, read_entry
+from sim2real.servo_library.catalogue import FOLDER, at, read_entry
 
 ABOUT = {
     "name": "mine_bench",
