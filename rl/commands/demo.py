@@ -193,7 +193,7 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
             seed=options.seed, threads=2,
         )  # fmt: skip
         name = "trained in the twin, tested in the fluid"
-        with Video(film) as video, Film(video, world, {0: name}, width=480) as watch:
+        with Video(film) as video, Film(video, world, name, width=480) as watch:
             trial = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
     time_s = float(trial.time_s[0])
     outcome = f"It has not arrived after {LONGEST / 50:.0f} s."

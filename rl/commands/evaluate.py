@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
                     world = make_world(
                         robot, task, draws, n_envs=1, seed=options.seed, **settings.world
                     )
-                    with Film(video, world, {0: shown(name)}) as film:
+                    with Film(video, world, shown(name)) as film:
                         run_episodes(world, controller, name=name, watch=film)
     return 0
 

@@ -93,7 +93,6 @@ _OPTIONS: dict[str, dict[str, tuple[Any, ...]]] = {
             "cell of the fluid in the reality, m (default: half of that in training, or as the "
             "Python file states)",
         ),
-        "forecast": (bool, "also forecast each arm's reward"),
     },
     "evaluate": {
         "task": (_TASKS, "task", "turn"),

@@ -177,20 +177,6 @@ class Forecast(NotebookDisplay):
         values = values[self.policies.index(policy)]
         return training_ranges(self.names, self.parameters, values, self.weights, trained)
 
-    def three_draws(self, first: int) -> dict[int, str]:
-        """A good, a median and a bad one of the ``first`` realities, with their names in a film.
-
-        The best policy's first trial is at the 95 %, 50 % and 5 % quantile of what ranks policies.
-        """
-        measure, k = FIGURES[self.rank_by], self.policies.index(self.ranking()[0][0])
-        values = self.figures[self.rank_by][k, :first, 0]
-        order = np.argsort(measure.better * values, kind="stable")
-        mass = np.cumsum(self.weights[order])
-        places = np.searchsorted(mass, mass[-1] * np.array([0.95, 0.5, 0.05]))
-        kinds = zip(order[places], ("good", "median", "bad"), strict=True)
-        text = f"{measure.label} {{:{measure.digits}}}"
-        return {int(d): f"{kind}: {text.format(values[d])}" for d, kind in kinds}
-
     def after(self, trials: Sequence[Trials]) -> Forecast:
         """The forecast after trials of the real robot."""
         return replace(self, update=update(trials, self.figures))
