@@ -2,8 +2,6 @@
 
 The swim is diagnosed before the body is calibrated: without an effect that the robot has, the other
 parameters take values that fit its recording and no other motion.
-
-Stages are functions of the folder of the pool, and each takes the results of those before it.
 """
 
 from __future__ import annotations
