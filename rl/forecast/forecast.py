@@ -33,10 +33,7 @@ SCHEMA = "sim2real.forecast/1"
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit of a figure, at least or at most a value in its unit.
-
-    It is kept by a ``share`` of the trials, or, if that is None, by the next trial.
-    """
+    """A limit of a figure, kept by a ``share`` of the trials, or, if that is None, by the next."""
 
     figure: str
     above: bool
@@ -78,8 +75,8 @@ class Row(NamedTuple):
     policy: str
     figure: str
     mean: float
-    mean_90: tuple[float, float]
-    next_trial_90: tuple[float, float]
+    mean_90: Sequence[float]
+    next_trial_90: Sequence[float]
 
     @property
     def texts(self) -> tuple[str, str, str]:
@@ -94,12 +91,9 @@ class Forecast(NotebookDisplay):
     """What K policies are expected to do on the real robot, from trials in N drawn realities.
 
     Attributes:
-        robot: Name of the robot.
-        task: Name of the task.
-        policies: Names of the policies.
-        joints: Names of the robot's joints.
-        figures: Results of T trials in each reality, by figure, shape (K, N, T): ``success``,
-            ``time_s`` in s, ``energy`` in rad2/s2, ``reward``, ``path_m`` in m.
+        robot, task: Their names.
+        policies, joints: Names of the policies and of the robot's joints.
+        figures: Results of T trials in each reality, by figure of ``FIGURES``, shape (K, N, T).
         names: Names of the P parameters in which the realities differ.
         parameters: Their values, shape (N, P).
         paths: Positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2).
@@ -138,10 +132,7 @@ class Forecast(NotebookDisplay):
     def interval(
         self, policy: str, figure: str, trials: float = np.inf
     ) -> tuple[float, float, float]:
-        """Mean and central 90 % interval of a figure's mean over a number of trials.
-
-        By default there are so many that chance within a reality averages out.
-        """
+        """Mean and central 90 % interval of a figure's mean over trials, by default very many."""
         values = self.figures[figure][self.policies.index(policy)]
         return interval(values, self.weights, trials)
 
@@ -186,21 +177,16 @@ class Forecast(NotebookDisplay):
         out = []
         for policy in self.policies:
             for figure in FIGURES:
-                mean, *ends = self.interval(policy, figure)
-                _, *trial = self.interval(policy, figure, 1)
-                out.append(Row(policy, figure, mean, (ends[0], ends[1]), (trial[0], trial[1])))
+                (mean, *ends), (_, *trial) = (self.interval(policy, figure, n) for n in (np.inf, 1))
+                out.append(Row(policy, figure, mean, ends, trial))
         return out
 
     def content(self) -> dict[str, Any]:
         """Content of ``forecast.json``."""
         table: dict[str, dict[str, Any]] = {policy: {} for policy in self.policies}
-        for row in self.rows():
-            table[row.policy][row.figure] = {
-                "unit": FIGURES[row.figure].unit,
-                "mean_90": list(row.mean_90),
-                "mean": row.mean,
-                "next_trial_90": list(row.next_trial_90),
-            }
+        for policy, figure, *values in self.rows():
+            named = dict(zip(("mean", "mean_90", "next_trial_90"), values, strict=True))
+            table[policy][figure] = {"unit": FIGURES[figure].unit, **named}
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
         found = self.update

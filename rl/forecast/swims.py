@@ -1,7 +1,4 @@
-"""Policies swim in drawn realities, in a simulator with the errors that it is known to have.
-
-Results are kept, so that an interrupted forecast resumes.
-"""
+"""Policies swim in drawn realities, in a simulator with the errors that it is known to have."""
 
 from __future__ import annotations
 
@@ -142,8 +139,8 @@ class Inexact:
     """Robots of a simulator whose motion differs from the simulated one as measured motion does.
 
     Velocities of the body in its own frame have a relative error and a disturbance, joints a
-    disturbance of their set-points. The simulator's state is not changed: the pool is alike
-    everywhere, so that the path is integrated anew from the changed velocities.
+    disturbance of their set-points. The pool is alike everywhere: the simulator's state stays, and
+    the path is integrated anew from the changed velocities.
     """
 
     def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
@@ -206,10 +203,9 @@ def _turned(vectors: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
 
 
 def disturbances(sd: Array, periods: int, n: int, rng: np.random.Generator) -> Array32:
-    """Stationary random signals, first-order autoregressive, shape (periods, n, K).
+    """Stationary random signals of standard deviations ``sd`` (K,), shape (periods, n, K).
 
-    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, 0.3
-    s, as residuals of simulated swims change with the beat.
+    First-order autoregressive over 0.3 s, a third of a tail beat, as residuals of simulated swims.
     """
     keep = float(np.exp(-CONTROL_S / 0.3))
     white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
@@ -218,10 +214,9 @@ def disturbances(sd: Array, periods: int, n: int, rng: np.random.Generator) -> A
 
 
 def blocks(residuals: Sequence[Array], periods: int, n: int, rng: np.random.Generator) -> Array32:
-    """Signals made of blocks of recorded residuals, shape (periods, n, K) (a block bootstrap).
+    """Blocks of two seconds of recorded residuals (T, K) in a row, shape (periods, n, K).
 
-    Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block of two seconds stay together, so that
-    their correlation is kept, too. Residuals (T, K) of each recording are at every control period.
+    A block bootstrap (Kunsch, Ann. Stat. 17 (1989) 1217) of all signals together.
     """
     length = min(100, *(len(one) for one in residuals))
     starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]
