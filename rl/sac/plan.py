@@ -19,21 +19,16 @@ class Settings:
     """Hyper-parameters; the defaults are those of this library, ``PLAIN`` those of the paper.
 
     Attributes:
-        gamma: Discount factor per decision.
-        memory: Size of the replay memory of each agent, in transitions.
-        batch: Transitions of an update.
-        rate: Initial learning rate.
-        rate_end: Final learning rate as a share of ``rate``; it decays linearly.
-        tau: Interpolation factor of the target networks per update.
-        hidden: Widths of the hidden layers.
-        warm_up: Steps of random actions before learning begins.
-        updates_per_step: Updates for each step of an environment.
+        gamma: Discount factor per decision. memory: Size of the replay memory of each agent, in
+        transitions. batch: Transitions of an update. rate, rate_end: Initial learning rate, and the
+        final one as a share of it; it decays linearly. tau: Interpolation factor of the target
+        networks per update. hidden: Widths of the hidden layers. warm_up: Steps of random actions
+        before learning begins. updates_per_step: Updates for each step of an environment.
         entropy_start: Initial entropy coefficient, of the order of the reward of a decision.
         entropy_target: Target entropy per joint, at the start and at the end of training. A low
-            final value makes the mean action, which is used after training, representative.
-        noise_s: Correlation time of the exploration noise; 0 for white noise. White noise at 20 ms
-            only makes a joint shake; correlated noise of the same size explores (Eberhard et al.,
-            "Pink noise is all you need", ICLR 2023).
+        final value makes the mean action, which is used after training, representative.
+        noise_s: Correlation time of the exploration noise, 0 for white noise, which at 20 ms only
+            makes a joint shake (Eberhard et al., "Pink noise is all you need", ICLR 2023).
         mirror: Whether transitions are replaced by their mirror images with probability 1/2.
         norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
             networks", ICML 2023, among others): fewer seeds fail.
@@ -83,22 +78,16 @@ class Plan:
 
     Attributes:
         task: The task.
-        steps: Control periods of the environments for each agent.
+        steps, segment: Control periods of each agent, and between checkpoints.
         envs: Environments of each agent.
-        segment: Control periods between checkpoints.
         seeds: Random seeds, one agent for each.
-        fidelity: ``twin`` or ``fluid``.
-        device: ``cpu`` or ``cuda:0``.
-        cell_m: Side of a cell of the fluid.
-        threads: CPU threads of the simulator.
+        fidelity, device, cell_m, threads: As of ``make_world``.
         settings: Hyper-parameters.
         view: Definition of the observations.
         energy_start: Initial weight of energy as a share of that of the task. With the full weight,
             a robot that cannot swim yet would learn not to move.
-        ramp: Shares of the steps: when the weight starts to grow, and how long it takes to reach
-            its final value.
-        gate: Share of an agent's last episodes that must have succeeded for its weight to grow, so
-            that agents that learn late are not penalised.
+        ramp: Shares of the steps: when the weight starts to grow, and how long it takes.
+        gate: Share of an agent's last episodes that must have succeeded for its weight to grow.
 
     Raises:
         InputError: If a number is out of its range.
