@@ -94,11 +94,7 @@ class CentralPatternGenerator:
         self._wave.rate = np.where(mask[:, None], 0.0, self._wave.rate)
 
     def step(self, gait: Gait) -> Array:
-        """Advance by a control period towards ``gait``.
-
-        Returns:
-            Joint angles in rad, shape (E, J), clipped to the joint limits.
-        """
+        """Advance by a period towards ``gait``; joint angles in rad (E, J), within limits."""
         n_envs, J = self.phase.shape
         values = (gait.frequency_hz, gait.amplitude_rad, gait.front, gait.lag_rad, gait.offset_rad)
         frequency, amplitude, front, lag, offset = (

@@ -1,9 +1,7 @@
 """A policy that chooses the gaits of a central pattern generator from a table, and its training.
 
-Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022): reinforcement
-learning chooses between a few gaits, and the generator computes joint angles. The table, the
-duration of a choice and the network are different. It is trained with deep Q-learning (Mnih et al.,
-"Human-level control through deep reinforcement learning", Nature 518, 2015).
+Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022), with another
+table, duration of a choice and network; trained by deep Q-learning (Mnih et al., Nature 518, 2015).
 """
 
 from __future__ import annotations
@@ -39,10 +37,7 @@ from sim2real.output import provenance
 
 @dataclass(frozen=True)
 class ActionTable:
-    """A table of N gaits, see ``Gait``: three columns (N,), and what they have in common.
-
-    A choice is used for ``hold`` control periods.
-    """
+    """A table of N gaits, see ``Gait``: three columns (N,), and what they have in common."""
 
     frequency_hz: Array
     amplitude_rad: Array
@@ -128,10 +123,8 @@ def with_phase(
 class DiscreteCPGEnv(VecEnvWrapper):
     """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
 
-    Rewards and their terms are summed over the periods. The observation includes sine and cosine of
-    the first joint's phase, which determine the effect of a choice. If an episode ends within a
-    choice, its reward until then counts; the reward of the next episode before its own first choice
-    is ignored. Actions -1 and 1 of ``venv`` are its joint limits ``low`` and ``high``.
+    Rewards and their terms are summed over the periods, until an episode ends. Observations include
+    sine and cosine of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
     """
 
     def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
@@ -218,7 +211,7 @@ def read_policy(
 ) -> DiscreteCPG:
     """Read a policy of ``train_run`` as a controller; nothing in the file is executed.
 
-    ``table`` are its gaits, by ``read_table``, ``limits_rad`` those of the joints, shape (J, 2).
+    ``table`` are its gaits, ``limits_rad`` those of the joints, shape (J, 2).
 
     Raises:
         InputError: If it is no policy, or for a robot with another number of joints.
@@ -288,8 +281,7 @@ def train_run(
 ) -> list[Path]:
     """Train an agent for each seed, one after the other; the folders of the agents.
 
-    See the command ``train`` for the options. A run that was killed keeps finished agents and
-    restarts the others.
+    A run that was killed keeps finished agents and restarts the others.
 
     Raises:
         InputError: If a file or an option is wrong.

@@ -30,8 +30,7 @@ class Policy:
     """A fully connected network with ReLU between layers and tanh at the output.
 
     Attributes:
-        weights: Weights of each layer, shape (outputs, inputs).
-        biases: Biases of each layer, shape (outputs,).
+        weights, biases: Of each layer, shapes (outputs, inputs) and (outputs,).
         low, high: Angles in rad of the outputs -1 and 1, shape (J,).
         joints: Names of the J joints, in the order of the action.
         observation: Names of the O columns of the task's observation, with units, in order.

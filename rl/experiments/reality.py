@@ -1,8 +1,7 @@
 """A user-defined reality: a Python file that moves and measures robots.
 
-``sim2real ablate --reality FILE.py`` tests trained policies in it: a test bench, or a surrogate
-with its own dynamics. The file is run like a script and may import modules of its own folder. It
-defines::
+``sim2real ablate --reality FILE.py`` tests trained policies in it. The file may import modules of
+its own folder, and defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
@@ -14,12 +13,9 @@ defines::
 ``reality.reset(pose, joint)`` places the robots at rest at poses (n, 3) with joint angles (n, J);
 ``reality.step(desired)`` commands joint angles (n, J), held for 0.02 s. Both return measurements:
 poses (n, 3), x and y of the head's centre of mass in m and its heading in rad, in the pool's frame,
-and joint angles (n, J) as the servos report them; NaN where there is none.
-
-A robot whose episode is over is commanded to straight joints. A surrogate can add a method
-``reality.rate()``, present true joint rates (n, J) in rad/s, from which the energy is computed as
-in the simulator: rates estimated from five samples of reported angles miss half of it. Without it,
-energies of simulation and reality must not be compared. An example is ``datasets/pool/reality.py``.
+and joint angles (n, J) as the servos report them; NaN where there is none. A robot whose episode is
+over is commanded to straight joints. A surrogate can add ``reality.rate()``, true joint rates
+(n, J) in rad/s; from reported angles half of the energy is missed.
 """
 
 from __future__ import annotations
@@ -146,9 +142,8 @@ def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
 class RealWorld:
     """The robots of a reality at a task, as ``rl.world.World`` has those of a simulator.
 
-    Observations, rewards and ends are computed from measurements. Joint rates, and the energy in
-    the reward, are true values if the reality has a method ``rate``, else estimates. An episode
-    also ends if a robot or joint is not measured for ``SILENCE_S``.
+    Observations, rewards and ends are computed from measurements. An episode also ends if a robot
+    or joint is not measured for ``SILENCE_S``.
 
     Attributes:
         pose, rate, targets: As of ``World``; poses are measured.
