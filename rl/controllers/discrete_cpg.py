@@ -33,6 +33,7 @@ from rl.vec_env import FishVecEnv
 from sim2real.arrays import Array, Array32
 from sim2real.errors import InputError
 from sim2real.output import provenance
+from sim2real.structured import Fields
 
 
 @dataclass(frozen=True)
@@ -58,24 +59,6 @@ class ActionTable:
     def content(self) -> dict[str, Any]:
         """The table as JSON values."""
         return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
-
-    @classmethod
-    def from_content(cls, content: Mapping[str, Any]) -> ActionTable:
-        """The table in ``content``.
-
-        Raises:
-            KeyError, TypeError, ValueError: If it is invalid.
-        """
-        columns = (content[k] for k in ("frequency_hz", "amplitude_rad", "offset_rad"))
-        frequency, amplitude, offset = (np.array(c, dtype=np.float64) for c in columns)
-        if frequency.ndim != 1 or {amplitude.shape, offset.shape} != {frequency.shape}:
-            raise ValueError("columns of different lengths")
-        front, lag, hold = (float(content[k]) for k in ("front", "lag_rad", "hold"))
-        if not np.isfinite([*frequency, *amplitude, *offset, front, lag]).all():
-            raise ValueError("a number that is not finite")
-        if not 1 <= hold <= 1000:
-            raise ValueError(f"a hold of {hold:g}")
-        return cls(frequency, amplitude, offset, front, lag, int(hold))
 
 
 _MOVING = [(f, 0.6, bend) for f in (0.8, 1.6, 2.4) for bend in (-0.6, -0.3, 0.0, 0.3, 0.6)]
@@ -199,11 +182,18 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
         content = read_settings(path)["gaits"]
     except (InputError, KeyError):
         return None
-    try:
-        return ActionTable.from_content(content)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        expected = "frequencies, amplitudes and offsets"
-        raise InputError(Path(path), "gaits", f"an invalid table ({error})", expected) from None
+    table = Fields(path, "gaits", content)
+    frequency = table.numbers("frequency_hz", "numbers")
+    size = len(frequency)
+    amplitude, offset = (
+        table.numbers(name, f"{size} numbers, as there are frequencies", size)
+        for name in ("amplitude_rad", "offset_rad")
+    )
+    hold = table.number("hold", low=1)
+    if hold > 1000:
+        raise table.error("hold", "at most 1000")
+    scalars = table.number("front"), table.number("lag_rad"), int(hold)
+    return ActionTable(np.array(frequency), np.array(amplitude), np.array(offset), *scalars)
 
 
 def read_policy(

@@ -252,22 +252,18 @@ def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tupl
         InputError: If an agent is missing, or its file differs from the listed one.
     """
     path = folder / LISTING
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "pretrained agents")
     listing = Fields(path, "", read_json(path))
-    listed, plan = listing.table("files"), listing.table("plan")
-    seeds = plan.content.get("seeds")
-    if not isinstance(seeds, list):
-        raise plan.error("seeds", "those of a training")
-    names = [f"{arm}-{seed}" for arm in arms for seed in seeds]
-    for name in names:
-        file = folder / name / "policy.npz"
-        sha256 = listed.content.get(f"{name}/policy.npz")
+    listed = listing.table("files").content
+    seeds = listing.table("plan").numbers("seeds", "those of a training")
+    agents = [folder / f"{arm}-{seed:.0f}" for arm in arms for seed in seeds]
+    for agent in agents:
+        file = agent / "policy.npz"
+        sha256 = listed.get(f"{agent.name}/policy.npz")
         if sha256 is None or not file.is_file():
             raise InputError(file, "", "no such agent", f"one of {LISTING}")
         if sha256_of(file) != sha256:
             raise InputError(file, "", "another file", f"the one listed in {LISTING}")
-    return [folder / name for name in names], tuple(seeds)
+    return agents, tuple(map(int, seeds))
 
 
 def write_pretrained(

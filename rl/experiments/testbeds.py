@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
 from rl.task import TASKS, Task
 from rl.world import Draws
-from sim2real.arrays import Array32, Index, Mask
+from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
@@ -180,17 +180,19 @@ def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def whole(name: str) -> Any:  # noqa: ANN401 - an array of the field's type
-        values = [getattr(part, name) for part in parts]
-        if name in ("reached", "steps", "targets"):
-            return np.concatenate(values)
-        padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
-        padded = [
-            np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)
-        ]
-        return np.concatenate(padded, axis=1)
+    def padded(values: Array) -> Array:
+        rest = np.full((T - len(values), *values.shape[1:]), np.nan)
+        return np.concatenate([values, rest])
 
-    return Episodes(*(whole(field.name) for field in fields(Episodes)))
+    rows = {
+        name: np.concatenate([padded(getattr(part, name)) for part in parts], axis=1)
+        for name in ("pose", "rate", "value")
+    }
+    each = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("reached", "steps", "targets")
+    }
+    return Episodes(**rows, **each)
 
 
 HELD_OUT = ("turn", "mixed")
