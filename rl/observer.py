@@ -68,22 +68,16 @@ def _library(array: Any) -> Any:  # noqa: ANN401 - a module
 
 @dataclass(frozen=True)
 class View:
-    """Definition of a policy's observations and decisions; ``PAPER`` is that of the paper.
+    """Definition of a policy's observations and decisions; ``PAPER`` is that of the paper."""
 
-    Attributes:
-        period: Control periods of 20 ms between decisions. ramp: Whether set-points are
-        interpolated linearly between decisions, else steps. memory: Number of past decisions in the
-        observation, newest first. scaled: Whether columns are surge, sway, yaw rate, joint angles,
-        joint rates, sine and cosine of the bearing, log distance, of order one, in place of the
-        task's.
-        sides: Whether the bearing with hysteresis and the side of the last stroke are observed:
-        they say where a symmetric robot turns from a target directly behind.
-    """
-
-    period: int = 4
-    ramp: bool = True
-    memory: int = 2
+    period: int = 4  # control periods of 20 ms between decisions
+    ramp: bool = True  # set-points are interpolated linearly between decisions, else steps
+    memory: int = 2  # number of past decisions in the observation, newest first
+    # columns are surge, sway, yaw rate, joint angles and rates, sine and cosine of the bearing and
+    # log distance, of order one, else those of the task
     scaled: bool = True
+    # the bearing with hysteresis and the side of the last stroke are observed, which say where a
+    # symmetric robot turns from a target directly behind
     sides: bool = True
 
     def size(self, J: int) -> int:

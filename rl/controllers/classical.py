@@ -168,23 +168,14 @@ class ProportionalNavigation(_Steered):
 
 @dataclass(frozen=True)
 class ADRCGains(Stroke):
-    """Gains; each a number or an array (E,).
+    """Gains; each a number or an array (E,)."""
 
-    Attributes:
-        navigation: Rate of the desired heading relative to that of the line of sight.
-        memory_s: Time constant with which the resulting lead decays, in s.
-        agility_rad_s2: Largest angular acceleration of the transient profile.
-        bandwidth_rad_s: Bandwidth of the closed loop of the heading.
-        observer_rad_s: Bandwidth of the extended state observer.
-        effect_per_s2: Angular acceleration per rad of bend.
-    """
-
-    navigation: ArrayLike
-    memory_s: ArrayLike
-    agility_rad_s2: ArrayLike
-    bandwidth_rad_s: ArrayLike
-    observer_rad_s: ArrayLike
-    effect_per_s2: ArrayLike
+    navigation: ArrayLike  # rate of the desired heading relative to that of the line of sight
+    memory_s: ArrayLike  # time constant with which the resulting lead decays, in s
+    agility_rad_s2: ArrayLike  # largest angular acceleration of the transient profile
+    bandwidth_rad_s: ArrayLike  # bandwidth of the closed loop of the heading
+    observer_rad_s: ArrayLike  # bandwidth of the extended state observer
+    effect_per_s2: ArrayLike  # angular acceleration per rad of bend
 
 
 class TransientProfile:

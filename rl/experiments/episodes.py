@@ -41,23 +41,14 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Episodes:
-    """E episodes; rows after the end of an episode are NaN, the first row is the start.
+    """E episodes; rows after the end of an episode are NaN, the first row is the start."""
 
-    Attributes:
-        pose: x, y in m and heading in rad of the head, shape (T, E, 3).
-        rate: Joint rates in rad/s, shape (T, E, J).
-        value: Reward of each control period, shape (T, E), 0 in the first row.
-        reached: Waypoints reached, shape (E,).
-        steps: Length in control periods, shape (E,).
-        targets: Waypoints in m, shape (E, W, 2).
-    """
-
-    pose: Array
-    rate: Array
-    value: Array
-    reached: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    targets: Array
+    pose: Array  # x, y in m and heading in rad of the head, shape (T, E, 3)
+    rate: Array  # joint rates in rad/s, shape (T, E, J)
+    value: Array  # reward of each control period, shape (T, E), 0 in the first row
+    reached: NDArray[np.int64]  # waypoints reached, shape (E,)
+    steps: NDArray[np.int64]  # length in control periods, shape (E,)
+    targets: Array  # waypoints in m, shape (E, W, 2)
 
     @property
     def reward(self) -> Array:

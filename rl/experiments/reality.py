@@ -57,21 +57,13 @@ class Starts(NamedTuple):
 
 @dataclass(frozen=True)
 class RealityFile:
-    """A file that makes realities.
+    """A file that makes realities."""
 
-    Attributes:
-        files: The file itself, and the modules that it imports from its folder.
-        sha256: Hash of these files.
-        options: Options of its ``make``, including defaults.
-        at_once: Maximum number of robots at a time; None if unlimited.
-        make: The function of the file.
-    """
-
-    files: tuple[Path, ...]
-    sha256: str
-    options: Mapping[str, Any]
-    at_once: int | None
-    make: Callable[..., Any]
+    files: tuple[Path, ...]  # the file itself, and the modules that it imports from its folder
+    sha256: str  # hash of these files
+    options: Mapping[str, Any]  # options of its ``make``, including defaults
+    at_once: int | None  # maximum number of robots at a time; None if unlimited
+    make: Callable[..., Any]  # the function of the file
 
     def __call__(self, robot: Robot, n: int, seed: int, device: str) -> Any:  # noqa: ANN401
         """Make a reality of n robots.

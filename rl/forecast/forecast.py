@@ -88,39 +88,25 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Forecast(NotebookDisplay):
-    """What K policies are expected to do on the real robot, from trials in N drawn realities.
-
-    Attributes:
-        robot, task: Their names.
-        policies, joints: Names of the policies and of the robot's joints.
-        figures: Results of T trials in each reality, by figure of ``FIGURES``, shape (K, N, T).
-        names: Names of the P parameters in which the realities differ.
-        parameters: Their values, shape (N, P).
-        paths: Positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2).
-        targets: Waypoints of these trials in m, shape (n, W, 2).
-        rank_by: Figure that the policies are ranked by.
-        trained: By learned policy, 5 % and 95 % quantile of each parameter in its training; empty
-            if it does not state them.
-        limits: Limits whose probability is stated.
-        update: Weights after trials of the real robot; None before.
-        notes: Remarks, one sentence each.
-        provenance: As returned by ``sim2real.output.provenance``.
-    """
+    """What K policies are expected to do on the real robot, from trials in N drawn realities."""
 
     robot: str
     task: str
     policies: tuple[str, ...]
     joints: tuple[str, ...]
+    # results of T trials in each reality, by figure of ``FIGURES``, shape (K, N, T)
     figures: Mapping[str, Array]
-    names: tuple[str, ...]
-    parameters: Array
-    paths: Array
-    targets: Array
-    rank_by: str = "reward"
+    names: tuple[str, ...]  # names of the P parameters in which the realities differ
+    parameters: Array  # their values, shape (N, P)
+    paths: Array  # positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2)
+    targets: Array  # waypoints of these trials in m, shape (n, W, 2)
+    rank_by: str = "reward"  # figure that the policies are ranked by
+    # by learned policy, 5 % and 95 % quantile of each parameter in its training; empty if it does
+    # not state them
     trained: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
-    limits: tuple[Limit, ...] = ()
-    update: Update | None = None
-    notes: tuple[str, ...] = ()
+    limits: tuple[Limit, ...] = ()  # limits whose probability is stated
+    update: Update | None = None  # weights after trials of the real robot; None before
+    notes: tuple[str, ...] = ()  # remarks, one sentence each
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property

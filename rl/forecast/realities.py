@@ -185,23 +185,15 @@ _NORMAL_90 = 1.645
 
 @dataclass(frozen=True)
 class Realities:
-    """N draws of what the real robot may be: models, and the noise of camera and joints.
+    """N draws of what the real robot may be: models, and the noise of camera and joints."""
 
-    Attributes:
-        models: Their models.
-        noise: Noise of camera and joints.
-        names: Names of the P parameters in which the draws differ.
-        values: Their values, shape (N, P).
-        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, (N, 4).
-        unexplained: Standard deviation of what the fit leaves unexplained in surge and sway in m/s,
-            yaw rate in rad/s and joint angles in rad, shape (3 + J,).
-    """
-
-    models: tuple[Model, ...]
-    noise: Noise
-    names: tuple[str, ...]
-    values: Array
-    law: Array
+    models: tuple[Model, ...]  # their models
+    noise: Noise  # noise of camera and joints
+    names: tuple[str, ...]  # names of the P parameters in which the draws differ
+    values: Array  # their values, shape (N, P)
+    law: Array  # relative errors of surge, sway, yaw rate and energy, constant in a reality, (N, 4)
+    # standard deviation of what the fit leaves unexplained in surge and sway in m/s, yaw rate in
+    # rad/s and joint angles in rad, shape (3 + J,)
     unexplained: Array
 
     def digest(self, residuals: Sequence[Array] = ()) -> str:

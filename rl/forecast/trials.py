@@ -317,21 +317,15 @@ def narrowed_by_trials(
 
 @dataclass(frozen=True)
 class TrainingRange:
-    """A parameter to randomize in the next training.
+    """A parameter to randomize in the next training."""
 
-    Attributes:
-        parameter: Its name in ``ranges.json``; latencies are those of single joints. share: Share
-        of the variance between realities that it explains, 0 to 1. drawn, trained: Its 5 % and 95 %
-        quantile in the realities, and in the training of the policy; None if the policy does not
-        state it.
-        advice: ``widen``, ``narrow``, ``move`` or ``keep`` the range of the training, so that it
-            becomes that of the realities; ``draw`` from that if the training's is not known.
-    """
-
-    parameter: str
-    share: float
-    drawn: tuple[float, float]
+    parameter: str  # its name in ``ranges.json``; latencies are those of single joints
+    share: float  # share of the variance between realities that it explains, 0 to 1
+    drawn: tuple[float, float]  # its 5 % and 95 % quantile in the realities
+    # the same in the training of the policy; None if that does not state it
     trained: tuple[float, float] | None
+    # ``widen``, ``narrow``, ``move`` or ``keep`` the range of the training, so that it becomes that
+    # of the realities; ``draw`` from that if the training's is not known
     advice: str
 
 

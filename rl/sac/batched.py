@@ -17,14 +17,10 @@ _NORM_EPSILON = 1e-5
 
 @dataclass(frozen=True)
 class Activations:
-    """Results of a forward pass that the backward pass needs.
+    """Results of a forward pass that the backward pass needs."""
 
-    Attributes:
-        layers: Input, hidden layers and output, each (C, B, width).
-        sums: For each normalised hidden layer: input of the normalization, mean, 1 / deviation.
-    """
-
-    layers: list[Tensor]
+    layers: list[Tensor]  # input, hidden layers and output, each (C, B, width)
+    # for each normalised hidden layer: input of the normalization, mean, 1 / deviation
     sums: list[tuple[Tensor, Tensor, Tensor]]
 
     @property

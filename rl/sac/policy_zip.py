@@ -58,19 +58,12 @@ _FLOAT32 = (
 
 @dataclass(frozen=True)
 class PolicyZip:
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        path: The file.
-        settings: JSON values by name.
-        weights: Tensors of the networks by name, finite and of float32.
-        variables: Further tensors by name, likewise.
-    """
-
-    path: Path
-    settings: Mapping[str, Any]
-    weights: Mapping[str, Tensor]
-    variables: Mapping[str, Tensor]
+    path: Path  # the file
+    settings: Mapping[str, Any]  # JSON values by name
+    weights: Mapping[str, Tensor]  # tensors of the networks by name, finite and of float32
+    variables: Mapping[str, Tensor]  # further tensors by name, likewise
 
     def array(self, name: str, size: int) -> Array32:
         """A setting as an array of finite numbers, shape (size,); ``InputError`` if it is none."""
