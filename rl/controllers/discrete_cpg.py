@@ -31,7 +31,7 @@ from rl.sac.train import check_run
 from rl.task import TASKS
 from rl.vec_env import FishVecEnv
 from sim2real.arrays import Array, Array32
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_whole
 from sim2real.output import provenance
 from sim2real.structured import Fields
 
@@ -277,8 +277,7 @@ def train_run(
         InputError: If a file or an option is wrong.
     """
     for option, value in (("--steps", steps), ("--envs", envs)):
-        if value < 1:
-            raise InputError("train", option, str(value), "at least 1")
+        check_whole("train", option, value, 1)
     fish, draws, inputs = episodes_of(robot, model, ranges)
     chosen, gaits = TASKS[task], TABLE.content()
     if energy_weight is not None:

@@ -20,10 +20,9 @@ _MARGIN_M = 0.1
 _DRAWN_FOR = 960
 
 
-def still(world: World, *, width: int = 480) -> Picture:
+def still(world: World) -> Picture:
     """The first robot of a world from above, shape (height, width, 3), 8 bits a channel."""
-    live: Any = world.simulator.live()
-    return _Camera(world, "", width).picture(float(live.clock.numpy()[0]))
+    return _Camera(world, "", 480).picture()
 
 
 class Film:
@@ -35,13 +34,18 @@ class Film:
 
     def __init__(self, video: Video, world: World, name: str, *, width: int | None = None) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide
-        self._video = video
         self._camera = _Camera(world, name, width or 2 * round(0.75 * video.width / 2))
+        self._video, self._taken = video, 0
+        self._image: Picture | None = None
 
     def __call__(self, going: Mask) -> None:
         """Extend the trajectory, and add a picture if the next frame is due."""
-        if self._camera.follow(going):
-            self._video.add(self._camera.image)
+        if going[0]:
+            self._camera.follow()
+            if self._camera.clock + 1e-6 >= self._taken / FRAMES_PER_S:
+                self._image = self._camera.picture()
+                self._video.add(self._image)
+                self._taken += 1
 
     def __enter__(self) -> Self:
         """Return the film."""
@@ -49,9 +53,9 @@ class Film:
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:  # noqa: ANN401
         """Repeat the last picture."""
-        if kind is None and self._camera.taken:
+        if kind is None and self._image is not None:
             for _repeat in range(round(FRAMES_PER_S)):
-                self._video.add(self._camera.image)
+                self._video.add(self._image)
 
 
 class _Camera:
@@ -61,35 +65,29 @@ class _Camera:
         self._world, self._name = world, name
         length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
         self._pixels = width / length
-        self._x, self._y = places(
-            (0.0, 0.0), self._pixels, width, 2 * round(breadth * self._pixels / 2)
-        )
+        height = 2 * round(breadth * self._pixels / 2)
+        self._x, self._y = places((0.0, 0.0), self._pixels, width, height)
         self._rules = self._pool()
         self._way = np.zeros_like(self._rules)
         self._last: Array | None = None
-        self.taken = 0
-        self.image: Picture = np.empty((0, 0, 3), dtype=np.uint8)
 
-    def follow(self, going: Mask) -> bool:
-        """Extend the trajectory if the robot swam; whether a picture was due and taken."""
-        if not going[0]:
-            return False
+    @property
+    def clock(self) -> float:
+        """Seconds since the robot's start."""
         live: Any = self._world.simulator.live()
+        return float(live.clock.numpy()[0])
+
+    def follow(self) -> None:
+        """Extend the trajectory."""
         position = self._world.pose[0, :2].cpu().double().numpy()
         if self._last is not None:
             ends = np.stack([self._last, position])
             add_line(self._way, ends, 2.0 * self._x.size / _DRAWN_FOR, self._x, self._y)
         self._last = position
-        clock = float(live.clock.numpy()[0])
-        due = clock + 1e-6 >= self.taken / FRAMES_PER_S
-        if due:
-            self.image = self.picture(clock)
-            self.taken += 1
-        return due
 
-    def picture(self, clock: float) -> Picture:
+    def picture(self) -> Picture:
         """The current picture."""
-        world, x, y = self._world, self._x, self._y
+        world, x, y, clock = self._world, self._x, self._y, self.clock
         simulator: Any = world.simulator
         plane: Plane | None = None
         if isinstance(simulator, Swimmer):
@@ -103,9 +101,8 @@ class _Camera:
         blend(canvas, self._rules, RULE)
         waypoint = int(world.waypoint[0])
         for k, target in enumerate(world.targets[0].cpu().double().numpy()):
-            draw_ring(
-                canvas, target, world.task.arrive_m, x, y, TARGET, 0.5 if k == waypoint else 0.0
-            )
+            opacity = 0.5 if k == waypoint else 0.0
+            draw_ring(canvas, target, world.task.arrive_m, x, y, TARGET, opacity)
         blend(canvas, 0.8 * self._way, INK)
         draw_robot(canvas, simulator.hull, links, x, y)
         lettering = Lettering(np.rint(canvas).astype(np.uint8), _DRAWN_FOR)

@@ -129,15 +129,15 @@ def train_in_parts(
         for k, share in enumerate(shares)
     ]  # fmt: skip
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(len(shares) - 1, 1), spawn, _hide_progress) as pool:
+    with ProcessPoolExecutor(max(len(shares) - 1, 1), spawn, hide_progress) as pool:
         futures = [pool.submit(training) for training in trainings[1:]]
         trained = [*trainings[0](), *(path for future in futures for path in future.result())]
     folders = {path.name: path for path in trained}
     return [folders[name] for name in agent_names(arms, plan.seeds)]
 
 
-def _hide_progress() -> None:
-    """Initialise a further process, whose progress bar is hidden."""
+def hide_progress() -> None:
+    """Prepare a further process, whose progress bars are hidden."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     torch.set_num_threads(1)
 
