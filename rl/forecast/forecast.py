@@ -197,26 +197,10 @@ class Forecast(NotebookDisplay):
         }
 
     def __str__(self) -> str:
-        """Intervals of each policy, the ranking, and what to do next."""
-        N = len(self.parameters)
-        lines = [f"{self.task} of {self.robot} in {N} realities; 90 % intervals", ""]
-        for row in self.rows():
-            if row.figure == "success":
-                lines.append(row.policy)
-            mean, ends, trial = row.texts
-            line = f"  {row.figure:<8} {mean:>9} {FIGURES[row.figure].unit:<8} mean {ends}"
-            lines.append(line + (f", next trial {trial}" if trial else ""))
-            if row.figure == "path_m":
-                chances = [(x, self.probability(row.policy, x)) for x in self.limits]
-                lines += [f"  P({limit}) = {chance:.2f}" for limit, chance in chances]
-        if len(self.policies) > 1:
-            order = ", ".join(f"{policy} {chance:.2f}" for policy, chance in self.ranking())
-            lines += ["", f"best by {self.rank_by}, with its probability: {order}"]
-        lines += ["", "narrower by"]
-        lines += [f"  {100 * x.mean:3.0f} %  {x.what}: {x.how}" for x in self.next_measurements()]
-        if self.update is not None:
-            lines += ["", self.verdict]
-        return "\n".join([*lines, *(f"  ! {note}" for note in self.notes)])
+        """The tables and the notes of the page."""
+        from rl.forecast.page import forecast_text
+
+        return forecast_text(self)
 
     @property
     def verdict(self) -> str:

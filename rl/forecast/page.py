@@ -10,6 +10,7 @@ from rl.experiments.episodes import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
 from sim2real.report.page import Block, Note, Section, Table, write_page
+from sim2real.report.text import section_text
 
 _PATHS = (
     "The first trial in twenty realities, with the start at the right and the target at the left; "
@@ -19,7 +20,7 @@ _PATHS = (
 
 @result_section.register
 def _forecast(forecast: Forecast) -> Section:
-    return sections(forecast)[0]
+    return sections(forecast, plots=False)[0]
 
 
 def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> None:
@@ -30,8 +31,13 @@ def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> Non
     write_page(path, title, subtitle, sections(forecast), forecast.provenance)
 
 
-def sections(forecast: Forecast) -> list[Section]:
-    """Sections of the page."""
+def forecast_text(forecast: Forecast) -> str:
+    """Tables and notes of the page, for a terminal."""
+    return "\n\n".join(map(section_text, sections(forecast, plots=False)))
+
+
+def sections(forecast: Forecast, *, plots: bool = True) -> list[Section]:
+    """Sections of the page, or those without plots."""
     rows = [(x.policy, FIGURES[x.figure].label, *x.texts) for x in forecast.rows()]
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
@@ -48,10 +54,10 @@ def sections(forecast: Forecast) -> list[Section]:
     if forecast.update is not None:
         kind: Any = "warn" if forecast.update.contradicted else "good"
         blocks.insert(0, Note(kind, forecast.verdict))
-    out = [
-        Section("What to expect", "", blocks),
-        Section("Paths", _PATHS, [picture(forecast.plot())]),
-    ]
+    lead = f"{forecast.task} of {forecast.robot} in {len(forecast.parameters)} realities."
+    out = [Section("What to expect", lead, blocks)]
+    if plots:
+        out.append(Section("Paths", _PATHS, [picture(forecast.plot())]))
     if len(forecast.policies) > 1:
         order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
         lead = f"By {FIGURES[forecast.rank_by].label}, best first."
