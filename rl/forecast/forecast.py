@@ -198,9 +198,8 @@ class Forecast(NotebookDisplay):
 
     def __str__(self) -> str:
         """The tables and the notes of the page."""
-        from rl.forecast.page import forecast_text
-
-        return forecast_text(self)
+        import_module("rl.forecast.page")  # registers the section of a forecast
+        return super().__str__()
 
     @property
     def verdict(self) -> str:
@@ -214,7 +213,7 @@ class Forecast(NotebookDisplay):
         return f"trials: {self.update.trials} agree with the forecast ({found}), {number} count"
 
     def _repr_html_(self) -> str | None:
-        import_module("rl.forecast.page")  # registers the section of a forecast
+        import_module("rl.forecast.page")
         return super()._repr_html_()
 
     def plot(self) -> Figure:

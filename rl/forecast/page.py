@@ -9,8 +9,7 @@ from rl.experiments.ablation_report import picture
 from rl.experiments.episodes import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
-from sim2real.report.page import Block, Note, Section, Table, write_page
-from sim2real.report.text import section_text
+from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 
 _PATHS = (
     "The first trial in twenty realities, with the start at the right and the target at the left; "
@@ -20,7 +19,10 @@ _PATHS = (
 
 @result_section.register
 def _forecast(forecast: Forecast) -> Section:
-    return sections(forecast, plots=False)[0]
+    """All sections in one, for a terminal or a notebook."""
+    first, *others = sections(forecast, plots=False)
+    parts = ((Text(one.lead, one.title), *one.blocks) for one in others)
+    return Section(first.title, first.lead, [*first.blocks, *(x for part in parts for x in part)])
 
 
 def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> None:
@@ -29,11 +31,6 @@ def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> Non
     title = f"Forecast of {forecast.robot}"
     subtitle = f"The task “{forecast.task}” in {N} realities that agree with what is known"
     write_page(path, title, subtitle, sections(forecast), forecast.provenance)
-
-
-def forecast_text(forecast: Forecast) -> str:
-    """Tables and notes of the page, for a terminal."""
-    return "\n\n".join(map(section_text, sections(forecast, plots=False)))
 
 
 def sections(forecast: Forecast, *, plots: bool = True) -> list[Section]:
