@@ -44,14 +44,14 @@ def run(options: argparse.Namespace) -> int:
     if options.first and options.executor is not None:
         raise InputError("ablate", "--first", "--executor with it", "one of the two")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
-    known = options.truth is not None or isinstance(reality, Model)
-    missing = {"all-and-effects"} if options.enriched is None else set()
-    missing |= set() if known else {"ceiling"}
+    missing = {}
+    if options.truth is None and not isinstance(reality, Model):
+        missing["ceiling"] = "--reality or --truth MODEL.json"
+    if options.enriched is None:
+        missing["all-and-effects"] = "--enriched MODEL with it"
     names = options.arms or [name for name in ARMS if name not in {*missing, "none", "midway"}]
-    if "ceiling" in missing & set(names):
-        raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
-    if missing & set(names):
-        raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL with it")
+    for name in missing.keys() & {*names}:
+        raise InputError("ablate", "--arms", name, missing[name])
     files = {name: getattr(options, name) for name in FILES}
     arms = [read_arm(name, **files) for name in names]
     plan = plan_of(options)
