@@ -36,12 +36,11 @@ def action_space(world: World) -> spaces.Box:
 
 
 def told(task: Task, step: Step) -> dict[str, Tensor]:
-    """What ``info`` has of a step, each of shape (E,).
+    """What ``info`` has of a step, each of shape (E,); the three terms sum up to the reward.
 
-    ``reached`` are the waypoints so far; ``is_success`` whether the last one is among them. The sum
-    of the others is the reward: ``reward_progress`` rewards the approach to the target,
-    ``reward_bonus`` arrival (positive) or leaving the pool (negative), and ``reward_energy`` (never
-    positive) penalises the squared joint rates; see ``rl.task``.
+    ``reached`` are the waypoints so far, ``is_success`` whether the last is among them;
+    ``reward_progress`` is for the approach to the target, ``reward_bonus`` for arrival (positive)
+    or leaving the pool (negative), ``reward_energy`` for squared joint rates; see ``rl.task``.
     """
     energy = -task.energy * step.effort
     return {
@@ -119,10 +118,9 @@ class FishVectorEnv(VectorEnv[Array32, Array32, Array32]):
     """Vector environment of a batch of robots in one simulator.
 
     With ``autoreset_mode`` ``NEXT_STEP``, Gymnasium's default, the step after the last one of an
-    episode resets it: its action is ignored, its reward is zero and its observation is the first of
-    the new episode. With ``SAME_STEP`` an episode is reset in the step in which it ends; its last
-    observation is in ``infos["final_obs"]``, where ``infos["_final_obs"]`` is true. ``infos`` has
-    the values of ``told``, each of shape (E,).
+    episode resets it: its action is ignored, its reward is zero. With ``SAME_STEP`` an episode is
+    reset in the step in which it ends; its last observation is in ``infos["final_obs"]``. ``infos``
+    has the values of ``told``, each of shape (E,).
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012

@@ -1,14 +1,10 @@
 """Interface of a policy to the task at 50 Hz: observations, decision times and set-points.
 
-Training, evaluation, exported policies and robots all use it, in PyTorch or NumPy with the same
-code; the C header of ``rl.deploy.header`` is tested to be equivalent. A policy file states the
-``View`` of its training. Letters: E robots, J joints, O columns of the task, F of the policy.
-
-At 20 ms a decision hardly changes the return, and its advantage is lost in noise (Tallec, Blier,
-Ollivier, ICML 2019); the latency spans several decisions; the state of a delayed process
-consists of the observation and the pending actions (Katsikopoulos, Engelbrecht, IEEE Trans. Autom.
-Control 48 (2003) 568). Two columns that are odd under mirroring resolve where a symmetric robot
-turns from a target directly behind, and from rest.
+Training, evaluation, exported policies and robots all use it, in PyTorch or NumPy. A policy file
+states the ``View`` of its training. Letters: E robots, J joints, O columns of the task, F of the
+policy. Decisions every 20 ms would hardly change the return (Tallec, Blier, Ollivier, ICML 2019);
+the state of a delayed process has pending actions (Katsikopoulos, Engelbrecht, IEEE Trans. Autom.
+Control 48 (2003) 568).
 """
 
 from __future__ import annotations
@@ -72,24 +68,16 @@ def _library(array: Any) -> Any:  # noqa: ANN401 - a module
 
 @dataclass(frozen=True)
 class View:
-    """Definition of a policy's observations and decisions; ``PAPER`` is that of the paper.
+    """Definition of a policy's observations and decisions; ``PAPER`` is that of the paper."""
 
-    The F columns, in order: those of the task or, if scaled, surge, sway, yaw rate, joint angles,
-    joint rates, sine and cosine of the bearing, log distance; the kept bearing and the side of the
-    last stroke; the last decisions of all joints, newest first.
-
-    Attributes:
-        period: Control periods of 20 ms between decisions.
-        ramp: Whether set-points are interpolated linearly between decisions, else steps.
-        memory: Number of past decisions in the observation.
-        scaled: Whether columns are scaled to order one.
-        sides: Whether the bearing with hysteresis and the side of the last stroke are observed.
-    """
-
-    period: int = 4
-    ramp: bool = True
-    memory: int = 2
+    period: int = 4  # control periods of 20 ms between decisions
+    ramp: bool = True  # set-points are interpolated linearly between decisions, else steps
+    memory: int = 2  # number of past decisions in the observation, newest first
+    # columns are surge, sway, yaw rate, joint angles and rates, sine and cosine of the bearing and
+    # log distance, of order one, else those of the task
     scaled: bool = True
+    # the bearing with hysteresis and the side of the last stroke are observed, which say where a
+    # symmetric robot turns from a target directly behind
     sides: bool = True
 
     def size(self, J: int) -> int:

@@ -41,27 +41,20 @@ def effort(rate: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Task:
-    """Definition of a task.
+    """Definition of a task."""
 
-    Attributes:
-        name: Name of the task.
-        place: Function of a random generator, n and J that draws initial poses (n, 3), joint
-            angles (n, J) and waypoints (n, W, 2).
-        waypoints: Number of waypoints W; an episode ends at the last.
-        steps: Time limit of an episode, in control periods.
-        arrive_m: Distance at which a waypoint is reached.
-        approach, energy, bonus: Weights of the reward's terms.
-        domain_m: Length and width of the pool; outside it an episode ends.
-    """
-
-    name: str
+    name: str  # name of the task
+    # function of a random generator, n and J that draws initial poses (n, 3), joint angles (n, J)
+    # and waypoints (n, W, 2)
     place: Callable[[np.random.Generator, int, int], tuple[Array, Array, Array]]
-    waypoints: int = 1
-    steps: int = 1000
-    arrive_m: float = 0.05
+    waypoints: int = 1  # number of waypoints W; an episode ends at the last
+    steps: int = 1000  # time limit of an episode, in control periods
+    arrive_m: float = 0.05  # distance at which a waypoint is reached
+    # weights of the reward's terms
     approach: float = 10.0
     energy: float = 0.001
     bonus: float = 10.0
+    # length and width of the pool; outside it an episode ends
     domain_m: tuple[float, float] = DOMAIN_M
 
 

@@ -39,7 +39,6 @@ def forecast(
     cell_m: float = 0.02,
     threads: int = 2,
     kept: File | None = None,
-    film: File | None = None,
     seed: int = 0,
 ) -> Forecast:
     """Predict what policies will do on the real robot, with intervals.
@@ -67,8 +66,6 @@ def forecast(
         cell_m: Side of a cell of the fluid, in m.
         threads: CPU threads of the simulator.
         kept: File of the trials so far (.npz), so that an interrupted call continues.
-        film: Film to write (.gif, .mp4 or .avi): a good, a median and a bad draw side by side, of
-            the policy that is ranked first.
         seed: Seed of everything random.
 
     Raises:
@@ -89,14 +86,11 @@ def forecast(
     from rl.forecast.trials import read_trials
     from rl.sac.plan import RECIPES
     from rl.task import CONTROL_S, TASKS
-    from sim.view.video import check_video
 
     check_choice("forecast", "task", task, TASKS)
     check_choice("forecast", "rank_by", rank_by, FIGURES)
     if seconds is not None and not 0.1 <= seconds <= 600:
         raise InputError("forecast", "seconds", f"{seconds:g}", "0.1 to 600")
-    if film is not None:
-        check_video(Path(film))
     names = names_of("forecast", "policies", policies)
     fish, known = robot_of(robot), model_of(model)
     stated = tuple(limit_of(text) for text in names_of("forecast", "limit", limit))
@@ -128,12 +122,7 @@ def forecast(
         drawn.names, drawn.values, swum["paths"], swum["targets"], rank_by, trained, stated,
         notes=_notes(known, bool(residuals or drawn.unexplained.any())), provenance=origin,
     )  # fmt: skip
-    if found:
-        out = out.after(found)
-    if film is not None:
-        best = controllers[out.ranking()[0][0]]
-        forecaster.film(Path(film), out.three_draws(settings.at_once), best)
-    return out
+    return out.after(found) if found else out
 
 
 def _notes(model: Model, disturbed: bool) -> tuple[str, ...]:

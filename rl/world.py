@@ -27,16 +27,11 @@ FAST_M_S = 5.0
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of the measurement noise, drawn at every step.
+    """Standard deviations of the measurement noise, drawn at every step."""
 
-    Attributes:
-        position_m: x and y of the head.
-        yaw_rad: Heading of the head.
-        joint_rad: Measured joint angles, one value for all or one per joint.
-    """
-
-    position_m: float = 0.0
-    yaw_rad: float = 0.0
+    position_m: float = 0.0  # x and y of the head
+    yaw_rad: float = 0.0  # heading of the head
+    # measured joint angles, one value for all or one per joint
     joint_rad: tuple[float, ...] = (0.0,)
 
 
@@ -50,27 +45,17 @@ class Draws:
 
 @dataclass(frozen=True)
 class Step:
-    """Result of a step of E environments.
+    """Result of a step of E environments."""
 
-    Attributes:
-        observation: Input of the next action, shape (E, O).
-        reward: Shape (E,).
-        effort: Energy before weighting, rad^2/s^2, shape (E,).
-        bonus: Reward for arriving (positive) or leaving the pool (negative), shape (E,).
-        terminated: The robot arrived at the last waypoint or left the pool, shape (E,).
-        truncated: Time limit reached, or simulation stopped by its guard, shape (E,).
-        reached: Waypoints reached so far in the episode that this step belongs to, shape (E,).
-        final: Observation at the end of this step; differs from ``observation`` where an episode
-            ended. If the guard stopped the simulation, the observation before it.
-    """
-
-    observation: Tensor
-    reward: Tensor
-    effort: Tensor
-    bonus: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    reached: Tensor
+    observation: Tensor  # input of the next action, shape (E, O)
+    reward: Tensor  # shape (E,)
+    effort: Tensor  # energy before weighting, rad^2/s^2, shape (E,)
+    bonus: Tensor  # reward for arriving (positive) or leaving the pool (negative), shape (E,)
+    terminated: Tensor  # the robot arrived at the last waypoint or left the pool, shape (E,)
+    truncated: Tensor  # time limit reached, or simulation stopped by its guard, shape (E,)
+    reached: Tensor  # waypoints reached so far in the episode that this step belongs to, shape (E,)
+    # observation at the end of this step; differs from ``observation`` where an episode ended. If
+    # the guard stopped the simulation, the observation before it
     final: Tensor
 
 

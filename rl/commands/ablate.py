@@ -10,12 +10,10 @@ from typing import Any
 
 import torch
 
-from rl.experiments.ablation import ARMS, ablate, arm_of, turn_of
+from rl.experiments.ablation import ARMS, ablate, arm_of
 from rl.experiments.ablation_report import markdown, write_report
 from rl.experiments.reality import RealityFile, read_reality
 from rl.experiments.testbeds import SimulationSettings, Testbed, real, simulated
-from rl.forecast.realities import read_realities
-from rl.forecast.swims import Forecaster, predict_arms
 from rl.make import noise_of
 from rl.sac import plan as plans
 from rl.sac.plan import OPTIONS, QUICK, Arm, Plan
@@ -40,23 +38,20 @@ def run(options: argparse.Namespace) -> int:
     for name in ("seeds", "repeats"):
         check_whole("ablate", f"--{name}", getattr(options, name), 1)
     torch.set_num_threads(1)
-    robot, model = read_robot(options.robot), read_model(options.model)
+    robot = read_robot(options.robot)
     if options.ranges is None:
         raise InputError("ablate", "--ranges", "none", "RANGES.json to draw episodes from")
     if options.first and options.executor is not None:
         raise InputError("ablate", "--first", "--executor with it", "one of the two")
     ranges, reality = read_ranges(options.ranges), reality_of(options)
-    drawn = None
-    if options.forecast:
-        drawn = read_realities(robot, model, options.ranges, 50, options.seed)
-    known = options.truth is not None or isinstance(reality, Model)
-    missing = {"all-and-effects"} if options.enriched is None else set()
-    missing |= set() if known else {"ceiling"}
+    missing = {}
+    if options.truth is None and not isinstance(reality, Model):
+        missing["ceiling"] = "--reality or --truth MODEL.json"
+    if options.enriched is None:
+        missing["all-and-effects"] = "--enriched MODEL with it"
     names = options.arms or [name for name in ARMS if name not in {*missing, "none", "midway"}]
-    if "ceiling" in missing & set(names):
-        raise InputError("ablate", "--arms", "ceiling", "--reality or --truth MODEL.json")
-    if missing & set(names):
-        raise InputError("ablate", "--arms", "all-and-effects", "--enriched MODEL with it")
+    for name in missing.keys() & {*names}:
+        raise InputError("ablate", "--arms", name, missing[name])
     files = {name: getattr(options, name) for name in FILES}
     arms = [read_arm(name, **files) for name in names]
     plan = plan_of(options)
@@ -72,11 +67,6 @@ def run(options: argparse.Namespace) -> int:
         options.out, robot, names, agents, plan, testbeds, repeats=options.repeats,
         seed=options.seed,
     )  # fmt: skip
-    if drawn is not None:
-        settings = SimulationSettings(device=options.device, threads=options.threads)
-        forecaster = Forecaster(robot, turn_of(plan), drawn, 2, options.seed, settings)
-        file = options.out / "forecast.npz"
-        results["forecast"] = predict_arms(forecaster, names, agents, file)
     write_report(results, plan, options.out, note)
     print(markdown(results))
     print(f"report: {options.out / 'index.html'}")

@@ -22,6 +22,7 @@ from rl.experiments.episodes import run_episodes
 from rl.experiments.film import Film
 from rl.experiments.named import controller_of
 from rl.make import make_world
+from rl.sac.train import hide_progress
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.commands.diagnose import write_all
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     spawn = multiprocessing.get_context("spawn")
     out = options.out / ("trained" if options.train else "ablation")
-    with ProcessPoolExecutor(1, spawn, demo_pool.begin_process) as second_process:
+    with ProcessPoolExecutor(1, spawn, hide_progress) as second_process:
         stages = [demo_pool.diagnosed, demo_pool.calibrated, demo_pool.ranges_of]
         pool = [second_process.submit(demo_pool.timed, stage, options.pool) for stage in stages]
         work = (demo_pool.tested, options.pool, out, options.seed)
@@ -193,7 +194,7 @@ def _swim(results: dict[str, Any], options: argparse.Namespace, out: Path, model
             seed=options.seed, threads=2,
         )  # fmt: skip
         name = "trained in the twin, tested in the fluid"
-        with Video(film) as video, Film(video, world, {0: name}, width=480) as watch:
+        with Video(film) as video, Film(video, world, name, width=480) as watch:
             trial = run_episodes(world, controller_of(str(policy), limits, 1), watch=watch)
     time_s = float(trial.time_s[0])
     outcome = f"It has not arrived after {LONGEST / 50:.0f} s."

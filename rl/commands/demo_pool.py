@@ -2,22 +2,16 @@
 
 The swim is diagnosed before the body is calibrated: without an effect that the robot has, the other
 parameters take values that fit its recording and no other motion.
-
-Stages are functions of the folder of the pool, and each takes the results of those before it.
 """
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from rl.commands.ablate import make_testbeds
 from rl.experiments.ablation import PAPER, ablate, arm_of, read_pretrained
@@ -42,12 +36,6 @@ QUICK = plan_of({"recipe": "brief"}, fidelity="twin", threads=2)
 SEEDS, REPEATS = 8, 12
 PRETRAINED = Path("agents") / "ablation"
 """Folder of the pretrained agents of the ablation, relative to that of the pool."""
-
-
-def begin_process() -> None:
-    """Prepare the second process, whose progress bars are hidden."""
-    sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
-    torch.set_num_threads(1)
 
 
 def timed(stage: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:  # noqa: ANN401

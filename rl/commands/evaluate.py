@@ -52,19 +52,16 @@ def run(options: argparse.Namespace) -> int:
         episodes=options.episodes, seed=options.seed, settings=settings,
     )  # fmt: skip
     table = {name: summary(episodes, task) for name, episodes in swims.items()}
-    options.result = {"task": options.task, "fidelity": options.fidelity, "results": table}
+    content: dict[str, Any] = {"task": options.task, "fidelity": options.fidelity}
+    options.result = {**content, "results": table}
     for name, row in table.items():
         print(table_line(name, row))
     if out is not None:
         files = dict.fromkeys(with_price(name)[0] for name in names)
         inputs = [options.robot, options.model, *(file for file in files if Path(file).exists())]
         inputs += [options.ranges] if options.ranges else []
-        content: dict[str, Any] = {
-            "task": options.task, "fidelity": options.fidelity, "randomized": ranges is not None,
-            "energy_weight": weight,
-        }  # fmt: skip
-        note = provenance(inputs, options.seed)
-        write_json(out, {**content, "results": table, "provenance": note})
+        content |= {"randomized": ranges is not None, "energy_weight": weight, "results": table}
+        write_json(out, {**content, "provenance": provenance(inputs, options.seed)})
     if picture is not None:
         draw(swims, picture)
     if options.video is not None:
@@ -75,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
                     world = make_world(
                         robot, task, draws, n_envs=1, seed=options.seed, **settings.world
                     )
-                    with Film(video, world, {0: shown(name)}) as film:
+                    with Film(video, world, shown(name)) as film:
                         run_episodes(world, controller, name=name, watch=film)
     return 0
 

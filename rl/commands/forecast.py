@@ -26,6 +26,6 @@ def run(options: argparse.Namespace) -> int:
         with if_installed("page"):
             from rl.forecast.page import write_forecast_page
 
-            write_forecast_page(forecast, page, film=options.film)
+            write_forecast_page(forecast, page)
             print(f"\npage: {page}")
     return 0

@@ -15,6 +15,7 @@ from rl.deploy.link import Link
 from rl.deploy.pilot import ANSWER_S, Pilot, Track, swim
 from rl.deploy.policy import Policy, read_npz
 from sim2real.arrays import Array
+from sim2real.commands.command import numbers
 from sim2real.errors import InputError
 from sim2real.hardware.datagram import shared_key
 from sim2real.hardware.session import interruption
@@ -24,6 +25,7 @@ from sim2real.robot import Robot, read_robot
 
 LONGEST_S = 3600.0
 FEWEST_ROWS = 2
+_PLACE = "X,Y in m, as 1.2,-0.4"
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f} of {total:.0f} s"
 
 
@@ -34,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         0 if the target was reached or the time was up, 1 if the swim was stopped early; the
         recording is written in both cases.
     """
-    target = _target(options.target)
+    target = np.array(numbers("--target", options.target, float, _PLACE, count=2))
     if not 0 < options.seconds <= LONGEST_S:
         raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")
     if options.out is not None:
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
             raise InputError("--port", "", failure, expected)
     written = "nothing written"
     if options.out is not None and len(track.t) >= FEWEST_ROWS:
-        write_recording(_recording(options, policy, track), options.out)
+        write_recording(_recording(options, policy, target, track), options.out)
         written = f"{len(track.t)} rows in {options.out}"
     return _report(track, written)
 
@@ -118,10 +120,7 @@ def _on_bus(
     from sim2real.hardware.session import mounted, priority
 
     robot = _described(options, policy)
-    try:
-        ids = [int(number) for number in options.ids.split(",")]
-    except ValueError:
-        raise InputError("--ids", "", repr(options.ids), "whole numbers, as 1,2,3") from None
+    ids = numbers("--ids", options.ids, int, "whole numbers, as 1,2,3")
     wiring = Wiring(ids, reverse=options.reverse)
     wiring.check(robot, bus_class(options.bus).protocol.largest_id)
     rest = np.clip(0.0, policy.low, policy.high).astype(np.float64)
@@ -157,7 +156,9 @@ def _described(options: argparse.Namespace, policy: Policy) -> Robot:
     return robot
 
 
-def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Recording:
+def _recording(
+    options: argparse.Namespace, policy: Policy, target: Array, track: Track
+) -> Recording:
     virtual = "Simulated by the twin, not measured: " if options.virtual else ""
     names = ("body.x_m", "body.y_m", "body.yaw_rad")
     columns = dict(zip(names, track.pose.T, strict=True)) | {"device_t_s": track.device_t}
@@ -174,7 +175,7 @@ def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Rec
         columns=columns,
         metadata={
             "swim": {
-                "target_m": _target(options.target).tolist(),
+                "target_m": target.tolist(),
                 "reached_s": track.reached_s,
                 "closest_m": track.closest_m if np.isfinite(track.closest_m) else None,
                 "stopped": track.stopped,
@@ -184,13 +185,3 @@ def _recording(options: argparse.Namespace, policy: Policy, track: Track) -> Rec
             "simulated": bool(options.virtual),
         },
     )
-
-
-def _target(text: str) -> Array:
-    try:
-        place = np.array([float(number) for number in text.split(",")])
-    except ValueError:
-        place = np.empty(0)
-    if place.shape != (2,) or not np.isfinite(place).all():
-        raise InputError("--target", "", repr(text), "X,Y in m, as 1.2,-0.4")
-    return place

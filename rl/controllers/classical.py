@@ -65,8 +65,7 @@ class Stroke:
 def line_of_sight_rate(observation: NDArray[np.floating]) -> Array:
     """Angular rate of the line to a target at rest, in the pool's frame, in rad/s, shape (E,).
 
-    With the target at r in the body's frame and the robot's velocity v, it is
-    ``-(r x v) / |r|^2``, without differentiation of a signal.
+    With the target at r in the body's frame and the robot's velocity v, ``-(r x v) / |r|^2``.
     """
     columns = np.asarray(observation, dtype=np.float64)
     surge, sway, x, y = columns[:, 0], columns[:, 1], columns[:, -2], columns[:, -1]
@@ -148,10 +147,8 @@ class PNLGains(Stroke):
 class ProportionalNavigation(_Steered):
     """The controller "PNL" of the paper: the bend follows the line of sight.
 
-    Proportional navigation (Guelman, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 364) turns the
-    velocity in proportion to the rate of the line of sight; at constant frequency the yaw rate of a
-    fish is about proportional to its bend, so the bend is the command. For a target directly behind
-    the rate of the line of sight is zero; a gain on the bearing makes the 180 degree turn start::
+    Proportional navigation (Guelman, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 364), with the
+    bend for the turn that it causes, and a gain on the bearing that starts the 180 degree turn::
 
         turn = navigation_s * line_of_sight_rate + pursuit * bearing
 
@@ -171,30 +168,21 @@ class ProportionalNavigation(_Steered):
 
 @dataclass(frozen=True)
 class ADRCGains(Stroke):
-    """Gains; each a number or an array (E,).
+    """Gains; each a number or an array (E,)."""
 
-    Attributes:
-        navigation: Rate of the desired heading relative to that of the line of sight.
-        memory_s: Time constant with which the resulting lead decays, in s.
-        agility_rad_s2: Largest angular acceleration of the transient profile.
-        bandwidth_rad_s: Bandwidth of the closed loop of the heading.
-        observer_rad_s: Bandwidth of the extended state observer.
-        effect_per_s2: Angular acceleration per rad of bend.
-    """
-
-    navigation: ArrayLike
-    memory_s: ArrayLike
-    agility_rad_s2: ArrayLike
-    bandwidth_rad_s: ArrayLike
-    observer_rad_s: ArrayLike
-    effect_per_s2: ArrayLike
+    navigation: ArrayLike  # rate of the desired heading relative to that of the line of sight
+    memory_s: ArrayLike  # time constant with which the resulting lead decays, in s
+    agility_rad_s2: ArrayLike  # largest angular acceleration of the transient profile
+    bandwidth_rad_s: ArrayLike  # bandwidth of the closed loop of the heading
+    observer_rad_s: ArrayLike  # bandwidth of the extended state observer
+    effect_per_s2: ArrayLike  # angular acceleration per rad of bend
 
 
 class TransientProfile:
     """Han's tracking differentiator, which approaches a goal with bounded acceleration.
 
-    IEEE Trans. Ind. Electron. 56 (2009) 900, with its function "fhan", the time-optimal
-    acceleration. ``limit`` is the largest one, a number or an array (E,).
+    IEEE Trans. Ind. Electron. 56 (2009) 900, with its "fhan"; ``limit`` is a number or an array
+    (E,).
 
     Attributes:
         value, rate: The profile and its slope, shape (E,).
@@ -242,18 +230,13 @@ class ExtendedStateObserver:
 class DisturbanceRejection(_Steered):
     """The controller "Li et al." of the paper: ADRC of the heading with proportional navigation.
 
-    The components are those of Li et al. (Bioinspir. Biomim. 14, 2019): proportional navigation
-    gives the desired heading, a tracking differentiator smooths it, an extended state observer
-    estimates heading, yaw rate and disturbance, and the feedback compensates the disturbance with
-    the bend. The equations are those of Han and Gao.
-
-    Proportional navigation turns the desired heading N times as fast as the line of sight. Its
-    integral is the line of sight plus a lead, which decays here so that past turns are forgotten;
-    N = 1 is pure pursuit::
+    As Li et al. (Bioinspir. Biomim. 14, 2019): proportional navigation gives the desired heading, a
+    tracking differentiator smooths it, an extended state observer estimates heading, yaw rate and
+    disturbance, which the bend compensates, by the equations of Han and Gao. The lead of the
+    desired heading decays, so that past turns are forgotten; N = 1 is pure pursuit::
 
         desired = line_of_sight + lead,   lead' = (N - 1) line_of_sight' - lead / memory_s
 
-    Headings are integrals of the yaw rate since the start; their drift cancels in the difference.
     Arguments as for ``ProportionalNavigation``.
     """
 

@@ -19,20 +19,13 @@ COUPLING_PER_S = 5.0
 
 @dataclass(frozen=True)
 class Gait:
-    """A travelling wave along the body; each value a number or an array (E,).
+    """A travelling wave along the body; each value a number or an array (E,)."""
 
-    Attributes:
-        frequency_hz: Beats per second.
-        amplitude_rad: Amplitude of the last joint.
-        front: Amplitude of the first joint relative to the last; linear in between.
-        lag_rad: Phase lag of a joint relative to the previous one.
-        offset_rad: Mean angle of every joint; for negative values the robot turns left.
-    """
-
-    frequency_hz: ArrayLike
-    amplitude_rad: ArrayLike
-    front: ArrayLike = 0.5
-    lag_rad: ArrayLike = 1.2
+    frequency_hz: ArrayLike  # beats per second
+    amplitude_rad: ArrayLike  # amplitude of the last joint
+    front: ArrayLike = 0.5  # amplitude of the first joint relative to the last; linear in between
+    lag_rad: ArrayLike = 1.2  # phase lag of a joint relative to the previous one
+    # mean angle of every joint; for negative values the robot turns left
     offset_rad: ArrayLike = 0.0
 
 
@@ -94,11 +87,7 @@ class CentralPatternGenerator:
         self._wave.rate = np.where(mask[:, None], 0.0, self._wave.rate)
 
     def step(self, gait: Gait) -> Array:
-        """Advance by a control period towards ``gait``.
-
-        Returns:
-            Joint angles in rad, shape (E, J), clipped to the joint limits.
-        """
+        """Advance by a period towards ``gait``; joint angles in rad (E, J), within limits."""
         n_envs, J = self.phase.shape
         values = (gait.frequency_hz, gait.amplitude_rad, gait.front, gait.lag_rad, gait.offset_rad)
         frequency, amplitude, front, lag, offset = (

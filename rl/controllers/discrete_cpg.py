@@ -1,9 +1,7 @@
 """A policy that chooses the gaits of a central pattern generator from a table, and its training.
 
-Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022): reinforcement
-learning chooses between a few gaits, and the generator computes joint angles. The table, the
-duration of a choice and the network are different. It is trained with deep Q-learning (Mnih et al.,
-"Human-level control through deep reinforcement learning", Nature 518, 2015).
+Similar to the controller "Zhang et al." of the paper (IEEE Trans. Robot., 2022), with another
+table, duration of a choice and network; trained by deep Q-learning (Mnih et al., Nature 518, 2015).
 """
 
 from __future__ import annotations
@@ -33,16 +31,14 @@ from rl.sac.train import check_run
 from rl.task import TASKS
 from rl.vec_env import FishVecEnv
 from sim2real.arrays import Array, Array32
-from sim2real.errors import InputError
+from sim2real.errors import InputError, check_whole
 from sim2real.output import provenance
+from sim2real.structured import Fields
 
 
 @dataclass(frozen=True)
 class ActionTable:
-    """A table of N gaits, see ``Gait``: three columns (N,), and what they have in common.
-
-    A choice is used for ``hold`` control periods.
-    """
+    """A table of N gaits, see ``Gait``: three columns (N,), and what they have in common."""
 
     frequency_hz: Array
     amplitude_rad: Array
@@ -63,24 +59,6 @@ class ActionTable:
     def content(self) -> dict[str, Any]:
         """The table as JSON values."""
         return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
-
-    @classmethod
-    def from_content(cls, content: Mapping[str, Any]) -> ActionTable:
-        """The table in ``content``.
-
-        Raises:
-            KeyError, TypeError, ValueError: If it is invalid.
-        """
-        columns = (content[k] for k in ("frequency_hz", "amplitude_rad", "offset_rad"))
-        frequency, amplitude, offset = (np.array(c, dtype=np.float64) for c in columns)
-        if frequency.ndim != 1 or {amplitude.shape, offset.shape} != {frequency.shape}:
-            raise ValueError("columns of different lengths")
-        front, lag, hold = (float(content[k]) for k in ("front", "lag_rad", "hold"))
-        if not np.isfinite([*frequency, *amplitude, *offset, front, lag]).all():
-            raise ValueError("a number that is not finite")
-        if not 1 <= hold <= 1000:
-            raise ValueError(f"a hold of {hold:g}")
-        return cls(frequency, amplitude, offset, front, lag, int(hold))
 
 
 _MOVING = [(f, 0.6, bend) for f in (0.8, 1.6, 2.4) for bend in (-0.6, -0.3, 0.0, 0.3, 0.6)]
@@ -128,10 +106,8 @@ def with_phase(
 class DiscreteCPGEnv(VecEnvWrapper):
     """A vector environment whose actions are rows of a table, each used for ``table.hold`` periods.
 
-    Rewards and their terms are summed over the periods. The observation includes sine and cosine of
-    the first joint's phase, which determine the effect of a choice. If an episode ends within a
-    choice, its reward until then counts; the reward of the next episode before its own first choice
-    is ignored. Actions -1 and 1 of ``venv`` are its joint limits ``low`` and ``high``.
+    Rewards and their terms are summed over the periods, until an episode ends. Observations include
+    sine and cosine of the first joint's phase. Actions -1 and 1 of ``venv`` are joint limits.
     """
 
     def __init__(self, venv: VecEnv, table: ActionTable = TABLE) -> None:
@@ -206,11 +182,18 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
         content = read_settings(path)["gaits"]
     except (InputError, KeyError):
         return None
-    try:
-        return ActionTable.from_content(content)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        expected = "frequencies, amplitudes and offsets"
-        raise InputError(Path(path), "gaits", f"an invalid table ({error})", expected) from None
+    table = Fields(path, "gaits", content)
+    frequency = table.numbers("frequency_hz", "numbers")
+    size = len(frequency)
+    amplitude, offset = (
+        table.numbers(name, f"{size} numbers, as there are frequencies", size)
+        for name in ("amplitude_rad", "offset_rad")
+    )
+    hold = table.number("hold", low=1)
+    if hold > 1000:
+        raise table.error("hold", "at most 1000")
+    scalars = table.number("front"), table.number("lag_rad"), int(hold)
+    return ActionTable(np.array(frequency), np.array(amplitude), np.array(offset), *scalars)
 
 
 def read_policy(
@@ -218,7 +201,7 @@ def read_policy(
 ) -> DiscreteCPG:
     """Read a policy of ``train_run`` as a controller; nothing in the file is executed.
 
-    ``table`` are its gaits, by ``read_table``, ``limits_rad`` those of the joints, shape (J, 2).
+    ``table`` are its gaits, ``limits_rad`` those of the joints, shape (J, 2).
 
     Raises:
         InputError: If it is no policy, or for a robot with another number of joints.
@@ -288,15 +271,13 @@ def train_run(
 ) -> list[Path]:
     """Train an agent for each seed, one after the other; the folders of the agents.
 
-    See the command ``train`` for the options. A run that was killed keeps finished agents and
-    restarts the others.
+    A run that was killed keeps finished agents and restarts the others.
 
     Raises:
         InputError: If a file or an option is wrong.
     """
     for option, value in (("--steps", steps), ("--envs", envs)):
-        if value < 1:
-            raise InputError("train", option, str(value), "at least 1")
+        check_whole("train", option, value, 1)
     fish, draws, inputs = episodes_of(robot, model, ranges)
     chosen, gaits = TASKS[task], TABLE.content()
     if energy_weight is not None:

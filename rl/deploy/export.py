@@ -27,10 +27,10 @@ from sim2real.output import check_writable, provenance, write_whole
 def read_zip(
     path: str | os.PathLike[str], *, seed: int | None = None, price: float | None = None
 ) -> Policy:
-    """Read the policy of an SAC agent of this library or of Stable-Baselines3.
+    """Read the policy of an SAC agent; nothing in the file is executed, see ``rl.sac.policy_zip``.
 
-    Nothing in the file is executed, see ``rl.sac.policy_zip``. ``price`` is that of energy relative
-    to the training's, by default that of the file; ``seed`` is for the provenance.
+    ``price`` is that of energy relative to the training's, by default that of the file; ``seed`` is
+    for the provenance.
 
     Raises:
         InputError: If it is no policy, not a fully connected network with ReLU, or was not trained
@@ -43,9 +43,7 @@ def read_zip(
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
-    """Set another price of energy, relative to that of the training, that an agent learned for.
-
-    The price is a constant input of its actor, and goes into the first layer's bias.
+    """Set another price of energy, relative to the training's: a constant input of the actor.
 
     Raises:
         InputError: If the agent was not trained for this price.
@@ -63,13 +61,9 @@ def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
 
 
 def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | None = None) -> Policy:
-    """The deterministic policy of an SAC agent.
+    """The deterministic policy of an SAC agent, whose actions are angles of joints that it states.
 
-    If the agent states the angles of its actions -1 and 1 (as those of ``rl.sac.sac`` do), the
-    policy has them; otherwise its action space is in rad.
-
-    Raises:
-        InputError: As ``read_zip``.
+    The action space of another agent is in rad. Errors are those of ``read_zip``.
     """
     actor: Any = agent.actor
     layers: list[nn.Linear] = [*actor.latent_pi[::2], actor.mu]
@@ -137,11 +131,7 @@ class _Decision(nn.Module):
 
 
 def onnx_model(policy: Policy) -> bytes:
-    """The policy as ONNX, float32: inputs observation, memory, begin; outputs set-points, memory.
-
-    Raises:
-        InputError: If the package ``onnx`` is not installed.
-    """
+    """The policy as ONNX, float32; InputError without the package ``onnx``."""
     onnx = library("onnx", "--format")
     O, J, M = len(policy.observation), len(policy.joints), max(policy.view.memory, 2)  # noqa: E741
     names = ["observation", "memory", "begin"], ["set_points", "next_memory"]
@@ -171,11 +161,7 @@ FORMATS: Mapping[str, tuple[str, Callable[[Policy], str | bytes]]] = {
 
 
 def write_policy(policy: Policy, path: Path, formats: tuple[str, ...]) -> list[Path]:
-    """Write a policy in several formats, to ``path`` with the extension of each.
-
-    Raises:
-        InputError: If the package of a format is missing or a file cannot be written.
-    """
+    """Write a policy in several formats, to ``path`` with the extension of each."""
     files = [check_writable(path.with_suffix(FORMATS[name][0])) for name in formats]
     contents = [FORMATS[name][1](policy) for name in formats]
     return [write_whole(file, content) for file, content in zip(files, contents, strict=True)]

@@ -1,7 +1,4 @@
-"""Control of one robot to a target over the network, without PyTorch.
-
-Observations from measurements of camera and servos, set-points in answer, a record of the swim.
-"""
+"""Control of one robot to a target over the network, without PyTorch."""
 
 from __future__ import annotations
 
@@ -57,8 +54,7 @@ class Measurements:
     def observation(self, target: Array) -> Array32:
         """The task's columns, shape (O,), with the target's x and y in the pool's frame in m.
 
-        Measurements are resampled to a uniform grid; gaps are interpolated linearly, or filled with
-        the last value.
+        Gaps are interpolated linearly, or filled with the last value.
 
         Raises:
             ValueError: If a column of pose or angles was never measured.
@@ -81,8 +77,7 @@ class Track(NamedTuple):
 
     Columns are the arrival of the telemetry on this computer in s, from the first, the robot's
     clock, set-points sent in answer (T, J), measured angles (T, J) and pose (T, 3), NaN if missing.
-    ``reached_s`` is from the end of rest, ``closest_m`` infinite if the swim never started, and
-    ``stopped`` the reason of an early end.
+    ``reached_s`` is from the end of rest, ``closest_m`` infinite if the swim never started.
     """
 
     t: Array
@@ -99,7 +94,6 @@ class Pilot:
     """Answers telemetry until the robot is at the target or the time is up.
 
     The target is x and y in the pool's frame in m; ``seconds`` is the longest swim, after rest.
-    ``stopped`` is the reason of an early end, or None.
     """
 
     def __init__(self, policy: Policy, target: Array, seconds: float) -> None:
@@ -176,8 +170,8 @@ def swim(
 ) -> Track | None:
     """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
-    The timing is that of the robot's telemetry, which is answered immediately. ``interrupted`` says
-    whether the user has asked to stop, ``progress`` is called with the seconds since its last call.
+    Telemetry is answered at once. ``interrupted`` says whether the user has asked to stop,
+    ``progress`` is called with the seconds since its last call.
 
     Returns:
         The swim, or None if the robot never answered.

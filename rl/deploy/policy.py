@@ -27,28 +27,22 @@ LARGEST_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class Policy:
-    """A fully connected network with ReLU between layers and tanh at the output.
+    """A fully connected network with ReLU between layers and tanh at the output."""
 
-    Attributes:
-        weights: Weights of each layer, shape (outputs, inputs).
-        biases: Biases of each layer, shape (outputs,).
-        low, high: Angles in rad of the outputs -1 and 1, shape (J,).
-        joints: Names of the J joints, in the order of the action.
-        observation: Names of the O columns of the task's observation, with units, in order.
-        observation_limit: Magnitude that each column was clipped to in training, shape (O,).
-        view: Definition of the observations; its F columns are the inputs of the network.
-        provenance: Provenance; ``trained_over`` has the 5 % and 95 % quantile of each parameter of
-            the robots that it was trained with.
-    """
-
+    # of each layer, shapes (outputs, inputs) and (outputs,)
     weights: tuple[Array32, ...]
     biases: tuple[Array32, ...]
+    # angles in rad of the outputs -1 and 1, shape (J,)
     low: Array32
     high: Array32
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # names of the J joints, in the order of the action
+    # names of the O columns of the task's observation, with units, in order
     observation: tuple[str, ...]
-    observation_limit: Array32
+    observation_limit: Array32  # magnitude that each column was clipped to in training, shape (O,)
+    # definition of the observations; its F columns are the inputs of the network
     view: View = PAPER
+    # provenance; ``trained_over`` has the 5 % and 95 % quantile of each parameter of the robots
+    # that it was trained with
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 

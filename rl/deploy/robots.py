@@ -1,7 +1,4 @@
-"""A robot's end of the protocol of ``rl.deploy.link``: the twin, or servos on a bus.
-
-The pose of the latter comes from a tracker, in UDP datagrams whose format is described there.
-"""
+"""A robot's end of the protocol of ``rl.deploy.link``: the twin, or servos on a bus."""
 
 from __future__ import annotations
 
@@ -128,8 +125,7 @@ class VirtualRobot(Received):
 def serve(radio: socket.socket, robot: Received, stop: Callable[[], bool]) -> None:
     """Run a robot in real time from the first datagram until ``stop``.
 
-    Telemetry is sent to the robot's computer at the start of each period. Set-points apply to the
-    period whose start is nearest to their arrival, so that an answer acts without delay, as in
+    Set-points apply to the period whose start is nearest to their arrival, without delay as in
     training.
     """
     begin = time.monotonic()
@@ -275,8 +271,7 @@ def bus_robot(
     """Context manager that moves the servos to rest and serves them; returns URL and robot.
 
     In the end they are released, and what was changed in them is restored. The tracker sends to
-    ``poses``, ``udp://HOST:PORT`` of this computer, only from it if HOST is missing, with the
-    ``key`` of the link. ``interrupted`` says whether the user has asked to stop.
+    ``poses``, ``udp://HOST:PORT`` of this computer, with the ``key`` of the link.
 
     Raises:
         Stopped: If a servo does not answer, is too hot or cannot be released.

@@ -1,9 +1,6 @@
 """The ablation: its arms, and tests of their agents at the turn in simulation and in reality.
 
-Without a technique the default of the old simulator is used (Lin, Liu, Wang, Sec. IV-D), or one
-that is defined here. A folder of pretrained agents holds ``ARM-SEED/policy.npz`` of each, the
-``model.json`` and ``ranges.json`` of their training, and ``agents.json``: plan, SHA-256 of every
-file, provenance.
+Without a technique the default of the old simulator is used (Lin, Liu, Wang, Sec. IV-D).
 """
 
 from __future__ import annotations
@@ -28,7 +25,7 @@ from rl.world import Draws
 from sim2real.arrays import Array
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model, write_model
-from sim2real.output import write_json, write_whole
+from sim2real.output import sha256_of, write_json, write_whole
 from sim2real.ranges.entry import Ranges, write_ranges
 from sim2real.robot import Robot
 from sim2real.structured import Fields, read_json
@@ -78,11 +75,7 @@ PAPER = ("all", "no-servo", "no-density", "no-randomization")
 
 
 def one_density(robot: Robot) -> list[float]:
-    """Normalised densities of links of one material, with volumes of elliptic cylinders.
-
-    The old simulator gives every link 1080 kg/m3. The robot is neutrally buoyant, so the total mass
-    is kept and only its distribution changes.
-    """
+    """Normalised densities of links of one material, elliptic cylinders; the total is kept."""
     section = np.array([link.width_m * link.height_m for link in robot.links])
     length = np.array([link.length_m for link in robot.links])
     return list((section * length.sum() / (section * length).sum()).tolist())
@@ -175,7 +168,7 @@ def ablate(
 
     ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
     episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
-    control periods, by default those of the task.
+    control periods.
 
     Returns:
         ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
@@ -259,31 +252,28 @@ def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tupl
         InputError: If an agent is missing, or its file differs from the listed one.
     """
     path = folder / LISTING
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "pretrained agents")
     listing = Fields(path, "", read_json(path))
-    listed, plan = listing.table("files"), listing.table("plan")
-    seeds = plan.content.get("seeds")
-    if not isinstance(seeds, list):
-        raise plan.error("seeds", "those of a training")
-    names = [f"{arm}-{seed}" for arm in arms for seed in seeds]
-    for name in names:
-        file = folder / name / "policy.npz"
-        sha256 = listed.content.get(f"{name}/policy.npz")
+    listed = listing.table("files").content
+    seeds = listing.table("plan").numbers("seeds", "those of a training")
+    agents = [folder / f"{arm}-{seed:.0f}" for arm in arms for seed in seeds]
+    for agent in agents:
+        file = agent / "policy.npz"
+        sha256 = listed.get(f"{agent.name}/policy.npz")
         if sha256 is None or not file.is_file():
             raise InputError(file, "", "no such agent", f"one of {LISTING}")
-        if _sha256(file) != sha256:
+        if sha256_of(file) != sha256:
             raise InputError(file, "", "another file", f"the one listed in {LISTING}")
-    return [folder / name for name in names], tuple(seeds)
+    return agents, tuple(map(int, seeds))
 
 
 def write_pretrained(
     folder: Path, agents: Sequence[Path], plan: Plan, model: Model, ranges: Ranges,
     note: dict[str, Any],
 ) -> Path:  # fmt: skip
-    """Write the policies of trained agents, ``ARM-SEED`` each, and their listing.
+    """Write the policies of trained agents, ``ARM-SEED`` each, and their listing; old ones go.
 
-    Agents already in the folder are removed. ``model`` and ``ranges`` are those of the training.
+    ``model`` and ``ranges`` are those of the training. ``agents.json`` has plan, SHA-256 of every
+    file, and provenance.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*/policy.npz"):
@@ -293,10 +283,6 @@ def write_pretrained(
     for agent in agents:
         write_whole(folder / agent.name / "policy.npz", npz(policy_in(agent)))
     names = ["model.json", "ranges.json", *(f"{agent.name}/policy.npz" for agent in agents)]
-    files = {name: _sha256(folder / name) for name in names}
+    files = {name: sha256_of(folder / name) for name in names}
     content = {"plan": plan.content(), "files": files, "provenance": note}
     return write_json(folder / LISTING, content)
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

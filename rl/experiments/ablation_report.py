@@ -30,11 +30,6 @@ _RETURNS = (
     "repeats. Time, energy and reward are those in reality, "
     "over all turns: a turn that does not arrive counts with the full duration of the task."
 )
-_FORECAST = (
-    "Rewards that were predicted from the model and its ranges alone, without the reality: mean of "
-    "many turns with the 90 % interval over drawn realities, and the reward measured in reality. "
-    "Lost is the reward of all techniques minus that of the arm."
-)
 _DIFFERENCES = (
     "Return in reality with all techniques minus that of each arm, agents paired by seed: mean and "
     "90 % interval, positive if the arm is worse. A loss is significant if its interval excludes "
@@ -79,7 +74,7 @@ def rows(results: Results) -> list[dict[str, Any]]:
 
 
 def tables(results: Results) -> dict[str, Table]:
-    """The tables of the report: ``returns``, ``losses``, and ``forecast`` if one was made."""
+    """The tables of the report: ``returns`` and ``losses``."""
     table, returns = rows(results), []
     for row in table:
         cells = [ARMS[row["arm"]].title]
@@ -99,18 +94,7 @@ def tables(results: Results) -> dict[str, Table]:
         for arm, x in losses.items()
     ]  # fmt: skip
     titles = ("arm", "loses in reality, by seed", "significant", "sd over pairs", "pairs", "needed")
-    out = {"returns": Table(header, returns, _RETURNS), "losses": Table(titles, lost)}
-    predicted = []
-    rewards = {row["arm"]: row["reality"]["reward"] for row in table}
-    for arm, forecast in results.get("forecast", {}).items():
-        loses = ["", ""]
-        if "loses" in forecast:
-            loses = [_ends(forecast["loses"]), f"{rewards['all'][0] - rewards[arm][0]:.1f}"]
-        predicted.append((ARMS[arm].title, _ends(forecast["reward"]), _ends(rewards[arm]), *loses))
-    if predicted:
-        names = ("arm", "reward, forecast", "reward, reality", "loses, forecast", "loses, reality")
-        out["forecast"] = Table(names, predicted)
-    return out
+    return {"returns": Table(header, returns, _RETURNS), "losses": Table(titles, lost)}
 
 
 def _ends(values: Sequence[float], shape: str = ".2f") -> str:
@@ -146,13 +130,11 @@ def sections(results: Results, plan: Plan) -> list[Section]:
         f"Reality: {results['said']['reality']}."
     )
     effect: list[Block] = [picture(return_figure(table)), made["returns"]]
-    predicted = [Section("Forecast", _FORECAST, [made["forecast"]])] if "forecast" in made else []
     lead = "Trajectories of the head in reality: two turns of each agent."
     return [
         Section(
             "Effect of each technique", retention_text({row["arm"]: row for row in table}), effect
         ),
-        *predicted,
         Section("Loss without each technique", _DIFFERENCES, lost),
         Section("The turns", lead, [picture(trajectory_figure(results))]),
         Section("Method", "", [method]),

@@ -41,23 +41,14 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Episodes:
-    """E episodes; rows after the end of an episode are NaN, the first row is the start.
+    """E episodes; rows after the end of an episode are NaN, the first row is the start."""
 
-    Attributes:
-        pose: x, y in m and heading in rad of the head, shape (T, E, 3).
-        rate: Joint rates in rad/s, shape (T, E, J).
-        value: Reward of each control period, shape (T, E), 0 in the first row.
-        reached: Waypoints reached, shape (E,).
-        steps: Length in control periods, shape (E,).
-        targets: Waypoints in m, shape (E, W, 2).
-    """
-
-    pose: Array
-    rate: Array
-    value: Array
-    reached: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    targets: Array
+    pose: Array  # x, y in m and heading in rad of the head, shape (T, E, 3)
+    rate: Array  # joint rates in rad/s, shape (T, E, J)
+    value: Array  # reward of each control period, shape (T, E), 0 in the first row
+    reached: NDArray[np.int64]  # waypoints reached, shape (E,)
+    steps: NDArray[np.int64]  # length in control periods, shape (E,)
+    targets: Array  # waypoints in m, shape (E, W, 2)
 
     @property
     def reward(self) -> Array:
@@ -65,10 +56,7 @@ class Episodes:
         return np.asarray(np.nansum(self.value, axis=0))
 
     def discounted(self, discount: float) -> Array:
-        """Sum of the rewards, discounted by ``discount`` per control period, shape (E,).
-
-        Agents maximise it in training; the undiscounted sum does not penalise time.
-        """
+        """Sum of the rewards, discounted by ``discount`` per control period, shape (E,)."""
         worth = discount ** np.maximum(np.arange(len(self.value)) - 1.0, 0.0)
         return np.asarray(worth @ np.nan_to_num(self.value))
 
@@ -142,8 +130,7 @@ def _copied(tensor: torch.Tensor) -> Array:
 def energy(rate: Array) -> Array:
     """The paper's measure of energy, the sum over steps of 20 ms of the joints' squared rates.
 
-    It is not mechanical work: its unit is rad^2/s^2; multiplied by 0.02 s it is the integral over
-    time. The row of the start is included. ``rate`` has the shape (T, E, J), the result (E,), NaN
+    In rad^2/s^2; the row of the start is included. ``rate`` is (T, E, J), the result (E,), NaN
     where all rows are NaN.
     """
     finite = np.asarray(np.isfinite(rate).all(axis=2))
@@ -157,46 +144,11 @@ def path_length(position: Array) -> Array:
     return np.where(np.isfinite(position).all(axis=2).any(axis=0), np.nansum(step, axis=0), np.nan)
 
 
-def turning_radius(position: Array, heading: Array, *, turn_rad: float = np.pi) -> Array:
-    """Radius of a circle fitted to the middle part of the turn, in m, shape (E,).
-
-    The middle part are the rows from the first at which the heading (T, E) has changed by a tenth
-    of ``turn_rad``, in either direction, until the first at which it has by nine tenths. The circle
-    is the least-squares fit of Kasa (IEEE Trans. Instrum. Meas. 25 (1976) 8) to the path (T, E, 2)
-    of the head's centre of mass. NaN if the heading changes by less, infinite if the path is
-    straight.
-    """
-    changed = np.abs(heading - heading[0])
-    started, done = (np.asarray(changed >= part * turn_rad) for part in (0.1, 0.9))
-    row = np.arange(len(heading))[:, None]
-    middle = (row >= started.argmax(axis=0)) & (row <= done.argmax(axis=0)) & done.any(axis=0)
-    return circle_radius(np.where(middle[..., None], position, np.nan))
-
-
-def circle_radius(position: Array) -> Array:
-    """Radius of the least-squares circle through the finite rows of (T, E, 2), shape (E,)."""
-    finite = np.asarray(np.isfinite(position).all(axis=2))
-    count = finite.sum(axis=0)
-    points = np.where(finite[..., None], position, 0.0)
-    middle = points.sum(axis=0) / np.maximum(count, 1)[:, None]
-    x, y = np.moveaxis(np.where(finite[..., None], position - middle, 0.0), 2, 0)
-    square = x * x + y * y
-    xx, xy, yy = (x * x).sum(axis=0), (x * y).sum(axis=0), (y * y).sum(axis=0)
-    right, up = (x * square).sum(axis=0) / 2, (y * square).sum(axis=0) / 2
-    det = xx * yy - xy * xy
-    straight = det <= 1e-9 * (xx + yy) ** 2
-    safe = np.where(straight, 1.0, det)
-    cx, cy = (right * yy - up * xy) / safe, (up * xx - right * xy) / safe
-    radius = np.sqrt(cx * cx + cy * cy + (xx + yy) / np.maximum(count, 1))
-    return np.where(count < 3, np.nan, np.where(straight, np.inf, radius))
-
-
 def spent(episodes: Episodes, task: Task) -> tuple[Array, Array]:
     """Time in s and energy of every episode, shape (E,) each.
 
-    An episode without arrival counts with the full time of the task; if it ended earlier, its
-    energy is extrapolated to that time at its mean rate. Means over arrivals only would favour
-    policies that rarely arrive.
+    An episode without arrival counts with the full time of the task, and its mean power until then.
+    Means over arrivals only would favour policies that rarely arrive.
     """
     extrapolation = task.steps / np.maximum(episodes.steps, 1)
     time = np.where(episodes.success, episodes.steps, task.steps) * CONTROL_S
@@ -223,7 +175,6 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
     def error(values: Array) -> float:
         return float(values.std() / np.sqrt(len(values)))
 
-    turned, path = episodes.pose[:, :, 2], episodes.pose[:, :, :2]
     return {
         "episodes": len(won),
         "success": float(won.mean()),
@@ -235,7 +186,5 @@ def summary(episodes: Episodes, task: Task) -> dict[str, Any]:
         "energy": float(used.mean()),
         "energy_error": error(used),
         "arrivals": {name: mean(figures[name][won]) for name in ("time_s", "energy", "path_m")},
-        "turned_90_s": mean(_first_s(np.abs(turned - turned[0]) >= np.pi / 2)),
         "faced_target_s": mean(episodes.faced_s()),
-        "turning_radius_m": mean(turning_radius(path, turned)),
     }

@@ -1,11 +1,7 @@
-"""Video of an evaluation from above: one policy after the other, or several robots side by side.
-
-In the fluid it also shows the vorticity within the simulated box, which moves with the robot.
-"""
+"""Video of an evaluation from above; in the fluid with the vorticity of the simulated box."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Self
 
 import numpy as np
@@ -24,38 +20,32 @@ _MARGIN_M = 0.1
 _DRAWN_FOR = 960
 
 
-def still(world: World, *, width: int = 480) -> Picture:
+def still(world: World) -> Picture:
     """The first robot of a world from above, shape (height, width, 3), 8 bits a channel."""
-    live: Any = world.simulator.live()
-    return _Camera(world, 0, "", width).picture(float(live.clock.numpy()[0]))
+    return _Camera(world, "", 480).picture()
 
 
 class Film:
-    """The part of a video that shows one policy; call it after every step of the world.
+    """The part of a video that shows one policy's first robot; call it after every step.
 
-    As a context manager it repeats the last picture for one second at the end. Robots by their
-    index in the world are shown side by side, with their names; ``width`` is that of each in
-    pixels, even. A robot whose episode has ended stays in its last picture.
+    As a context manager it repeats the last picture for one second at the end. ``width`` is in
+    pixels, even.
     """
 
-    def __init__(
-        self, video: Video, world: World, names: Mapping[int, str], *, width: int | None = None
-    ) -> None:
+    def __init__(self, video: Video, world: World, name: str, *, width: int | None = None) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide
-        wide = width or 2 * round(0.75 * video.width / 2)
+        self._camera = _Camera(world, name, width or 2 * round(0.75 * video.width / 2))
         self._video, self._taken = video, 0
-        self._cameras = [_Camera(world, robot, name, wide) for robot, name in names.items()]
+        self._image: Picture | None = None
 
     def __call__(self, going: Mask) -> None:
-        """Extend the trajectories, and add a picture if the next frame is due."""
-        for camera in self._cameras:
-            camera.follow(going)
-        if self._taken < (taken := max(camera.taken for camera in self._cameras)):
-            self._taken = taken
-            self._add()
-
-    def _add(self) -> None:
-        self._video.add(np.concatenate([camera.image for camera in self._cameras], axis=1))
+        """Extend the trajectory, and add a picture if the next frame is due."""
+        if going[0]:
+            self._camera.follow()
+            if self._camera.clock + 1e-6 >= self._taken / FRAMES_PER_S:
+                self._image = self._camera.picture()
+                self._video.add(self._image)
+                self._taken += 1
 
     def __enter__(self) -> Self:
         """Return the film."""
@@ -63,65 +53,56 @@ class Film:
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:  # noqa: ANN401
         """Repeat the last picture."""
-        if kind is None and self._taken:
+        if kind is None and self._image is not None:
             for _repeat in range(round(FRAMES_PER_S)):
-                self._add()
+                self._video.add(self._image)
 
 
 class _Camera:
-    """Follows one robot of a world from above, from its next start on."""
+    """Follows the first robot of a world from above, from its next start on."""
 
-    def __init__(self, world: World, robot: int, name: str, width: int) -> None:
-        self._world, self._name, self._robot = world, name, robot
+    def __init__(self, world: World, name: str, width: int) -> None:
+        self._world, self._name = world, name
         length, breadth = (side + 2 * _MARGIN_M for side in world.task.domain_m)
         self._pixels = width / length
-        self._x, self._y = places(
-            (0.0, 0.0), self._pixels, width, 2 * round(breadth * self._pixels / 2)
-        )
+        height = 2 * round(breadth * self._pixels / 2)
+        self._x, self._y = places((0.0, 0.0), self._pixels, width, height)
         self._rules = self._pool()
         self._way = np.zeros_like(self._rules)
         self._last: Array | None = None
-        self.taken = 0
-        self.image: Picture = np.empty((0, 0, 3), dtype=np.uint8)
 
-    def follow(self, going: Mask) -> None:
-        """Extend the trajectory if the robot swam, and take a picture if the next one is due."""
-        if not going[self._robot]:
-            return
+    @property
+    def clock(self) -> float:
+        """Seconds since the robot's start."""
         live: Any = self._world.simulator.live()
-        position = self._world.pose[self._robot, :2].cpu().double().numpy()
+        return float(live.clock.numpy()[0])
+
+    def follow(self) -> None:
+        """Extend the trajectory."""
+        position = self._world.pose[0, :2].cpu().double().numpy()
         if self._last is not None:
             ends = np.stack([self._last, position])
             add_line(self._way, ends, 2.0 * self._x.size / _DRAWN_FOR, self._x, self._y)
         self._last = position
-        clock = float(live.clock.numpy()[self._robot])
-        if clock + 1e-6 >= self.taken / FRAMES_PER_S:
-            self.image = self.picture(clock)
-            self.taken += 1
 
-    def picture(self, clock: float) -> Picture:
+    def picture(self) -> Picture:
         """The current picture."""
-        world, x, y, e = self._world, self._x, self._y, self._robot
+        world, x, y, clock = self._world, self._x, self._y, self.clock
         simulator: Any = world.simulator
         plane: Plane | None = None
         if isinstance(simulator, Swimmer):
-            plane = plane_of(simulator, e)
+            plane = plane_of(simulator, 0)
             links = plane.links
             canvas = colours(zoomed(plane, x, y) / VORTICITY)
         else:
-            drift = simulator.current[e] * clock
-            if hasattr(simulator, "links"):  # of a path that differs from the simulated one
-                links = simulator.links(e)
-                links[:, :2] += drift
-            else:
-                links = front_ends(simulator.chain, simulator.motion, drift, e)
+            drift = simulator.current[0] * clock
+            links = front_ends(simulator.chain, simulator.motion, drift, 0)
             canvas = np.full((y.size, x.size, 3), 255.0)
         blend(canvas, self._rules, RULE)
-        waypoint = int(world.waypoint[e])
-        for k, target in enumerate(world.targets[e].cpu().double().numpy()):
-            draw_ring(
-                canvas, target, world.task.arrive_m, x, y, TARGET, 0.5 if k == waypoint else 0.0
-            )
+        waypoint = int(world.waypoint[0])
+        for k, target in enumerate(world.targets[0].cpu().double().numpy()):
+            opacity = 0.5 if k == waypoint else 0.0
+            draw_ring(canvas, target, world.task.arrive_m, x, y, TARGET, opacity)
         blend(canvas, 0.8 * self._way, INK)
         draw_robot(canvas, simulator.hull, links, x, y)
         lettering = Lettering(np.rint(canvas).astype(np.uint8), _DRAWN_FOR)

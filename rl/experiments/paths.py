@@ -30,9 +30,9 @@ def pool_figure(
 
     Targets are circles of 5 cm; a note, such as the time, is next to the title of its panel.
     """
+    others, first = {"color": INK, "alpha": 0.5, "lw": 0.6}, {"color": ACCENT, "lw": 1.3}
     panels = {
-        name: [(x, {"color": INK, "alpha": 0.5, "lw": 0.6}) for x in reversed(of_name[1:])]
-        + [(of_name[0], {"color": ACCENT, "lw": 1.3})]
+        name: [*((x, others) for x in reversed(of_name[1:])), (of_name[0], first)]
         for name, of_name in ways.items()
     }
     points = np.concatenate([targets, *(x for of_name in ways.values() for x in of_name)])
@@ -45,9 +45,7 @@ def pool_figure(
         axes.grid(False)
         axes.plot(*targets.T, color=RULE, linewidth=1.0, zorder=1)
         for target in targets:
-            axes.add_patch(
-                Circle(target, POINT.arrive_m, facecolor="none", edgecolor=FAINT, zorder=2)
-            )
+            axes.add_patch(Circle(target, POINT.arrive_m, fc="none", ec=FAINT, zorder=2))
         axes.plot(*ways[name][0][0], "o", color=INK, markersize=4, zorder=4)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)")
         axes.set_title(notes[name], loc="right")
@@ -85,12 +83,10 @@ def _panels(
     shared: bool,
 ) -> Figure:
     """A panel for each name, with what ``mark`` adds to its axes."""
-    rows = -(-len(ways) // _ACROSS)
+    rows, columns = -(-len(ways) // _ACROSS), min(_ACROSS, len(ways))
     with house_style():
         figure = new_figure(rows * height + 20, label)
-        panels = figure.subplots(
-            rows, min(_ACROSS, len(ways)), squeeze=False, sharex=shared, sharey=shared
-        ).ravel()
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=shared, sharey=shared).ravel()
         for axes in panels[len(ways) :]:
             axes.set_visible(False)
         for axes, (name, of_name) in zip(panels, ways.items(), strict=False):
@@ -105,8 +101,7 @@ def _panels(
 
 def aligned(path: Array, target: Array, colour: str = INK) -> Way:
     """A path with its start at the origin and the target on the negative x axis."""
-    direction = (target - path[0]) / np.linalg.norm(target - path[0])
     moved = path - path[0]
-    across = moved @ np.array([-direction[1], direction[0]])
+    c, s = (target - path[0]) / np.linalg.norm(target - path[0])
     style = {"color": colour, "alpha": 0.7, "lw": 0.7}
-    return np.stack([-moved @ direction, across], axis=1), style
+    return moved @ np.array([[-c, -s], [-s, c]]), style

@@ -1,8 +1,7 @@
 """A user-defined reality: a Python file that moves and measures robots.
 
-``sim2real ablate --reality FILE.py`` tests trained policies in it: a test bench, or a surrogate
-with its own dynamics. The file is run like a script and may import modules of its own folder. It
-defines::
+``sim2real ablate --reality FILE.py`` tests trained policies in it. The file may import modules of
+its own folder, and defines::
 
     def make(robot, n, seed, device, **options):
         ...               # n robots; ``device`` is cpu or cuda:0, as training's
@@ -14,12 +13,9 @@ defines::
 ``reality.reset(pose, joint)`` places the robots at rest at poses (n, 3) with joint angles (n, J);
 ``reality.step(desired)`` commands joint angles (n, J), held for 0.02 s. Both return measurements:
 poses (n, 3), x and y of the head's centre of mass in m and its heading in rad, in the pool's frame,
-and joint angles (n, J) as the servos report them; NaN where there is none.
-
-A robot whose episode is over is commanded to straight joints. A surrogate can add a method
-``reality.rate()``, present true joint rates (n, J) in rad/s, from which the energy is computed as
-in the simulator: rates estimated from five samples of reported angles miss half of it. Without it,
-energies of simulation and reality must not be compared. An example is ``datasets/pool/reality.py``.
+and joint angles (n, J) as the servos report them; NaN where there is none. A robot whose episode is
+over is commanded to straight joints. A surrogate can add ``reality.rate()``, true joint rates
+(n, J) in rad/s; from reported angles half of the energy is missed.
 """
 
 from __future__ import annotations
@@ -61,21 +57,13 @@ class Starts(NamedTuple):
 
 @dataclass(frozen=True)
 class RealityFile:
-    """A file that makes realities.
+    """A file that makes realities."""
 
-    Attributes:
-        files: The file itself, and the modules that it imports from its folder.
-        sha256: Hash of these files.
-        options: Options of its ``make``, including defaults.
-        at_once: Maximum number of robots at a time; None if unlimited.
-        make: The function of the file.
-    """
-
-    files: tuple[Path, ...]
-    sha256: str
-    options: Mapping[str, Any]
-    at_once: int | None
-    make: Callable[..., Any]
+    files: tuple[Path, ...]  # the file itself, and the modules that it imports from its folder
+    sha256: str  # hash of these files
+    options: Mapping[str, Any]  # options of its ``make``, including defaults
+    at_once: int | None  # maximum number of robots at a time; None if unlimited
+    make: Callable[..., Any]  # the function of the file
 
     def __call__(self, robot: Robot, n: int, seed: int, device: str) -> Any:  # noqa: ANN401
         """Make a reality of n robots.
@@ -146,9 +134,8 @@ def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
 class RealWorld:
     """The robots of a reality at a task, as ``rl.world.World`` has those of a simulator.
 
-    Observations, rewards and ends are computed from measurements. Joint rates, and the energy in
-    the reward, are true values if the reality has a method ``rate``, else estimates. An episode
-    also ends if a robot or joint is not measured for ``SILENCE_S``.
+    Observations, rewards and ends are computed from measurements. An episode also ends if a robot
+    or joint is not measured for ``SILENCE_S``.
 
     Attributes:
         pose, rate, targets: As of ``World``; poses are measured.

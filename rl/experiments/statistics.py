@@ -1,8 +1,8 @@
 """Statistics of trials: predictive distributions, and differences of agents paired by seed.
 
-A figure differs between N drawn realities (variance B) and between T trials in one reality
-(variance W), the variance components of a one-way layout with random effects (Searle, Casella and
-McCulloch, Variance Components, 1992, ch. 3). More trials average W away and not B.
+A figure differs between N realities (variance B) and between T trials in one (variance W), as in
+a one-way layout with random effects (Searle, Casella and McCulloch, Variance Components, 1992,
+ch. 3). More trials average W away and not B.
 """
 
 from __future__ import annotations
@@ -43,9 +43,8 @@ def reliability(values: Array) -> float:
 def expected(values: Array) -> Array:
     """The mean of all trials that each draw would have, shape (N,).
 
-    The means of T trials are drawn towards their mean until the share of their variance that is the
-    chance of single trials is gone. Shares of trials (values of 0 and 1) have a beta distribution
-    between realities.
+    The means of T trials are drawn towards their mean until the chance of single trials is gone
+    from their variance. Values of 0 and 1 have a beta distribution between realities.
     """
     if _binary(values):
         return _shares(values)
@@ -58,20 +57,16 @@ def _binary(values: Array) -> bool:
 
 
 def _shares(values: Array, least: float = 0.1) -> Array:
-    """The probability of 1 in each draw, in the order of its share of ones, shape (N,).
-
-    The mean is that of Jeffreys's prior. Trials do not show a common cause below a share ``least``
-    of the variance, which therefore is between realities; where ones or zeros are rare they show
-    even less, and the distribution is no wider than the posterior by Jeffreys's prior when none
-    was seen (Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101): its shape parameters are at least
-    1/2, so that its central interval contains its mean.
-    """
+    """The probability of 1 in each draw, in the order of its share of ones, shape (N,)."""
     N, T = values.shape
     mean = (values.sum() + 0.5) / (N * T + 1)
     common = min(between_within(values)[0] / (mean * (1 - mean)), 0.99)
     rare = 0.5 / min(mean, 1 - mean)
     size = 1 / common - 1 if common > least else max(1 / least - 1, rare)
     order = np.argsort(values.mean(axis=1), kind="stable")
+    # without a common cause in sight the share ``least`` of the variance is between realities;
+    # where ones or zeros are rare the posterior by Jeffreys's prior is the widest distribution
+    # (Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101), whose interval contains its mean
     out = np.empty(N)
     out[order] = beta.ppf((np.arange(N) + 0.5) / N, mean * size, (1 - mean) * size)
     return out
@@ -106,8 +101,7 @@ def quantiles(values: Array, weights: Array, levels: Array) -> Array:
 def interval(values: Array, weights: Array, trials: float = np.inf) -> tuple[float, float, float]:
     """Mean and central 90 % interval of the mean of a number of trials.
 
-    The mean of many trials can be beyond a quantile of its distribution where that is very skewed,
-    as that of a rate of success which is 1 in nearly all realities; the interval then ends at it.
+    The mean can be beyond a quantile of a very skewed distribution; the interval then ends at it.
     ``weights`` of the draws, shape (N,), have sum 1.
     """
     drawn = means(values, trials)
@@ -139,10 +133,10 @@ undiscounted sum does not penalise time and favours slow turns."""
 
 @dataclass(frozen=True)
 class Difference:
-    """Return with all techniques minus that of an arm, over S pairs of agents with the same seed.
+    """Return with all techniques minus that of an arm, over pairs of agents with the same seed.
 
-    The mean is positive if the arm is worse. The 90 % interval is Student's with S - 1 degrees of
-    freedom, infinite for one pair, for which the standard deviation over the pairs is NaN.
+    Positive if the arm is worse. The 90 % interval is Student's, infinite for one pair, for which
+    ``sd``, that over the pairs, is NaN.
     """
 
     mean: float
@@ -185,7 +179,7 @@ def differences(results: Mapping[str, Any]) -> dict[str, Difference]:
 def seeds_needed(losses: Mapping[str, Difference]) -> dict[str, int | None]:
     """Pairs for an interval as narrow as a third of the largest difference, by arm.
 
-    Computed from the present spread over pairs; None if unknown or more than 200.
+    By the present spread over pairs; None if unknown or more than 200.
     """
     largest = max((abs(loss.mean) for loss in losses.values()), default=0.0)
     pairs = np.arange(2, 201)

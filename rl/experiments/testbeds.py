@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +19,8 @@ from rl.make import Fidelity, digest, draws_of, make_world, own_stream
 from rl.sac.sac import read_agent
 from rl.sac.train import digest_of
 from rl.task import TASKS, Task
-from rl.world import Draws, World
-from sim2real.arrays import Array32, Index, Mask
+from rl.world import Draws
+from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.model import Model
 from sim2real.ranges.entry import Ranges
 from sim2real.robot import Robot
@@ -93,19 +93,15 @@ def simulate(
     *,
     seed: int,
     name: str,
-    watched: Callable[[World], Callable[[Mask], None]] = lambda world: lambda going: None,
     **options: Any,  # noqa: ANN401 - those of ``make_world``
 ) -> Episodes:
-    """One episode of each robot in the fluid or the twin, all at once.
-
-    ``watched`` makes of the world what is called at every step, see ``run_episodes``.
-    """
+    """One episode of each robot in the fluid or the twin, all at once."""
     with own_stream(settings.device):
         world = make_world(
             robot, replace(task, place=lambda *_: starts), draws, n_envs=len(starts.pose),
             seed=seed, **settings.world, **options,
         )  # fmt: skip
-        return run_episodes(world, controller, name=name, watch=watched(world))
+        return run_episodes(world, controller, name=name)
 
 
 def run_trials(
@@ -134,8 +130,8 @@ def run_trials(
 class Testbed(NamedTuple):
     """A simulator or a reality: ``swim`` runs one episode of each robot.
 
-    ``name`` is ``simulation`` or ``reality``, ``description`` says in a few words what it is, and
-    ``key`` is the SHA-256 of all that determines the results in it.
+    ``name`` is ``simulation`` or ``reality``, ``key`` the SHA-256 of all that determines its
+    results.
     """
 
     name: str
@@ -162,10 +158,7 @@ def simulated(
 
 
 def real(file: RealityFile, device: str = "cpu") -> Testbed:
-    """A user-defined reality, which may be simulated on a device.
-
-    Its robots swim in groups of equal size, of at most ``at_once``.
-    """
+    """A user-defined reality; its robots swim in groups of equal size, at most ``at_once``."""
 
     def swim(who: Controllers, robot: Robot, task: Task, starts: Starts, seed: int) -> Episodes:
         total = len(who.owner)
@@ -187,17 +180,19 @@ def _joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, padding the shorter recordings with NaN."""
     T = max(len(part.pose) for part in parts)
 
-    def whole(name: str) -> Any:  # noqa: ANN401 - an array of the field's type
-        values = [getattr(part, name) for part in parts]
-        if name in ("reached", "steps", "targets"):
-            return np.concatenate(values)
-        padding = [[(0, T - len(x)), *[(0, 0)] * (x.ndim - 1)] for x in values]
-        padded = [
-            np.pad(x, p, constant_values=np.nan) for x, p in zip(values, padding, strict=True)
-        ]
-        return np.concatenate(padded, axis=1)
+    def padded(values: Array) -> Array:
+        rest = np.full((T - len(values), *values.shape[1:]), np.nan)
+        return np.concatenate([values, rest])
 
-    return Episodes(*(whole(field.name) for field in fields(Episodes)))
+    rows = {
+        name: np.concatenate([padded(getattr(part, name)) for part in parts], axis=1)
+        for name in ("pose", "rate", "value")
+    }
+    each = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("reached", "steps", "targets")
+    }
+    return Episodes(**rows, **each)
 
 
 HELD_OUT = ("turn", "mixed")
@@ -229,12 +224,12 @@ def held_out(
     """
     limits = [joint.limits_rad for joint in robot.joints]
     agents: dict[str, Any] = {folder.name: {} for folder in folders}
+    controllers = {
+        folder.name: controller_of(str(folder / "policy.zip"), limits, episodes)
+        for folder in folders
+    }
     for name in HELD_OUT:
         task = replace(TASKS[name], energy=energy)
-        controllers = {
-            folder.name: controller_of(str(folder / "policy.zip"), limits, episodes)
-            for folder in folders
-        }
         swims = run_trials(
             robot, model, ranges, task, controllers, episodes=episodes, seed=SEED, settings=settings
         )
@@ -257,10 +252,9 @@ def choose_prices(
 ) -> dict[str, float]:
     """Set each agent's price of energy to the best one relative to proportional navigation.
 
-    The reward hardly changes along an agent's trade-off of time and energy, so that agents with the
-    same price swim at very different paces. The chosen price minimises the larger of the ratios of
-    time and energy to those of proportional navigation at middle pace, over all tasks tested. The
-    agents' ``policy.zip`` are rewritten.
+    Agents with one price swim at very different paces. The chosen one minimises the larger of the
+    ratios of time and energy to those of proportional navigation at middle pace, over all tasks
+    tested. The agents' ``policy.zip`` are rewritten.
 
     Returns:
         The price by the name of the folder, relative to that of the training.

@@ -33,10 +33,7 @@ SCHEMA = "sim2real.forecast/1"
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit of a figure, at least or at most a value in its unit.
-
-    It is kept by a ``share`` of the trials, or, if that is None, by the next trial.
-    """
+    """A limit of a figure, kept by a ``share`` of the trials, or, if that is None, by the next."""
 
     figure: str
     above: bool
@@ -78,8 +75,8 @@ class Row(NamedTuple):
     policy: str
     figure: str
     mean: float
-    mean_90: tuple[float, float]
-    next_trial_90: tuple[float, float]
+    mean_90: Sequence[float]
+    next_trial_90: Sequence[float]
 
     @property
     def texts(self) -> tuple[str, str, str]:
@@ -91,42 +88,25 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Forecast(NotebookDisplay):
-    """What K policies are expected to do on the real robot, from trials in N drawn realities.
-
-    Attributes:
-        robot: Name of the robot.
-        task: Name of the task.
-        policies: Names of the policies.
-        joints: Names of the robot's joints.
-        figures: Results of T trials in each reality, by figure, shape (K, N, T): ``success``,
-            ``time_s`` in s, ``energy`` in rad2/s2, ``reward``, ``path_m`` in m.
-        names: Names of the P parameters in which the realities differ.
-        parameters: Their values, shape (N, P).
-        paths: Positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2).
-        targets: Waypoints of these trials in m, shape (n, W, 2).
-        rank_by: Figure that the policies are ranked by.
-        trained: By learned policy, 5 % and 95 % quantile of each parameter in its training; empty
-            if it does not state them.
-        limits: Limits whose probability is stated.
-        update: Weights after trials of the real robot; None before.
-        notes: Remarks, one sentence each.
-        provenance: As returned by ``sim2real.output.provenance``.
-    """
+    """What K policies are expected to do on the real robot, from trials in N drawn realities."""
 
     robot: str
     task: str
     policies: tuple[str, ...]
     joints: tuple[str, ...]
+    # results of T trials in each reality, by figure of ``FIGURES``, shape (K, N, T)
     figures: Mapping[str, Array]
-    names: tuple[str, ...]
-    parameters: Array
-    paths: Array
-    targets: Array
-    rank_by: str = "reward"
+    names: tuple[str, ...]  # names of the P parameters in which the realities differ
+    parameters: Array  # their values, shape (N, P)
+    paths: Array  # positions in the first n realities, every 0.1 s, in m, shape (K, n, S, 2)
+    targets: Array  # waypoints of these trials in m, shape (n, W, 2)
+    rank_by: str = "reward"  # figure that the policies are ranked by
+    # by learned policy, 5 % and 95 % quantile of each parameter in its training; empty if it does
+    # not state them
     trained: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
-    limits: tuple[Limit, ...] = ()
-    update: Update | None = None
-    notes: tuple[str, ...] = ()
+    limits: tuple[Limit, ...] = ()  # limits whose probability is stated
+    update: Update | None = None  # weights after trials of the real robot; None before
+    notes: tuple[str, ...] = ()  # remarks, one sentence each
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -138,10 +118,7 @@ class Forecast(NotebookDisplay):
     def interval(
         self, policy: str, figure: str, trials: float = np.inf
     ) -> tuple[float, float, float]:
-        """Mean and central 90 % interval of a figure's mean over a number of trials.
-
-        By default there are so many that chance within a reality averages out.
-        """
+        """Mean and central 90 % interval of a figure's mean over trials, by default very many."""
         values = self.figures[figure][self.policies.index(policy)]
         return interval(values, self.weights, trials)
 
@@ -177,20 +154,6 @@ class Forecast(NotebookDisplay):
         values = values[self.policies.index(policy)]
         return training_ranges(self.names, self.parameters, values, self.weights, trained)
 
-    def three_draws(self, first: int) -> dict[int, str]:
-        """A good, a median and a bad one of the ``first`` realities, with their names in a film.
-
-        The best policy's first trial is at the 95 %, 50 % and 5 % quantile of what ranks policies.
-        """
-        measure, k = FIGURES[self.rank_by], self.policies.index(self.ranking()[0][0])
-        values = self.figures[self.rank_by][k, :first, 0]
-        order = np.argsort(measure.better * values, kind="stable")
-        mass = np.cumsum(self.weights[order])
-        places = np.searchsorted(mass, mass[-1] * np.array([0.95, 0.5, 0.05]))
-        kinds = zip(order[places], ("good", "median", "bad"), strict=True)
-        text = f"{measure.label} {{:{measure.digits}}}"
-        return {int(d): f"{kind}: {text.format(values[d])}" for d, kind in kinds}
-
     def after(self, trials: Sequence[Trials]) -> Forecast:
         """The forecast after trials of the real robot."""
         return replace(self, update=update(trials, self.figures))
@@ -200,21 +163,16 @@ class Forecast(NotebookDisplay):
         out = []
         for policy in self.policies:
             for figure in FIGURES:
-                mean, *ends = self.interval(policy, figure)
-                _, *trial = self.interval(policy, figure, 1)
-                out.append(Row(policy, figure, mean, (ends[0], ends[1]), (trial[0], trial[1])))
+                (mean, *ends), (_, *trial) = (self.interval(policy, figure, n) for n in (np.inf, 1))
+                out.append(Row(policy, figure, mean, ends, trial))
         return out
 
     def content(self) -> dict[str, Any]:
         """Content of ``forecast.json``."""
         table: dict[str, dict[str, Any]] = {policy: {} for policy in self.policies}
-        for row in self.rows():
-            table[row.policy][row.figure] = {
-                "unit": FIGURES[row.figure].unit,
-                "mean_90": list(row.mean_90),
-                "mean": row.mean,
-                "next_trial_90": list(row.next_trial_90),
-            }
+        for policy, figure, *values in self.rows():
+            named = dict(zip(("mean", "mean_90", "next_trial_90"), values, strict=True))
+            table[policy][figure] = {"unit": FIGURES[figure].unit, **named}
         for policy, entry in table.items():
             entry["limits"] = {str(x): self.probability(policy, x) for x in self.limits}
         found = self.update
@@ -239,26 +197,9 @@ class Forecast(NotebookDisplay):
         }
 
     def __str__(self) -> str:
-        """Intervals of each policy, the ranking, and what to do next."""
-        N = len(self.parameters)
-        lines = [f"{self.task} of {self.robot} in {N} realities; 90 % intervals", ""]
-        for row in self.rows():
-            if row.figure == "success":
-                lines.append(row.policy)
-            mean, ends, trial = row.texts
-            line = f"  {row.figure:<8} {mean:>9} {FIGURES[row.figure].unit:<8} mean {ends}"
-            lines.append(line + (f", next trial {trial}" if trial else ""))
-            if row.figure == "path_m":
-                chances = [(x, self.probability(row.policy, x)) for x in self.limits]
-                lines += [f"  P({limit}) = {chance:.2f}" for limit, chance in chances]
-        if len(self.policies) > 1:
-            order = ", ".join(f"{policy} {chance:.2f}" for policy, chance in self.ranking())
-            lines += ["", f"best by {self.rank_by}, with its probability: {order}"]
-        lines += ["", "narrower by"]
-        lines += [f"  {100 * x.mean:3.0f} %  {x.what}: {x.how}" for x in self.next_measurements()]
-        if self.update is not None:
-            lines += ["", self.verdict]
-        return "\n".join([*lines, *(f"  ! {note}" for note in self.notes)])
+        """The tables and the notes of the page."""
+        import_module("rl.forecast.page")  # registers the section of a forecast
+        return super().__str__()
 
     @property
     def verdict(self) -> str:
@@ -272,7 +213,7 @@ class Forecast(NotebookDisplay):
         return f"trials: {self.update.trials} agree with the forecast ({found}), {number} count"
 
     def _repr_html_(self) -> str | None:
-        import_module("rl.forecast.page")  # registers the section of a forecast
+        import_module("rl.forecast.page")
         return super()._repr_html_()
 
     def plot(self) -> Figure:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 from rl.experiments.ablation_report import picture
 from rl.experiments.episodes import FIGURES
 from rl.forecast.forecast import Forecast
 from sim2real.report.notebook import result_section
-from sim2real.report.page import Block, Film, Note, Section, Table, write_page
+from sim2real.report.page import Block, Note, Section, Table, Text, write_page
 
 _PATHS = (
     "The first trial in twenty realities, with the start at the right and the target at the left; "
@@ -20,30 +19,22 @@ _PATHS = (
 
 @result_section.register
 def _forecast(forecast: Forecast) -> Section:
-    return sections(forecast)[0]
+    """All sections in one, for a terminal or a notebook."""
+    first, *others = sections(forecast, plots=False)
+    parts = ((Text(one.lead, one.title), *one.blocks) for one in others)
+    return Section(first.title, first.lead, [*first.blocks, *(x for part in parts for x in part)])
 
 
-def write_forecast_page(
-    forecast: Forecast, path: str | os.PathLike[str], *, film: str | os.PathLike[str] | None = None
-) -> None:
-    """Write the page: intervals, paths, ranking, what to do next; a GIF of three draws is in it."""
+def write_forecast_page(forecast: Forecast, path: str | os.PathLike[str]) -> None:
+    """Write the page: intervals, paths, ranking, what to do next."""
     N = len(forecast.parameters)
     title = f"Forecast of {forecast.robot}"
     subtitle = f"The task “{forecast.task}” in {N} realities that agree with what is known"
-    out = sections(forecast)
-    if film is not None and Path(film).suffix.lower() == ".gif":
-        best = forecast.ranking()[0][0]
-        lead = (
-            f"{best} in a good, a median and a bad draw: the 95 %, 50 % and 5 % quantile of the "
-            f"{FIGURES[forecast.rank_by].label}."
-        )
-        alt = "Film of the simulated robot in three drawn realities, side by side, seen from above"
-        out.insert(2, Section("Three draws", lead, [Film(Path(film).read_bytes(), alt)]))
-    write_page(path, title, subtitle, out, forecast.provenance)
+    write_page(path, title, subtitle, sections(forecast), forecast.provenance)
 
 
-def sections(forecast: Forecast) -> list[Section]:
-    """Sections of the page."""
+def sections(forecast: Forecast, *, plots: bool = True) -> list[Section]:
+    """Sections of the page, or those without plots."""
     rows = [(x.policy, FIGURES[x.figure].label, *x.texts) for x in forecast.rows()]
     header = ("policy", "figure", "expected", "mean, 90 % interval", "next trial, 90 %")
     caption = (
@@ -60,10 +51,10 @@ def sections(forecast: Forecast) -> list[Section]:
     if forecast.update is not None:
         kind: Any = "warn" if forecast.update.contradicted else "good"
         blocks.insert(0, Note(kind, forecast.verdict))
-    out = [
-        Section("What to expect", "", blocks),
-        Section("Paths", _PATHS, [picture(forecast.plot())]),
-    ]
+    lead = f"{forecast.task} of {forecast.robot} in {len(forecast.parameters)} realities."
+    out = [Section("What to expect", lead, blocks)]
+    if plots:
+        out.append(Section("Paths", _PATHS, [picture(forecast.plot())]))
     if len(forecast.policies) > 1:
         order = [(policy, f"{chance:.2f}") for policy, chance in forecast.ranking()]
         lead = f"By {FIGURES[forecast.rank_by].label}, best first."

@@ -1,8 +1,7 @@
 """Realities that agree with everything known of a robot: one draw of all that is uncertain each.
 
 Parameters, discrepancy and noise are kept apart (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001)
-425): servos and effects with their probabilities by a diagnosis, the body, the error of the twin,
-and what the fit leaves unexplained.
+425).
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from sim2real.structured import Fields, read_json
 class Possible:
     """An effect outside the rival sets of servos: named, or considered and not named.
 
-    The component is a joint, or a part of the body; ``mean`` and ``sd`` are of its parameters.
+    ``component`` is a joint or a part of the body; ``mean`` and ``sd`` are of its parameters.
     """
 
     effect: str
@@ -48,11 +48,9 @@ class Possible:
 
     def drawn(self, rng: np.random.Generator) -> dict[str, float]:
         """Its parameters, within their bounds."""
-        known = {e.name: e.parameters for e in CATALOGUE} | {e.name: e.parameters for e in BODY}
-        if self.effect not in known:
-            expected = "an effect of servo or body"
-            raise InputError("diagnosis", "effects", repr(self.effect), expected)
-        bounds = {p.name: p for p in known[self.effect]}
+        servo = self.effect in {effect.name for effect in CATALOGUE}
+        known: Sequence[Any] = CATALOGUE if servo else BODY
+        bounds = {p.name: p for p in find(known, self.effect, "diagnosis").parameters}
         return {
             k: float(np.clip(rng.normal(mean, self.sd[k]), bounds[k].low, bounds[k].high))
             for k, mean in self.mean.items()
@@ -61,11 +59,7 @@ class Possible:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What a ``diagnosis.json`` leaves open, and errors of the enriched model by signal.
-
-    Sets of effects of servos, with gains and their precision, are rivals; all other effects are
-    possible.
-    """
+    """What a ``diagnosis.json`` leaves open, and errors of the enriched model by signal."""
 
     rivals: tuple[JointRivals, ...]
     possible: tuple[Possible, ...]
@@ -135,11 +129,11 @@ def _row(one: RivalSet, rng: np.random.Generator) -> Array:
 
 
 def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
-    """Read ``diagnosis.json``.
+    """Read ``diagnosis.json``; effects of the camera are left out.
 
     An effect that was considered and not named is at most as large as the recordings could have
     hidden: its size is half of its detection limit, give or take as much; in swims, which have no
-    such limits, that of the twin's error which imitates it. Effects of the camera are left out.
+    such limits, that of the twin's error which imitates it.
 
     Raises:
         InputError: If the file is no diagnosis.
@@ -191,21 +185,15 @@ _NORMAL_90 = 1.645
 
 @dataclass(frozen=True)
 class Realities:
-    """N draws of what the real robot may be: models, and the noise of camera and joints.
+    """N draws of what the real robot may be: models, and the noise of camera and joints."""
 
-    Attributes:
-        names: Names of the P parameters in which the draws differ.
-        values: Their values, shape (N, P).
-        law: Relative errors of surge, sway, yaw rate and energy, constant in a reality, (N, 4).
-        unexplained: Standard deviation of what the fit leaves unexplained in surge and sway in m/s,
-            yaw rate in rad/s and joint angles in rad, shape (3 + J,).
-    """
-
-    models: tuple[Model, ...]
-    noise: Noise
-    names: tuple[str, ...]
-    values: Array
-    law: Array
+    models: tuple[Model, ...]  # their models
+    noise: Noise  # noise of camera and joints
+    names: tuple[str, ...]  # names of the P parameters in which the draws differ
+    values: Array  # their values, shape (N, P)
+    law: Array  # relative errors of surge, sway, yaw rate and energy, constant in a reality, (N, 4)
+    # standard deviation of what the fit leaves unexplained in surge and sway in m/s, yaw rate in
+    # rad/s and joint angles in rad, shape (3 + J,)
     unexplained: Array
 
     def digest(self, residuals: Sequence[Array] = ()) -> str:
@@ -257,14 +245,9 @@ def draw_realities(
 
 
 def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator) -> list[Model]:
-    """Models with bodies drawn from their calibration, or from laws of other robots.
-
-    A calibration fits latencies together with the body, so that they are drawn together; the
-    spread of the models' latencies, between days, is added. Coefficients of the law that were not
-    fitted keep the values with which the others were.
-    """
+    """Models with bodies drawn from their calibration, or from laws of other robots."""
     posterior, late = model.body.get("posterior"), np.zeros(())
-    if posterior is not None:
+    if posterior is not None:  # latencies were fitted with the body; their spread by day is added
         heads = [name.split(".")[0] for name in posterior["names"]]
         own = [k for k, head in enumerate(heads) if head in {"twin", *model.joints}]
         names = [posterior["names"][k] for k in own]
@@ -304,10 +287,7 @@ def _overfit(model: Model) -> float:
 
 
 def unexplained(fit: Mapping[str, Mapping[str, float | None]], joints: Sequence[str]) -> Array:
-    """What a fit leaves unexplained beyond noise, shape (3 + J,); 0 for signals without a fit.
-
-    Errors by signal are as in ``Model.fit``; those on held-out data count where there are any.
-    """
+    """What a fit leaves unexplained beyond noise, by held-out errors if any, shape (3 + J,)."""
     out = []
     for signal in (*(f"body.{name}" for name in _BODY), *(f"{j}.position_rad" for j in joints)):
         errors = fit.get(signal, {})

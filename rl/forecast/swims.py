@@ -1,7 +1,4 @@
-"""Policies swim in drawn realities, in a simulator with the errors that it is known to have.
-
-Results are kept, so that an interrupted forecast resumes.
-"""
+"""Policies swim in drawn realities, in a simulator with the errors that it is known to have."""
 
 from __future__ import annotations
 
@@ -19,20 +16,14 @@ from scipy.signal import lfilter
 from torch.utils.dlpack import from_dlpack
 
 from rl.controllers import Controller
-from rl.deploy.policy import PolicyController
-from rl.experiments.ablation import policy_in, weights_digest
 from rl.experiments.episodes import FIGURES, Episodes, measured
-from rl.experiments.film import Film
 from rl.experiments.reality import Starts
-from rl.experiments.statistics import interval
 from rl.experiments.testbeds import SimulationSettings, simulate
 from rl.forecast.realities import Realities
 from rl.make import digest
 from rl.task import CONTROL_S, Task
-from rl.world import Draws, World
+from rl.world import Draws
 from sim.robot.live import Live, Simulator
-from sim.view.plane import front_ends
-from sim.view.video import Video
 from sim2real.arrays import Array, Array32, Index, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
@@ -43,7 +34,6 @@ from sim2real.structured import read_arrays
 
 Maker = Callable[[int], Controller]
 """A function of the number of robots to their controller."""
-Watch = Callable[[Mask], None]
 
 
 @dataclass(frozen=True)
@@ -112,26 +102,13 @@ class Forecaster:
                 progress((part * K + k + 1) / (K * parts))
         return table
 
-    def film(self, path: Path, names: Mapping[int, str], controller: Maker) -> Episodes:
-        """Film the first trial in some of the first ``settings.at_once`` realities, side by side.
-
-        They swim as they did in ``swim``, with all trials of their batch, which are returned.
-        ``names`` are those in the film, by the index of each reality.
-        """
-        robots = {self.trials * d: name for d, name in names.items()}
-        with Video(path) as video:
-            width = 2 * (video.width // 4)
-            return self._episodes(
-                0, controller, watched=lambda world: Film(video, world, robots, width=width)
-            )
-
     def _rows(self, part: int) -> Index:
         """Numbers of the realities of a batch."""
         first, N = part * self.settings.at_once, len(self.realities.models)
         return np.arange(first, min(N, first + self.settings.at_once))
 
-    def _episodes(self, part: int, make: Maker, **options: Callable[[World], Watch]) -> Episodes:
-        """Trials of one policy in the realities of a batch; ``options`` as of ``simulate``."""
+    def _episodes(self, part: int, make: Maker) -> Episodes:
+        """Trials of one policy in the realities of a batch."""
         each = np.repeat(self._rows(part), self.trials)
         rng, E, steps = np.random.default_rng([self.seed, part]), len(each), self.task.steps
         starts = Starts(*self.task.place(rng, E, len(self.robot.joints)))
@@ -143,7 +120,7 @@ class Forecaster:
         around = partial(Inexact, law=self.realities.law[each, :3], disturbance=disturbance)
         return simulate(
             self.robot, self.task, starts, draws, make(E), self.settings, name="forecast",
-            seed=int(rng.integers(2**31)), around=around, **options,
+            seed=int(rng.integers(2**31)), around=around,
         )  # fmt: skip
 
 
@@ -158,42 +135,12 @@ def _kept(file: Path | None, own: str) -> dict[str, Array] | None:
     return None
 
 
-def predict_arms(
-    forecaster: Forecaster, arms: Sequence[str], agents: Sequence[Path], file: Path
-) -> dict[str, Any]:
-    """Forecast of every arm of an ablation, the mean over its agents in each reality.
-
-    ``agents`` are folders: all of the first arm, then those of the next. ``file`` keeps the trials,
-    which are not run again if the agents are the same.
-
-    Returns:
-        By arm and figure its mean with a 90 % interval; ``loses`` is the reward of the arm "all"
-        less that of the arm, in the same realities.
-    """
-
-    def make(agent: Path, _n: int) -> Controller:
-        return PolicyController(policy_in(agent))
-
-    each = {agent.name: partial(make, agent) for agent in agents}
-    task, N, S = forecaster.task, len(forecaster.realities.models), len(agents) // len(arms)
-    inputs = (weights_digest(agents), forecaster.realities.digest(), forecaster.robot, task.name,
-              task.energy, task.steps, forecaster.settings)  # fmt: skip
-    swum = forecaster.swim(each, file=file, key=repr(inputs))
-    even, rewards, out = np.full(N, 1 / N), {}, dict[str, Any]()
-    for a, arm in enumerate(arms):
-        mean = {figure: swum[figure][a * S : (a + 1) * S].mean(axis=0) for figure in FIGURES}
-        out[arm], rewards[arm] = {k: interval(x, even) for k, x in mean.items()}, mean["reward"]
-    for arm in out.keys() - {"all"} if "all" in out else ():
-        out[arm]["loses"] = interval(rewards["all"] - rewards[arm], even)
-    return out
-
-
 class Inexact:
     """Robots of a simulator whose motion differs from the simulated one as measured motion does.
 
     Velocities of the body in its own frame have a relative error and a disturbance, joints a
-    disturbance of their set-points. The simulator's state is not changed: the pool is alike
-    everywhere, so that the path is integrated anew from the changed velocities.
+    disturbance of their set-points. The pool is alike everywhere: the simulator's state stays, and
+    the path is integrated anew from the changed velocities.
     """
 
     def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
@@ -220,23 +167,6 @@ class Inexact:
         """The live state, with the changed path."""
         shown: Any = self._shown
         return replace(self._live, q=shown)
-
-    @property
-    def hull(self) -> Any:  # noqa: ANN401 - a Hull, of every simulator but the protocol
-        """Shape of the links."""
-        simulated: Any = self.simulated
-        return simulated.hull
-
-    def links(self, robot: int) -> Array:
-        """Front end and heading of each link of one robot on the changed path, shape (L, 3)."""
-        bodies: Any = getattr(self.simulated, "bodies", self.simulated)
-        links = front_ends(bodies.chain, bodies.motion, np.zeros(2), robot)
-        head, shown = (q[robot, :3].cpu().numpy() for q in (self._q, self._shown))
-        turn = shown[2] - head[2]
-        c, s = np.cos(turn), np.sin(turn)
-        links[:, :2] = (links[:, :2] - head[:2]) @ np.array([[c, s], [-s, c]]) + shown[:2]
-        links[:, 2] += turn
-        return links
 
     def adopt(self, which: Index, models: Sequence[Model]) -> None:
         """As the simulator's."""
@@ -273,10 +203,9 @@ def _turned(vectors: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
 
 
 def disturbances(sd: Array, periods: int, n: int, rng: np.random.Generator) -> Array32:
-    """Stationary random signals, first-order autoregressive, shape (periods, n, K).
+    """Stationary random signals of standard deviations ``sd`` (K,), shape (periods, n, K).
 
-    Of standard deviations ``sd`` (K,). Their autocorrelation lasts for a third of a tail beat, 0.3
-    s, as residuals of simulated swims change with the beat.
+    First-order autoregressive over 0.3 s, a third of a tail beat, as residuals of simulated swims.
     """
     keep = float(np.exp(-CONTROL_S / 0.3))
     white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
@@ -285,10 +214,9 @@ def disturbances(sd: Array, periods: int, n: int, rng: np.random.Generator) -> A
 
 
 def blocks(residuals: Sequence[Array], periods: int, n: int, rng: np.random.Generator) -> Array32:
-    """Signals made of blocks of recorded residuals, shape (periods, n, K) (a block bootstrap).
+    """Blocks of two seconds of recorded residuals (T, K) in a row, shape (periods, n, K).
 
-    Kunsch, Ann. Stat. 17 (1989) 1217. Signals of a block of two seconds stay together, so that
-    their correlation is kept, too. Residuals (T, K) of each recording are at every control period.
+    A block bootstrap (Kunsch, Ann. Stat. 17 (1989) 1217) of all signals together.
     """
     length = min(100, *(len(one) for one in residuals))
     starts = [(r, t) for r, one in enumerate(residuals) for t in range(len(one) - length + 1)]

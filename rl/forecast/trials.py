@@ -1,6 +1,6 @@
 """Trials of the real robot sharpen a forecast or contradict it; what else would sharpen it.
 
-Draws are weighted by the likelihood of what was observed (importance sampling: Gordon, Salmond and
+Draws are weighted by the likelihood of observations (importance sampling: Gordon, Salmond and
 Smith, IEE Proc. F 140 (1993) 107).
 """
 
@@ -102,14 +102,11 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
 
 
 def update(trials: Sequence[Trials], figures: Mapping[str, Array]) -> Update:
-    """Weights of the draws after trials.
+    """Weights of the draws after trials, given the figures of the forecast, (K, N, T) each.
 
-    Figures are compared by their normal scores, as a rare failure would be most of the scatter of
-    all trials. The mean of a policy's n trials is normal about the mean of a draw, with the
-    covariance of simulated trials in one reality, or their own scatter where that is larger, by
-    1 / n. Where few draws agree, the likelihood is flattened until 20 of them count: intervals then
-    are wider than they need be, and not too narrow by chance. Figures are those of the forecast,
-    shape (K, N, T) each.
+    Figures are compared by normal scores, as a rare failure would be most of the scatter of all
+    trials. The mean of a policy's n trials is normal about the mean of a draw, with the covariance
+    of simulated trials in one reality, or their own scatter where that is larger, by 1 / n.
     """
     N = next(iter(figures.values())).shape[1]
     rng = np.random.default_rng(0)
@@ -153,7 +150,7 @@ def _squares(off: Array, covariance: Array) -> Array:
 
 
 def _flattened(log: Array) -> tuple[Array, float]:
-    """Weights, and their effective number, of log-likelihoods flattened as far as necessary."""
+    """Weights, and their effective number; flattened until 20 count, so as not to be too narrow."""
     low, high, least = 0.0, 1.0, min(20.0, len(log) / 2)
     weights = softmax(log)
     if effective(weights) < least:
@@ -178,8 +175,8 @@ _MEASURED_BY = {
 class Measurement:
     """A measurement that would reduce the uncertainty of a forecast.
 
-    ``how`` to determine ``what``; ``shrinks`` is, by figure, the share by which the interval of the
-    mean is expected to become narrower if it determines its parameters exactly, 0 to 1.
+    ``shrinks`` is, by figure, the share by which the interval of the mean is expected to become
+    narrower if ``how`` determines the parameters of ``what`` exactly, 0 to 1.
     """
 
     what: str
@@ -210,11 +207,10 @@ def group_of(parameter: str, joints: Sequence[str]) -> tuple[str, str]:
 def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dict[str, float]:
     """Share of an outcome's variance that each group of parameters explains by itself.
 
-    The outcome is a sum of linear and quadratic functions of the parameters; by a ridge penalty
-    that predicts left-out draws best (leave-one-out error in closed form: Golub, Heath and Wahba,
-    Technometrics 21 (1979) 215), parameters that do not matter have no share. The share of a group
-    is the variance of its functions, its first-order index where groups are independent (Sobol,
-    Math. Comput. Simul. 55 (2001) 271). Parameters (N, P) belong to P groups.
+    A ridge regression on linear and quadratic functions of the parameters (N, P), which belong to P
+    groups, by the penalty that predicts left-out draws best (Golub, Heath and Wahba, Technometrics
+    21 (1979) 215). A group's share is its first-order index where groups are independent (Sobol,
+    Math. Comput. Simul. 55 (2001) 271).
     """
     names = list(dict.fromkeys(groups))
     sd = parameters.std(axis=0)
@@ -249,8 +245,7 @@ def shares_of(
 ) -> dict[str, float]:
     """Share of a figure's variance between realities that each group explains, 0 to 1.
 
-    As ``first_order`` of the normal scores of trials (N, T), divided by the share of the variance
-    that is not the chance of single trials.
+    ``first_order`` of the normal scores of trials (N, T), without the chance of single trials.
     """
     reliable, N = reliability(values), len(weights)
     if reliable <= 0:
@@ -273,7 +268,6 @@ def ranked(
     """Measurements, the one that is expected to shrink the intervals most first.
 
     Of P parameters in N draws, shape (N, P), and the figures of one policy, shape (N, T) each.
-    Three trials on the real robot are a measurement too.
     """
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
@@ -294,10 +288,9 @@ def narrowed_by_trials(
 ) -> dict[str, float]:
     """Share by which trials are expected to narrow the interval of each figure, 0 to 1.
 
-    A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): the
-    real robot is one of the draws, its trials update the forecast as real ones will. The median
-    over 40 draws, as the interval grows many times if trials are like those of a rare failure. The
-    figures of one policy, shape (N, T) each, are those that differ between realities.
+    A preposterior analysis (Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961): each
+    of 40 draws stands for the robot, and its trials update the forecast; the median is returned.
+    The figures of one policy, shape (N, T) each, are those that differ between realities.
     """
     observed = tuple(name for name in figures if name != "success")
     if not observed:
@@ -324,21 +317,15 @@ def narrowed_by_trials(
 
 @dataclass(frozen=True)
 class TrainingRange:
-    """A parameter to randomize in the next training.
+    """A parameter to randomize in the next training."""
 
-    Attributes:
-        parameter: Its name in ``ranges.json``; latencies are those of single joints.
-        share: Share of the variance between realities that it explains, 0 to 1.
-        drawn: Its 5 % and 95 % quantile in the realities.
-        trained: The same in the training of the policy; None if the policy does not state it.
-        advice: ``widen``, ``narrow``, ``move`` or ``keep`` the range of the training, so that it
-            becomes that of the realities; ``draw`` from that if the training's is not known.
-    """
-
-    parameter: str
-    share: float
-    drawn: tuple[float, float]
+    parameter: str  # its name in ``ranges.json``; latencies are those of single joints
+    share: float  # share of the variance between realities that it explains, 0 to 1
+    drawn: tuple[float, float]  # its 5 % and 95 % quantile in the realities
+    # the same in the training of the policy; None if that does not state it
     trained: tuple[float, float] | None
+    # ``widen``, ``narrow``, ``move`` or ``keep`` the range of the training, so that it becomes that
+    # of the realities; ``draw`` from that if the training's is not known
     advice: str
 
 
@@ -349,11 +336,10 @@ def training_ranges(
     weights: Array,
     trained: Mapping[str, Sequence[float]] | None,
 ) -> list[TrainingRange]:
-    """Ranges of the next training, those of the parameters that matter most first.
+    """Ranges of the next training: parameters with at least 1 % of the variance, most first.
 
-    They explain at least 1 % of the variance of ``values``, the figure that policies are ranked by,
-    shape (N, T). Errors of the simulator itself cannot be randomized. ``trained`` are the quantiles
-    of the training by name; an effect that it lacks was 0.
+    ``values`` are of the figure that policies are ranked by, shape (N, T), ``trained`` quantiles of
+    the training by name; an effect that it lacks was 0. Errors of the simulator are left out.
     """
     shares = shares_of(parameters, values, weights, names)
     out = []

@@ -1,8 +1,8 @@
 """Soft actor-critic for a batch of agents; on CUDA an update is one captured graph.
 
 Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905). With the
-settings ``PLAIN`` it equals Stable-Baselines3 up to rounding, whose models hold the parameters;
-``Settings`` documents the additions. A agents, B batch, N memory, O observation, J action.
+settings ``PLAIN`` it equals Stable-Baselines3 up to rounding, whose models hold the parameters.
+A agents, B batch, N memory, O observation, J action.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Networks of several SAC agents in shared tensors, with explicit forward and backward passes.
 
-PyTorch's autograd runs a few hundred small kernels for one update of SAC; this module needs about a
-hundred for any number of agents. Weights have the layout of ``torch.nn.Linear``, so that a policy
-of Stable-Baselines3 can be a view of them. Letters: C networks, B batch.
+PyTorch's autograd runs a few hundred small kernels for one update of SAC, this about a hundred for
+any number of agents. Weights have the layout of ``torch.nn.Linear``. C networks, B batch.
 """
 
 from __future__ import annotations
@@ -18,14 +17,10 @@ _NORM_EPSILON = 1e-5
 
 @dataclass(frozen=True)
 class Activations:
-    """Results of a forward pass that the backward pass needs.
+    """Results of a forward pass that the backward pass needs."""
 
-    Attributes:
-        layers: Input, hidden layers and output, each (C, B, width).
-        sums: For each normalised hidden layer: input of the normalization, mean, 1 / deviation.
-    """
-
-    layers: list[Tensor]
+    layers: list[Tensor]  # input, hidden layers and output, each (C, B, width)
+    # for each normalised hidden layer: input of the normalization, mean, 1 / deviation
     sums: list[tuple[Tensor, Tensor, Tensor]]
 
     @property
@@ -42,9 +37,8 @@ class Activations:
 class Layers:
     """C multilayer perceptrons (ReLU) of one shape, their gradients and Adam's moments.
 
-    ``sizes`` are the widths of the input, of each hidden layer, of the output. With ``norm`` hidden
-    layers are normalised before the ReLU, without gain and bias (Ba, Kiros, Hinton, "Layer
-    normalization", arXiv 1607.06450).
+    ``sizes`` are the widths of all layers. With ``norm`` hidden layers are normalised before the
+    ReLU, without gain and bias (Ba, Kiros, Hinton, "Layer normalization", arXiv 1607.06450).
 
     Attributes:
         flat, gradient: All parameters, 0 at first, and their gradients, each one vector.
@@ -79,10 +73,7 @@ class Layers:
         return activations
 
     def backward(self, activations: Activations, d: Tensor, *, inputs_only: bool = False) -> Tensor:
-        """Gradient of the input from that of the output, ``d`` (C, B, width).
-
-        Also sets ``gradient``, unless with ``inputs_only``.
-        """
+        """Gradient of the input from that of the output, (C, B, width); sets ``gradient`` too."""
         for k in range(len(self.weights) - 1, -1, -1):
             if not inputs_only:
                 torch.bmm(d.transpose(1, 2), activations.layers[k], out=self._weight_gradients[k])
@@ -115,10 +106,7 @@ def _views(
 
 
 def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: Tensor) -> None:
-    """One step of Adam (Kingma and Ba, 2015, Algorithm 1), in place.
-
-    Parameters and gradients have the shape (P,), first and second moments (2, P).
-    """
+    """Adam (Kingma and Ba, 2015, Algorithm 1), in place; parameters (P,), moments (2, P)."""
     count += 1
     torch._fused_adam_(  # noqa: SLF001 - what torch.optim.Adam(fused=True) calls
         [flat], [gradient], [moments[0]], [moments[1]], [], [count],
@@ -127,8 +115,5 @@ def adam(flat: Tensor, gradient: Tensor, moments: Tensor, count: Tensor, rate: T
 
 
 def mirrored(odd: Sequence[float], J: int, device: torch.device) -> Tensor:
-    """1 for each column of a transition that changes sign under mirroring, else 0.
-
-    ``odd`` is the same for the columns of an observation, see ``View.odd``.
-    """
+    """1 for each column of a transition that changes sign under mirroring; see ``View.odd``."""
     return torch.tensor([*odd, *[1.0] * J, 0.0, 0.0, *odd, 0.0], device=device)

@@ -16,7 +16,8 @@ from rl.sac.agents import Agents
 from rl.sac.plan import Plan
 from sim2real.arrays import Array
 from sim2real.errors import InputError
-from sim2real.output import check_writable, write_whole
+from sim2real.output import write_whole
+from sim2real.report.drawing import save_png
 from sim2real.report.style import ACCENT, FAINT, INK, house_style, new_figure
 from sim2real.structured import read_arrays, reason
 
@@ -176,7 +177,6 @@ def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
     ``agents`` are the folders of the agents of each group, the first of which is highlighted: a
     line per agent of a single group, a mean per group of several.
     """
-    check_writable(path)
     with house_style():
         figure = new_figure(420, "Return and success of episodes against training steps")
         upper, lower = figure.subplots(2, 1, sharex=True)
@@ -194,5 +194,4 @@ def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
         lower.set(xlabel="steps of the environment, thousands", ylim=(0, 100))
         if len(agents) > 1:
             figure.legend(*upper.get_legend_handles_labels(), loc="outside upper right", ncols=3)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=144)
+    save_png(figure, path)

@@ -16,50 +16,35 @@ from sim2real.errors import InputError, check_choice
 
 @dataclass(frozen=True)
 class Settings:
-    """Hyper-parameters; the defaults are those of this library, ``PLAIN`` those of the paper.
+    """Hyper-parameters; the defaults are those of this library, ``PLAIN`` those of the paper."""
 
-    Attributes:
-        gamma: Discount factor per decision.
-        memory: Size of the replay memory of each agent, in transitions.
-        batch: Transitions of an update.
-        rate: Initial learning rate.
-        rate_end: Final learning rate as a share of ``rate``; it decays linearly.
-        tau: Interpolation factor of the target networks per update.
-        hidden: Widths of the hidden layers.
-        warm_up: Steps of random actions before learning begins.
-        updates_per_step: Updates for each step of an environment.
-        entropy_start: Initial entropy coefficient, of the order of the reward of a decision.
-        entropy_target: Target entropy per joint, at the start and at the end of training. A low
-            final value makes the mean action, which is used after training, representative.
-        noise_s: Correlation time of the exploration noise; 0 for white noise. White noise at 20 ms
-            only makes a joint shake; correlated noise of the same size explores (Eberhard et al.,
-            "Pink noise is all you need", ICLR 2023).
-        mirror: Whether transitions are replaced by their mirror images with probability 1/2.
-        norm: Layer normalization in the critics (Lyle et al., "Understanding plasticity in neural
-            networks", ICML 2023, among others): fewer seeds fail.
-        prices: Agents observe a price of energy and learn for all between 1 / ``prices`` and
-            ``prices`` times their default (Abels et al., "Dynamic weights in multi-objective deep
-            reinforcement learning", ICML 2019); 1 for the default only.
-        average: The saved actor is an average, with most weight on this last share of the updates
-            (polynomial-decay averaging; Shamir and Zhang, "Stochastic gradient descent for
-            non-smooth optimization", ICML 2013); 0 for the last actor.
-    """
-
-    gamma: float = 0.99
-    memory: int = 1_000_000
-    batch: int = 256
-    rate: float = 1e-3
-    rate_end: float = 0.1
-    tau: float = 0.005
-    hidden: tuple[int, ...] = (128, 128)
-    warm_up: int = 10_000
-    updates_per_step: float = 0.1
-    entropy_start: float = 0.1
+    gamma: float = 0.99  # discount factor per decision
+    memory: int = 1_000_000  # size of the replay memory of each agent, in transitions
+    batch: int = 256  # transitions of an update
+    rate: float = 1e-3  # initial learning rate
+    rate_end: float = 0.1  # final learning rate as a share of ``rate``; it decays linearly
+    tau: float = 0.005  # interpolation factor of the target networks per update
+    hidden: tuple[int, ...] = (128, 128)  # widths of the hidden layers
+    warm_up: int = 10_000  # steps of random actions before learning begins
+    updates_per_step: float = 0.1  # updates for each step of an environment
+    entropy_start: float = 0.1  # initial entropy coefficient, of the order of a decision's reward
+    # target entropy per joint, at the start and at the end of training; a low final value makes
+    # the mean action, which is used after training, representative
     entropy_target: tuple[float, float] = (-1.0, -2.5)
+    # correlation time of the exploration noise, 0 for white noise, which at 20 ms only makes a
+    # joint shake (Eberhard et al., "Pink noise is all you need", ICLR 2023)
     noise_s: float = 0.25
-    mirror: bool = True
+    mirror: bool = True  # replace transitions by their mirror images with probability 1/2
+    # layer normalization in the critics: fewer seeds fail (Lyle et al., "Understanding plasticity
+    # in neural networks", ICML 2023, among others)
     norm: bool = True
+    # agents observe a price of energy and learn for all between 1 / ``prices`` and ``prices`` times
+    # their default (Abels et al., "Dynamic weights in multi-objective deep reinforcement learning",
+    # ICML 2019); 1 for the default only
     prices: float = 2.0
+    # the saved actor is an average, with most weight on this last share of the updates
+    # (polynomial-decay averaging; Shamir and Zhang, "Stochastic gradient descent for non-smooth
+    # optimization", ICML 2013); 0 for the last actor
     average: float = 0.2
 
 
@@ -81,42 +66,27 @@ class Arm(NamedTuple):
 class Plan:
     """Plan of a training.
 
-    Attributes:
-        task: The task.
-        steps: Control periods of the environments for each agent.
-        envs: Environments of each agent.
-        segment: Control periods between checkpoints.
-        seeds: Random seeds, one agent for each.
-        fidelity: ``twin`` or ``fluid``.
-        device: ``cpu`` or ``cuda:0``.
-        cell_m: Side of a cell of the fluid.
-        threads: CPU threads of the simulator.
-        settings: Hyper-parameters.
-        view: Definition of the observations.
-        energy_start: Initial weight of energy as a share of that of the task. With the full weight,
-            a robot that cannot swim yet would learn not to move.
-        ramp: Shares of the steps: when the weight starts to grow, and how long it takes to reach
-            its final value.
-        gate: Share of an agent's last episodes that must have succeeded for its weight to grow, so
-            that agents that learn late are not penalised.
-
     Raises:
         InputError: If a number is out of its range.
     """
 
     task: Task
-    steps: int = 1_600_000
-    envs: int = 64
-    segment: int = 200_000
-    seeds: tuple[int, ...] = (0,)
+    steps: int = 1_600_000  # control periods of each agent
+    envs: int = 64  # environments of each agent
+    segment: int = 200_000  # control periods between checkpoints
+    seeds: tuple[int, ...] = (0,)  # random seeds, one agent for each
     fidelity: Fidelity = "fluid"
     device: str = "cpu"
     cell_m: float = 0.02
     threads: int = 1
     settings: Settings = field(default_factory=Settings)
     view: View = field(default_factory=View)
+    # initial weight of energy as a share of that of the task. With the full weight, a robot that
+    # cannot swim yet would learn not to move
     energy_start: float = 0.1
+    # shares of the steps: when the weight starts to grow, and how long it takes
     ramp: tuple[float, float] = (0.15, 0.25)
+    # share of an agent's last episodes that must have succeeded for its weight to grow
     gate: float = 0.7
 
     def __post_init__(self) -> None:

@@ -1,9 +1,8 @@
 """Policies as zip files without pickled objects; the same policy gives the same bytes.
 
 Members are ``data`` (settings, JSON), ``policy.pth`` and ``pytorch_variables.pth`` (tensors by
-name), which ``torch.load`` reads with ``weights_only=True``. Files of Stable-Baselines3 have the
-same layout, with pickled objects in ``data``. These are never unpickled: settings are taken from
-the text beside them, and arrays of joint angles are found by their bytes.
+name). Stable-Baselines3 pickles objects into ``data``, which are never unpickled: settings are
+taken from the text beside them, and arrays of joint angles are found by their bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from torch import Tensor, nn
 from sim2real.arrays import Array32
 from sim2real.errors import InputError, shown
 from sim2real.output import finite_json, write_whole
-from sim2real.structured import finite_number, read_members, reason
+from sim2real.structured import Fields, read_members, reason
 
 SCHEMA = "sim2real.policy_zip/1"
 LARGEST_BYTES = 64 * 2**20
@@ -59,26 +58,16 @@ _FLOAT32 = (
 
 @dataclass(frozen=True)
 class PolicyZip:
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        path: The file.
-        settings: JSON values by name.
-        weights: Tensors of the networks by name, finite and of float32.
-        variables: Further tensors by name, likewise.
-    """
-
-    path: Path
-    settings: Mapping[str, Any]
-    weights: Mapping[str, Tensor]
-    variables: Mapping[str, Tensor]
+    path: Path  # the file
+    settings: Mapping[str, Any]  # JSON values by name
+    weights: Mapping[str, Tensor]  # tensors of the networks by name, finite and of float32
+    variables: Mapping[str, Tensor]  # further tensors by name, likewise
 
     def array(self, name: str, size: int) -> Array32:
         """A setting as an array of finite numbers, shape (size,); ``InputError`` if it is none."""
-        values = self.settings.get(name)
-        numbers = [finite_number(x) for x in values] if isinstance(values, list) else []
-        if len(numbers) != size or None in numbers:
-            raise InputError(self.path, name, shown(values), f"{size} finite numbers")
+        numbers = Fields(self.path, "", self.settings).numbers(name, f"{size} finite numbers", size)
         return np.array(numbers, dtype=np.float32)
 
     def widths(self, layers: str, output: str | None = None) -> list[int]:
@@ -87,12 +76,9 @@ class PolicyZip:
         These are the sequence ``layers`` and the last one, ``output``; ``InputError`` without any.
         """
         numbered = re.compile(re.escape(layers) + r"\.(\d+)\.weight")
-        found = {
-            int(m[1]): w for name, w in self.weights.items() if (m := numbered.fullmatch(name))
-        }
-        weights = [found[k] for k in sorted(found)]
-        weights += [self.weights[f"{output}.weight"]] if f"{output}.weight" in self.weights else []
-        shapes = [tuple(weight.shape) for weight in weights]
+        found = {int(m[1]): name for name in self.weights if (m := numbered.fullmatch(name))}
+        names = [found[k] for k in sorted(found)] + [f"{output}.weight"] * (output is not None)
+        shapes = [tuple(self.weights[name].shape) for name in names if name in self.weights]
         if not shapes or any(len(shape) != 2 for shape in shapes):
             found_shapes = f"weights of the shapes {shapes}" if shapes else "no weights"
             raise InputError(self.path, layers, found_shapes, "a fully connected network")

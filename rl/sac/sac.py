@@ -52,8 +52,7 @@ class SwimSAC(SAC):
     Attributes:
         view: Definition of the observations.
         joints: Names of the joints.
-        joint_low: Angles of actions -1 in rad, shape (J,).
-        joint_high: Angles of actions 1 in rad, shape (J,).
+        joint_low, joint_high: Angles of actions -1 and 1 in rad, shape (J,).
         trained_over: 5 % and 95 % quantile of each parameter of the robots of the training.
         by_price: Effect of the price of energy on the actor, see ``rl.deploy.export.set_price``.
     """
@@ -100,14 +99,10 @@ def make_sac(
         Spaces(observation_space(world, view), action_space(world)),
         learning_rate=settings.rate,
         buffer_size=1,  # the memory is that of ``Agents``
-        learning_starts=settings.warm_up,
-        batch_size=settings.batch,
         tau=settings.tau,
         gamma=settings.gamma,
         ent_coef=f"auto_{settings.entropy_start}",
         target_entropy=settings.entropy_target[0] * len(world.low),
-        train_freq=1,
-        gradient_steps=-1,
         policy_kwargs={"net_arch": list(settings.hidden)},
         seed=seed,
         device="cpu",
@@ -190,11 +185,7 @@ def _by_price(saved: PolicyZip, first: int) -> dict[str, Any]:
 
 
 def start_from(model: SwimSAC, path: Path) -> None:
-    """Copy the networks and the entropy coefficient of a saved model.
-
-    Raises:
-        InputError: If there is no saved model, or its shape or view differs.
-    """
+    """Copy networks and entropy coefficient of a saved model; InputError if they do not fit."""
     saved = read_agent(path)
     if (view := getattr(saved, "view", PAPER)) != model.view:
         raise InputError(path, "view", f"{view}", f"{model.view}, as this training has")

@@ -1,8 +1,8 @@
 """Training of several agents in one world, resumable at any moment.
 
-On a CPU, simulation of the next decision and learning run in parallel. Every ``segment`` steps a
-checkpoint is written and all episodes restart, with seeds that depend only on the seed of the run
-and the segment. A run that was killed therefore resumes exactly from its last checkpoint.
+On a CPU the next decision is simulated while agents learn. Every ``segment`` steps a checkpoint is
+written and all episodes restart, with seeds of the run and the segment only: a run that was killed
+resumes exactly from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -87,9 +87,8 @@ def train(
     """Train an agent for each arm and seed, all in one batch of robots.
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
-    agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies
-    (``policy.zip``) to continue from, assigned to the seeds of every arm in turn, without replay
-    memories; networks are random if there are none.
+    agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies to continue
+    from, assigned to the seeds of every arm in turn, without replay memories.
 
     Returns:
         Folders of the agents: all seeds of the first arm, then those of the next.
@@ -119,10 +118,7 @@ def train_in_parts(
     *,
     first: Sequence[Path] = (),
 ) -> list[Path]:
-    """Train as ``train`` does, with the seeds distributed over two processes.
-
-    Their folders are ``part-0`` and ``part-1``; each process has one simulator thread.
-    """
+    """Train as ``train`` does, in two processes with every second seed: ``part-0``, ``part-1``."""
     shares = [range(k, len(plan.seeds), 2) for k in range(min(2, len(plan.seeds)))]
     trainings = [
         partial(
@@ -133,15 +129,15 @@ def train_in_parts(
         for k, share in enumerate(shares)
     ]  # fmt: skip
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(len(shares) - 1, 1), spawn, _hide_progress) as pool:
+    with ProcessPoolExecutor(max(len(shares) - 1, 1), spawn, hide_progress) as pool:
         futures = [pool.submit(training) for training in trainings[1:]]
         trained = [*trainings[0](), *(path for future in futures for path in future.result())]
     folders = {path.name: path for path in trained}
     return [folders[name] for name in agent_names(arms, plan.seeds)]
 
 
-def _hide_progress() -> None:
-    """Initialise a further process, whose progress bar is hidden."""
+def hide_progress() -> None:
+    """Prepare a further process, whose progress bars are hidden."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - as long as the process
     torch.set_num_threads(1)
 

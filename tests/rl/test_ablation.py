@@ -13,18 +13,14 @@ import pytest
 import rl.experiments.testbeds
 from rl.commands.ablate import make_testbeds
 from rl.deploy.export import read_zip
-from rl.experiments.ablation import ARMS, STIFF, ablate, arm_of, model_of, one_density, turn_of
+from rl.experiments.ablation import ARMS, STIFF, ablate, arm_of, model_of, one_density
 from rl.experiments.ablation_report import markdown, tables, write_report
 from rl.experiments.episodes import Episodes
 from rl.experiments.reality import read_reality
 from rl.experiments.statistics import bootstrap, differences, paired, seeds_needed
-from rl.experiments.testbeds import SimulationSettings
-from rl.forecast.realities import draw_realities
-from rl.forecast.swims import Forecaster, predict_arms
 from rl.sac.plan import Settings
 from rl.sac.train import Plan, train
 from rl.task import TASKS, shortened
-from sim2real.posterior.posteriors import JointSample
 from sim2real.ranges.entry import Ranges, normal, uniform
 from sim2real.robot import normalised_density
 from tests.rl.test_reality import GLIDER
@@ -148,29 +144,12 @@ def test_a_reality_of_ones_own_is_tried_anew_where_its_file_has_changed(run, tmp
             run(read_reality(path))
 
 
-def test_each_arm_is_forecast_beside_what_it_does(run, tmp_path, robot, model, monkeypatch):
-    rng = np.random.default_rng(0)
-    sample = JointSample(("j1.kp_Nm_per_rad",), ("",), rng.uniform(1.9, 2.3, (50, 1)))
-    drawn = draw_realities(robot, model, RANGES, sample, 8, rng)
-    forecaster = Forecaster(robot, turn_of(PLAN, 100), drawn, 2, 0, SimulationSettings())
-    found, folder, file = run(), tmp_path / "run", tmp_path / "forecast.npz"
-    agents = [folder / "train" / f"{arm}-{seed}" for arm in NAMES for seed in PLAN.seeds]
-    forecast = predict_arms(forecaster, NAMES, agents, file)
-    with monkeypatch.context() as patch:
-        patch.setattr(rl.experiments.testbeds, "run_episodes", None)  # nothing is left to swim
-        assert predict_arms(forecaster, NAMES, agents, file) == forecast
-        with pytest.raises(TypeError):
-            predict_arms(replace(forecaster, seed=1), NAMES, agents, file)
-    assert list(forecast) == ["all", "no-servo"] and "loses" not in forecast["all"]
-    lost = forecast["all"]["reward"][0] - forecast["no-servo"]["reward"][0]
-    assert forecast["no-servo"]["loses"][0] == pytest.approx(lost, abs=1e-6)
-    for arm in forecast.values():
-        assert arm["reward"][1] < arm["reward"][0] < arm["reward"][2]
-    write_report({**found, "forecast": forecast}, PLAN, folder, {"inputs": {}, "versions": {}})
+def test_the_report_has_the_same_rows_on_page_markdown_and_json(run, tmp_path):
+    found, folder = run(), tmp_path / "run"
+    write_report(found, PLAN, folder, {"inputs": {}, "versions": {}})
     page, written = (folder / "index.html").read_text(), (folder / "ablation.md").read_text()
-    for words in ("reward, forecast", "no servo calibration", "No arm reached the target"):
+    for words in ("no servo calibration", "No arm reached the target"):
         assert words in page
-    assert f"| {forecast['all']['reward'][0]:.2f}; " in written
     assert markdown(found) in written
     content, loss = json.loads((folder / "ablation.json").read_text()), differences(found)
     assert [row["arm"] for row in content["table"]] == ["all", "no-servo"]

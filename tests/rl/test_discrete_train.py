@@ -10,7 +10,6 @@ import pytest
 from rl.controllers.discrete_cpg import (
     COLUMNS,
     TABLE,
-    ActionTable,
     read_policy,
     read_table,
     train_run,
@@ -18,6 +17,7 @@ from rl.controllers.discrete_cpg import (
 from sim2real.errors import InputError
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
+LIMITS = [(-0.8, 0.8)] * 3
 SMALL = {
     "robot": str(POOL / "robot.toml"), "model": str(POOL / "calibrated.json"), "task": "near",
     "steps": 4_000, "envs": 8,
@@ -61,8 +61,13 @@ def test_a_run_that_is_done_is_not_done_again_and_another_is_refused(run):
         train_run(folder, **{**SMALL, "steps": 8_000})
 
 
-def test_a_table_that_is_none_is_refused():
-    told = {**TABLE.content(), "offset_rad": [0.0]}
-    with pytest.raises(ValueError, match="different lengths"):
-        ActionTable.from_content(told)
+@pytest.mark.parametrize(
+    ("name", "value"), [("offset_rad", [0.0]), ("hold", 0), ("hold", 1001), ("lag_rad", "x")]
+)
+def test_a_table_that_is_none_is_refused(run, tmp_path, name, value):
+    agent = read_policy(run[1][0] / "policy.zip", TABLE, LIMITS, 1).model
+    agent.gaits, agent.joints = {**TABLE.content(), name: value}, ["j1", "j2", "j3"]
+    agent.save(tmp_path / "policy.zip")
+    with pytest.raises(InputError, match=f"gaits.{name}"):
+        read_table(tmp_path / "policy.zip")
     assert read_table(POOL / "robot.toml") is None

@@ -16,7 +16,7 @@ def test_a_film_shows_the_whole_swim_and_the_target(world_of, tmp_path):
     path = tmp_path / "swim.avi"
     world = world_of(2, shortened(TASKS["near"], 100), seed=1)
     limits = np.stack([world.low.numpy(), world.high.numpy()], axis=1)
-    with Video(path) as video, Film(video, world, {0: "pnl"}, width=320) as film:
+    with Video(path) as video, Film(video, world, "pnl", width=320) as film:
         run_episodes(world, ProportionalNavigation(limits, 2), watch=film)
     read = cv2.VideoCapture(str(path))
     frames = []

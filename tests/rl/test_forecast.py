@@ -9,10 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import rl.experiments.testbeds
-from rl.experiments.episodes import measured
 from rl.experiments.named import named_controllers
 from rl.experiments.statistics import best, effective, expected, interval
 from rl.experiments.testbeds import SimulationSettings
@@ -39,7 +37,6 @@ from rl.make import draw_models, spread_of
 from rl.task import CONTROL_S, TASKS, shortened
 from sim.twin.law import FITTED
 from sim.twin.twin import Twin
-from sim.view.plane import front_ends
 from sim2real.body import values
 from sim2real.cli import main
 from sim2real.diagnose.rival_sets import JointRivals, RivalSet
@@ -301,17 +298,12 @@ def test_an_inexact_simulator_changes_the_path_alone(robot, model):
             live.command.numpy()[:] = row
             inexact.advance()
             poses.append(live.q.numpy().copy())
-        return np.array(poses), twin, inexact
+        return np.array(poses), twin
 
     still = np.zeros((5, 2, 6), dtype=np.float32)
-    same, twin, _ = path(np.zeros((2, 3)), still)
+    same, twin = path(np.zeros((2, 3)), still)
     assert np.allclose(same[-1], twin.motion.q.numpy(), atol=1e-6)
-    longer, twin, inexact = path(np.array([[0.0, 0.0, 0.0], [0.2, 0.2, 0.0]]), still)
-    links, own = inexact.links(1), front_ends(twin.chain, twin.motion, np.zeros(2), 1)
-    head, shown = twin.motion.q.numpy()[1, :3], longer[-1, 1, :3]
-    assert np.allclose(links[:, 2] - own[:, 2], shown[2] - head[2])
-    away = [np.linalg.norm(x[:, :2] - q[:2], axis=1) for x, q in ((links, shown), (own, head))]
-    assert np.allclose(*away) and np.linalg.norm(shown[:2] - head[:2]) > 0.01
+    longer, _ = path(np.array([[0.0, 0.0, 0.0], [0.2, 0.2, 0.0]]), still)
     assert np.allclose(longer[:, 0], same[:, 0])
     way = np.linalg.norm(np.diff(longer[..., :2], axis=0), axis=2).sum(axis=0)
     assert abs(way[1] / way[0] - 1.2) < 0.01
@@ -350,24 +342,6 @@ def test_an_interrupted_forecast_resumes_with_the_same_results(robot, model, tmp
     assert not np.allclose(whole["energy"][0], whole["energy"][1])
 
 
-def test_a_film_shows_the_trials_that_were_forecast(robot, model, tmp_path):
-    rng, task = np.random.default_rng(13), shortened(TASKS["near"], 25)
-    drawn = draw_realities(robot, model, RANGES, sample(rng), 4, rng)
-    policies = named_controllers(["pnl"], robot)
-    forecaster = Forecaster(robot, task, drawn, 2, 1, SimulationSettings(at_once=3))
-    swum = forecaster.swim(policies)
-    path, names = tmp_path / "three.gif", {2: "good", 0: "median", 1: "bad"}
-    again = forecaster.film(path, names, policies["pnl"])
-    filmed = measured(again, task)["energy"].reshape(3, 2)
-    assert np.array_equal(filmed, swum["energy"][0, :3])
-    with Image.open(path) as frames:
-        assert frames.n_frames == 13 and frames.size[0] == 3 * 320
-        first = np.array(frames.convert("L"), dtype=int)
-        frames.seek(12)
-        moved = np.abs(np.array(frames.convert("L"), dtype=int) - first)
-    assert (moved.reshape(len(first), 3, 320).max(axis=(0, 2)) > 50).all()
-
-
 @pytest.fixture
 def files(tmp_path, model):
     """The files of a robot; the policy is one of the pool's."""
@@ -389,8 +363,7 @@ def files(tmp_path, model):
 
 
 def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys):
-    gif = files.folder / "three.gif"
-    assert files.call("--limit", "time<=6@0.9", "--film", gif, policy=BOTH, realities=80) == 0
+    assert files.call("--limit", "time<=6@0.9", policy=BOTH, realities=80) == 0
     content = json.loads((files.folder / "forecast.json").read_text())
     time = content["policies"]["all-0"]["time_s"]
     assert np.allclose([time["mean"], *time["next_trial_90"]], 0.4), "none arrives so soon"
@@ -400,7 +373,6 @@ def test_the_command_writes_forecast_and_page_and_trials_update_it(files, capsys
     assert np.isclose(sum(x["best"] for x in content["ranking"]), 1)
     page = (files.folder / "forecast.html").read_text()
     assert "What to measure next" in page and "Which policy" in page
-    assert "Three draws" in page and "data:image/gif" in page
     likely = [x["best"] for x in content["ranking"]]
     assert likely == sorted(likely, reverse=True) and len(likely) == 2
     learned = content["ranking"][0]["policy"] == "all-0"  # a controller is not trained
@@ -440,7 +412,6 @@ def test_bad_input_is_one_line(files, capsys):
     refused("the model's 2.1 within", ranges=without)
     refused("FIGURE<=VALUE", "--limit", "soon")
     refused("at least 20", realities=3)
-    refused("ends in", film=files.folder / "three.webm")
     trials = files.folder / "trials.csv"
     for table, words in (
         ("policy,time_s\nall-0,3\n", "a column success"),

@@ -28,7 +28,6 @@ from sim2real.errors import InputError
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"
 FILES = ["--robot", str(POOL / "robot.toml"), "--model", str(POOL / "calibrated.json")]
-FORECAST = POOL / "forecast"
 LIMITS = [(-0.8, 0.8)] * 3
 SETTINGS = Settings(hidden=(16, 8), memory=10)
 
@@ -135,16 +134,12 @@ def test_nothing_in_a_file_is_executed(old, agents, tmp_path, kind, weights):
 
 
 COMMANDS = {
-    "export": ["export", "POLICY", "--out", "OUT/p.npz"],
-    "evaluate": ["evaluate", "POLICY", *FILES, "--task", "near", "--episodes", "1"],
-    "swim": ["swim", "POLICY", "--target", "1,0", "--virtual", *FILES, "--seconds", "0.1"],
     "train": ["train", "--quick", "--first", "POLICY", *FILES, "--out", "OUT/run"],
-    "forecast": ["forecast", "POLICY", *FILES[:2], "--model", f"{FORECAST}/model.json", "--ranges",
-                 f"{FORECAST}/ranges.json", "--out", "OUT/f.json"],
     "ablate": ["ablate", "--quick", "--first", "POLICY", *FILES, "--ranges",
                str(POOL / "ranges.json"), "--reality", str(POOL / "reality.json"), "--arms", "all",
                "--seeds", "1", "--out", "OUT/a"],
 }  # fmt: skip
+"""Those that keep files before they read further policies; the others call the readers above."""
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -312,21 +307,8 @@ def test_tensors_that_are_packed_are_not_unpacked(agents, tmp_path):
         read_policy_zip(tmp_path / "policy.zip", "SAC")
 
 
-def test_files_that_are_none_and_damaged_ones_are_refused_in_a_line(agents, old, tmp_path):
-    agents["sac"].save(tmp_path / "policy.zip")
-    rng = np.random.default_rng(5)
-    for source in (tmp_path / "policy.zip", old["sac"], old["dqn"]):
-        whole = source.read_bytes()
-        for _ in range(60):
-            damaged = bytearray(whole[: rng.integers(len(whole))] if rng.random() < 0.3 else whole)
-            for k in rng.integers(max(len(damaged), 1), size=rng.integers(1, 30)):
-                damaged[k : k + 1] = rng.bytes(1)
-            file = tmp_path / "damaged.zip"
-            file.write_bytes(damaged)
-            try:
-                controller_of(str(file), LIMITS, 2)
-            except InputError as error:
-                assert "\n" not in str(error)
+def test_files_that_are_none_are_refused(tmp_path):
+    """Damaged ones: ``tests/test_damaged_files.py``."""
     for none in (tmp_path, tmp_path / "missing.zip", Path("/dev/zero")):
         with pytest.raises(InputError, match="no file|expected a file"):
             read_agent(none)

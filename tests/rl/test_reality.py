@@ -7,16 +7,16 @@ import sys
 import numpy as np
 import pytest
 
-from rl.deploy.policy import Policy, PolicyController
+from rl.deploy.policy import PolicyController
 from rl.experiments.episodes import energy, run_episodes
 from rl.experiments.reality import RealWorld, Starts, read_reality
 from rl.experiments.testbeds import Controllers, real
 from rl.make import make_world
-from rl.observer import observation_bounds, observation_names
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.twin.twin import Twin
 from sim2real.errors import InputError
+from tests.rl.test_swim import random_policy
 
 GLIDER = """
 import numpy as np
@@ -117,18 +117,6 @@ def test_an_unseen_robot_is_given_up_after_half_a_second(glider, robot):
     assert np.isfinite(found.reward).all()
 
 
-def policy_of(robot):
-    rng = np.random.default_rng(3)
-    names = tuple(joint.name for joint in robot.joints)
-    limits = np.array([joint.limits_rad for joint in robot.joints], dtype=np.float32).T
-    shapes = ((16, 5 + 2 * len(names)), (len(names), 16))
-    weights = [rng.normal(0, 0.7, shape).astype(np.float32) for shape in shapes]
-    biases = tuple(np.zeros(len(w), dtype=np.float32) for w in weights)
-    bound = np.array(observation_bounds(len(names)), dtype=np.float32)
-    seen = tuple(observation_names(names))
-    return Policy(tuple(weights), biases, *limits, names, seen, bound)
-
-
 def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
     """Observation, velocities and reward are those that policies are trained with."""
 
@@ -152,7 +140,7 @@ def test_seen_from_outside_a_twin_does_as_in_a_world(robot, model):
             return self.look()
 
     task = shortened(TURN, 120)
-    controller = PolicyController(policy_of(robot))
+    controller = PolicyController(random_policy())
     known = run_episodes(make_world(robot, task, Draws((model,)), n_envs=3, seed=4), controller)
     starts = Starts(known.pose[0], np.zeros((3, 3)), known.targets)
     found = run_real_episodes(Seen(3), controller, robot, task, starts)
