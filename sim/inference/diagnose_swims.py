@@ -20,7 +20,7 @@ from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_erro
 from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
 from sim.inference.swim_decision import Decided, Name, Named, Names, Numbers, decide
 from sim.inference.swim_problem import Fit, repeated
-from sim.inference.swims import SIGNALS, Swim, SwimSimulator, swim_of
+from sim.inference.swims import SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
@@ -153,8 +153,7 @@ def diagnosis_of(
     decided = decide(raw(result, referred=referred), numbers)
     c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
     before, after = (result.held[hypothesis.members] for hypothesis in (plain, chosen))
-    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    names = names_in_files(robot)
     errors = np.array([_errors(result, one.fit) for one in (before, after)])
     held = errors[:, 1]
     noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)

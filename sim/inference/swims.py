@@ -27,8 +27,8 @@ from sim2real.robot import Robot
 from sim2real.servo.trace import context_of
 from sim2real.velocity import body_velocity
 
-SIGNALS = ("surge", "sway", "yaw rate")
-UNITS = ("m/s", "m/s", "rad/s")
+SIGNALS = {"surge": "m/s", "sway": "m/s", "yaw rate": "rad/s"}
+"""Velocities of the head, and their units."""
 POSES = ("body.x_m", "body.y_m", "body.yaw_rad")
 HELD_OUT_SHARE = 1 / 3
 """Share of a swim, at its end, that a calibration does not use."""
@@ -82,6 +82,17 @@ class Swim:
         return replace(
             self, t=self.t[:n], command=self.command[:n], signals=self.signals[:n], pose=pose
         )
+
+
+def units_of(robot: Robot) -> dict[str, str]:
+    """Names of the 3 + J signals of a swim, with their units."""
+    return SIGNALS | {joint.name: "rad" for joint in robot.joints}
+
+
+def names_in_files(robot: Robot) -> list[str]:
+    """Names of the 3 + J signals of a swim in models and diagnoses."""
+    heads = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    return heads + [f"{joint.name}.position_rad" for joint in robot.joints]
 
 
 SwimSimulator = Callable[[Sequence[Model], Swim], Array]
