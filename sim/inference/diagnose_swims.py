@@ -55,11 +55,10 @@ def diagnose_recorded_swims(
     in_water: Path | None = None,
     device: str = "cpu",
 ) -> Diagnosis:
-    """Diagnose swims in the twin or, with ``in_water``, relative to the fluid.
+    """Diagnose swims in the twin or, with a file ``in_water``, relative to the fluid.
 
-    Other arguments are those of ``diagnose_swims``. ``in_water`` is the file of the fluid's
-    simulations, which are made where it does not exist; on a GPU as ``device`` the fluid simulates
-    the swims again with the effects that the first search found.
+    The fluid's simulations are made where the file does not exist; on a GPU as ``device`` the fluid
+    simulates the swims again with the effects that the first search found.
 
     Raises:
         InputError: If the file holds the simulations of other swims.
@@ -109,21 +108,11 @@ def diagnose_swims(
     resimulate: Resimulate | None = None,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
-    """Find the effects of body and camera that the simulator leaves out.
+    """Find the effects of body and camera that the simulator leaves out of swims in one pool.
 
-    Args:
-        swims: Pool recordings of one robot in one pool.
-        model: The servos.
-        robot: The robot.
-        simulate: The twin (``swims.by_followed_twin``).
-        references: Swims of the same robot in which nothing is known to be missing.
-        law_error: The twin's error and the thresholds.
-        resimulate: Function from the likely model of the first search to a simulator for a second
-            one and the model that it is exact for, or None.
-        progress: Called with the share that is done.
-
-    Returns:
-        The diagnosis; its errors are held-out errors of the speed over ground, in m/s.
+    In ``references`` of the same robot nothing is known to be missing. ``resimulate`` leads from
+    the likely model of the first search to a simulator for a second one and the model that it is
+    exact for, or None. Errors of the diagnosis are held-out errors of the speed over ground, m/s.
     """
     referred = bool(references)
     prior = learned(references, model, robot, simulate, law_error)
@@ -145,10 +134,7 @@ def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Mo
 def diagnosis_of(
     result: Searched, robot: Robot, law_error: LawError, *, referred: bool
 ) -> Diagnosis:
-    """The diagnosis from the result of a search: probabilities, verdict and statements.
-
-    ``referred`` is whether there were reference swims.
-    """
+    """The diagnosis from a search; ``referred``: there were reference swims."""
     numbers = law_error.decisions
     decided = decide(raw(result, referred=referred), numbers)
     c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
@@ -214,7 +200,7 @@ def _named(
 ) -> NamedEffect:
     """A reported effect with its estimates, which are those of all reported effects together."""
     all_names = {named.name for named in decided.named}
-    fitted = next(h for h in result.found if frozenset(names_of(h.members)) >= all_names)
+    fitted = next(h for h in result.found if all_names.issubset(names_of(h.members)))
     parameters = _estimates(result, fitted, entry.name, numbers["relative"])
     sizes = ", ".join(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
@@ -246,8 +232,9 @@ def _estimates(
     spread = np.square(problem.prior.imitation[columns]) + np.square(relative * x[columns])
     rng = np.random.default_rng(0)
     samples = np.tile(x, (_SAMPLES, 1))
-    drawn = rng.multivariate_normal(x[columns], covariance + np.diag(spread), _SAMPLES)
-    samples[:, columns] = drawn
+    samples[:, columns] = rng.multivariate_normal(
+        x[columns], covariance + np.diag(spread), _SAMPLES
+    )
     samples = c.clipped(samples)
     samples[0] = x
     parameters = [c.parameters(sample) for sample in samples]

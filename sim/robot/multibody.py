@@ -2,16 +2,16 @@
 
 Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. With M the
 links' mass, C, a and p the fluid's sums (``coupling``), P the momentum of the water inside the
-links, V the links' velocities, J the Jacobian of the new pose, T the servos' torques with implicit
-gains and h the step, the new coordinates' velocities v solve
+links, V their velocities, J the Jacobian of the new pose, T the servos' torques and h the step, the
+new coordinates' velocities v solve
 
     sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
-C is the symmetric part of the matrix of the sums; the rest, which only ghost cells have, acts on V.
-Where the water does not slip, M is the mass minus that of the water inside, p and P are 0, and B is
-a virtual mass on both sides (Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020)
-103413). Dry friction and joint limits are impulses, computed by projected Gauss-Seidel sweeps
-(Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). SI.
+C is the symmetric part of the sums' matrix; the rest acts on V. Where the water does not slip, M is
+less the mass of the water inside, p and P are 0, and B is a virtual mass (Tavanashad and
+Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413). Dry friction and limits are impulses by
+projected Gauss-Seidel sweeps (Acary and Brogliato, Nonsmooth Dynamical Systems, Springer, 2008).
+SI.
 """
 
 import warp as wp
@@ -321,8 +321,7 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
     """Advance the coordinates by one step, after the step of the fluid.
 
     Rotating links move their centre off the line of its velocity by the square of the step, always
-    to the same side, so that flapping alone would move the robot. The head is shifted so that the
-    centre moves with its velocity.
+    to the same side, which alone would move the robot: the head is shifted back.
     """
     e = wp.tid()
     if stopped[e] >= 0:

@@ -128,18 +128,12 @@ def submerged(robot: Robot, hull: Hull, flat: bool, deep: float) -> tuple[Hull, 
 
 
 def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:
-    """Volume displaced by the straight hull on the grid; a cell belongs to its nearest link.
+    """Displaced volume of the straight hull on a grid; a cell belongs to its nearest link.
 
-    Args:
-        hull: The hull.
-        cell: Size of a cell in m.
-        inset: Distance by which the surface is moved inwards in m.
-        flat: In two dimensions.
-        above: Height of the water's surface above the hull's middle in m.
-
-    Returns:
-        Volume in m3 (area in m2), distance of its centre from the link's front end in m, second
-        moment about that centre in m5 (m4): shape (L, 3).
+    From the side of a cell, the distance by which the surface is moved inwards and the height of
+    the water's surface ``above`` the hull's middle, all in m, to volume in m3 (area in m2),
+    distance of its centre from the link's front end in m, and second moment about that centre in m5
+    (m4): (L, 3).
     """
     fine = cell / 6
     widest, highest = hull.half_width.max() + cell, hull.half_height.max() + cell

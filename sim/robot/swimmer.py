@@ -48,10 +48,8 @@ def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
 class Swimmer(Robots):
     """A batch of robots in the fluid, one in each box.
 
-    Attributes:
-        units: Size of a cell and of a time step.
-        substeps: Time steps of the fluid per control period.
-        fluid, bodies: Fluid and robots; their Warp arrays are the current state.
+    ``units`` are the sizes of a cell and of a time step, ``substeps`` the time steps per control
+    period; the Warp arrays of ``fluid`` and ``bodies`` are the current state.
     """
 
     def __init__(
@@ -75,18 +73,16 @@ class Swimmer(Robots):
 
         Args:
             robot: Links, joints and data sheets.
-            model: Servos and body, including the normalised density if present; one for all, or one
-                for each box.
+            model: Servos and body, one for all or one for each box.
             n_envs: Number of boxes.
             device: Warp device.
             cell_m: Side of a cell.
             dimensions: 2 (plan view) or 3.
             box_m: Length, width and depth of a box.
             walls: Whether the box has walls; otherwise it moves with the robot.
-            wall: Wall model: by default slip along the surface with skin friction as a stress, for
-                robots of decimetres; ``NO_SLIP`` if cells resolve the boundary layer.
-            viscosity_m2_s: Viscosity of the fluid away from the wall, one or one for each box, at
-                least that of water, 1e-6; by default the model's or ``least_viscosity``.
+            wall: Wall model; ``NO_SLIP`` if cells resolve the boundary layer.
+            viscosity_m2_s: Viscosity away from the wall, one or one for each box, at least 1e-6; by
+                default the model's or ``least_viscosity``.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Time steps per control period, even; by default from ``TOP_SPEED_M_S``.
             threads: CPU threads.

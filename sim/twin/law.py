@@ -87,12 +87,9 @@ def law_rows(
 ) -> dict[str, Array]:
     """Rows of ``sim.twin.kernel.Water`` for E robots, at the points of quadrature of each link.
 
-    Args:
-        hull: The links' shape.
-        above: Height of the water's surface above the hull's middle in m; infinite if submerged.
-        com: Distance of the links' centres of mass from their front ends in m, shape (E, L).
-        laws: Coefficients of each robot.
-        more: Relative increase of the added mass of each robot, shape (E,).
+    ``above`` is the height of the surface above the hull's middle in m, ``com`` the distance of the
+    links' centres of mass from their front ends in m, (E, L), ``more`` the relative increase of the
+    added mass, (E,).
     """
     nodes, weights = np.polynomial.legendre.leggauss(POINTS)
     s, weight = (nodes + 1) / 2, weights / 2

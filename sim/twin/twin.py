@@ -42,16 +42,11 @@ class Twin(Robots):
         substeps: int = SUBSTEPS,
         threads: int = 2,
     ) -> None:
-        """Create the robots, straight, at rest, at the origin, heading along x.
+        """Create ``n_envs`` robots, straight, at rest, at the origin, heading along x.
 
-        Args:
-            robot: Links, joints and data sheets.
-            model: Servos and body; one for all, or one for each robot. The coefficients of the
-                force law are those in ``body.twin``, or those fitted to the fluid.
-            n_envs: Number of robots.
-            device: Warp device.
-            substeps: Sub-steps per control period.
-            threads: CPU threads.
+        ``model`` has servos and body, one for all or one for each robot; the coefficients of the
+        force law are those in ``body.twin``, or those fitted to the fluid. ``device`` is a Warp
+        device, ``substeps`` are sub-steps per control period, ``threads`` those of a CPU.
 
         Raises:
             InputError: If robot and model do not agree.
@@ -113,13 +108,9 @@ class Twin(Robots):
     def swim(self, commands: Array, which: Index | None = None) -> Array:
         """Simulate whole signals in one launch, from the current state.
 
-        Args:
-            commands: Set-points in rad, one row a control period, shape (signals, T, J) or (T, J).
-            which: Signal of each robot, shape (E,); the first where None.
-
-        Returns:
-            x, y, heading and measured angles at the end of each period, shape (E, T, 3 + J), in the
-            pool's frame.
+        From set-points in rad, one row a control period, shape (signals, T, J) or (T, J), and the
+        signal of each robot, shape (E,), to x, y, heading in the pool's frame and measured angles
+        at the end of each period, shape (E, T, 3 + J).
         """
         signals = commands[None] if commands.ndim == 2 else commands
         E, T = self.n_envs, signals.shape[1]

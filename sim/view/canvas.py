@@ -74,14 +74,9 @@ def grid_lines(x: Array, y: Array) -> Array:
 
 
 def add_line(share: Array, ends: Array, width: float, x: Array, y: Array) -> None:
-    """Add a straight line to ``share``, shape (height, width); overlapping lines do not add up.
+    """Add a line between ``ends`` (2, 2) in m, ``width`` pixels wide, to a share (height, width).
 
-    Args:
-        share: Covered share of each pixel.
-        ends: End points in m, shape (2, 2).
-        width: Width in pixels.
-        x: Coordinates of the columns.
-        y: Coordinates of the rows.
+    Overlapping lines do not add up.
     """
     pixel = x[1] - x[0]
     window = _window(ends, (width + 2) * pixel, x, y)
@@ -107,15 +102,7 @@ def draw_ring(
 
 
 def draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> None:
-    """Draw body, joints and outline from the signed distance.
-
-    Args:
-        canvas: The canvas.
-        hull: The links' shape.
-        links: Front end and heading of each link, shape (L, 3).
-        x: Coordinates of the columns.
-        y: Coordinates of the rows.
-    """
+    """Draw body, joints and outline of links by their front ends and headings, shape (L, 3)."""
     back = links[-1, :2] - hull.length[-1] * np.array([np.cos(links[-1, 2]), np.sin(links[-1, 2])])
     window = _window(np.vstack([links[:, :2], back]), 1.2 * hull.half_width.max(), x, y)
     part = canvas[window]

@@ -73,14 +73,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
 
 
 def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> Array:
-    """Front end and heading of each link of one robot, shape (L, 3).
-
-    Args:
-        chain: The robots.
-        motion: Their state.
-        drift: Displacement of the pool's water, shape (2,).
-        environment: Index of the robot.
-    """
+    """Front end and heading of each link, shape (L, 3), in water that moved by ``drift`` (2,)."""
     e = environment
     arrays: Any = motion.link, chain.com, chain.side
     pose, com, side = (np.array(array.numpy()[e], dtype=np.float64) for array in arrays)
@@ -91,13 +84,9 @@ def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> 
 
 
 def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
-    """Signed distance from the outline in m, negative inside; of each point (x, y).
+    """Signed distance in m of points (x, y) from the outline, negative inside.
 
-    Args:
-        hull: The links' shape.
-        links: Front end and heading of each link, shape (L, 3).
-        x: Along the world's x axis in m, of any shape.
-        y: Likewise, along y.
+    ``links`` are front end and heading of each link, shape (L, 3).
     """
     distance = np.full(np.broadcast(x, y).shape, np.inf)
     for (front_x, front_y, heading), length, half_width in zip(

@@ -23,13 +23,10 @@ VORTICITY = 10.0
 def picture(
     swimmer: Swimmer, environment: int = 0, *, width: int = 1280, vorticity: float = VORTICITY
 ) -> Picture:
-    """The water in the plane of the robot's middle, and the robot, with lines of a world grid.
+    """The water in the plane of a robot's middle, and the robot, with lines of a world grid.
 
-    Args:
-        swimmer: The robots in their current state.
-        environment: Index of the robot.
-        width: Width in pixels; the height is even and follows from the box.
-        vorticity: Vorticity in 1/s that has the full colour.
+    ``width`` is in pixels, the height is even and follows from the box; the ``vorticity`` in 1/s
+    has the full colour.
 
     Raises:
         InputError: If Pillow is not installed.
@@ -49,8 +46,7 @@ def check_picture(path: str | os.PathLike[str]) -> Path:
     """Check before the simulation that a picture can be made and written to ``path``.
 
     Raises:
-        InputError: If it does not end in .png, Pillow is not installed, or the folder can't be
-            made or written.
+        InputError: If it does not end in .png, Pillow is missing, or the folder can't be written.
     """
     if Path(path).suffix.lower() != ".png":
         raise InputError(path, "", repr(Path(path).suffix), "a name that ends in .png")

@@ -38,8 +38,7 @@ def check_video(path: str | os.PathLike[str]) -> Path:
     """Check before the simulation that a video can be made and written to ``path``.
 
     Raises:
-        InputError: If it ends in none of .mp4, .avi and .gif, PyAV or Pillow is not installed, or
-            the folder can't be made or written.
+        InputError: If its suffix is unknown, a library is missing, or the folder can't be written.
     """
     if Path(path).suffix.lower() not in _FORMATS:
         raise InputError(
@@ -53,20 +52,12 @@ def check_video(path: str | os.PathLike[str]) -> Path:
 class Video:
     """An MP4 (H.264), AVI (MPEG-4) or GIF, open inside a ``with`` block.
 
-    The file is created when the block ends. An error inside the block leaves no file.
-
-    Attributes:
-        path: Where the video will be.
-        frames: Number of frames written.
-        width: Width in pixels for this format.
+    The file is created when the block ends; an error inside it leaves no file. ``frames`` is the
+    number of frames written, ``width`` the width in pixels for this format.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, frames_per_s: int = FRAMES_PER_S) -> None:
-        """Open the file.
-
-        Args:
-            path: Where the video will be; its suffix sets the format.
-            frames_per_s: Frame rate of playback.
+        """Open the file, whose suffix sets the format; ``frames_per_s`` is the rate of playback.
 
         Raises:
             InputError: As ``check_video``.
