@@ -37,11 +37,8 @@ _KEPT_STATES = 16
 class SupersonicFlow(FloatingPointError):
     """The flow became supersonic in the lattice, and the robot was stopped.
 
-    Attributes:
-        time_s: Time since the start.
-        step: Step of the lattice.
-        cell: Indices of the first cell that broke down.
-        states: The last states before it.
+    ``time_s`` and ``step`` of the lattice since the start, indices of the first ``cell`` that broke
+    down, and the last ``states`` before it.
     """
 
     def __init__(self, name: str, swimmer: Swimmer, states: list[State]) -> None:

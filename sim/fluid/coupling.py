@@ -75,7 +75,7 @@ def add_vector(
 
 @wp.func
 def nearest_link(x: float, y: float, e: int, covered: Covered):
-    """The link nearest in plan view, distance from its outline, share along and distance off axis."""
+    """The link nearest in plan view, distance from its outline, share along and way off it."""
     nearest = float(1.0e9)
     link = int(0)
     share = float(0.0)

@@ -2,10 +2,9 @@
 
 What ghost cells send to the water is linear in the body's velocity, and its sums over each link are
 those of ``coupling``: E v is part of what they send to the water, R v + b what they send to each
-other, which arrives in them in the next step, and a the rest of both less all that arrives in them.
-So the momentum of bodies and water is conserved. The mass that all links together would bring into
-the water, as a mean over ``wall.MEMORY`` steps, is taken out again over the whole surface. Friction
-acts on the water within a cell of the surface, in proportion to the surface's area.
+other, and a the rest of both less all that arrives in them. So momentum is conserved. The mass that
+all links would bring into the water, as a mean over ``wall.MEMORY`` steps, is taken out again over
+the surface. Friction acts on the water within a cell of the surface, in proportion to its area.
 """
 
 from functools import cache

@@ -130,7 +130,7 @@ def calibrate_in_fluid(
     start: Model | None = None,
     seed: int = 0,
 ) -> Calibrated:
-    """Fit water, centre of mass and servos to swims in the fluid.
+    """Fit water, centre of mass and servos to swims in the fluid, by an ``emulator``.
 
     ``model`` is the model before, ``start`` that of the fit (``model`` where None), ``coarser`` the
     fluid in cells of twice the size; other arguments are those of ``calibrate_body``.

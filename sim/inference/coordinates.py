@@ -1,8 +1,8 @@
 """Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
 
-The coordinates of a tether are its stiffness and stiffness times anchor, those of an appendage its
-area and area times place, those of a viscoelastic skin a fast and a slow stiffness. A current is
-added to a simulation in still water: it carries the body with it.
+Those of a tether are its stiffness and stiffness times anchor, of an appendage its area and area
+times place, of a viscoelastic skin a fast and a slow stiffness. A current is added to a simulation
+in still water.
 """
 
 from __future__ import annotations
@@ -197,8 +197,7 @@ class Coordinates:
         """Points (F + 1, F) for one-sided derivatives about x, and the base row of each, (F,).
 
         Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The place of an
-        effect of size 0, e.g. the anchor of a tether without stiffness, has no influence: its base
-        is the row with a step in the size.
+        effect of size 0 has no influence: its base is the row with a step in the size.
         """
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)

@@ -1,8 +1,7 @@
 """Diagnosis of swims in a pool: which effects of the body or the camera does the twin leave out?
 
 An effect is reported if it predicts the end of each swim better when fitted to the beginning.
-Effects that imitate one another form a group. Where an unnamed shape (``unlisted``) fits better
-than all effects, the diagnosis abstains. Thresholds are in ``law_error.json``.
+Thresholds are in ``law_error.json``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Search for the effects that are missing in swims, before probabilities are computed.
 
-Every effect of the catalogue is fitted together with servos and force law. One batch of rollouts
-predicts the gain of every effect near a fit, and the most promising are fitted.
+One batch of rollouts predicts the gain of every effect near a fit, and the most promising are
+fitted, together with servos and force law.
 """
 
 from __future__ import annotations
@@ -136,10 +136,7 @@ class SwimSearch(SwimProblem):
 
 
 class HeldOutErrors(NamedTuple):
-    """Errors on the end of the swims of a fit to their beginning.
-
-    ``loss`` is that on the end, ``speed`` the error of the speed over ground there, m/s.
-    """
+    """A fit to the beginning of swims, its loss on their end, and its error of the speed there."""
 
     fit: Fit
     loss: float
@@ -179,9 +176,9 @@ def learned(
     simulate: SwimSimulator,
     law_error: LawError = LAW_ERROR,
 ) -> SwimPrior:
-    """Prior of a robot's swims, learned from reference swims in which nothing is missing.
+    """Prior of a robot's swims, from reference swims in which nothing is missing.
 
-    Without reference swims it is the prior of all robots, with a larger error of the twin.
+    Without these it is the prior of all robots, with a larger error of the twin.
     """
     coordinates = Coordinates.of(robot, model)
     usual = law_error.prior(coordinates)
@@ -202,8 +199,7 @@ def learned(
 def _common(problem: SwimProblem, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
     """Parameters common to the swims of a robot (F,), their covariance, and the scale of the rest.
 
-    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963): the parameters of
-    each swim are distributed about those of the robot. The scale of their distribution, relative
+    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963). The scale, relative
     to the usual one, is the likeliest of ``_SCALES``.
     """
     variance = np.square(usual.imitation)
@@ -237,8 +233,7 @@ def together(
     """Combine swims whose parameters vary about common ones (a linear mixed model).
 
     From curvature (F, F) and gradient (F,) of each swim's loss at one point, and the variance (F,)
-    of a swim's parameters, to those of the sum of losses with respect to the common parameters, and
-    the covariance of each swim's deviations given these.
+    of a swim's parameters, to those of the sum, and the covariance of each swim's deviations.
     """
     covariances = [np.asarray(np.linalg.inv(normal + np.diag(1 / variance))) for normal, _ in parts]
     pairs = list(zip(parts, covariances, strict=True))
@@ -256,14 +251,11 @@ def searched(
     progress: Progress = lambda share: None,
     simulated: Model | None = None,
 ) -> Searched:
-    """Try sets of effects on swims of one robot.
+    """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
-    The twin predicts a strong effect with an error in proportion to the change that the effect
-    makes. Where the fluid was simulated and the best set changes much, a second search counts this
-    error as noise. It is not used with the twin alone, where it has not been graded.
-
-    ``prior`` is from ``learned``; effects of ``simulated``, the model that the fluid simulated,
-    have no such error.
+    The twin predicts a strong effect with an error in proportion to the change that it makes. Where
+    the fluid was simulated and the best set changes much, a second search counts this error as
+    noise; effects of ``simulated``, the model that the fluid simulated, have no such error.
     """
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     order, best = _search(problem, lambda share: progress(0.5 * share))
@@ -328,8 +320,7 @@ def _evidence(hypothesis: Hypothesis[Fit]) -> float:
 def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:
     """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J).
 
-    Without camera effects and the current, which are exact. Effects of the model that the fluid
-    simulated count by the difference from their sizes in it.
+    Without camera effects and the current, which are exact, and what ``simulated`` has of them.
     """
     c = problem.coordinates
     full = c.model_at(x)

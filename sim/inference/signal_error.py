@@ -1,10 +1,9 @@
 """Errors of a swim's signals: their variances by band of frequency, and persistent shapes.
 
 Each block of about 2.5 s is transformed by an orthonormal cosine transform. The variance of a
-coefficient is that of the recording's noise plus a share, by signal and band, of the signal's
-power: the measured error of the twin. Errors of wake and force law persist for seconds: each such
-shape is a column of the fit, whose size has one part common to all swims of a robot and one for
-each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
+coefficient is that of the recording's noise plus a share of the signal's power: the error of the
+twin. Errors that persist for seconds are columns of the fit, with one part common to all swims of a
+robot and one for each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
 """
 
 from __future__ import annotations

@@ -222,9 +222,8 @@ def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those
 def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: ANN401 - options of Twin
     """The twin, moved to the measured pose every few seconds, with its velocity in the body frame.
 
-    Forces of the water do not depend on position or heading, but those of a cable and a wall do,
-    and the path of a free simulation soon differs from the measured one. The track is integrated
-    from the displacements of all periods and has no jumps.
+    Cable and wall act at places, and the path of a free simulation soon differs from the measured
+    one. The track is integrated from the displacements of all periods and has no jumps.
     """
     options = {"substeps": SUBSTEPS, **settings}
 

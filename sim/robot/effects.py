@@ -143,10 +143,9 @@ def points_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
 
 
 def added_mass_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
-    """Added mass of the appendages of each link, shape (L, 3, 3).
+    """Added mass of the appendages of each link, shape (L, 3, 3), at the start of its axis.
 
-    The matrix from velocity along the link, across it and of its heading, at the start of its axis,
-    to momentum along, momentum across and angular momentum about the start.
+    From velocity along the link, across it and of its heading, to momentum and angular momentum.
     """
     out = np.zeros((len(robot.links), 3, 3))
     for k, link in enumerate(robot.links):

@@ -36,11 +36,7 @@ def _table() -> Array:
 
 
 class Lettering:
-    """Text and symbols on a picture, in proportion to its width.
-
-    Attributes:
-        unit: Pixels per pixel of a picture with the width ``drawn_for``.
-    """
+    """Text and symbols on a picture; ``unit`` is a pixel of a picture as wide as ``drawn_for``."""
 
     def __init__(self, image: Picture, drawn_for: int = _DRAWN_FOR) -> None:
         from PIL import Image as Pillow
@@ -92,11 +88,7 @@ class Lettering:
 def lettered(image: Picture, plane: Plane, pixels: float, vorticity: float) -> Picture:
     """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
 
-    Args:
-        image: The picture.
-        plane: The plane that it shows.
-        pixels: Pixels per metre.
-        vorticity: Vorticity in 1/s that has the full colour.
+    ``pixels`` are those of a metre; the ``vorticity`` in 1/s has the full colour.
     """
     lettering = Lettering(image)
     lettering.write(

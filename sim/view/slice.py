@@ -17,13 +17,7 @@ def slice_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
     Stored, load, neighbours, moments = pop.Stored, pop.load, pop.neighbours, pop.moments
 
     @wp.kernel(enable_backward=False, module="unique")
-    def velocity_in(
-        f: Stored,
-        box: Box,
-        e: int,
-        z: int,
-        velocity: wp.array2d(dtype=wp.vec2),
-    ):
+    def velocity_in(f: Stored, box: Box, e: int, z: int, velocity: wp.array2d(dtype=wp.vec2)):
         """Velocity along x and y in the plane z of box e; 0 in walls."""
         x, y = wp.tid()
         n = e * box.cells + x + box.nx * (y + box.ny * z)

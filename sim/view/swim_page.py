@@ -8,14 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import (
-    HELD_OUT_SHARE,
-    Simulator,
-    Swim,
-    SwimSimulator,
-    simulated,
-    units_of,
-)
+from sim.inference.swims import HELD_OUT_SHARE, Simulator, Swim, SwimSimulator, simulated, units_of
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.model import Model
