@@ -16,8 +16,9 @@ import numpy as np
 from sim.inference.coordinates import signals_at
 from sim.inference.in_water import THREADS, resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
-from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
-from sim.inference.swim_decision import Decided, Name, Named, Names, Numbers, decide
+from sim.inference.searched import HELD_OUT, Searched, learned, raw, searched
+from sim.inference.swim_decision import Decided, Named, Numbers, decide
+from sim.inference.swim_parameters import Name, Names
 from sim.inference.swim_problem import Fit, repeated
 from sim.inference.swims import SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
@@ -126,7 +127,7 @@ def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Mo
     """The fitted model with the likely effects; ``referred``: there were reference swims."""
     numbers = law_error.decisions
     named = decide(raw(result, referred=referred), numbers).named
-    likely = {effect.name for effect in named if effect.probability >= numbers["likely"]}
+    likely = frozenset(effect.name for effect in named if effect.probability >= numbers["likely"])
     return result.problem.coordinates.model_at(result.of(likely).fit.x)
 
 
@@ -199,7 +200,7 @@ def _named(
 ) -> NamedEffect:
     """A reported effect with its estimates, which are those of all reported effects together."""
     all_names = {named.name for named in decided.named}
-    fitted = next(h for h in result.found if all_names.issubset(names_of(h.members)))
+    fitted = next(h for h in result.found if all_names.issubset(h.members))
     parameters = _estimates(result, fitted, entry.name, numbers["relative"])
     sizes = ", ".join(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
@@ -225,8 +226,7 @@ def _estimates(
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
-    effect = next(e for e in c.effects if (e.name, e.component) == name)
-    columns = c.of_effect(effect)
+    columns = c.of_effect(name)
     covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(columns, columns)]
     spread = np.square(problem.prior.imitation[columns]) + np.square(relative * x[columns])
     rng = np.random.default_rng(0)
@@ -238,7 +238,7 @@ def _estimates(
     samples[0] = x
     parameters = [c.parameters(sample) for sample in samples]
     out = {}
-    for p in effect.free:
+    for p in c.effects[name]:
         values = np.array([by_name.get(p.name, 0.0) for by_name in parameters])
         low, high = np.quantile(values, (0.05, 0.95))
         out[p.name.rpartition(".")[2]] = Estimate(
@@ -320,7 +320,7 @@ def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> S
     return SwimSet(
         effects=tuple(
             f"{effect}.{component}" if body_effect(effect).by_material else effect
-            for effect, component in names_of(hypothesis.members)
+            for effect, component in sorted(hypothesis.members)
         ),
         probability=float(probability),
         coordinates={c.columns[k].name: float(hypothesis.fit.x[k]) for k in free},

@@ -266,7 +266,8 @@ def read_water_swims(*paths: Path) -> InWater:
     Raises:
         InputError: If a file has another content.
     """
-    parts, steps = [], {}
+    parts: list[InWater] = []
+    steps: dict[bytes, Array] = {}
     for path in paths:
         content = read_arrays(path, "a file by --in-water", what="swims in water")
         try:

@@ -6,7 +6,7 @@ fitted, together with servos and force law.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 from sim.inference.coordinates import Coordinates, signals_of
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
 from sim.inference.signal_error import SHARE, of_changes
-from sim.inference.swim_parameters import Candidate
+from sim.inference.swim_parameters import Name, Names
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem, repeated
 from sim.inference.swims import Swim, SwimSimulator
 from sim.inference.unlisted import gains
@@ -66,7 +66,7 @@ class SwimSearch(SwimProblem):
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects with the largest predicted evidence when added to a set, by its linear model."""
         fits = [ledger.tried[members].fit, *([] if members else self.first_fits)]
-        promise: dict[Candidate, float] = {}
+        promise: dict[Name, float] = {}
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
@@ -101,24 +101,20 @@ class SwimSearch(SwimProblem):
     ) -> list[tuple[Members, Fit]]:
         """Starts with another size of an effect of one parameter, where that predicts less loss."""
         c = self.coordinates
-        trials, of = [], []
+        of, trials = [], []
         for k, (members, fit) in enumerate(initial):
-            singles = [c.of_effect(effect) for effect in members]
-            for column in (own[0] for own in singles if len(own) == 1 and fit.x[own[0]] == 0.0):
-                for size in _JUMPS:
-                    x = fit.x.copy()
-                    x[column] = size * c.columns[column].step
-                    trials.append(c.clipped(x))
+            for own in map(c.of_effect, members):
+                for size in _JUMPS if len(own) == 1 and fit.x[own[0]] == 0.0 else ():
                     of.append(k)
-        out = list(initial)
-        best = [self.linear(members, fit).loss for members, fit in initial]
-        tried = self.rows(np.array(trials)) if trials else ()
-        for x, rows, k in zip(trials, tried, of, strict=True):
-            members, fit = initial[k]
-            start = replace(fit, x=x, rows=rows)
-            predicted = self.linear(members, start).loss
+                    trials.append(fit.x.copy())
+                    trials[-1][own] = size * c.columns[own[0]].step
+        out, best = list(initial), [self.linear(*start).loss for start in initial]
+        points = c.clipped(np.array(trials).reshape(-1, len(c.columns)))
+        for k, x, rows in zip(of, points, self.rows(points) if of else (), strict=True):
+            start = initial[k][0], replace(initial[k][1], x=x, rows=rows)
+            predicted = self.linear(*start).loss
             if predicted < best[k]:
-                best[k], out[k] = predicted, (members, start)
+                best[k], out[k] = predicted, start
         return out
 
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
@@ -158,15 +154,9 @@ class Searched:
     # the twin, shape (4, 3)
     misfit: Array
 
-    def of(self, names: Collection[tuple[str, str]]) -> Hypothesis[Fit]:
-        """The set of these effects, by names and components."""
-        return next(h for h in self.found if set(names_of(h.members)) == set(names))
-
-
-def names_of(members: Members) -> tuple[tuple[str, str], ...]:
-    """Names and components of the effects of a set, sorted."""
-    effects: list[Candidate] = list(members)
-    return tuple(sorted((effect.name, effect.component) for effect in effects))
+    def of(self, names: Names) -> Hypothesis[Fit]:
+        """The set of these effects."""
+        return next(h for h in self.found if h.members == names)
 
 
 def learned(
@@ -374,13 +364,13 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
     zero = found.plain.evidence
     return {
         "sets": [
-            {"names": [list(n) for n in names_of(h.members)], "evidence": h.evidence - zero,
+            {"names": [list(n) for n in sorted(h.members)], "evidence": h.evidence - zero,
              "settled": h.fit.local}
             for h in found.found
         ],
         "nameless": found.nameless,
         "held": [
-            {"names": [list(n) for n in names_of(m)], "loss": result.loss, "speed": result.speed}
+            {"names": [list(n) for n in sorted(m)], "loss": result.loss, "speed": result.speed}
             for m, result in found.held.items()
         ],
         "misfit": found.misfit.tolist(),

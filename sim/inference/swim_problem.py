@@ -172,7 +172,7 @@ class SwimProblem:
             return 0.0
         samples = sum(swim.t.size for swim in self.swims)
         evidence = min(repeated(self.swims) * samples * _EACH, _LARGEST)
-        lost = any(effect.name == LOST.partition(".")[0] for effect in members)
+        lost = any(name == LOST.partition(".")[0] for name, _ in members)
         return (evidence if evidence > _EACH else -_LARGEST) if lost else 0.0
 
     def _coloured(self, fit: Fit) -> float:

@@ -171,7 +171,7 @@ def test_a_calibration_fits_the_areas_and_a_diagnosis_does_not():
     assert (ratio.name, ratio.nominal) == ("appendage_area.ratio", 0.0)
     assert ratio.prior_sd == pytest.approx(0.25)
     assert appendage_parameters(FISH) == []
-    names = {candidate.name for candidate in candidates(robot)}
+    names = {name for name, _ in candidates(robot)}
     assert "appendage_drag" in names
     assert "appendage_area" not in names
 

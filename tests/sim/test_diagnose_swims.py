@@ -37,7 +37,7 @@ NAMES = ("camera_latency", "skin_elasticity", "pool_current")
 
 def only(patch, names):
     """Search these candidates alone."""
-    listed = [one for one in candidates(FISH) if one[0] in names]
+    listed = {one: free for one, free in candidates(FISH).items() if one[0] in names}
     patch.setattr(places, "candidates", lambda robot: listed)
 
 
@@ -149,13 +149,15 @@ def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
     """Where a filter was tried first for a late camera, the camera is tried without it, too."""
     only(monkeypatch, ("camera_latency", "pose_filter"))
     listed = places.candidates(FISH)
-    monkeypatch.setattr(places, "candidates", lambda robot: sorted(listed, reverse=True))
+    monkeypatch.setattr(
+        places, "candidates", lambda robot: dict(sorted(listed.items(), reverse=True))
+    )
     monkeypatch.setattr(search, "FIRST", 1)
     hopes = SwimSearch.additions
 
     def filter_first(self, ledger, members, most):
         found = hopes(self, ledger, members, 2)
-        return [one for one in found if members or one[0].name == "pose_filter"]
+        return [one for one in found if members or one[0][0] == "pose_filter"]
 
     monkeypatch.setattr(SwimSearch, "additions", filter_first)
     found = diagnosed({"camera_latency.latency_s": 0.12})
@@ -301,7 +303,7 @@ def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
 def test_slopes_that_are_renewed_are_those_that_a_fit_moves(few):
     problem = problem_of(swum({}), LAW_ERROR)
     c = problem.coordinates
-    members = frozenset(e for e in c.effects if e.name == "pool_current")
+    members = frozenset(e for e in c.effects if e[0] == "pool_current")
     x = c.nominal
     _, known = problem.slope(x)
     x[c.of_effect(*members)] = 0.02
@@ -334,7 +336,7 @@ def test_a_skin_that_would_have_to_push_is_no_evidence():
     )
     plain = problem.plain()
     for effect in c.effects:
-        if effect.name in ("skin_elasticity", "linear_drag"):
+        if effect[0] in ("skin_elasticity", "linear_drag"):
             members = frozenset({effect})
             step = problem.seems(members, plain.fit)[c.of_effect(effect)]
             assert (step >= 0.0).all()
