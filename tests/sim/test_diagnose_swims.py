@@ -272,16 +272,6 @@ def test_a_share_of_the_evidence_of_a_force_does_not_tell_its_kind():
         assert said.verdict == "ambiguous"
 
 
-def test_the_twin_alone_trusts_a_drag_less_than_a_camera():
-    """A law that is wrong passes for drag, not for a late camera; less so where the fluid swam."""
-    drag, late = ([((), 0.0), ((one,), 60.0)] for one in (DRAG, LATE))
-    (alone,), (camera,) = (decide(raw(*s), LAW_ERROR.decisions).named for s in (drag, late))
-    (in_water,) = decide(raw(*drag), IN_WATER.decisions).named
-    assert alone.probability < in_water.probability
-    assert alone.probability < 0.5
-    assert alone.probability < camera.probability - 0.2
-
-
 def test_a_mount_that_drifts_is_no_effect_of_the_catalogue(few):
     """Turned about the pool's middle more and more, and carried off: a shape explains it best."""
     swim, turned = swum({}), 0.015 * TIMES
