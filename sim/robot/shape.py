@@ -44,6 +44,12 @@ class Hull:
         )
 
 
+def between(ends: Array, s: Array) -> Array:
+    """The quadratic through values (..., 3) at 0, 1/2 and 1, at shares ``s`` of the way."""
+    curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
+    return np.tensordot(ends, curve, 1)
+
+
 def hull_of(robot: Robot) -> Hull:
     """The hull of a robot whose links have a length, a width and a height.
 
@@ -150,10 +156,9 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = 
     for k, start in enumerate(front):
         back = np.clip(start - X, 0, hull.length[k])
         s = back / hull.length[k] if hull.length[k] > 0 else np.zeros_like(back)
-        curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
         distance.append(np.hypot(X - start + back, Y))
-        width.append(np.tensordot(hull.half_width[k], curve, 1) - inset)
-        height.append(np.tensordot(hull.half_height[k], curve, 1) - inset)
+        width.append(between(hull.half_width[k], s) - inset)
+        height.append(between(hull.half_height[k], s) - inset)
         depth.append(distance[-1] - width[-1])
     owner = np.argmin(depth, axis=0)
     out = np.zeros((front.size, 3))

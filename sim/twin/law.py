@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim.lattice.velocities import WATER_KG_M3
-from sim.robot.shape import Hull
+from sim.robot.shape import Hull, between
 from sim2real.arrays import Array
 from sim2real.errors import InputError, one_of
 from sim2real.structured import read_json
@@ -93,8 +93,7 @@ def law_rows(
     """
     nodes, weights = np.polynomial.legendre.leggauss(POINTS)
     s, weight = (nodes + 1) / 2, weights / 2
-    curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])  # front to back
-    high, wide = hull.half_height @ curve, hull.half_width @ curve
+    high, wide = between(hull.half_height, s), between(hull.half_width, s)  # front to back
     wet = high + np.clip(above, -high, high)  # wetted heights
     part = weight * hull.length[:, None]
     end = float(hull.half_height[-1, 2])

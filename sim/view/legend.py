@@ -91,12 +91,8 @@ def lettered(image: Picture, plane: Plane, pixels: float, vorticity: float) -> P
     ``pixels`` are those of a metre; the ``vorticity`` in 1/s has the full colour.
     """
     lettering = Lettering(image)
-    lettering.write(
-        lettering.left,
-        lettering.top + 2 * lettering.unit,
-        f"cells of {100 * plane.cell:.3g} cm",
-        "lt",
-    )
+    cells = f"cells of {100 * plane.cell:.3g} cm"
+    lettering.write(lettering.left, lettering.top + 2 * lettering.unit, cells, "lt")
     lettering.write(lettering.left, lettering.low, f"{plane.time:.2f} s", "ls", large=True)
     heading = f"heading {round(np.degrees(plane.links[0, 2]))}°"
     lettering.write(lettering.left + 125 * lettering.unit, lettering.low, heading, "ls", large=True)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from sim.robot.chain import Chain, Motion
-from sim.robot.shape import Hull
+from sim.robot.shape import Hull, between
 from sim.view.slice import slice_kernel
 from sim2real.arrays import Array
 
@@ -19,25 +19,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Plane:
-    """The horizontal plane through a robot's middle, world frame, SI.
+    """The horizontal plane through a robot's middle, world frame, SI."""
 
-    Attributes:
-        vorticity: In 1/s, anticlockwise above 0, shape (nx, ny).
-        corner: x and y of the first cell's middle.
-        cell: Side of a cell.
-        centre: Middle of the view: the robot, or the pool with walls.
-        size: Length and width of the view.
-        links: Front end and heading of each link, shape (L, 3).
-        time: Seconds since the start.
-    """
-
-    vorticity: Array
-    corner: tuple[float, float]
-    cell: float
-    centre: tuple[float, float]
-    size: tuple[float, float]
-    links: Array
-    time: float
+    vorticity: Array  # in 1/s, anticlockwise above 0, shape (nx, ny)
+    corner: tuple[float, float]  # x and y of the first cell's middle
+    cell: float  # side of a cell
+    centre: tuple[float, float]  # middle of the view: the robot, or the pool with walls
+    size: tuple[float, float]  # length and width of the view
+    links: Array  # front end and heading of each link, shape (L, 3)
+    time: float  # seconds since the start
 
 
 def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
@@ -94,13 +84,8 @@ def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
     ):
         dx, dy, c, d = x - front_x, y - front_y, np.cos(heading), np.sin(heading)
         back = np.clip(-(dx * c + dy * d), 0.0, length)
-        s = back / length
-        radius = (
-            half_width[0] * (1 - s) * (1 - 2 * s)
-            + 4 * half_width[1] * s * (1 - s)
-            + half_width[2] * s * (2 * s - 1)
-        )
-        distance = np.minimum(distance, np.hypot(dx + back * c, dy + back * d) - radius)
+        off = np.hypot(dx + back * c, dy + back * d) - between(half_width, back / length)
+        distance = np.minimum(distance, off)
     return distance
 
 
