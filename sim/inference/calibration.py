@@ -26,6 +26,7 @@ from sim.inference.swim_parameters import (
 )
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
+    FLUID_THREADS,
     HELD_OUT_SHARE,
     Simulator,
     Swim,
@@ -51,8 +52,8 @@ from sim2real.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-THREADS = 2
-"""CPU threads of the fluid."""
+    from sim2real.report.series import Panel
+
 FLUID_SHARE = 0.2
 """Standard deviation of the calibrated fluid's error in cells of 1 cm, relative to the signal: a
 swimmer is up to 12 % too fast or too slow there, depending on the gait (``reports/resolution``)."""
@@ -70,7 +71,9 @@ class FluidSettings:
 
     def simulator(self, robot: Robot, *, coarser: int = 1) -> Simulator:
         """The fluid, in cells that are larger by a factor."""
-        return by_fluid(robot, cell_m=coarser * self.cell_m, device=self.device, threads=THREADS)
+        return by_fluid(
+            robot, cell_m=coarser * self.cell_m, device=self.device, threads=FLUID_THREADS
+        )
 
 
 @dataclass(frozen=True)
@@ -240,15 +243,19 @@ class Calibration(NotebookDisplay):
 
     def plot(self, swim: int = 0) -> Figure:
         """One swim: measured, and simulated before and after the calibration."""
-        from sim.view.swim_page import swim_panels
         from sim2real.report.series import series_figure
 
-        simulator = by_twin(self.robot)
-        if self.in_fluid is not None:
-            simulator = self.fluid.simulator(self.robot)
-        shown, models = self.swims[swim], (self.before, self.fitted.model)
-        panels = swim_panels(shown, models, simulator, self.robot)
-        return series_figure(panels, f"{shown.name}: measured and simulated")
+        name = self.swims[swim].name
+        return series_figure(self.panels(swim), f"{name}: measured and simulated")
+
+    def panels(self, swim: int) -> list[Panel]:
+        """The signals of that plot."""
+        from sim.view.swim_page import swim_panels
+
+        in_twin = self.in_fluid is None
+        simulator = by_twin(self.robot) if in_twin else self.fluid.simulator(self.robot)
+        models = self.before, self.fitted.model
+        return swim_panels(self.swims[swim], models, simulator, self.robot)
 
 
 def calibrate_body(
@@ -296,6 +303,17 @@ def _calibration(calibration: Calibration) -> Section:
             text = "the intervals do not include the discretisation error: cells of twice the size"
             blocks.append(Note("warn", f"{text} stop the robot"))
     return Section("Calibration", "", blocks)
+
+
+def calibration_section(calibration: Calibration) -> Section:
+    """The section of a notebook with the first swim plotted, for a page."""
+    from sim2real.report.series import series_block
+
+    name, section = calibration.swims[0].name, result_section(calibration)
+    caption = f"{name}: measured (simulated with other physics), before and after."
+    plot = series_block(calibration.panels(0), name, caption)
+    lead = "A swim in the reduced-order twin; the fit does not use its last third."
+    return replace(section, lead=lead, blocks=(plot, *section.blocks))
 
 
 def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:

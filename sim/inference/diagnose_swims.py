@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from sim.inference.coordinates import signals_at
-from sim.inference.in_water import THREADS, resimulated, robot_in_water, water_of
+from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
 from sim.inference.searched import HELD_OUT, Searched, learned, raw, searched
 from sim.inference.swim_decision import Decided, Named, Numbers, decide
 from sim.inference.swim_parameters import Name, Names
 from sim.inference.swim_problem import Fit, repeated
-from sim.inference.swims import SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
+from sim.inference.swims import FLUID_THREADS, SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
@@ -70,7 +70,13 @@ def diagnose_recorded_swims(
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
             again = partial(
-                resimulated, robot, water.of(model), swims, water, device=device, threads=THREADS
+                resimulated,
+                robot,
+                water.of(model),
+                swims,
+                water,
+                device=device,
+                threads=FLUID_THREADS,
             )
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:

@@ -20,6 +20,7 @@ from sim.inference.coordinates import WATER, Coordinates
 from sim.inference.searched import learned
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import (
+    FLUID_THREADS,
     Swim,
     SwimSimulator,
     by_followed_twin,
@@ -52,8 +53,6 @@ _SETTINGS: tuple[dict[str, Any], ...] = (
 VARIANTS: Mapping[str, Mapping[str, Any]] = dict(zip(WATER, _SETTINGS, strict=True))
 """Variants of the fluid, in larger cells: settings relative to those of the first, and the friction
 line of a laminar boundary layer."""
-THREADS = 2
-"""CPU threads of the fluid in a diagnosis."""
 RESIMULATED = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
     "trim_asymmetry", "appendage_",
@@ -236,7 +235,7 @@ def water_of(path: Path, robot: Robot, model: Model, swims: Sequence[Swim], devi
     if not path.exists():
         check_writable(path)
         print(f"the fluid simulates {len(swims)} swims with {1 + len(VARIANTS)} sets of settings")
-        simulations = simulate_in_water(robot, model, swims, device=device, threads=THREADS)
+        simulations = simulate_in_water(robot, model, swims, device=device, threads=FLUID_THREADS)
         write_water(path, with_nearest_law(robot, model, simulations))
     water = read_water_swims(path)
     for swim in swims:

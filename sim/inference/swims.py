@@ -38,6 +38,8 @@ less than its error."""
 SHORTEST_S = 1.0
 """Shortest swim that is fitted: a quarter is held out, and velocities take a fifth of a second."""
 BLOCK_S = 2.5
+FLUID_THREADS = 2
+"""CPU threads of the fluid."""
 _REST = 10
 """Samples at the start whose mean is the first pose."""
 

@@ -28,14 +28,6 @@ _SENTENCES = {
     "unexplained": "Something is missing that no effect of the catalogue explains.",
     "ambiguous": "Something is missing; these swims do not distinguish its candidates.",
 }
-_CALIBRATION = (
-    "A swim of thirty seconds in the reduced-order twin; the fit does not use its last third. "
-    "The next section diagnoses errors that no parameter of the body corrects."
-)
-_TABLE = (
-    "Root mean square error on the held-out part of the swim, size (root mean square) of the "
-    "measured signal there, and change of the error on the fitted part."
-)
 _ERRORS = "Root mean square error on the end of the swims, fitted to the part before; SI units."
 _COMPARED = (
     "{swim}: measured, and simulated before and after; both models were fitted to all of it."
@@ -67,32 +59,6 @@ def swim_panels(
         group = SignalGroup((swim.name, name), unit, swim.t, signals)
         panels.append(Panel(group, f"{name}, {unit}", shaded))
     return panels
-
-
-def calibration_section(
-    swim: Swim,
-    models: tuple[Model, Model],
-    errors: tuple[Array, Array],
-    simulator: Simulator,
-    robot: Robot,
-) -> Section:
-    """A swim, its simulations before and after a calibration with it alone, and the errors.
-
-    ``errors`` are those before and after of each signal on held-out and on fitted samples, each of
-    shape (2, 3 + J).
-    """
-    panels = swim_panels(swim, models, simulator, robot)
-    caption = f"{swim.name}: measured (simulated with other physics), before and after."
-    first = round(swim.t.size * (1 - HELD_OUT_SHARE))
-    sizes = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
-    rows = []
-    for k, (name, unit) in enumerate(units_of(robot).items()):
-        held_out, fitted = (of_part[:, k].tolist() for of_part in errors)
-        numbers = [f"{x:.3f}" for x in (sizes[k], *held_out)]
-        rows.append((f"{name}\n{unit}", *numbers, change_text(*held_out), change_text(*fitted)))
-    header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
-    plot = series_block(panels, swim.name, caption)
-    return Section("Calibration", _CALIBRATION, (plot, Table(header, rows, _TABLE)))
 
 
 def swims_section(
