@@ -29,6 +29,7 @@ from sim2real.body import values
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.velocity import turned
 
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that a diagnosis fits."""
@@ -287,9 +288,6 @@ def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim
         if error_sizes:
             shapes = signal_error.shapes(out[e])
             out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
-    current = [[by_name.get(name, 0.0) for by_name in parameters] for name in _CURRENT]
-    u, v = np.array(current)[..., None]
-    c, s = np.cos(swim.heading), np.sin(swim.heading)
-    out[..., 0] += c * u + s * v
-    out[..., 1] += c * v - s * u
+    current = [[by_name.get(name, 0.0) for name in _CURRENT] for by_name in parameters]
+    out[..., :2] += turned(np.array(current)[:, None], -swim.heading)
     return out

@@ -18,6 +18,7 @@ from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.velocity import turned
 
 
 @dataclass(frozen=True)
@@ -177,12 +178,10 @@ class Robots(ABC):
         q, v, clock = (np.array(x.numpy()) for x in (s.q, s.v, s.clock))
         q[:, :2] += self.current * clock[:, None]
         v[:, :2] += self.current
-        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
-        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
         stopped[(stopped < 0) & ~np.isfinite(q).all(axis=1)] = 0
         return State(
             pose=q[:, :3],
-            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
+            velocity=np.concatenate([turned(v[:, :2], -q[:, 2]), v[:, 2:3]], axis=1),
             joint=q[:, 3:],
             rate=v[:, 3:],
             measured=np.array(s.measured.numpy()),
@@ -193,9 +192,11 @@ class Robots(ABC):
         )
 
     def track(self) -> Array:
-        """Poses and measured angles, shape (E, 3 + J)."""
+        """Poses and measured angles, shape (E, 3 + J); NaN of a stopped robot."""
         state = self.state()
-        return np.concatenate([state.pose, state.measured], axis=1)
+        track = np.concatenate([state.pose, state.measured], axis=1)
+        track[state.stopped >= 0] = np.nan
+        return track
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
