@@ -110,10 +110,7 @@ class Bodies:
         self.chain = make_chain(self._rows(masses, rows, outside), hull.length, ends, device)
         self.chain.widest = wp.float64(hull.half_width.max())
         self.motion = still(E, L, device)
-        grid = self.grid = fill(
-            OnGrid(), device, pose=(E, L), twist=(E, L), centre=(E, L), position=(E,),
-            sums=(E, L, SUMS), kept=(E,), corner=(E,),
-        )  # fmt: skip
+        grid = self.grid = fill(OnGrid(), device, position=(E,))
         grid.cell, grid.step = wp.float64(cell), wp.float64(units.step_s)
         grid.mass, grid.origin = wp.float64(units.mass_kg), wp.vec2d(*origin_m)
         grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
@@ -129,8 +126,9 @@ class Bodies:
 
     def _cover_cells(self, length: Array, width: Array, high: Array, height: Array) -> None:
         """Tell the fluid of the robots' shape, in cells, and make room for what they cover."""
-        hull, cell, fluid, grid = self.hull, self.units.cell_m, self.fluid, self.grid
-        E, nz, cuda = fluid.boxes, fluid.size[2], fluid.device.is_cuda
+        hull, cell, fluid = self.hull, self.units.cell_m, self.fluid
+        E, L = fluid.boxes, hull.length.size
+        nz, cuda = fluid.size[2], fluid.device.is_cuda
         flat = fluid.lattice.dimensions == 2
         reach = int(np.ceil(hull.half_width.max() / cell)) + _MARGIN
         side = int(np.ceil(hull.length.sum() / cell)) + 2 * reach + 2
@@ -144,13 +142,13 @@ class Bodies:
             back=(ghosts,), water=(ghosts,), beyond=(ghosts,), links=(ghosts,), count=(2 * E,),
             listed=(2 * E, ghosts // E), length=length.astype(np.float32),
             half_width=width.astype(np.float32), half_height=high.astype(np.float32),
+            pose=(E, L), twist=(E, L), centre=(E, L), sums=(E, L, SUMS), kept=(E,), corner=(E,),
         )  # fmt: skip
-        for shared in ("corner", "pose", "centre", "twist", "sums", "kept"):
-            setattr(covered, shared, getattr(grid, shared))
         covered.middle, covered.damping = self.middle, DAMPING if self.wall.slip else 0.0
         covered.side, covered.low, covered.tall = side, low, top - low
         covered.layers = 1 if cuda and E * side**2 < _COLUMNS else covered.tall
         covered.lanes = max(1, square // _LISTED) if cuda else 1
+        self.grid.body = covered
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> Rows:
         """The arrays of robots with these masses, servos and effects."""

@@ -92,12 +92,12 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
         side = chain.side[e, k]
         x = (at[0] + com * c + side * d - grid.origin[0]) / grid.cell
         y = (at[1] + com * d - side * c - grid.origin[1]) / grid.cell
-        grid.pose[e, k] = wp.vec4(float(x), float(y), float(c), float(d))
-        grid.centre[e, k] = wp.vec2(
+        grid.body.pose[e, k] = wp.vec4(float(x), float(y), float(c), float(d))
+        grid.body.centre[e, k] = wp.vec2(
             float((at[0] - grid.origin[0]) / grid.cell), float((at[1] - grid.origin[1]) / grid.cell)
         )
         v = s.twist[e, k] * grid.step
-        grid.twist[e, k] = wp.vec4(
+        grid.body.twist[e, k] = wp.vec4(
             float(v[0] / grid.cell), float(v[1] / grid.cell), float(v[2]), 0.0
         )
         back = chain.length[k] / grid.cell
@@ -106,7 +106,7 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
     reach = int(wp.ceil(chain.widest / grid.cell)) + grid.margin
     x0 = int(wp.floor(low[0])) - reach
     y0 = int(wp.floor(low[1])) - reach
-    grid.corner[e] = wp.vec4i(
+    grid.body.corner[e] = wp.vec4i(
         x0, y0, int(wp.ceil(high[0])) + reach + 1 - x0, int(wp.ceil(high[1])) + reach + 1 - y0
     )
     middle = (low + high) * wp.float64(0.5)
@@ -121,7 +121,7 @@ def matrix(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.mat33d
     m = wp.mat33d()
     for i in range(3):
         for j in range(3):
-            x = wp.float64(grid.sums[e, k, at + 3 * i + j]) * unit
+            x = wp.float64(grid.body.sums[e, k, at + 3 * i + j]) * unit
             if i == 2:
                 x = x * c
             if j == 2:
@@ -135,9 +135,9 @@ def vector(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.vec3d:
     """A vector of the fluid's sums over link k, in N s and N m s."""
     c = grid.cell / grid.step
     return wp.vec3d(
-        wp.float64(grid.sums[e, k, at]) * unit * c,
-        wp.float64(grid.sums[e, k, at + 1]) * unit * c,
-        wp.float64(grid.sums[e, k, at + 2]) * unit * c * grid.cell,
+        wp.float64(grid.body.sums[e, k, at]) * unit * c,
+        wp.float64(grid.body.sums[e, k, at + 1]) * unit * c,
+        wp.float64(grid.body.sums[e, k, at + 2]) * unit * c * grid.cell,
     )
 
 
@@ -182,13 +182,13 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     pose_links(e, chain, s)
     move_links(e, s)
     s.fresh[e] = 1
-    grid.kept[e] = 0.0
+    grid.body.kept[e] = 0.0
     for k in range(chain.length.shape[0]):
         s.before[e, k] = s.twist[e, k]
         hold(e, k, chain, s)
         s.inner[e, k] = wp.vec3d()
         for i in range(wp.static(SUMS)):
-            grid.sums[e, k, i] = wp.int64(0)
+            grid.body.sums[e, k, i] = wp.int64(0)
     show(e, chain, s, grid)
 
 
@@ -270,9 +270,11 @@ def advance(
     passed = wp.float64(0.0)
     weight = wp.float64(1.0)
     for k in range(L):
-        passed += wp.float64(grid.sums[e, k, 24])
-        weight += wp.float64(grid.sums[e, k, 25])
-    grid.kept[e] = grid.kept[e] + (float(passed / weight) - grid.kept[e]) / grid.memory
+        passed += wp.float64(grid.body.sums[e, k, 24])
+        weight += wp.float64(grid.body.sums[e, k, 25])
+    grid.body.kept[e] = (
+        grid.body.kept[e] + (float(passed / weight) - grid.body.kept[e]) / grid.memory
+    )
     for k in range(L):
         V = s.twist[e, k]
         hold(e, k, chain, s)
@@ -283,9 +285,9 @@ def advance(
         inner += (full - K) * (V - s.before[e, k])
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
         v = V * h
-        grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
+        grid.body.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
         for i in range(wp.static(SUMS)):
-            grid.sums[e, k, i] = wp.int64(0)
+            grid.body.sums[e, k, i] = wp.int64(0)
     s.fresh[e] = 0
     s.clock[e] = s.clock[e] + h
 

@@ -47,8 +47,8 @@ class Video:
     number of frames written, ``width`` the width in pixels for this format.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, frames_per_s: int = FRAMES_PER_S) -> None:
-        """Open the file, whose suffix sets the format; ``frames_per_s`` is the rate of playback.
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open the file, whose suffix sets the format.
 
         Raises:
             InputError: As ``check_video``.
@@ -66,7 +66,7 @@ class Video:
         faststart = {"movflags": "faststart"} if ending == ".mp4" else {}
         self._file = av.open(name, "w", options=faststart)
         add: Any = self._file.add_stream
-        self._stream = add(codec, rate=frames_per_s, options=options)
+        self._stream = add(codec, rate=FRAMES_PER_S, options=options)
         self._stream.pix_fmt = pixels
 
     def add(self, image: Picture) -> None:
