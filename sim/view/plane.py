@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 
 from sim.robot.chain import Chain, Motion
 from sim.robot.shape import Hull, between
-from sim.view.slice import slice_kernel
 from sim2real.arrays import Array
 
 if TYPE_CHECKING:
@@ -38,7 +36,8 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     """
     bodies, tank, e = swimmer.bodies, swimmer.tank, range(swimmer.n_envs)[environment]
     cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
-    spin = _curl(_velocity(swimmer, e, min(int(bodies.middle), nz - 1)))
+    velocity = swimmer.fluid.moments()[1][e, :, :, min(int(bodies.middle), nz - 1)]
+    spin = _curl(velocity.astype(np.float64))
     time = float(bodies.motion.clock.numpy()[e])
     drift = swimmer.current[e] * time  # the box moves with the pool's water
     origin = np.array(bodies.grid.origin) + drift
@@ -87,19 +86,6 @@ def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
         off = np.hypot(dx + back * c, dy + back * d) - between(half_width, back / length)
         distance = np.minimum(distance, off)
     return distance
-
-
-def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
-    fluid = swimmer.fluid
-    nx, ny, _ = fluid.size
-    velocity: Any = wp.empty((nx, ny), dtype=wp.vec2, device=fluid.device)
-    wp.launch(
-        slice_kernel(fluid.lattice, fluid.wide),
-        dim=(nx, ny),
-        inputs=[fluid.f, fluid.box, environment, z, velocity],
-        device=fluid.device,
-    )
-    return np.asarray(velocity.numpy(), dtype=np.float64)
 
 
 def _curl(u: Array) -> Array:
