@@ -80,16 +80,6 @@ def draught(hull: Hull, mass_kg: float, appendages: tuple[Appendage, ...] = ()) 
     A floating robot displaces its own mass of water, with hull and appendages: Archimedes'
     principle.
     """
-    parts = (hull.length, hull.half_width, hull.half_height)
-    return _draught(tuple(p.tobytes() for p in parts), hull.length.size, mass_kg, appendages)
-
-
-@lru_cache(maxsize=64)
-def _draught(
-    parts: tuple[bytes, ...], links: int, mass_kg: float, appendages: tuple[Appendage, ...]
-) -> float | None:
-    length, wide, high = (np.frombuffer(part) for part in parts)
-    hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
     step = hull.extent / 60
 
     def excess_mass(surface: float) -> float:
@@ -114,13 +104,15 @@ def _too_light(mass_kg: float, appendages_m3: float) -> InputError:
     return InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
 
 
-def submerged(robot: Robot, hull: Hull, flat: bool, deep: float) -> tuple[Hull, float, float]:
+@lru_cache(maxsize=64)
+def submerged(robot: Robot, flat: bool, deep: float) -> tuple[Hull, float, float]:
     """The hull in the water, the depth that replaces its heights in 2D, and that of its middle, m.
 
     A robot floats at the draught of its mass. One that would sink, and any in two dimensions, has
     its heights scaled so that it displaces its own mass, under water at the depth ``deep``.
     """
-    mass_kg, appendages = sum(link.mass_kg for link in robot.links), robot.appendages
+    hull, appendages = hull_of(robot), robot.appendages
+    mass_kg = sum(link.mass_kg for link in robot.links)
     depth_m = None if flat else draught(hull, mass_kg, appendages)
     if depth_m is not None:
         return hull, 0.0, depth_m

@@ -92,9 +92,8 @@ class Swimmer(Robots):
         """
         self.robot, self.n_envs = robot, n_envs
         flat = dimensions == 2
-        self.hull = hull_of(robot)
-        _check(robot, self.hull, box_m, cell_m)
-        self.hull, depth, self.surface_m = submerged(robot, self.hull, flat, box_m[2] / 2)
+        _check(robot, hull_of(robot), box_m, cell_m)
+        self.hull, depth, self.surface_m = submerged(robot, flat, box_m[2] / 2)
         if substeps is None:
             substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:

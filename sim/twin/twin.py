@@ -17,7 +17,7 @@ from sim.robot.chain import fill, still
 from sim.robot.effects import Outside, surface_drag
 from sim.robot.live import Robots
 from sim.robot.rows import Rows, chain_rows, change_rows, make_chain, masses, servo_rows
-from sim.robot.shape import hull_of, submerged
+from sim.robot.shape import submerged
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.kernel import Water, start_twin, swim_twin
 from sim.twin.law import POINTS, Coefficients, law_rows
@@ -53,7 +53,7 @@ class Twin(Robots):
         """
         self.robot, self.n_envs, self.substeps, self.threads = robot, n_envs, substeps, threads
         self.device: Any = wp.get_device(device)
-        self.hull, _, self.surface_m = submerged(robot, hull_of(robot), False, np.inf)
+        self.hull, _, self.surface_m = submerged(robot, False, np.inf)
         models, effects = self._take(model)
         E, L, J = n_envs, len(robot.links), len(robot.joints)
         rows, law = self._rows(models, effects)
