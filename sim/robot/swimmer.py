@@ -108,33 +108,23 @@ class Swimmer(Robots):
         self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
         self.tank = tank(box_m, cell_m, closed=walls, flat=flat)
         self.fluid = Fluid(
-            D2Q9 if flat else D3Q19,
-            self.tank.size,
-            viscosity=self.units.viscosity_lu(1.0) * self.viscosity_m2_s,
-            boxes=n_envs,
-            walls=self.tank.walls,
-            normals=self.tank.normals,
-            smagorinsky=smagorinsky,
-            device=device,
-            threads=threads,
-        )
+            D2Q9 if flat else D3Q19, self.tank.size,
+            viscosity=self.units.viscosity_lu(1.0) * self.viscosity_m2_s, boxes=n_envs,
+            walls=self.tank.walls, normals=self.tank.normals, smagorinsky=smagorinsky,
+            device=device, threads=threads,
+        )  # fmt: skip
         self.device, self._stopped = self.fluid.device, self.fluid.stopped
         if effects.wall.any() or (walls and effects.current.any()):
             name = "wall_effect" if effects.wall.any() else "pool_current with walls"
             raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
         nx, ny, nz = self.tank.size
         self.bodies = Bodies(
-            self.fluid,
-            self.hull,
-            masses(robot, models, self.hull),
-            self.units,
+            self.fluid, self.hull, masses(robot, models, self.hull), self.units,
             servos=servo_rows(robot, models),
             limits=np.array([joint.limits_rad for joint in robot.joints]),
             origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
-            middle=nz - 0.5 - self.surface_m / cell_m,
-            wall=wall,
-            outside=effects,
-        )
+            middle=nz - 0.5 - self.surface_m / cell_m, wall=wall, outside=effects,
+        )  # fmt: skip
         self.chain, self.motion = self.bodies.chain, self.bodies.motion
         J = len(robot.joints)
         self._command: Any = wp.zeros((n_envs, J), dtype=wp.float64, device=self.device)
