@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from sim.inference.swims import by_twin
+from sim.inference.swims import FLUID_THREADS, POSES, by_twin
 from sim.robot.live import State
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim2real.arrays import Array
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 File = str | os.PathLike[str]
-POSE = ("body.x_m", "body.y_m", "body.yaw_rad")
-THREADS = 2
-"""CPU threads of the fluid."""
 _KEPT_STATES = 16
 """Number of states before a breakdown that the error stores."""
 
@@ -37,11 +34,8 @@ _KEPT_STATES = 16
 class SupersonicFlow(FloatingPointError):
     """The flow became supersonic in the lattice, and the robot was stopped.
 
-    Attributes:
-        time_s: Time since the start.
-        step: Step of the lattice.
-        cell: Indices of the first cell that broke down.
-        states: The last states before it.
+    ``time_s`` and ``step`` of the lattice since the start, indices of the first ``cell`` that broke
+    down, and the last ``states`` before it.
     """
 
     def __init__(self, name: str, swimmer: Swimmer, states: list[State]) -> None:
@@ -67,7 +61,7 @@ class Simulated(NotebookDisplay):
         """Duration, path length and displacement of each swim."""
         lines = []
         for swim in self.swims:
-            x, y = (swim.columns[name] for name in POSE[:2])
+            x, y = (swim.columns[name] for name in POSES[:2])
             length = float(np.hypot(np.diff(x), np.diff(y)).sum())
             displacement = float(np.hypot(x[-1] - x[0], y[-1] - y[0]))
             lines.append(
@@ -84,7 +78,7 @@ class Simulated(NotebookDisplay):
             figure = new_figure(420, "paths of the heads, from above")
             axes = figure.subplots()
             for swim in self.swims:
-                axes.plot(swim.columns[POSE[0]], swim.columns[POSE[1]], label=swim.name)
+                axes.plot(swim.columns[POSES[0]], swim.columns[POSES[1]], label=swim.name)
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_xlabel("x, m")
             axes.set_title("y, m")
@@ -118,14 +112,14 @@ def simulate_recording(
     validate_commands(recording, robot)
     t, command = _every_period(recording, robot)
     pose = np.zeros(3)
-    for k, name in enumerate(POSE):
+    for k, name in enumerate(POSES):
         column = recording.columns.get(name, np.zeros(0))
         pose[k] = next(iter(column[np.isfinite(column)]), 0.0)
     if fidelity == "twin":
         track = by_twin(robot, device=device)([model], command, pose)[0]
     else:
-        swimmer = Swimmer(robot, model, device=device, threads=THREADS, **options)
-        if POSE[0] in recording.columns:
+        swimmer = Swimmer(robot, model, device=device, threads=FLUID_THREADS, **options)
+        if POSES[0] in recording.columns:
             swimmer.reset(pose=pose)
         track = _swum(swimmer, command, recording.name, video)
         if plot is not None:
@@ -144,7 +138,7 @@ def simulate_recording(
         position=track[:, 3:],
         medium="water",
         source=f"Simulated, not measured: a model on the commands of {recording.name}.",
-        columns=dict(zip(POSE, track[:, :3].T, strict=True)),
+        columns=dict(zip(POSES, track[:, :3].T, strict=True)),
         metadata={"simulated": True},
     )
 

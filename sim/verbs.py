@@ -140,14 +140,10 @@ def calibrate(
     check_joints(start, machine)
     read = recordings_to_fit(recordings)
     _, notes = admitted(read, machine)
+    swims = [swim_of(recording, machine) for recording in read]
+    settings = FluidSettings(cell_m, device, rollouts) if fluid else None
     calibration = calibrate_body(
-        [swim_of(recording, machine) for recording in read],
-        start,
-        machine,
-        fit_gains=fit_gains,
-        held_out=held_out,
-        fluid=FluidSettings(cell_m, device, rollouts) if fluid else None,
-        seed=seed,
+        swims, start, machine, fit_gains=fit_gains, held_out=held_out, fluid=settings, seed=seed
     )
     origin = provenance([*read, machine, model], seed)
     calibrated = calibration.model
@@ -199,11 +195,8 @@ def simulate(
         check_video(video)
     if fidelity == "twin" and (plot is not None or video is not None):
         raise InputError("simulate", "fidelity", "'twin'", "'fluid', for a picture of the flow")
-    read, machine, fitted = (
-        recordings_of(recordings, or_commands=True),
-        robot_of(robot),
-        model_of(model),
-    )
+    read = recordings_of(recordings, or_commands=True)
+    machine, fitted = robot_of(robot), model_of(model)
     if len(read) > 1 and (plot is not None or video is not None):
         raise InputError("simulate", "recordings", str(len(read)), "one, for a picture of the flow")
     check_joints(fitted, machine)

@@ -36,10 +36,13 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = 0.22) -> Array:
         _bridge(t, filled[place])
     slope = savgol_filter(filled, size, 2, deriv=1, delta=period, axis=-2)
     heading = savgol_filter(filled[..., 2], size, 2, axis=-1)
-    c, s = np.cos(heading), np.sin(heading)
-    surge = c * slope[..., 0] + s * slope[..., 1]
-    sway = c * slope[..., 1] - s * slope[..., 0]
-    return np.stack([surge, sway, slope[..., 2]], axis=-1)
+    return np.concatenate([turned(slope[..., :2], -heading), slope[..., 2:]], axis=-1)
+
+
+def turned(vectors: Array, angle: Array) -> Array:
+    """Vectors (..., 2) of the plane, turned anticlockwise by angles (...,) in rad."""
+    c, s, (x, y) = np.cos(angle), np.sin(angle), np.moveaxis(vectors, -1, 0)
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def _bridge(t: Array, pose: Array) -> None:

@@ -26,8 +26,9 @@ from rl.sac.train import hide_progress
 from rl.task import TASKS, shortened
 from rl.world import Draws
 from sim.commands.diagnose import write_all
-from sim.inference.swims import by_followed_twin, by_twin
-from sim.view.swim_page import calibration_section, swims_section
+from sim.inference.calibration import Calibration, calibration_section
+from sim.inference.swims import by_followed_twin
+from sim.view.swim_page import swims_section
 from sim.view.video import Video
 from sim2real.check import check
 from sim2real.commands.recordings import most_held_out
@@ -149,9 +150,7 @@ def _pool(
     servos = read_model(folder / "model.json")
     made = [
         replace(swims, title="Diagnosis of the swim"),
-        calibration_section(
-            swim, (servos, fitted.model), (fitted.rmse, fitted.train), by_twin(robot), robot
-        ),
+        calibration_section(Calibration(fitted.model, servos, robot, (swim,), fitted)),
         ranges_section(gathered),
     ]
     return made, results, replace(missing, model=fitted.model)

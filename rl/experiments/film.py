@@ -9,9 +9,8 @@ import numpy as np
 from rl.world import World
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import add_line, blend, draw_ring, draw_robot, grid_lines, places, zoomed
-from sim.view.legend import INK, RULE, Lettering, colours
+from sim.view.legend import INK, RULE, VORTICITY, Lettering, colours
 from sim.view.plane import Plane, front_ends, plane_of
-from sim.view.render import VORTICITY
 from sim.view.video import FRAMES_PER_S, Video
 from sim2real.arrays import Array, Mask, Picture
 
@@ -113,7 +112,7 @@ class _Camera:
         lettering.write(lettering.left, lettering.low, caption, "ls", large=True)
         lettering.scale(self._pixels)
         if plane is not None:
-            lettering.key(VORTICITY)
+            lettering.key()
         return lettering.image()
 
     def _pool(self) -> Array:

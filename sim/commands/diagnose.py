@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,11 +23,6 @@ from sim2real.robot import Robot, read_robot
 from sim2real.verbs import recordings_of
 from sim2real.viewers.scenes import Scene, diagnosed
 
-if TYPE_CHECKING:
-    from sim.inference.swims import Swim, SwimSimulator
-
-    Swims = tuple[list[Swim], SwimSimulator | None]
-
 
 def run(options: argparse.Namespace) -> int:
     """Diagnose, print the diagnosis, write it, the enriched model and a page."""
@@ -38,36 +33,17 @@ def run(options: argparse.Namespace) -> int:
     diagnosis = verbs.diagnose(**arguments_of(verbs.diagnose, options, **parsed))
     write_all(diagnosis, out)
     print(diagnosis)
-    read = _read_swims(recordings, robot, options)
+    section, scene = _shown(diagnosis, recordings, robot, options)
     if not options.no_page:
         page, count = beside(out, f"{out.stem}.html"), len(recordings)
         counted = "1 recording" if count == 1 else f"{count} recordings"
         subtitle = f"{counted}, verdict: {diagnosis.verdict.replace('_', ' ')}"
         with if_installed("page"):
-            section = _section(diagnosis, read, robot)
             title = f"Diagnosis of {robot.name}"
-            write_page(page, title, subtitle, [section], diagnosis.provenance)
+            write_page(page, title, subtitle, [section()], diagnosis.provenance)
             print(f"\npage: {page}")
-    write_views(options, lambda: _scene(diagnosis, recordings, read, robot))
+    write_views(options, scene)
     return 0
-
-
-def _section(diagnosis: Diagnosis, read: Swims | None, robot: Robot) -> Section:
-    if read is None:
-        return diagnosis_section(diagnosis)
-    from sim.view.swim_page import swims_section
-
-    return swims_section(diagnosis, *read, robot)
-
-
-def _scene(
-    diagnosis: Diagnosis, recordings: list[Recording], read: Swims | None, robot: Robot
-) -> Scene:
-    if read is None:
-        return diagnosed(diagnosis)
-    from sim.view.swim_page import swims_scene
-
-    return swims_scene(diagnosis, recordings, *read, robot)
 
 
 def write_all(diagnosis: Diagnosis, out: Path) -> None:
@@ -98,15 +74,20 @@ def _with_commands(found: Diagnosis, out: Path) -> Diagnosis:
     return replace(found, next_experiment=replace(plan, file=path.name))
 
 
-def _read_swims(
-    recordings: list[Recording], robot: Robot, options: argparse.Namespace
-) -> Swims | None:
-    """The swims and their simulator; None for recordings of a bench, or if nothing shows them."""
+def _shown(
+    diagnosis: Diagnosis, recordings: list[Recording], robot: Robot, options: argparse.Namespace
+) -> tuple[Callable[[], Section], Callable[[], Scene]]:
+    """Functions that make the section of a page, and the scene for viewers."""
     shown = not options.no_page or options.rerun or options.mcap
     if not (shown and recordings[0].is_swim):
-        return None
+        return lambda: diagnosis_section(diagnosis), lambda: diagnosed(diagnosis)
     from sim.inference.diagnose_swims import simulator_of
     from sim.inference.swims import swim_of
+    from sim.view.swim_page import swims_scene, swims_section
 
     swims = [swim_of(recording, robot) for recording in recordings]
-    return swims, simulator_of(robot, read_model(options.model), options.in_water, options.device)
+    simulate = simulator_of(robot, read_model(options.model), options.in_water, options.device)
+    return (
+        lambda: swims_section(diagnosis, swims, simulate, robot),
+        lambda: swims_scene(diagnosis, recordings, swims, simulate, robot),
+    )

@@ -73,6 +73,24 @@ def add_vector(
     return 0
 
 
+@wp.func
+def nearest_link(x: float, y: float, e: int, covered: Covered):
+    """The link nearest in plan view, distance from its outline, share along and way off it."""
+    nearest = float(1.0e9)
+    link = int(0)
+    share = float(0.0)
+    off_axis = float(0.0)
+    for k in range(covered.length.shape[0]):
+        at = position_on(x, y, covered.pose[e, k], covered.length[k])
+        wide = along(covered.half_width[k], at[0])
+        if at[1] - wide < nearest:
+            nearest = at[1] - wide
+            link = k
+            share = at[0]
+            off_axis = at[1]
+    return link, nearest, share, off_axis
+
+
 @cache
 def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp has no stubs
     """The kernel that marks the cells a body covers and sums over them."""
@@ -89,20 +107,9 @@ def cover_kernel(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - Warp ha
         X = base[0]
         Y = base[1]
         floor = base[2]
-        nearest = float(1.0e9)
-        link = int(0)
-        off_axis = float(0.0)
-        width = float(0.0)
-        height = float(1.0)
-        for k in range(covered.length.shape[0]):
-            at = position_on(float(X), float(Y), covered.pose[e, k], covered.length[k])
-            wide = along(covered.half_width[k], at[0])
-            if at[1] - wide < nearest:
-                nearest = at[1] - wide
-                link = k
-                off_axis = at[1]
-                width = wide
-                height = along(covered.half_height[k], at[0])
+        link, nearest, s, off_axis = nearest_link(float(X), float(Y), e, covered)
+        width = along(covered.half_width[link], s)
+        height = along(covered.half_height[link], s)
         r = wp.vec2(float(X), float(Y)) - covered.centre[e, link]
         touched = bool(False)
         pull = float(0.0)

@@ -34,15 +34,9 @@ _LEAST_SLAB = 4096
 class Fluid:
     """Boxes of fluid of one shape, in lattice units; each may have its own viscosity.
 
-    All arrays of fields have the shape (E, nx, ny, nz), velocities one axis of 3 more; nz is 1 in
-    two dimensions. Boxes are periodic where no walls close them.
-
-    Attributes:
-        lattice: The velocity set.
-        size: Cells (nx, ny, nz) of one box, walls included.
-        boxes: Number of boxes E.
-        device: Warp device.
-        wide: Whether there are too many populations for 32-bit indices.
+    Arrays of fields have the shape (E, nx, ny, nz), velocities one axis of 3 more; nz is 1 in two
+    dimensions. Boxes are periodic where no walls close them. ``wide`` is whether there are too many
+    populations for 32-bit indices.
     """
 
     def __init__(
@@ -60,15 +54,14 @@ class Fluid:
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
-        """Fill the boxes with water at rest.
+        """Fill ``boxes`` boxes of ``size`` cells, walls included, with water at rest.
 
         Args:
             lattice: ``D2Q9`` or ``D3Q19``.
-            size: Cells of one box (nx, ny) or (nx, ny, nz), walls included.
+            size: Cells of one box (nx, ny) or (nx, ny, nz).
             viscosity: Kinematic viscosity, one or one for each box.
             boxes: Number of boxes.
-            walls: Kind of each cell (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``), shape ``size``;
-                all fluid where None.
+            walls: Kind of each cell (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``), shape ``size``.
             normals: For free-slip cells the direction out of the fluid: 0 to 5 for +x, -x, +y, -y,
                 +z, -z; shape ``size``.
             wall_velocity: Velocity of moving cells, shape (*size, 3).
@@ -79,8 +72,7 @@ class Fluid:
             threads: CPU threads; slabs of cells share the work.
 
         Raises:
-            InputError: If there is no such device, a viscosity that is not above 0, or more cells
-                than one batch can have.
+            InputError: If there is no such device, a viscosity not above 0, or too many cells.
         """
         self.lattice, self.boxes, self.threads = lattice, boxes, max(1, threads)
         self.size = (int(size[0]), int(size[1]), int(size[2]) if len(size) > 2 else 1)
@@ -183,10 +175,10 @@ class Fluid:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, **more)
 
     def level(self) -> None:
-        """Make the mean density of each box 1 again, over all cells that are not walls.
+        """Make the mean density of each box 1 again.
 
-        What the mass of a box differs by is taken alike from the populations at rest of all its
-        cells, which changes neither the momentum nor the differences of pressure.
+        The difference is taken alike from the populations at rest of all fluid cells, which changes
+        neither the momentum nor the differences of pressure.
         """
         columns = self.boxes, self.size[0] * self.size[1]
         self._launch(self.kernels.weigh, columns, [self.f, self.box, self._net])
@@ -200,13 +192,11 @@ class Fluid:
         velocity: NDArray[Any] | None = None,
         strain_rate: NDArray[Any] | None = None,
     ) -> None:
-        """Set the state that the next step starts from.
+        """Set the state that the next step starts from: arrays, or what broadcasts to them.
 
-        Args:
-            density: Density, shape (E, nx, ny, nz) or what broadcasts to it; 1 where None.
-            velocity: Velocity, shape (E, nx, ny, nz, 3) or what broadcasts to it; 0 where None.
-            strain_rate: Rates of strain xx, yy, zz, xy, yz, zx of that velocity, one axis of 6;
-                they set the non-equilibrium part, without which pressure waves arise at the start.
+        Density has the shape (E, nx, ny, nz), 1 where None, velocity one axis of 3 more, 0 there.
+        The rates of strain xx, yy, zz, xy, yz, zx of that velocity, an axis of 6, set the
+        non-equilibrium part, without which pressure waves arise at the start.
         """
         shape = (self.boxes, *self.size)
         rest = np.zeros(shape) if density is None else np.broadcast_to(density, shape) - 1.0
@@ -273,8 +263,8 @@ def tank(
 ) -> Tank:
     """A box whose bottom is the pool's floor (no slip) and whose top is the surface (free slip).
 
-    ``closed`` by the pool's four walls, else periodic, with water at rest far from its robot. One
-    layer of wall cells closes two opposite sides.
+    ``closed`` by the pool's four walls, else periodic. One layer of wall cells closes two opposite
+    sides.
     """
     nx, ny, nz = (round(side / cell_m) + 1 for side in box_m)
     if not closed:

@@ -2,10 +2,9 @@
 
 What ghost cells send to the water is linear in the body's velocity, and its sums over each link are
 those of ``coupling``: E v is part of what they send to the water, R v + b what they send to each
-other, which arrives in them in the next step, and a the rest of both less all that arrives in them.
-So the momentum of bodies and water is conserved. The mass that all links together would bring into
-the water, as a mean over ``wall.MEMORY`` steps, is taken out again over the whole surface. Friction
-acts on the water within a cell of the surface, in proportion to the surface's area.
+other, and a the rest of both less all that arrives in them. So momentum is conserved. The mass that
+all links would bring into the water, as a mean over ``wall.MEMORY`` steps, is taken out again over
+the surface. Friction acts on the water within a cell of the surface, in proportion to its area.
 """
 
 from functools import cache
@@ -14,8 +13,8 @@ from typing import Any
 
 import warp as wp
 
-from sim.fluid.coupling import NEAR, add, add_matrix, add_vector
-from sim.fluid.section import along, position_on, surface
+from sim.fluid.coupling import NEAR, add, add_matrix, add_vector, nearest_link
+from sim.fluid.section import along, surface
 from sim.fluid.wall import Touch, friction, layer_ratio
 from sim.lattice.cell import (
     BODY,
@@ -33,22 +32,6 @@ from sim.lattice.cell import (
 from sim.lattice.ghost import REACH, ghosts
 from sim.lattice.populations import populations
 from sim.lattice.velocities import Lattice
-
-
-@wp.func
-def nearest_link(x: float, y: float, e: int, covered: Covered):
-    """The link nearest in plan view, distance from its outline, and share of the way along it."""
-    nearest = float(1.0e9)
-    link = int(0)
-    share = float(0.0)
-    for k in range(covered.length.shape[0]):
-        at = position_on(x, y, covered.pose[e, k], covered.length[k])
-        wide = along(covered.half_width[k], at[0])
-        if at[1] - wide < nearest:
-            nearest = at[1] - wide
-            link = k
-            share = at[0]
-    return link, nearest, share
 
 
 @wp.func
@@ -96,7 +79,7 @@ def ghost_kernels(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a name
         X = base[0]
         Y = base[1]
         floor = base[2]
-        link, nearest, s = nearest_link(float(X), float(Y), e, covered)
+        link, nearest, s, _off = nearest_link(float(X), float(Y), e, covered)
         rest = wp.vec2()
         for k in range(covered.length.shape[0]):
             if k < link:

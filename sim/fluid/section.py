@@ -91,16 +91,14 @@ def dither(x: float, y: float) -> float:
 def surface(
     x: float, y: float, z: float, e: int, link: int, covered: Covered, rest: wp.vec2, edge: float
 ):
-    """Signed distance from a link's surface, its normal, and depth of the other side if thin.
+    """Signed distance from a link's surface, its normal, and depth of a thin part's other side.
 
     ``rest`` is the length of the chain in front of and behind the link, ``edge`` the distance by
-    which the edges of a sheet are moved inwards. Sections are ellipses.
-    Parts thinner than ``SHEET`` are a sheet with the normals of its two sides, without a round
-    edge, which the water leaves along the sides; it ends where the chain ends, and is closed at the
-    joints. Its upper and lower edges lie between two layers of cells: each column is rounded up or
-    down by ``dither``, so that the mean height does not depend on the position on the grid. Where
-    its thickness is the least that is closed, its sides are parallel. Round ends of the chain stop
-    at ``TIP``. The depth is 0 where the link is thick.
+    which the edges of a sheet are moved inwards. Sections are ellipses. Parts thinner than
+    ``SHEET`` are a sheet with the normals of its two sides, which the water leaves along the sides;
+    it ends where the chain ends, and is closed at the joints. Its upper and lower edges lie between
+    two layers of cells: ``dither`` rounds each column up or down. Round ends of the chain stop at
+    ``TIP``. The depth is 0 where the link is thick.
     """
     pose = covered.pose[e, link]
     length = covered.length[link]

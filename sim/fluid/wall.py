@@ -1,10 +1,8 @@
 """Wall models: water at a surface takes the body's velocity, or only its component across it.
 
-A swimming robot's boundary layer is thinner than any affordable cell. ``NO_SLIP`` (``coupling``)
-sets the whole velocity and smears the layer over a cell: right only where cells resolve it.
-``SLIP`` sets only the velocity across the surface, by ghost cells (``ghost_coupling``), and adds
-the layer's friction as a stress by a plate's friction line (Malaspinas and Sagaut, J. Comput. Phys.
-275 (2014) 25).
+``NO_SLIP`` (``coupling``) sets the whole velocity: right only where cells resolve the boundary
+layer. ``SLIP`` sets only the velocity across the surface, by ghost cells (``ghost_coupling``), and
+adds the layer's friction as a stress (Malaspinas and Sagaut, J. Comput. Phys. 275 (2014) 25).
 """
 
 from __future__ import annotations
@@ -81,11 +79,10 @@ SLIP = Wall(slip=True, line="turbulent")
 def layer_ratio(slip: float, away: float, touch: Touch) -> float:
     """Slip velocity outside the boundary layer over that in a cell ``away`` cells from the wall.
 
-    Friction lines are of the velocity outside. In a turbulent layer the velocity grows with the
-    distance to the power of 1/7, up to the layer's thickness; that is 0.37 L Re^(-1/5) at the end
-    of a plate of length L and 5/9 of it on average. The laminar layer is not scaled. Sources:
+    In a turbulent layer the velocity grows with the distance to the power of 1/7, up to the
+    thickness 0.37 L Re^(-1/5) at the end of a plate of length L, 5/9 of it on average. Sources:
     Schlichting and Gersten, Boundary-Layer Theory (Springer, 2017), chapter 18; Werner and Wengle,
-    Turbulent Shear Flows 8 (Springer, 1993) 155 (the power law as a wall model).
+    Turbulent Shear Flows 8 (Springer, 1993) 155.
     """
     if touch.line != 2:
         return 1.0
@@ -98,9 +95,8 @@ def layer_ratio(slip: float, away: float, touch: Touch) -> float:
 def friction(slip: float, rough: float, touch: Touch) -> float:
     """Share of the velocity along a wall that friction takes from a cell at the wall in a step.
 
-    The stress is rho / 2 (c + rough) times the square of the slip velocity, c of the friction line
-    at the Reynolds number of the slip velocity and the body's length. Sources: Schlichting and
-    Gersten, Boundary-Layer Theory (Springer, 2017), eq. 2.4 and 18.99 (ITTC 1957).
+    The stress is rho / 2 (c + rough) times the square of the slip velocity, c of the friction line.
+    Source: Schlichting and Gersten (2017), eq. 2.4 and 18.99 (ITTC 1957).
     """
     reynolds = wp.max(slip * touch.reynolds, 1.0e3)
     c = float(0.0)

@@ -1,10 +1,9 @@
 """A body calibrated to swims, in the reduced-order twin and then in the fluid.
 
-The fit is that of ``swim_problem`` without the shapes of the simulator's error. Intervals take the
-larger one of two covariances: that of the normal model, and the sandwich of White, Econometrica 48
-(1980) 817, with the scores of blocks of some seconds. In the fluid an ``emulator`` is fitted; the
-shift of a parameter relative to cells of twice the size, its error if errors are of first order in
-the cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature.
+Intervals take the larger one of two covariances: that of the normal model, and the sandwich of
+White, Econometrica 48 (1980) 817, with the scores of blocks of some seconds. In the fluid the shift
+of a parameter relative to cells of twice the size, its error if errors are of first order in the
+cell (Roache, J. Fluids Eng. 116 (1994) 405), is added to the intervals in quadrature.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,15 +26,16 @@ from sim.inference.swim_parameters import (
 )
 from sim.inference.swim_problem import SwimPrior, SwimProblem
 from sim.inference.swims import (
+    FLUID_THREADS,
     HELD_OUT_SHARE,
-    SIGNALS,
-    UNITS,
     Simulator,
     Swim,
     SwimSimulator,
     by_fluid,
     by_twin,
+    names_in_files,
     simulated,
+    units_of,
     with_values,
 )
 from sim2real.arrays import Array
@@ -53,8 +52,8 @@ from sim2real.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-THREADS = 2
-"""CPU threads of the fluid."""
+    from sim2real.report.series import Panel
+
 FLUID_SHARE = 0.2
 """Standard deviation of the calibrated fluid's error in cells of 1 cm, relative to the signal: a
 swimmer is up to 12 % too fast or too slow there, depending on the gait (``reports/resolution``)."""
@@ -72,7 +71,9 @@ class FluidSettings:
 
     def simulator(self, robot: Robot, *, coarser: int = 1) -> Simulator:
         """The fluid, in cells that are larger by a factor."""
-        return by_fluid(robot, cell_m=coarser * self.cell_m, device=self.device, threads=THREADS)
+        return by_fluid(
+            robot, cell_m=coarser * self.cell_m, device=self.device, threads=FLUID_THREADS
+        )
 
 
 @dataclass(frozen=True)
@@ -106,25 +107,17 @@ def calibrate(
     *,
     held_out: float = HELD_OUT_SHARE,
 ) -> Calibrated:
-    """Fit parameters to the first part of each swim and score them on the rest.
+    """Fit the parameters ``free`` of a model to the first part of each swim in the twin.
 
-    Args:
-        swims: Recordings.
-        model: Model to start from.
-        free: Parameters to fit.
-        simulator: The twin.
-        held_out: Share of each swim, at its end, that is held out.
+    The share ``held_out`` at the end of each swim is scored.
     """
     parts = [swim.first(1 - held_out) for swim in swims]
-    fitted, best, covariance = _fit(parts, model, free, partial(_tracks, simulator))
+    found = _fit(
+        parts, model, free, lambda models, swim: simulator(models, swim.command, swim.start)
+    )
     start = with_values(model, {p.name: p.nominal for p in free})
-    train, held, noise = _errors(swims, [start, fitted], simulator, held_out)
-    return Calibrated(fitted, tuple(free), best, covariance, held, train, 0 * noise)
-
-
-def _tracks(simulator: Simulator, models: Sequence[Model], swim: Swim) -> Array:
-    """Tracks of the commands of a swim from its start."""
-    return simulator(models, swim.command, swim.start)
+    train, held, noise = _errors(swims, [start, found[0]], simulator, held_out)
+    return Calibrated(found[0], tuple(free), *found[1:], held, train, 0 * noise)
 
 
 def calibrate_in_fluid(
@@ -140,7 +133,7 @@ def calibrate_in_fluid(
     start: Model | None = None,
     seed: int = 0,
 ) -> Calibrated:
-    """Fit water, centre of mass and servos to swims in the fluid.
+    """Fit water, centre of mass and servos to swims in the fluid, by an ``emulator``.
 
     ``model`` is the model before, ``start`` that of the fit (``model`` where None), ``coarser`` the
     fluid in cells of twice the size; other arguments are those of ``calibrate_body``.
@@ -150,21 +143,20 @@ def calibrate_in_fluid(
     """
     parts = [swim.first(1 - held_out) for swim in swims]
     water = water_parameters(robot, settings.cell_m)
-    model, before = start or model, model
-    centre = with_values(model, {water[-1].name: water[-1].nominal})
-    free = [*servo_parameters(model, robot, gains=gains), *water, *effect_parameters("com_offset")]
+    centre = with_values(start or model, {water[-1].name: water[-1].nominal})
+    servos = servo_parameters(centre, robot, gains=gains)
+    free = [*servos, *water, *effect_parameters("com_offset")]
 
     def fitted(simulator: Simulator, centre: Model, seed: int) -> tuple[Model, Array, Array]:
         near = emulator(simulator, parts, centre, free, count=settings.rollouts, seed=seed)
         return _fit(parts, centre, free, near, FLUID_SHARE)
 
-    result, best, covariance = fitted(fluid, centre, seed)
-    result, best, covariance = fitted(fluid, result, seed + 1)
+    result, best, covariance = fitted(fluid, fitted(fluid, centre, seed)[0], seed + 1)
     grid = None
     if coarser is not None:
         with suppress(InputError):
             grid = np.abs(fitted(coarser, result, seed)[1] - best)
-    train, held, noise = _errors(swims, [before, result], fluid, held_out)
+    train, held, noise = _errors(swims, [model, result], fluid, held_out)
     if not np.isfinite(held).all():
         raise InputError("calibrate", "fluid", "the robot is stopped", "finer cells, more rollouts")
     return Calibrated(result, tuple(free), best, covariance, held, train, noise, grid)
@@ -251,15 +243,19 @@ class Calibration(NotebookDisplay):
 
     def plot(self, swim: int = 0) -> Figure:
         """One swim: measured, and simulated before and after the calibration."""
-        from sim.view.swim_page import swim_panels
         from sim2real.report.series import series_figure
 
-        simulator = by_twin(self.robot)
-        if self.in_fluid is not None:
-            simulator = self.fluid.simulator(self.robot)
-        shown, models = self.swims[swim], (self.before, self.fitted.model)
-        panels = swim_panels(shown, models, simulator, self.robot)
-        return series_figure(panels, f"{shown.name}: measured and simulated")
+        name = self.swims[swim].name
+        return series_figure(self.panels(swim), f"{name}: measured and simulated")
+
+    def panels(self, swim: int) -> list[Panel]:
+        """The signals of that plot."""
+        from sim.view.swim_page import swim_panels
+
+        in_twin = self.in_fluid is None
+        simulator = by_twin(self.robot) if in_twin else self.fluid.simulator(self.robot)
+        models = self.before, self.fitted.model
+        return swim_panels(self.swims[swim], models, simulator, self.robot)
 
 
 def calibrate_body(
@@ -272,16 +268,10 @@ def calibrate_body(
     fluid: FluidSettings | None = None,
     seed: int = 0,
 ) -> Calibration:
-    """Fit the body to swims in the twin and, if asked, from there in the fluid.
+    """Fit the body to swims in the twin and, with settings of the fluid, from there in the fluid.
 
-    Args:
-        swims: Recordings.
-        model: The servos, and a body to start from.
-        robot: The robot.
-        fit_gains: Whether to fit the servos' gains too, and not only their latencies.
-        held_out: Share of each swim, at its end, that is scored and not fitted.
-        fluid: How to simulate the fluid; None for the twin alone.
-        seed: Seed of the designs of the fluid's batches.
+    ``model`` has the servos, and a body to start from; other arguments are those of
+    ``sim.verbs.calibrate``.
 
     Raises:
         InputError: If the fluid stops most of a batch, or the calibrated robot.
@@ -315,6 +305,17 @@ def _calibration(calibration: Calibration) -> Section:
     return Section("Calibration", "", blocks)
 
 
+def calibration_section(calibration: Calibration) -> Section:
+    """The section of a notebook with the first swim plotted, for a page."""
+    from sim2real.report.series import series_block
+
+    name, section = calibration.swims[0].name, result_section(calibration)
+    caption = f"{name}: measured (simulated with other physics), before and after."
+    plot = series_block(calibration.panels(0), name, caption)
+    lead = "A swim in the reduced-order twin; the fit does not use its last third."
+    return replace(section, lead=lead, blocks=(plot, *section.blocks))
+
+
 def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
     """Parameters with intervals, and held-out errors before and after.
 
@@ -324,7 +325,6 @@ def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
         (p.name, Quantity("value", "", float(best), (float(low), float(high))))
         for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)
     ]
-    named = [*zip(SIGNALS, UNITS, strict=True), *((joint.name, "rad") for joint in robot.joints)]
     beyond = np.sqrt(np.maximum(fit.rmse**2 - fit.noise**2, 0.0))
     errors = [
         (
@@ -334,7 +334,9 @@ def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
             change_text(*fit.rmse[:, k]),
             f"{change_text(*beyond[:, k])} beyond {noise:.4f}" if noise > 0 else "",
         )
-        for k, ((name, unit), noise) in enumerate(zip(named, fit.noise, strict=True))
+        for k, ((name, unit), noise) in enumerate(
+            zip(units_of(robot).items(), fit.noise, strict=True)
+        )
     ]
     header = ("held-out error", "before", "after", "unit", "change", "of it beyond the noise")
     heading = Text("", heading=f"In {where}")
@@ -345,8 +347,7 @@ def _with_errors(fit: Calibrated, robot: Robot, cell_m: float | None = None) -> 
     """The calibrated model with the intervals of its parameters and its errors."""
     if not np.all(np.isfinite(fit.best)):
         raise InputError("calibrate", "fit", "no finite parameters", "recordings that move")
-    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    names = names_in_files(robot)
     figures = zip(fit.train[1].tolist(), fit.rmse[1].tolist(), fit.rmse[0].tolist(), strict=True)
     keys = ("train", "heldout", "heldout_before")
     errors = {n: dict(zip(keys, row, strict=True)) for n, row in zip(names, figures, strict=True)}

@@ -1,8 +1,8 @@
 """Coordinates of the parameters of swims, in which the simulated signals are nearly linear.
 
-The coordinates of a tether are its stiffness and stiffness times anchor, those of an appendage its
-area and area times place, those of a viscoelastic skin a fast and a slow stiffness. A current is
-added to a simulation in still water: it carries the body with it.
+Those of a tether are its stiffness and stiffness times anchor, of an appendage its area and area
+times place, of a viscoelastic skin a fast and a slow stiffness. A current is added to a simulation
+in still water.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.inference import signal_error
-from sim.inference.swim_parameters import Candidate, candidates, law_parameters, servo_parameters
+from sim.inference.swim_parameters import (
+    Name,
+    Names,
+    candidates,
+    law_parameters,
+    servo_parameters,
+)
 from sim.inference.swims import SUBSTEPS, Swim, SwimSimulator, seen, with_values
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.law import Coefficients
@@ -23,6 +29,7 @@ from sim2real.body import values
 from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.velocity import turned
 
 LAW = ("across", "along", "added_mass", "thrust", "linear", "slender", "head", "tail", "wake")
 """Coefficients of the twin's law that a diagnosis fits."""
@@ -61,8 +68,7 @@ class Column:
     """One coordinate."""
 
     name: str  # name of its parameter
-    # the effect it belongs to, as ``(name, component)``; None for what every fit varies
-    effect: tuple[str, str] | None
+    effect: Name | None  # the effect it belongs to; None for what every fit varies
     nominal: float  # its value without missing effects
     low: float  # its bounds
     high: float
@@ -90,7 +96,8 @@ class Coordinates:
 
     model: Model  # the servos, and the law where the model has one
     columns: tuple[Column, ...]  # F of them
-    effects: tuple[Candidate, ...] = ()  # effects that may be missing
+    # parameters of the effects that may be missing
+    effects: Mapping[Name, Sequence[Parameter]] = field(default_factory=dict)
     # apparent values in reference swims in which nothing is missing, shape (F,): the simulator's
     # error (``learned``), which is added in simulations
     seems: Array | float = 0.0
@@ -110,11 +117,11 @@ class Coordinates:
             for name in WATER
             if name in model.body.get("water", {})
         ]
-        listed = tuple(candidates(robot))
+        listed = candidates(robot)
         columns += [
-            Column(p.name, (effect.name, effect.component), 0.0, *_limits(effect, p))
-            for effect in listed
-            for p in effect.free
+            Column(p.name, effect, 0.0, *_limits(effect, free, p))
+            for effect, free in listed.items()
+            for p in free
         ]
         columns += [
             Column(name, (ERROR, "camera"), 0.0, -1.0, 1.0, 0.01, 0.0)
@@ -127,9 +134,9 @@ class Coordinates:
         """The columns of a calibration, which varies all of them."""
         return cls(model, tuple(_base(free)))
 
-    def of_effect(self, effect: Candidate) -> list[int]:
+    def of_effect(self, effect: Name) -> list[int]:
         """Columns of an effect."""
-        return [self.place[p.name] for p in effect.free]
+        return [self.place[p.name] for p in self.effects[effect]]
 
     @property
     def base(self) -> list[int]:
@@ -145,10 +152,9 @@ class Coordinates:
         """Nominal values, shape (F,)."""
         return self.each("nominal")
 
-    def in_fit(self, members: frozenset[Candidate]) -> Mask:
+    def in_fit(self, members: Names) -> Mask:
         """Whether a fit with these effects varies each column, shape (F,)."""
-        on = {(e.name, e.component) for e in members}
-        return np.array([c.effect is None or c.effect in on for c in self.columns])
+        return np.array([c.effect is None or c.effect in members for c in self.columns])
 
     def clipped(self, x: Array) -> Array:
         """Points (..., F) within the bounds."""
@@ -171,9 +177,9 @@ class Coordinates:
                 place = out[name] / out[size] if out[size] > products.least_size else 0.0
                 out[name] = float(np.clip(place, -10.0, 10.0))
         off = {
-            e.free[0].name.rpartition(".")[0]
-            for e in self.effects
-            if not any(x[k] for k in self.of_effect(e))
+            free[0].name.rpartition(".")[0]
+            for effect, free in self.effects.items()
+            if not any(x[k] for k in self.of_effect(effect))
         }
         return {
             name: v
@@ -197,8 +203,7 @@ class Coordinates:
         """Points (F + 1, F) for one-sided derivatives about x, and the base row of each, (F,).
 
         Row 0 is x, row k + 1 is x with a step in column k; its base is row 0. The place of an
-        effect of size 0, e.g. the anchor of a tether without stiffness, has no influence: its base
-        is the row with a step in the size.
+        effect of size 0 has no influence: its base is the row with a step in the size.
         """
         points = np.tile(x, (x.size + 1, 1))
         points[np.arange(1, x.size + 1), np.arange(x.size)] += self.steps(x)
@@ -223,15 +228,17 @@ def _base(free: Sequence[Parameter]) -> list[Column]:
     ]  # fmt: skip
 
 
-def _limits(effect: Candidate, p: Parameter) -> tuple[float, float, float, float]:
+def _limits(
+    effect: Name, free: Sequence[Parameter], p: Parameter
+) -> tuple[float, float, float, float]:
     """Bounds, step and prior standard deviation of the column of an effect's parameter."""
     if p.name == _RELAX:
-        return 0.0, 10.0, effect.free[0].typical / 2, 4 * effect.free[0].typical
+        return 0.0, 10.0, free[0].typical / 2, 4 * free[0].typical
     for (_, *places), products in _PLACED.items():
         if p.name in places:
             low = 0.0 if p.low == 0.0 else -products.bound
             return low, products.bound, products.step, products.prior_sd
-    low = 0.0 if effect.name in WATER_FORCES else p.low
+    low = 0.0 if effect[0] in WATER_FORCES else p.low
     if p.name == _PULL[0]:
         return low, p.high, _PLACED[_PULL].step, _PLACED[_PULL].prior_sd
     return low, p.high, 0.5 * p.typical, p.prior_sd
@@ -281,9 +288,6 @@ def _signals(track: Array, parameters: Sequence[Mapping[str, float]], swim: Swim
         if error_sizes:
             shapes = signal_error.shapes(out[e])
             out[e] += sum(v * shapes[name] for name, v in error_sizes.items())
-    current = [[by_name.get(name, 0.0) for by_name in parameters] for name in _CURRENT]
-    u, v = np.array(current)[..., None]
-    c, s = np.cos(swim.heading), np.sin(swim.heading)
-    out[..., 0] += c * u + s * v
-    out[..., 1] += c * v - s * u
+    current = [[by_name.get(name, 0.0) for name in _CURRENT] for by_name in parameters]
+    out[..., :2] += turned(np.array(current)[:, None], -swim.heading)
     return out

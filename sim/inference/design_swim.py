@@ -1,11 +1,10 @@
 """The swim that tells apart the sets of effects that a diagnosis of swims left open.
 
 As ``sim2real.design.rivals`` for servos, with signals whitened as in the diagnosis
-(``signal_error``). The error of the twin imitates effects, differently in each swim: every
-coordinate has the variance of that imitation besides that of its estimate, so that drag, friction
-or added mass that the error imitates do not count as distinguished. Commands are travelling waves
-(the gaits of a fish: Videler, Fish Swimming, Chapman and Hall, 1993) and square waves, in the
-ranges of the swims on which that error was measured (``reports/design/swims.md``).
+(``signal_error``). Every coordinate has the variance of its imitation by the twin's error besides
+that of its estimate. Commands are travelling waves (the gaits of a fish: Videler, Fish Swimming,
+Chapman and Hall, 1993) and square waves, in the ranges of the swims on which that error was
+measured (``reports/design/swims.md``).
 """
 
 from __future__ import annotations
@@ -87,24 +86,6 @@ def _square(rng: np.random.Generator, t: Array, joints: int) -> Array:
     return np.asarray(level[:, None] * (rng.random(joints) < 0.7))
 
 
-def usual(limits: SwimLimits, seconds: float) -> Array:
-    """Swims that any robot can make, after the rest at the start, shape (5, T, J).
-
-    Slow and strong strokes, quick and weak ones, a circle, strokes before coasting, and squares.
-    """
-    t = limits.joints[0].times(seconds)[:, None] - limits.rest_s
-    place = np.arange(len(limits.joints))
-    shape = np.linspace(0.28, 0.6, place.size)
-    swims = []
-    for hertz, size, turn, until_s in (
-        (0.7, 1.1, 0.0, 12.0), (1.5, 0.5, 0.0, 12.0), (1.0, 0.9, 0.25, 12.0), (1.2, 1.0, 0.0, 6.0)
-    ):  # fmt: skip
-        wave = size * shape * np.sin(2 * np.pi * hertz * t - 1.1 * place) + turn
-        swims.append(np.clip(np.clip(t / 0.8, 0, 1) * (t < until_s) * wave, -0.76, 0.76))
-    swims.append(np.tile(0.4 * np.sign(np.sin(np.pi * t)), (1, place.size)))
-    return np.where(t < 0, 0.0, swims)
-
-
 @dataclass(frozen=True)
 class SwimDesign(RivalDesign):
     """A swim to make next, from standstill in the middle of the pool, heading along x."""
@@ -145,17 +126,9 @@ def design_swim(
 ) -> SwimDesign:
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
-    Random swims, and those of ``usual``, are simulated in the twin with each set; the best are
-    varied.
-
-    Args:
-        rivals: The sets that are open.
-        model: The model of the diagnosis: servos, and the twin's law and error.
-        robot: The robot, for the limits of its commands.
-        request: Duration, seed, and which sets count.
-        drawn: Number of random swims.
-        rounds: Number of batches of 16 variations of the best.
-        threads: CPU threads.
+    ``drawn`` random swims are simulated in the twin with each set; the best are varied, in
+    ``rounds`` batches of 16. ``model`` is that of the diagnosis: servos, and the twin's law and
+    error.
 
     Raises:
         InputError: If fewer than two sets are probable, the robot is another one, the duration is
@@ -176,7 +149,7 @@ def design_swim(
     objective = SwimObjective(rivals, model, robot, limits, threads=threads, file=file)
     result = best(
         objective, limits, seconds, rng=np.random.default_rng(request.seed), draw=draw, drawn=drawn,
-        rounds=rounds, batch=16, start=usual(limits, seconds), progress=request.progress,
+        rounds=rounds, batch=16, progress=request.progress,
     )  # fmt: skip
     for limit, excess in objective.excesses(result.command[None]).items():
         if excess[0] > 0:
@@ -191,11 +164,8 @@ class SwimObjective:
     """Scores of the commands of a swim that begins in the middle of the pool, heading along x.
 
     A share ``uniform`` of the probability is distributed evenly among the sets: the laws of the
-    effects are approximations, so that no probability of a set is certain. The model has the
-    servos, and the twin's law and its error where the diagnosis has learned them.
-
-    Attributes:
-        probability: Probabilities of the M sets, shape (M,).
+    effects are approximations, so that no probability of a set is certain. ``probability`` has the
+    result, shape (M,).
 
     Raises:
         InputError: If the robot lacks a coordinate of a set.
@@ -270,27 +240,15 @@ class SwimObjective:
 
     def _tracks(self, commands: Array) -> Array:
         """Tracks of the likeliest set in the pool, shape (N, T, 3 + J), from standstill."""
-        model = self._coordinates.model_at(self._points[0])
-        twin = Twin(
-            self._robot, model, n_envs=len(commands), substeps=SUBSTEPS, threads=self._threads
-        )
-        twin.reset(pose=np.zeros((len(commands), 3)))
+        model, N = self._coordinates.model_at(self._points[0]), len(commands)
+        twin = Twin(self._robot, model, n_envs=N, substeps=SUBSTEPS, threads=self._threads)
+        twin.reset(pose=np.zeros((N, 3)))
         first = twin.track()[:, None]
-        track = twin.swim(commands[:, :-1], which=np.arange(len(commands)))
-        return np.concatenate([first, track], axis=1)
+        return np.concatenate([first, twin.swim(commands[:, :-1], which=np.arange(N))], axis=1)
 
     def _apart(self, command: Array, track: Array) -> Array:
         """Distances of all pairs of sets, shape (M, M), for one command (T, J) and its track."""
-        rows = self._whitened(command, track)
-        M = self.probability.size
-        if not np.isfinite(rows).all():
-            return np.full((M, M), np.nan)
-        products = self._vectors.T @ (rows @ rows.T) @ self._vectors
-        return np.asarray(distances(products[None], M)[0]) / self.rivals.temperature
-
-    def _whitened(self, command: Array, track: Array) -> Array:
-        """Signals of all points less those of the first, transformed and whitened, (R, T K)."""
-        period, rivals = self._limits.period_s, self.rivals
+        period, rivals, M = self._limits.period_s, self.rivals, self.probability.size
         swim = Swim(
             "next", period * np.arange(len(command), dtype=np.float64), command, track[0, :3],
             np.zeros(track.shape), np.concatenate([np.zeros(3), rivals.joint_sd_rad]),
@@ -300,19 +258,18 @@ class SwimObjective:
         if self._blocks is None or self._blocks.seen.shape != track.shape:
             self._blocks = Blocks.of(swim)
         blocks = replace(self._blocks, power=self._blocks.about(signals[0]))
-        weights = blocks.weights(rivals.shares)
-        return blocks.weighted(signals - signals[0], weights).T
+        rows = blocks.weighted(signals - signals[0], blocks.weights(rivals.shares))
+        if not np.isfinite(rows).all():
+            return np.full((M, M), np.nan)
+        products = self._vectors.T @ (rows.T @ rows) @ self._vectors
+        return np.asarray(distances(products[None], M)[0]) / rivals.temperature
 
     def _expansion(self, file: str) -> tuple[Array, Array]:
-        """Points to simulate, and how predictions and their spreads follow from their signals.
+        """Points (R, F), and coefficients of their signals that give predictions and spreads.
 
-        Derivatives by a coordinate are taken at the likeliest set that has it, and at the likeliest
-        of all for effects that none has.
-
-        Returns:
-            Points (R, F), first those of the M sets; coefficients of the differences of their
-            signals from those of the first: the predictions of the sets, then for each set its
-            derivatives times a root of the covariance, shape (R, M + M C).
+        The first M points are the sets, then a pair for each derivative, at the likeliest set that
+        has the coordinate or at the likeliest of all. Coefficients (R, M + M C): the predictions of
+        the sets, then for each its derivatives times a root of the covariance.
         """
         c, sets, M = self._coordinates, self.rivals.sets, len(self.rivals.sets)
         at, free = np.tile(c.nominal, (M, 1)), []
@@ -327,18 +284,13 @@ class SwimObjective:
         stated = [self.rivals.imitation.get(column.name, 0.0) for column in c.columns]
         imitation = np.maximum(stated, least)
         used = sorted({*np.flatnonzero(imitation > 2 * least).tolist(), *chain(*free)})
-        points, changed = list(at), []
-        for k in used:
+        points = list(at)
+        derivatives = np.zeros((M + 2 * len(used), len(used)))
+        for n, k in enumerate(used):
             i = next((i for i in range(M) if k in free[i]), 0)
             around, base = c.about(at[i])
-            moved = len(points)
-            points.append(around[k + 1])
-            if base[k]:
-                points.append(around[base[k]])
-            changed.append((moved, moved + 1 if base[k] else i, c.steps(at[i])[k]))
-        derivatives = np.zeros((len(points), len(used)))
-        for n, (after, before, step) in enumerate(changed):
-            derivatives[after, n], derivatives[before, n] = 1 / step, -1 / step
+            points += [around[base[k]], around[k + 1]]
+            derivatives[M + 2 * n : M + 2 * n + 2, n] = np.array([-1, 1]) / c.steps(at[i])[k]
         vectors = [np.eye(len(points), M)]
         for i, one in enumerate(sets):
             variance = imitation**2

@@ -1,8 +1,7 @@
 """Diagnosis of swims in a pool: which effects of the body or the camera does the twin leave out?
 
 An effect is reported if it predicts the end of each swim better when fitted to the beginning.
-Effects that imitate one another form a group. Where an unnamed shape (``unlisted``) fits better
-than all effects, the diagnosis abstains. Thresholds are in ``law_error.json``.
+Thresholds are in ``law_error.json``.
 """
 
 from __future__ import annotations
@@ -15,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from sim.inference.coordinates import signals_at
-from sim.inference.in_water import THREADS, resimulated, robot_in_water, water_of
+from sim.inference.in_water import resimulated, robot_in_water, water_of
 from sim.inference.law_error import IN_WATER, LAW_ERROR, LawError, read_law_error
-from sim.inference.searched import HELD_OUT, Searched, learned, names_of, raw, searched
-from sim.inference.swim_decision import Decided, Name, Named, Names, Numbers, decide
+from sim.inference.searched import HELD_OUT, Searched, learned, raw, searched
+from sim.inference.swim_decision import Decided, Named, Numbers, decide
+from sim.inference.swim_parameters import Name, Names
 from sim.inference.swim_problem import Fit, repeated
-from sim.inference.swims import SIGNALS, Swim, SwimSimulator, swim_of
+from sim.inference.swims import FLUID_THREADS, SIGNALS, Swim, SwimSimulator, names_in_files, swim_of
 from sim.inference.unlisted import SHAPES
 from sim.robot.swimmer import CONTROL_S
 from sim2real.arrays import Array
@@ -55,11 +55,10 @@ def diagnose_recorded_swims(
     in_water: Path | None = None,
     device: str = "cpu",
 ) -> Diagnosis:
-    """Diagnose swims in the twin or, with ``in_water``, relative to the fluid.
+    """Diagnose swims in the twin or, with a file ``in_water``, relative to the fluid.
 
-    Other arguments are those of ``diagnose_swims``. ``in_water`` is the file of the fluid's
-    simulations, which are made where it does not exist; on a GPU as ``device`` the fluid simulates
-    the swims again with the effects that the first search found.
+    The fluid's simulations are made where the file does not exist; on a GPU as ``device`` the fluid
+    simulates the swims again with the effects that the first search found.
 
     Raises:
         InputError: If the file holds the simulations of other swims.
@@ -71,7 +70,13 @@ def diagnose_recorded_swims(
         law_error = read_law_error(IN_WATER)
         if device != "cpu":
             again = partial(
-                resimulated, robot, water.of(model), swims, water, device=device, threads=THREADS
+                resimulated,
+                robot,
+                water.of(model),
+                swims,
+                water,
+                device=device,
+                threads=FLUID_THREADS,
             )
     start, simulate = robot_in_water(robot, model, [in_water] if in_water else [])
     with progress_bar("diagnose") as progress:
@@ -109,21 +114,11 @@ def diagnose_swims(
     resimulate: Resimulate | None = None,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
-    """Find the effects of body and camera that the simulator leaves out.
+    """Find the effects of body and camera that the simulator leaves out of swims in one pool.
 
-    Args:
-        swims: Pool recordings of one robot in one pool.
-        model: The servos.
-        robot: The robot.
-        simulate: The twin (``swims.by_followed_twin``).
-        references: Swims of the same robot in which nothing is known to be missing.
-        law_error: The twin's error and the thresholds.
-        resimulate: Function from the likely model of the first search to a simulator for a second
-            one and the model that it is exact for, or None.
-        progress: Called with the share that is done.
-
-    Returns:
-        The diagnosis; its errors are held-out errors of the speed over ground, in m/s.
+    In ``references`` of the same robot nothing is known to be missing. ``resimulate`` leads from
+    the likely model of the first search to a simulator for a second one and the model that it is
+    exact for, or None. Errors of the diagnosis are held-out errors of the speed over ground, m/s.
     """
     referred = bool(references)
     prior = learned(references, model, robot, simulate, law_error)
@@ -138,23 +133,19 @@ def likely_model(result: Searched, law_error: LawError, *, referred: bool) -> Mo
     """The fitted model with the likely effects; ``referred``: there were reference swims."""
     numbers = law_error.decisions
     named = decide(raw(result, referred=referred), numbers).named
-    likely = {effect.name for effect in named if effect.probability >= numbers["likely"]}
+    likely = frozenset(effect.name for effect in named if effect.probability >= numbers["likely"])
     return result.problem.coordinates.model_at(result.of(likely).fit.x)
 
 
 def diagnosis_of(
     result: Searched, robot: Robot, law_error: LawError, *, referred: bool
 ) -> Diagnosis:
-    """The diagnosis from the result of a search: probabilities, verdict and statements.
-
-    ``referred`` is whether there were reference swims.
-    """
+    """The diagnosis from a search; ``referred``: there were reference swims."""
     numbers = law_error.decisions
     decided = decide(raw(result, referred=referred), numbers)
     c, plain, chosen = result.problem.coordinates, result.plain, result.of(decided.offered)
     before, after = (result.held[hypothesis.members] for hypothesis in (plain, chosen))
-    names = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
-    names += [f"{joint.name}.position_rad" for joint in robot.joints]
+    names = names_in_files(robot)
     errors = np.array([_errors(result, one.fit) for one in (before, after)])
     held = errors[:, 1]
     noise = np.mean([swim.noise_sd for swim in result.problem.swims], axis=0)
@@ -215,7 +206,7 @@ def _named(
 ) -> NamedEffect:
     """A reported effect with its estimates, which are those of all reported effects together."""
     all_names = {named.name for named in decided.named}
-    fitted = next(h for h in result.found if frozenset(names_of(h.members)) >= all_names)
+    fitted = next(h for h in result.found if all_names.issubset(h.members))
     parameters = _estimates(result, fitted, entry.name, numbers["relative"])
     sizes = ", ".join(
         f"{readable_name(name)} {readable(name, x.mean)}" for name, x in parameters.items()
@@ -241,19 +232,19 @@ def _estimates(
 ) -> dict[str, Estimate]:
     """Estimates of an effect's parameters, sampled, with a ``relative`` error of its size."""
     problem, c, x = result.problem, result.problem.coordinates, fitted.fit.x
-    effect = next(e for e in c.effects if (e.name, e.component) == name)
-    columns = c.of_effect(effect)
+    columns = c.of_effect(name)
     covariance = problem.covariance(fitted.members, fitted.fit)[np.ix_(columns, columns)]
     spread = np.square(problem.prior.imitation[columns]) + np.square(relative * x[columns])
     rng = np.random.default_rng(0)
     samples = np.tile(x, (_SAMPLES, 1))
-    drawn = rng.multivariate_normal(x[columns], covariance + np.diag(spread), _SAMPLES)
-    samples[:, columns] = drawn
+    samples[:, columns] = rng.multivariate_normal(
+        x[columns], covariance + np.diag(spread), _SAMPLES
+    )
     samples = c.clipped(samples)
     samples[0] = x
     parameters = [c.parameters(sample) for sample in samples]
     out = {}
-    for p in effect.free:
+    for p in c.effects[name]:
         values = np.array([by_name.get(p.name, 0.0) for by_name in parameters])
         low, high = np.quantile(values, (0.05, 0.95))
         out[p.name.rpartition(".")[2]] = Estimate(
@@ -335,7 +326,7 @@ def _set(result: Searched, hypothesis: Hypothesis[Fit], probability: float) -> S
     return SwimSet(
         effects=tuple(
             f"{effect}.{component}" if body_effect(effect).by_material else effect
-            for effect, component in names_of(hypothesis.members)
+            for effect, component in sorted(hypothesis.members)
         ),
         probability=float(probability),
         coordinates={c.columns[k].name: float(hypothesis.fit.x[k]) for k in free},

@@ -1,9 +1,9 @@
 """An emulator: a linear model of a simulator near a model, from one batch of rollouts.
 
-The wake of the fluid is turbulent, so that differences of two rollouts would be noise. So all
+The wake of the fluid is turbulent, so that differences of two rollouts would be noise: all
 parameters are varied at once (a Sobol sequence: Santner, Williams, Notz, The Design and Analysis of
 Computer Experiments, Springer 2003), and the displacements in every control period are regressed on
-all of them: each slope uses the whole batch.
+all of them.
 """
 
 from __future__ import annotations
@@ -38,14 +38,9 @@ def emulator(
 ) -> SwimSimulator:
     """A simulator of these swims near a model; parameters that are not varied have no influence.
 
-    Args:
-        simulator: The simulator that is emulated.
-        swims: The swims.
-        model: The centre of the batches.
-        free: The parameters to vary.
-        count: Rollouts of each swim; the first is of the model itself. Stopped ones are excluded.
-        seed: Seed of the Sobol sequence.
-        ridge: Penalty of the slopes, against a weight of one per rollout.
+    The parameters ``free`` are varied about the model in ``count`` rollouts of each swim, of which
+    the first is of the model itself and stopped ones are excluded. ``ridge`` is the penalty of the
+    slopes, against a weight of one per rollout.
 
     Raises:
         InputError: If there are too few rollouts to regress on all parameters, or most of a batch
@@ -61,12 +56,10 @@ def emulator(
     shares = qmc.Sobol(len(free), rng=seed).random_base2((count - 1).bit_length())
     drawn = np.concatenate([centre[None], low + (high - low) * shares[: count - 1]])
     models = [with_values(model, dict(zip(names, row, strict=True))) for row in drawn]
+    by_log = np.array([name == _VISCOSITY for name in names])
 
     def linear(rows: Array) -> Array:
-        out = rows.copy()
-        for k in (k for k, name in enumerate(names) if name == _VISCOSITY):
-            out[:, k] = np.log(rows[:, k])
-        return out
+        return np.where(by_log, np.log(np.where(by_log, rows, 1.0)), rows)
 
     mean, size = linear(drawn).mean(axis=0), np.maximum(linear(drawn).std(axis=0), 1e-12)
 
@@ -95,14 +88,9 @@ def emulator(
 
 def _values_of(model: Model, names: Sequence[str]) -> Array:
     """Parameters by name, as ``with_values`` takes them; 0 where the model has no such effect."""
-    effects = values(model)
-    out = []
-    for name in names:
-        head, _, tail = name.partition(".")
-        if head in model.joints:
-            out.append(float(getattr(model.joints[head], tail)))
-        elif head in ("twin", "water"):
-            out.append(float(model.body[head][tail]))
-        else:
-            out.append(effects.get(name, 0.0))
-    return np.array(out)
+    known = values(model)
+    parts = {name: vars(joint) for name, joint in model.joints.items()}
+    parts |= {name: model.body.get(name, {}) for name in ("twin", "water")}
+    for head, part in parts.items():
+        known |= {f"{head}.{tail}": value for tail, value in part.items()}
+    return np.array([float(known.get(name, 0.0)) for name in names])

@@ -1,9 +1,8 @@
 """Simulations of swims in the fluid, which the twin corrects for changes of parameters.
 
 The fluid simulates the recorded commands once, with the identified servos, and the twin predicts
-only differences, e.g. those made by an effect (a control variate; Peherstorfer, Willcox and
-Gunzburger, SIAM Rev. 60 (2018) 550). It is also simulated with other cells, viscosity and so on,
-and the share of each change is fitted (``water.viscosity``), as a gain is.
+only differences (a control variate; Peherstorfer, Willcox and Gunzburger, SIAM Rev. 60 (2018) 550).
+It is also simulated with other settings, and the share of each change is fitted.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from sim.inference.coordinates import WATER, Coordinates
 from sim.inference.searched import learned
 from sim.inference.swim_problem import SwimProblem
 from sim.inference.swims import (
+    FLUID_THREADS,
     Swim,
     SwimSimulator,
     by_followed_twin,
@@ -51,10 +51,8 @@ _SETTINGS: tuple[dict[str, Any], ...] = (
     {}, {"viscosity": 2.5}, {"smagorinsky": 0.75}, {"line": "laminar"}, {"box": 0.85},
 )  # fmt: skip
 VARIANTS: Mapping[str, Mapping[str, Any]] = dict(zip(WATER, _SETTINGS, strict=True))
-"""Variants of the fluid, in larger cells: viscosity, sub-grid constant and box relative to those of
-the first, and the friction line of a laminar boundary layer: the place of transition is unknown."""
-THREADS = 2
-"""CPU threads of the fluid in a diagnosis."""
+"""Variants of the fluid, in larger cells: settings relative to those of the first, and the friction
+line of a laminar boundary layer."""
 RESIMULATED = (
     "skin_", "linear_drag", "surface_friction", "form_drag", "added_mass", "com_offset",
     "trim_asymmetry", "appendage_",
@@ -69,11 +67,9 @@ class InWater:
     names: tuple[str, ...]  # names of the V variants of the fluid
     # for each swim, by ``key``: mean velocity forward, to the left (m/s) and of the heading (rad/s)
     # in each period, and the joints' angles, shape (1 + V, T - 1, 3 + J): the first simulation,
-    # then the differences of the variants, that of ``cells`` from the first simulation, the others
-    # from ``cells``
+    # then the differences of ``cells`` from it, and of the other variants from ``cells``
     steps: Mapping[bytes, Array]
-    # coefficients of the twin fitted to these simulations, if they were fitted
-    law: Mapping[str, float] = field(default_factory=dict)
+    law: Mapping[str, float] = field(default_factory=dict)  # of the twin fitted to these, if any
 
     def of(self, model: Model) -> Model:
         """The model with the fitted law of the twin, and with shares of the variants, all 0."""
@@ -97,10 +93,9 @@ def simulate_in_water(
     variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
     threads: int = 1,
 ) -> InWater:
-    """Simulate the commands of swims in the fluid, in one batch.
+    """Simulate commands of swims from their first poses in one batch; one model, or one for each.
 
-    Of the swims commands and initial poses are used: speed in a box of cells depends on the heading
-    by some percent. ``model`` is one for all swims, or one for each.
+    Speed in a box of cells depends on the heading by some percent.
     """
     longest = max(len(swim.command) for swim in swims)
     padded = [np.pad(s.command, ((0, longest - len(s.command)), (0, 0)), "edge") for s in swims]
@@ -134,16 +129,12 @@ def with_fluid_effects(model: Model, fitted: Model) -> Model:
 
 
 def simulate_again(
-    robot: Robot,
-    models: Sequence[Model],
-    swims: Sequence[Swim],
-    water: InWater,
+    robot: Robot, models: Sequence[Model], swims: Sequence[Swim], water: InWater,
     **options: Any,  # noqa: ANN401
-) -> InWater:
+) -> InWater:  # fmt: skip
     """Simulate swims again, with the effects that were found in each (``with_fluid_effects``).
 
-    The differences between variants are those of the earlier simulations, ``water``; ``options``
-    are those of ``simulate_in_water``.
+    The differences between variants are those of ``water``; options as of ``simulate_in_water``.
     """
     again = simulate_in_water(robot, models, swims, variants={}, **options).steps
     steps = {k: np.concatenate([first[:1], water.steps[k][1:]]) for k, first in again.items()}
@@ -160,8 +151,7 @@ def resimulated(
 ) -> tuple[SwimSimulator, Model] | None:
     """The simulator corrected by simulations with the effects of a fitted model, and their model.
 
-    None where no effect of the fitted model can be simulated. ``model`` is that from
-    ``InWater.of``, other arguments are those of ``simulate_again``.
+    None where no effect can be simulated. ``model`` is that from ``InWater.of``.
     """
     with_effects = with_fluid_effects(model, fitted)
     if not values(with_effects):
@@ -171,7 +161,7 @@ def resimulated(
 
 
 def with_nearest_law(robot: Robot, model: Model, water: InWater, **options: Any) -> InWater:  # noqa: ANN401
-    """The simulations with coefficients of the law of a twin (with ``options``) fitted to two."""
+    """The simulations with coefficients of the law of a twin fitted to two."""
     swims, joints = [], len(robot.joints)
     for number, (identifier, steps) in enumerate(list(water.steps.items())[:2]):
         command = np.frombuffer(identifier, np.float32)[:-1].reshape(-1, joints).astype(np.float64)
@@ -204,21 +194,20 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
         simulated = water.steps.get(key(swim))
-        without_water = [
-            repr(replace(candidate, body={**candidate.body, "water": None})) for candidate in models
-        ]
-        _, unique, inverse = np.unique(without_water, return_index=True, return_inverse=True)
+        without = [repr(replace(one, body={**one.body, "water": None})) for one in models]
+        _, unique, inverse = np.unique(without, return_index=True, return_inverse=True)
         track = twin([models[k] for k in unique], swim)[inverse]
-        if simulated is None and swim.pose is None:
-            return track  # a swim that is only planned
         if simulated is None:
+            if swim.pose is None:
+                return track  # a swim that is only planned
             raise KeyError(f"{swim.name}: no simulation of these commands in the fluid")
         start = key(swim) + swim.start.tobytes()
         if start not in of_twin:
             of_twin[start] = steps_of(twin([model], swim))[0]
         fluid = _displacements(simulated)
-        waters = [candidate.body.get("water", {}) for candidate in models]
-        share = np.array([[shares.get(name, 0.0) for name in water.names] for shares in waters])
+        share = np.array(
+            [[one.body.get("water", {}).get(name, 0.0) for name in water.names] for one in models]
+        )
         steps = steps_of(track) + (fluid[0] - of_twin[start])
         steps += np.einsum("ev,vtk->etk", share, fluid[1:])
         return path_of(steps, swim.start, track[:, 0, 3:])
@@ -227,15 +216,9 @@ def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any)
 
 
 def robot_in_water(
-    robot: Robot,
-    model: Model,
-    files: Sequence[Path],
-    **options: Any,  # noqa: ANN401
-) -> tuple[Model, SwimSimulator]:
-    """A model and a simulator corrected by simulations in the fluid; without files, the twin alone.
-
-    The files are by ``write_water``; the law is taken from the first. ``options`` are the twin's.
-    """
+    robot: Robot, model: Model, files: Sequence[Path], **options: Any  # noqa: ANN401
+) -> tuple[Model, SwimSimulator]:  # fmt: skip
+    """A model and a simulator corrected by ``write_water``'s files; without any the twin."""
     if not files:
         return model, by_followed_twin(robot, **options)
     water = read_water_swims(*files)
@@ -252,7 +235,7 @@ def water_of(path: Path, robot: Robot, model: Model, swims: Sequence[Swim], devi
     if not path.exists():
         check_writable(path)
         print(f"the fluid simulates {len(swims)} swims with {1 + len(VARIANTS)} sets of settings")
-        simulations = simulate_in_water(robot, model, swims, device=device, threads=THREADS)
+        simulations = simulate_in_water(robot, model, swims, device=device, threads=FLUID_THREADS)
         write_water(path, with_nearest_law(robot, model, simulations))
     water = read_water_swims(path)
     for swim in swims:
@@ -282,21 +265,16 @@ def read_water_swims(*paths: Path) -> InWater:
     Raises:
         InputError: If a file has another content.
     """
-    parts = [_read_water(path) for path in paths]
-    return replace(parts[0], steps={k: v for part in parts for k, v in part.steps.items()})
-
-
-def _read_water(path: Path) -> InWater:
-    """Read one file."""
-    content = read_arrays(path, "a file by --in-water", what="swims in water")
-    try:
-        names = tuple(content["names"].tolist())
-        count = sum(name.startswith("key_") for name in content)
-        steps = {
-            content[f"key_{k}"].tobytes(): content[f"steps_{k}"].astype(np.float64)
-            for k in range(count)
-        }
-        law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(path, "content", "no swims in water", "a file by --in-water") from error
-    return InWater(names, steps, law)
+    parts: list[InWater] = []
+    steps: dict[bytes, Array] = {}
+    for path in paths:
+        content = read_arrays(path, "a file by --in-water", what="swims in water")
+        try:
+            law = dict(zip(content["law_names"].tolist(), content["law"].tolist(), strict=True))
+            parts.append(InWater(tuple(content["names"].tolist()), steps, law))
+            for k in range(sum(name.startswith("key_") for name in content)):
+                steps[content[f"key_{k}"].tobytes()] = content[f"steps_{k}"].astype(np.float64)
+        except (ValueError, KeyError, TypeError) as error:
+            expected = "a file by --in-water"
+            raise InputError(path, "content", "no swims in water", expected) from error
+    return parts[0]

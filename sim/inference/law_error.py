@@ -1,8 +1,7 @@
-"""Measured error of the twin, which counts as noise in a diagnosis.
+"""Measured error of the twin, which counts as noise in a diagnosis, and the thresholds.
 
-``law_error.json`` has the error of a twin that was calibrated on a robot's swims, on other swims of
-the same robot in which nothing is missing (``benchmarks/pool_law_error.py``), and the thresholds
-(``benchmarks/pool_decisions.py``).
+The error of a twin that was calibrated on a robot's swims, on other swims of the same robot in
+which nothing is missing: ``benchmarks/pool_law_error.py``, ``benchmarks/pool_decisions.py``.
 """
 
 from __future__ import annotations

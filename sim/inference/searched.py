@@ -1,12 +1,12 @@
 """Search for the effects that are missing in swims, before probabilities are computed.
 
-Every effect of the catalogue is fitted together with servos and force law. One batch of rollouts
-predicts the gain of every effect near a fit, and the most promising are fitted.
+One batch of rollouts predicts the gain of every effect near a fit, and the most promising are
+fitted, together with servos and force law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 from sim.inference.coordinates import Coordinates, signals_of
 from sim.inference.law_error import LAW_ERROR, NEVER, LawError
 from sim.inference.signal_error import SHARE, of_changes
-from sim.inference.swim_parameters import Candidate
+from sim.inference.swim_parameters import Name, Names
 from sim.inference.swim_problem import Fit, SwimPrior, SwimProblem, repeated
 from sim.inference.swims import Swim, SwimSimulator
 from sim.inference.unlisted import gains
@@ -66,7 +66,7 @@ class SwimSearch(SwimProblem):
     ) -> Sequence[tuple[Hashable, Fit]]:
         """Effects with the largest predicted evidence when added to a set, by its linear model."""
         fits = [ledger.tried[members].fit, *([] if members else self.first_fits)]
-        promise: dict[Candidate, float] = {}
+        promise: dict[Name, float] = {}
         for effect in self.coordinates.effects:
             if effect not in members:
                 more = members | {effect}
@@ -101,24 +101,20 @@ class SwimSearch(SwimProblem):
     ) -> list[tuple[Members, Fit]]:
         """Starts with another size of an effect of one parameter, where that predicts less loss."""
         c = self.coordinates
-        trials, of = [], []
+        of, trials = [], []
         for k, (members, fit) in enumerate(initial):
-            singles = [c.of_effect(effect) for effect in members]
-            for column in (own[0] for own in singles if len(own) == 1 and fit.x[own[0]] == 0.0):
-                for size in _JUMPS:
-                    x = fit.x.copy()
-                    x[column] = size * c.columns[column].step
-                    trials.append(c.clipped(x))
+            for own in map(c.of_effect, members):
+                for size in _JUMPS if len(own) == 1 and fit.x[own[0]] == 0.0 else ():
                     of.append(k)
-        out = list(initial)
-        best = [self.linear(members, fit).loss for members, fit in initial]
-        tried = self.rows(np.array(trials)) if trials else ()
-        for x, rows, k in zip(trials, tried, of, strict=True):
-            members, fit = initial[k]
-            start = replace(fit, x=x, rows=rows)
-            predicted = self.linear(members, start).loss
+                    trials.append(fit.x.copy())
+                    trials[-1][own] = size * c.columns[own[0]].step
+        out, best = list(initial), [self.linear(*start).loss for start in initial]
+        points = c.clipped(np.array(trials).reshape(-1, len(c.columns)))
+        for k, x, rows in zip(of, points, self.rows(points) if of else (), strict=True):
+            start = initial[k][0], replace(initial[k][1], x=x, rows=rows)
+            predicted = self.linear(*start).loss
             if predicted < best[k]:
-                best[k], out[k] = predicted, (members, start)
+                best[k], out[k] = predicted, start
         return out
 
     def remains(self, ledger: Ledger[Fit], members: Members) -> bool:
@@ -136,10 +132,7 @@ class SwimSearch(SwimProblem):
 
 
 class HeldOutErrors(NamedTuple):
-    """Errors on the end of the swims of a fit to their beginning.
-
-    ``loss`` is that on the end, ``speed`` the error of the speed over ground there, m/s.
-    """
+    """A fit to the beginning of swims, its loss on their end, and its error of the speed there."""
 
     fit: Fit
     loss: float
@@ -161,15 +154,9 @@ class Searched:
     # the twin, shape (4, 3)
     misfit: Array
 
-    def of(self, names: Collection[tuple[str, str]]) -> Hypothesis[Fit]:
-        """The set of these effects, by names and components."""
-        return next(h for h in self.found if set(names_of(h.members)) == set(names))
-
-
-def names_of(members: Members) -> tuple[tuple[str, str], ...]:
-    """Names and components of the effects of a set, sorted."""
-    effects: list[Candidate] = list(members)
-    return tuple(sorted((effect.name, effect.component) for effect in effects))
+    def of(self, names: Names) -> Hypothesis[Fit]:
+        """The set of these effects."""
+        return next(h for h in self.found if h.members == names)
 
 
 def learned(
@@ -179,9 +166,9 @@ def learned(
     simulate: SwimSimulator,
     law_error: LawError = LAW_ERROR,
 ) -> SwimPrior:
-    """Prior of a robot's swims, learned from reference swims in which nothing is missing.
+    """Prior of a robot's swims, from reference swims in which nothing is missing.
 
-    Without reference swims it is the prior of all robots, with a larger error of the twin.
+    Without these it is the prior of all robots, with a larger error of the twin.
     """
     coordinates = Coordinates.of(robot, model)
     usual = law_error.prior(coordinates)
@@ -202,8 +189,7 @@ def learned(
 def _common(problem: SwimProblem, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
     """Parameters common to the swims of a robot (F,), their covariance, and the scale of the rest.
 
-    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963): the parameters of
-    each swim are distributed about those of the robot. The scale of their distribution, relative
+    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963). The scale, relative
     to the usual one, is the likeliest of ``_SCALES``.
     """
     variance = np.square(usual.imitation)
@@ -237,8 +223,7 @@ def together(
     """Combine swims whose parameters vary about common ones (a linear mixed model).
 
     From curvature (F, F) and gradient (F,) of each swim's loss at one point, and the variance (F,)
-    of a swim's parameters, to those of the sum of losses with respect to the common parameters, and
-    the covariance of each swim's deviations given these.
+    of a swim's parameters, to those of the sum, and the covariance of each swim's deviations.
     """
     covariances = [np.asarray(np.linalg.inv(normal + np.diag(1 / variance))) for normal, _ in parts]
     pairs = list(zip(parts, covariances, strict=True))
@@ -256,14 +241,11 @@ def searched(
     progress: Progress = lambda share: None,
     simulated: Model | None = None,
 ) -> Searched:
-    """Try sets of effects on swims of one robot.
+    """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
-    The twin predicts a strong effect with an error in proportion to the change that the effect
-    makes. Where the fluid was simulated and the best set changes much, a second search counts this
-    error as noise. It is not used with the twin alone, where it has not been graded.
-
-    ``prior`` is from ``learned``; effects of ``simulated``, the model that the fluid simulated,
-    have no such error.
+    The twin predicts a strong effect with an error in proportion to the change that it makes. Where
+    the fluid was simulated and the best set changes much, a second search counts this error as
+    noise; effects of ``simulated``, the model that the fluid simulated, have no such error.
     """
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     order, best = _search(problem, lambda share: progress(0.5 * share))
@@ -328,8 +310,7 @@ def _evidence(hypothesis: Hypothesis[Fit]) -> float:
 def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:
     """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J).
 
-    Without camera effects and the current, which are exact. Effects of the model that the fluid
-    simulated count by the difference from their sizes in it.
+    Without camera effects and the current, which are exact, and what ``simulated`` has of them.
     """
     c = problem.coordinates
     full = c.model_at(x)
@@ -383,13 +364,13 @@ def raw(found: Searched, *, referred: bool) -> dict[str, Any]:
     zero = found.plain.evidence
     return {
         "sets": [
-            {"names": [list(n) for n in names_of(h.members)], "evidence": h.evidence - zero,
+            {"names": [list(n) for n in sorted(h.members)], "evidence": h.evidence - zero,
              "settled": h.fit.local}
             for h in found.found
         ],
         "nameless": found.nameless,
         "held": [
-            {"names": [list(n) for n in names_of(m)], "loss": result.loss, "speed": result.speed}
+            {"names": [list(n) for n in sorted(m)], "loss": result.loss, "speed": result.speed}
             for m, result in found.held.items()
         ],
         "misfit": found.misfit.tolist(),

@@ -1,15 +1,13 @@
 """Errors of a swim's signals: their variances by band of frequency, and persistent shapes.
 
 Each block of about 2.5 s is transformed by an orthonormal cosine transform. The variance of a
-coefficient is that of the recording's noise plus a share, by signal and band, of the signal's
-power: the measured error of the twin. Errors of wake and force law persist for seconds: each such
-shape is a column of the fit, whose size has one part common to all swims of a robot and one for
-each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
+coefficient is that of the recording's noise plus a share of the signal's power: the error of the
+twin. Errors that persist for seconds are columns of the fit, with one part common to all swims of a
+robot and one for each swim (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,14 +36,6 @@ _SLOW = 51
 """Samples of the moving average that separates a signal's mean from its oscillation."""
 SHARE, LATE_S = 0.1, 0.01
 """Relative error, and delay in s, of the change that an effect makes."""
-HEAD = (
-    *(f"error.surge_{n}" for n in range(ORDER + 1)), "error.surge_swing", "error.surge_late",
-    "error.sway_swing", "error.sway_late", "error.sway_off",
-    "error.yaw_swing", "error.yaw_late", "error.yaw_slow", "error.yaw_off", "error.yaw_off_1",
-)  # fmt: skip
-"""Shapes of the head's signals; sizes are relative, delays in s, or velocities in m/s and rad/s."""
-JOINT = ("swing", "late", "off")
-"""Shapes of each joint: relative error, delay in s, offset in rad."""
 
 
 def spectrum(signals: Array, edges: Sequence[tuple[int, int]]) -> Array:
@@ -123,35 +113,40 @@ class Blocks:
         return np.asarray((spectrum(signals, self.edges) * weights).reshape(len(signals), -1).T)
 
 
+def _listed(joints: int) -> list[tuple[str, int, str]]:
+    """Name of each shape, number of its signal, and kind of shape."""
+    kinds: dict[str, tuple[str, ...]] = {
+        "surge_": (*map(str, range(ORDER + 1)), "swing", "late"),
+        "sway_": ("swing", "late", "off"),
+        "yaw_": ("swing", "late", "slow", "off", "off_1"),
+    }
+    kinds |= {f"joint{j}.": ("swing", "late", "off") for j in range(joints)}
+    places = enumerate(kinds.items())
+    return [(f"error.{of}{kind}", k, kind) for k, (of, some) in places for kind in some]
+
+
 def names(joints: int) -> tuple[str, ...]:
     """Names of all shapes of a robot's error."""
-    return (*HEAD, *(f"error.joint{j}.{shape}" for j in range(joints) for shape in JOINT))
+    return tuple(name for name, _, _ in _listed(joints))
 
 
 def shapes(signals: Array) -> dict[str, Array]:
     """Shapes of unit size for the signals (T, 3 + J) of a simulated swim, by name.
 
-    They are computed from simulated signals: the noise of recorded ones would seem to explain
-    itself.
+    Sizes are relative errors, delays in s, or offsets in the signal's unit. They are computed from
+    simulated signals: the noise of recorded ones would seem to explain itself.
     """
     T, K = signals.shape
     slow = uniform_filter1d(signals, _SLOW, axis=0, mode="nearest")
     swing = signals - slow
-    late = -np.gradient(swing, CONTROL_S, axis=0)
-    polynomials = legvander(np.linspace(-1.0, 1.0, T), ORDER).T
-    head = [
-        *((0, wave * slow[:, 0]) for wave in polynomials), (0, swing[:, 0]), (0, late[:, 0]),
-        (1, swing[:, 1]), (1, late[:, 1]), (1, polynomials[0]),
-        (2, swing[:, 2]), (2, late[:, 2]), (2, slow[:, 2]), (2, polynomials[0]),
-        (2, polynomials[1]),
-    ]  # fmt: skip
-    joints = [
-        (k, shape) for k in range(3, K) for shape in (swing[:, k], late[:, k], polynomials[0])
-    ]
+    polynomials = legvander(np.linspace(-1.0, 1.0, T), ORDER).T[:, :, None]
+    of_kind = {"swing": swing, "late": -np.gradient(swing, CONTROL_S, axis=0), "slow": slow}
+    of_kind |= {"off": polynomials[0], "off_1": polynomials[1]}
+    of_kind |= {str(n): wave * slow for n, wave in enumerate(polynomials)}
     out = {}
-    for name, (k, shape) in zip(names(K - 3), (*head, *joints), strict=True):
+    for name, k, kind in _listed(K - 3):
         out[name] = np.zeros((T, K))
-        out[name][:, k] = shape
+        out[name][:, k] = np.broadcast_to(of_kind[kind], (T, K))[:, k]
     return out
 
 
@@ -160,9 +155,8 @@ def of_changes(joints: int, ratio: Array) -> dict[str, float]:
 
     ``ratio`` is the size of the changes relative to each signal, shape (3 + J,).
     """
-    signal = {"surge": 0, "sway": 1, "yaw": 2} | {f"joint{j}": 3 + j for j in range(joints)}
     return {
-        n: (LATE_S if n.endswith("late") else SHARE) * float(ratio[signal[re.split("[._]", n)[1]]])
-        for n in names(joints)
-        if "off" not in n
+        name: (LATE_S if kind == "late" else SHARE) * float(ratio[k])
+        for name, k, kind in _listed(joints)
+        if not kind.startswith("off")
     }

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from sim.inference.coordinates import WATER_FORCES
+from sim.inference.swim_parameters import Name, Names
 from sim2real.diagnose.result import Verdict
 
-Name = tuple[str, str]
-"""Effect and component."""
-Names = frozenset[Name]
 ROWS, BANDS = ("surge", "sway", "yaw rate", "joints"), ("slow", "beat", "fast")
 """Signals and frequency bands of the misfit."""
 Terms = dict[str, float]

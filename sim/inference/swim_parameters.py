@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 from sim.robot.effects import area_sd
 from sim.robot.swimmer import least_viscosity
@@ -16,15 +15,9 @@ from sim2real.inference.parameters import Parameter
 from sim2real.model import Model
 from sim2real.robot import Robot
 
-
-class Candidate(NamedTuple):
-    """An effect of the body or of the camera that a simulator may leave out."""
-
-    name: str  # its identifier in the catalogue
-    component: str  # the material that it belongs to, or ``body`` or ``camera``
-    free: tuple[Parameter, ...]  # its parameters
-
-
+Name = tuple[str, str]
+"""An effect of body or camera, and the material that it belongs to, or ``body`` or ``camera``."""
+Names = frozenset[Name]
 SERVO = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
 AREAS = "appendage_area"
 """Error of what the robot file states, which a calibration fits: no physics that it leaves out."""
@@ -112,17 +105,17 @@ def water_parameters(robot: Robot, cell_m: float) -> list[Parameter]:
     return [*out, Parameter(*viscosity)]
 
 
-def candidates(robot: Robot) -> list[Candidate]:
+def candidates(robot: Robot) -> dict[Name, list[Parameter]]:
     """Every effect of the catalogue's body and camera that this robot may have."""
-    out = []
+    out = {}
     effects: tuple[BodyEffect | CameraEffect, ...] = (*BODY, *CAMERA)
     for effect in effects:
         if effect.name == AREAS:
             continue
         component = "camera" if isinstance(effect, CameraEffect) else "body"
         for material in _materials(robot) if effect.by_material else [None]:
-            free = tuple(effect_parameters(effect.name, material))
-            out.append(Candidate(effect.name, material or component, free))
+            free = effect_parameters(effect.name, material)
+            out[effect.name, material or component] = free
     return out
 
 

@@ -1,9 +1,9 @@
 """Swims of one robot as a least-squares problem, for the search for effects and for calibrations.
 
 Fits follow the derivatives of one batch of rollouts. Shapes of the simulator's error are columns
-that are marginalised and not fitted; effects that a hypothesis does not contain have a prior as
-wide as the error imitates them, so that the evidence is that of a normal model with all columns in
-every hypothesis (MacKay, Information Theory, Inference, and Learning Algorithms (2003), ch. 28).
+that are marginalised; absent effects have a prior as wide as the error imitates them, so that the
+evidence is that of a normal model with all columns (MacKay, Information Theory, Inference, and
+Learning Algorithms (2003), ch. 28).
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class SwimProblem:
             return 0.0
         samples = sum(swim.t.size for swim in self.swims)
         evidence = min(repeated(self.swims) * samples * _EACH, _LARGEST)
-        lost = any(effect.name == LOST.partition(".")[0] for effect in members)
+        lost = any(name == LOST.partition(".")[0] for name, _ in members)
         return (evidence if evidence > _EACH else -_LARGEST) if lost else 0.0
 
     def _coloured(self, fit: Fit) -> float:
@@ -219,11 +219,7 @@ class SwimProblem:
         return replace(moved, loss=self._expanded(members, moved)[0])
 
     def evidence(self, members: Members, fit: Fit) -> float:
-        """Logarithm of the marginal likelihood, up to a constant of the swims.
-
-        The swims are linearised about the fit in all columns; those of absent effects are as large
-        as the twin's error imitates them.
-        """
+        """Logarithm of the marginal likelihood, up to a constant, linearised about the fit."""
         loss, log_volume, _ = self._marginal(members, fit)
         direct = self.counted(members) + self._coloured(fit) - self.cost * len(members)
         return direct - loss - 0.5 * log_volume

@@ -25,10 +25,10 @@ from sim2real.plausible import validate_recording
 from sim2real.recording import Recording
 from sim2real.robot import Robot
 from sim2real.servo.trace import context_of
-from sim2real.velocity import body_velocity
+from sim2real.velocity import body_velocity, turned
 
-SIGNALS = ("surge", "sway", "yaw rate")
-UNITS = ("m/s", "m/s", "rad/s")
+SIGNALS = {"surge": "m/s", "sway": "m/s", "yaw rate": "rad/s"}
+"""Velocities of the head, and their units."""
 POSES = ("body.x_m", "body.y_m", "body.yaw_rad")
 HELD_OUT_SHARE = 1 / 3
 """Share of a swim, at its end, that a calibration does not use."""
@@ -38,6 +38,8 @@ less than its error."""
 SHORTEST_S = 1.0
 """Shortest swim that is fitted: a quarter is held out, and velocities take a fifth of a second."""
 BLOCK_S = 2.5
+FLUID_THREADS = 2
+"""CPU threads of the fluid."""
 _REST = 10
 """Samples at the start whose mean is the first pose."""
 
@@ -82,6 +84,17 @@ class Swim:
         return replace(
             self, t=self.t[:n], command=self.command[:n], signals=self.signals[:n], pose=pose
         )
+
+
+def units_of(robot: Robot) -> dict[str, str]:
+    """Names of the 3 + J signals of a swim, with their units."""
+    return SIGNALS | {joint.name: "rad" for joint in robot.joints}
+
+
+def names_in_files(robot: Robot) -> list[str]:
+    """Names of the 3 + J signals of a swim in models and diagnoses."""
+    heads = [f"body.{name.replace(' ', '_')}" for name in SIGNALS]
+    return heads + [f"{joint.name}.position_rad" for joint in robot.joints]
 
 
 SwimSimulator = Callable[[Sequence[Model], Swim], Array]
@@ -186,8 +199,8 @@ def by_twin(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those 
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
-        twin.reset(pose=np.tile(start, (len(models), 1)))
-        first = _track_of(twin)
+        twin.reset(pose=start)
+        first = twin.track()
         return np.concatenate([first[:, None], twin.swim(command[:-1])], axis=1)
 
     return run
@@ -198,11 +211,11 @@ def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those
 
     def run(models: Sequence[Model], command: Array, start: Array) -> Array:
         swimmer = Swimmer(robot, models, n_envs=len(models), **options)
-        swimmer.reset(pose=np.tile(start, (len(models), 1)))
-        track = [_track_of(swimmer)]
+        swimmer.reset(pose=start)
+        track = [swimmer.track()]
         for sent in tqdm(command[:-1], desc="fluid", unit="step", disable=None, leave=False):
             swimmer.step(sent)
-            track.append(_track_of(swimmer))
+            track.append(swimmer.track())
         return np.moveaxis(np.array(track), 0, 1)
 
     return run
@@ -211,17 +224,16 @@ def by_fluid(robot: Robot, **options: Any) -> Simulator:  # noqa: ANN401 - those
 def by_followed_twin(robot: Robot, **settings: Any) -> SwimSimulator:  # noqa: ANN401 - options of Twin
     """The twin, moved to the measured pose every few seconds, with its velocity in the body frame.
 
-    Forces of the water do not depend on position or heading, but those of a cable and a wall do,
-    and the path of a free simulation soon differs from the measured one. The track is integrated
-    from the displacements of all periods and has no jumps.
+    Cable and wall act at places, and the path of a free simulation soon differs from the measured
+    one. The track is integrated from the displacements of all periods and has no jumps.
     """
     options = {"substeps": SUBSTEPS, **settings}
 
     def run(models: Sequence[Model], swim: Swim) -> Array:
         twin = Twin(robot, models, n_envs=len(models), **options)
-        twin.reset(pose=np.tile(swim.start, (len(models), 1)))
+        twin.reset(pose=swim.start)
         measured = swim.start[None] if swim.pose is None else uniform_filter1d(swim.pose, 5, axis=0)
-        last = _track_of(twin)
+        last = twin.track()
         angles, displacements = last[:, 3:], []
         commands = swim.command[:-1]
         for a, b in block_bounds(len(commands), CONTROL_S):
@@ -243,29 +255,17 @@ def block_bounds(samples: int, period_s: float) -> list[tuple[int, int]]:
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
-def _track_of(swimmer: Twin | Swimmer) -> Array:
-    """Poses and measured angles, shape (E, 3 + J); NaN of a stopped robot."""
-    state = swimmer.state()
-    track = np.concatenate([state.pose, state.measured], axis=1)
-    track[state.stopped >= 0] = np.nan
-    return track
-
-
 def _carry(twin: Twin, pose: Array) -> None:
     """Move robots and their wake to a pose in the pool; velocities in the body frame are kept."""
     clock = np.array(twin.motion.clock.numpy())
     q, v = np.array(twin.motion.q.numpy()), np.array(twin.motion.v.numpy())
     turn = pose[2] - q[:, 2]
-    c, s = np.cos(turn), np.sin(turn)
-    v[:, 0], v[:, 1] = c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]
+    v[:, :2] = turned(v[:, :2], turn)
     q[:, :2] = pose[:2] - twin.current * clock[:, None]
     q[:, 2] = pose[2]
     twin.motion.q.assign(q)
     twin.motion.v.assign(v)
-    moved = np.array(twin.water.moved.numpy())
-    x, y = moved[..., 0], moved[..., 1]
-    rotated = np.stack([c[:, None] * x - s[:, None] * y, s[:, None] * x + c[:, None] * y], axis=-1)
-    twin.water.moved.assign(rotated)
+    twin.water.moved.assign(turned(np.array(twin.water.moved.numpy()), turn[:, None]))
     everyone: Any = wp.ones(twin.n_envs, dtype=wp.int32, device=twin.device)
     inputs = [twin.chain, twin.motion, twin.water, everyone]
     wp.launch(start_twin, dim=twin.n_envs, inputs=inputs, device=twin.device)
@@ -274,25 +274,19 @@ def _carry(twin: Twin, pose: Array) -> None:
 def steps_of(track: Array) -> Array:
     """Displacements forward, to the left, of the heading, and joint angles: (E, T - 1, 3 + J)."""
     change = np.diff(track[..., :3], axis=1)
-    heading = track[:, :-1, 2]
-    c, s = np.cos(heading), np.sin(heading)
-    forward = c * change[..., 0] + s * change[..., 1]
-    aside = c * change[..., 1] - s * change[..., 0]
-    moved = np.stack([forward, aside, change[..., 2]], axis=2)
-    return np.concatenate([moved, track[:, 1:, 3:]], axis=2)
+    moved = turned(change[..., :2], -track[:, :-1, 2])
+    return np.concatenate([moved, change[..., 2:], track[:, 1:, 3:]], axis=2)
 
 
 def path_of(steps: Array, start: Array, joint: Array) -> Array:
     """The path from a first pose, the inverse of ``steps_of``."""
-    zero = np.zeros((len(steps), 1))
-    heading = start[2] + np.concatenate([zero, np.cumsum(steps[..., 2], axis=1)], axis=1)
-    c, s = np.cos(heading[:, :-1]), np.sin(heading[:, :-1])
-    x = np.cumsum(c * steps[..., 0] - s * steps[..., 1], axis=1)
-    y = np.cumsum(s * steps[..., 0] + c * steps[..., 1], axis=1)
-    x, y = (a + np.concatenate([zero, b], axis=1) for a, b in zip(start[:2], (x, y), strict=True))
-    first = np.broadcast_to(joint, (len(steps), joint.shape[-1]))[:, None]
+    E = len(steps)
+    heading = start[2] + np.cumsum(np.pad(steps[..., 2], ((0, 0), (1, 0))), axis=1)
+    moved = np.cumsum(turned(steps[..., :2], heading[:, :-1]), axis=1)
+    place = start[:2] + np.concatenate([np.zeros((E, 1, 2)), moved], axis=1)
+    first = np.broadcast_to(joint, (E, joint.shape[-1]))[:, None]
     angles = np.concatenate([first, steps[..., 3:]], axis=1)
-    return np.concatenate([np.stack([x, y, heading], axis=2), angles], axis=2)
+    return np.concatenate([place, heading[..., None], angles], axis=2)
 
 
 def with_values(model: Model, parameters: Mapping[str, float]) -> Model:

@@ -1,7 +1,6 @@
 """Unnamed shapes of residuals, as alternatives to the effects of the catalogue.
 
-Each family adds a few columns with a prior to those of a fit, and so has an evidence. They are not
-findings, but effects of the catalogue must fit better than they.
+Each family adds a few columns with a prior to those of a fit, and so has an evidence.
 """
 
 from __future__ import annotations

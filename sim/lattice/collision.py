@@ -1,10 +1,9 @@
 """Collision of the populations in a cell, and the effect of a body force on them.
 
-Two relaxation times: Ginzburg, Adv. Water Resour. 28 (2005) 1171; ``magic`` is their product, each
-minus a half. Sub-grid viscosity: Hou et al., Fields Inst. Comm. 6 (1996) 151. A force adds the
-difference of two equilibria: Kupershtokh et al., Comput. Math. Appl. 58 (2009) 965. Symbols: rest
-density minus 1, m momentum, inv one over the density, plus and minus the relaxation rates of the
-even and the odd part.
+Two relaxation times: Ginzburg, Adv. Water Resour. 28 (2005) 1171. Sub-grid viscosity: Hou et al.,
+Fields Inst. Comm. 6 (1996) 151. A force adds the difference of two equilibria: Kupershtokh et al.,
+Comput. Math. Appl. 58 (2009) 965. Symbols: rest density minus 1, m momentum, inv one over the
+density, plus and minus the relaxation rates of the even and the odd part.
 """
 
 from functools import cache

@@ -1,15 +1,12 @@
 """Ghost cells: water inside a body, set so that the water outside slips along its surface.
 
-A cell whose centre lies inside a body sends out, towards each neighbour in the water, populations
-at equilibrium. Across the surface their velocity is the body's; along it, that with which the links
-of the cell exchange no momentum along the surface, or, where the links do not determine it, that of
-the water ``REACH`` cells outside. Their density is such that through the links of the cell no mass
-passes but what the moving surface displaces; what ghost cells send to each other has the density
-of the water outside, as cells that the body uncovers hold it. Uniform flow along a plane of any
-direction is an exact solution.
-Sources: Tiwari and Vanka, Int. J. Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a
-lattice-Boltzmann method); Ladd, J. Fluid Mech. 271 (1994) 285 (links that displace what the surface
-displaces).
+A cell whose centre lies inside a body sends populations at equilibrium towards each neighbour in
+the water. Across the surface their velocity is the body's; along it, that with which the links of
+the cell exchange no momentum, or, where the links do not determine it, that of the water ``REACH``
+cells outside. By their density no mass passes but what the moving surface displaces; what ghost
+cells send to each other has the density of the water outside. Sources: Tiwari and Vanka, Int. J.
+Numer. Meth. Fluids 69 (2012) 481 (ghost cells in a lattice-Boltzmann method); Ladd, J. Fluid Mech.
+271 (1994) 285 (links that displace what the surface displaces).
 """
 
 from functools import cache
@@ -76,10 +73,9 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
     ) -> Vector:
         """Populations for the body's velocity ``across`` the surface; linear in it.
 
-        ``p`` are those that arrive, ``face`` the surface's normal and the density, ``water`` the
-        velocity along it and, for the terms of second order, that across it. ``leak`` is the
-        density that the links lack so that the body's surface as a whole lets no mass through.
-        Few links can need a density far from that of the water outside, which the rest has.
+        ``p`` arrive, ``face`` is the surface's normal and the density, ``water`` the velocity along
+        it and, for terms of second order, across it; ``leak`` the density that the links lack so
+        that no mass passes the whole surface.
         """
         rho = face[3]
         u = wp.vec3(
@@ -115,9 +111,8 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
     def slipping(p: Vector, links: int, face: wp.vec4, water: wp.vec4) -> wp.vec4:
         """``water`` with the velocity along the surface that exchanges no momentum along it.
 
-        The least-squares fit of an equilibrium to the populations that arrive through the links. In
-        a direction in which their velocities have the variance v, the share v^2 / (v^2 + WEAK^2) of
-        its difference from ``water`` counts (Tikhonov's regularisation).
+        The least-squares fit of an equilibrium to the populations that arrive through the links, of
+        whose velocities' variance v the share v^2 / (v^2 + WEAK^2) counts (Tikhonov).
         """
         n = wp.vec3(face[0], face[1], face[2])
         rho = face[3]
@@ -164,11 +159,7 @@ def ghosts(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace o
 
     @wp.func
     def positive(p: Vector, links: int, face: wp.vec4, water: wp.vec4) -> wp.vec4:
-        """``face`` with the largest density for which no population sent to the water is negative.
-
-        A surface that recedes from water at rest by more than 1/6 cells in a step would take more
-        from it than arrives.
-        """
+        """``face`` with the largest density for which no population that is sent is negative."""
         u = wp.vec3(water[0], water[1], water[2])
         u += water[3] * wp.vec3(face[0], face[1], face[2])
         still = 1.5 * wp.dot(u, u)

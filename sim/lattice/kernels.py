@@ -183,9 +183,8 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
     ):
         """Damp the flow far from each box's robot: an absorbing layer that moves with it.
 
-        Stored populations of water at rest are 0, so each slot is multiplied by a factor, which
-        decreases with the square of the depth in the layer and so reflects little sound. All slots
-        are read before one is written, so that the reads do not wait for each other.
+        Stored populations of water at rest are 0; a factor that falls with the square of the depth
+        reflects little sound. All slots are read before one is written, so that reads do not wait.
         """
         n = wp.tid()
         e = n // box.cells

@@ -1,10 +1,10 @@
 """Populations: their layout in memory, their streaming, and their moments.
 
-They are stored once and in place (the esoteric pull: Lehmann, Computation 10 (2022) 92): in each
-step a cell uses slots that no other cell uses. Slots of solid cells return the populations that
-arrive: bounce-back. The stored numbers are f - w (Skordos, Phys. Rev. E 48 (1993) 4823). From 2^31
-slots on memory is wide: (Q, cells), whose offsets Warp computes in 64 bits. Symbols: n cell,
-counted through all boxes; row one of the Q slots of a cell; t parity of the step; c velocity.
+They are stored once and in place (the esoteric pull: Lehmann, Computation 10 (2022) 92); slots of
+solid cells return the populations that arrive: bounce-back. The stored numbers are f - w (Skordos,
+Phys. Rev. E 48 (1993) 4823). From 2^31 slots on memory is wide: (Q, cells), whose offsets Warp
+computes in 64 bits. Symbols: n cell, counted through all boxes; row one of the Q slots of a cell; t
+parity of the step; c velocity.
 """
 
 from functools import cache
@@ -40,9 +40,8 @@ def allocate(lattice: Lattice, wide: bool, cells: int, device: Any) -> Any:  # n
 def populations(lattice: Lattice, wide: bool) -> Any:  # noqa: ANN401 - a namespace of Warp's types and functions
     """``Stored``, the type of the memory, ``Vector`` of a cell's populations, and functions.
 
-    ``neighbours`` are the cells in the odd directions, ``load`` gives the populations that arrive
-    at a cell, ``store`` takes those that leave it, ``moments`` are density minus 1 and momentum,
-    ``read`` and ``write`` get and set one slot.
+    ``neighbours`` are the cells in the odd directions; ``load`` and ``store`` the populations that
+    arrive and leave; ``moments`` density minus 1 and momentum; ``read`` and ``write`` one slot.
     """
     c, pairs = lattice.velocities, lattice.pairs
     Stored = wp.array2d(dtype=wp.float32) if wide else wp.array(dtype=wp.float32)

@@ -57,10 +57,7 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
         normal: wp.array(dtype=wp.int32),
         inside: wp.array(dtype=wp.int32),
     ):
-        """Free-slip cell k of box e; ``listed`` are the cells, counted in one box.
-
-        ``inside`` are the cells before them, of which only fluid cells receive populations.
-        """
+        """Free-slip cell k of box e; of the cells ``inside`` only fluid receives populations."""
         e, k = wp.tid()
         n = e * box.cells + listed[k]
         water = e * box.cells + inside[k]
@@ -87,7 +84,7 @@ def wall_kernels(lattice: Lattice, wide: bool) -> tuple[Any, Any]:
     def walls(
         f: Stored, box: Box, listed: wp.array(dtype=wp.int32), velocity: wp.array(dtype=wp.vec3)
     ):
-        """Moving cell k of box e; ``listed`` are the cells, counted in one box."""
+        """Moving cell k of box e, of those ``listed``."""
         e, k = wp.tid()
         n = e * box.cells + listed[k]
         u = velocity[k]

@@ -40,12 +40,11 @@ of all squares from which on a GPU is busy with one thread for each."""
 def inset_at(viscosity: float) -> float:
     """Distance in cells to move the surface inwards, at this viscosity in lattice units.
 
-    The slope is that of creeping flow through periodic arrays, whose drag is known in closed form
-    (Sangani and Acrivos, Int. J. Multiphase Flow 8 (1982) 193, 343): a disc or ball of 6 to 14
-    cells, at a generic position on the grid, acts as if 0.34 - 1.5 sqrt(viscosity) cells larger,
-    within 0.03 for viscosities from 0.005 to 0.4, and the same in two and three dimensions. The
-    constant is that of faster flow, whose pressure acts on the outermost cells: there the best
-    insets are 0.23 higher (cylinder towed at Re 100, 8 to 24 cells; spheres at Re 1.5 and 32).
+    The slope is that of creeping flow through periodic arrays (Sangani and Acrivos, Int. J.
+    Multiphase Flow 8 (1982) 193, 343): a disc or ball of 6 to 14 cells acts as if 0.34 - 1.5
+    sqrt(viscosity) cells larger, within 0.03 for viscosities from 0.005 to 0.4. The constant is
+    that of faster flow, whose best insets are 0.23 higher (cylinder towed at Re 100, 8 to 24 cells;
+    spheres at Re 1.5 and 32).
     """
     return 0.57 - 1.5 * float(np.sqrt(viscosity))
 
@@ -53,13 +52,8 @@ def inset_at(viscosity: float) -> float:
 class Bodies:
     """One chain of links in each box of a fluid.
 
-    Attributes:
-        fluid: The boxes.
-        hull: The links' shape.
-        units: Size of a cell and of a step.
-        wall: Wall model of the robots.
-        displaced: Mass, centre and inertia of the water that each link displaces, shape (L, 3).
-        middle: Height of the robots' middle in cells.
+    ``displaced`` are mass, centre and inertia of the water that each link displaces, shape (L, 3),
+    ``middle`` is the height of the robots' middle in cells.
     """
 
     def __init__(
@@ -85,8 +79,8 @@ class Bodies:
             hull: The links' shape.
             masses: Masses of the links.
             units: Size of a cell and of a step.
-            servos: Rows of the servo law's parameters, shape (E, J, P) or (J, P), in the order of
-                ``sim2real.servo.parameters.COLUMNS``; slack joints where None.
+            servos: Rows of ``sim2real.servo.parameters.COLUMNS``, shape (E, J, P) or (J, P); slack
+                joints where None.
             limits: Smallest and largest angle of each joint in rad, shape (J, 2).
             origin_m: World coordinates of the cell (0, 0).
             middle: Height of the robot's middle in cells; that of the box where None. Parts above
@@ -116,10 +110,7 @@ class Bodies:
         self.chain = make_chain(self._rows(masses, rows, outside), hull.length, ends, device)
         self.chain.widest = wp.float64(hull.half_width.max())
         self.motion = still(E, L, device)
-        grid = self.grid = fill(
-            OnGrid(), device, pose=(E, L), twist=(E, L), centre=(E, L), position=(E,),
-            sums=(E, L, SUMS), kept=(E,), corner=(E,),
-        )  # fmt: skip
+        grid = self.grid = fill(OnGrid(), device, position=(E,))
         grid.cell, grid.step = wp.float64(cell), wp.float64(units.step_s)
         grid.mass, grid.origin = wp.float64(units.mass_kg), wp.vec2d(*origin_m)
         grid.margin, grid.scale = _MARGIN, wp.float64(FIXED_POINT)
@@ -135,8 +126,9 @@ class Bodies:
 
     def _cover_cells(self, length: Array, width: Array, high: Array, height: Array) -> None:
         """Tell the fluid of the robots' shape, in cells, and make room for what they cover."""
-        hull, cell, fluid, grid = self.hull, self.units.cell_m, self.fluid, self.grid
-        E, nz, cuda = fluid.boxes, fluid.size[2], fluid.device.is_cuda
+        hull, cell, fluid = self.hull, self.units.cell_m, self.fluid
+        E, L = fluid.boxes, hull.length.size
+        nz, cuda = fluid.size[2], fluid.device.is_cuda
         flat = fluid.lattice.dimensions == 2
         reach = int(np.ceil(hull.half_width.max() / cell)) + _MARGIN
         side = int(np.ceil(hull.length.sum() / cell)) + 2 * reach + 2
@@ -150,13 +142,13 @@ class Bodies:
             back=(ghosts,), water=(ghosts,), beyond=(ghosts,), links=(ghosts,), count=(2 * E,),
             listed=(2 * E, ghosts // E), length=length.astype(np.float32),
             half_width=width.astype(np.float32), half_height=high.astype(np.float32),
+            pose=(E, L), twist=(E, L), centre=(E, L), sums=(E, L, SUMS), kept=(E,), corner=(E,),
         )  # fmt: skip
-        for shared in ("corner", "pose", "centre", "twist", "sums", "kept"):
-            setattr(covered, shared, getattr(grid, shared))
         covered.middle, covered.damping = self.middle, DAMPING if self.wall.slip else 0.0
         covered.side, covered.low, covered.tall = side, low, top - low
         covered.layers = 1 if cuda and E * side**2 < _COLUMNS else covered.tall
         covered.lanes = max(1, square // _LISTED) if cuda else 1
+        self.grid.body = covered
 
     def _rows(self, masses: Masses, servos: Array, outside: Outside) -> Rows:
         """The arrays of robots with these masses, servos and effects."""
@@ -243,8 +235,8 @@ class Bodies:
     def momentum(self) -> Array:
         """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.
 
-        Without that of the water inside them, which belongs to the fluid; without slip including
-        the virtual mass, which is the quantity that the scheme conserves.
+        Without that of the water inside them, which is the fluid's; without slip with the virtual
+        mass.
         """
         m, w = self.chain.mass.numpy(), self.chain.water.numpy()
         V, before, at = (

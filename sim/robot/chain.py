@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from sim.lattice.cell import Covered
+
 RING = 16
 """Number of the latest set-points of a joint that are stored."""
 Reals = wp.array(dtype=wp.float64)
@@ -86,16 +88,9 @@ class OnGrid:
     mass: wp.float64
     origin: wp.vec2d
     margin: int
-    corner: wp.array(dtype=wp.vec4i)
-    pose: wp.array2d(dtype=wp.vec4)
-    centre: wp.array2d(dtype=wp.vec2)
-    twist: wp.array2d(dtype=wp.vec4)
     position: wp.array(dtype=wp.vec2)
-    sums: wp.array3d(dtype=wp.int64)
-    # density that the surface of all links lacks so that no mass passes, a mean over ``memory``
-    # steps, (E,), see ``ghost_coupling``
-    kept: wp.array(dtype=wp.float32)
-    memory: wp.float32
+    body: Covered
+    memory: wp.float32  # steps of the mean ``body.kept``
     scale: wp.float64
 
 

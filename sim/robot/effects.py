@@ -53,11 +53,7 @@ def outside(
 ) -> Outside:
     """The arrays for robots with these models: the sums of their effects, and their appendages.
 
-    Args:
-        robot: The robot.
-        models: The models.
-        hull: The robot's hull.
-        surface_m: Height of the water's surface above its middle.
+    ``surface_m`` is the height of the water's surface above the hull's middle.
 
     Raises:
         InputError: If a model's effect does not exist.
@@ -128,16 +124,9 @@ OFF = Outside(
 def points_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
     """Points at which the appendages resist, shape (L, P, 4), with P at least 1.
 
-    The last point of each link is unused, for ``body_effect.Forces.area``.
-
-    Args:
-        robot: The robot.
-        hull: Its hull, whose first axis begins behind the nose.
-        surface_m: Height of the water's surface above the hull's middle.
-
-    Returns:
-        Distance behind the start of the link's axis and to the left of it in m, and drag along and
-        across the link in N s2/m2.
+    Distance behind the start of the link's axis, behind the nose, and to the left of it in m, and
+    drag along and across the link in N s2/m2. The last point of each link is unused, for
+    ``body_effect.Forces.area``. ``surface_m`` is the surface's height above the hull's middle.
     """
     most = 2 * max(len(link.appendages) for link in robot.links) + 1
     out = np.zeros((len(robot.links), most, 4))
@@ -154,10 +143,9 @@ def points_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
 
 
 def added_mass_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
-    """Added mass of the appendages of each link, shape (L, 3, 3).
+    """Added mass of the appendages of each link, shape (L, 3, 3), at the start of its axis.
 
-    The matrix from velocity along the link, across it and of its heading, at the start of its axis,
-    to momentum along, momentum across and angular momentum about the start.
+    From velocity along the link, across it and of its heading, to momentum and angular momentum.
     """
     out = np.zeros((len(robot.links), 3, 3))
     for k, link in enumerate(robot.links):

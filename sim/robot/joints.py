@@ -84,10 +84,9 @@ def set_point(e: int, k: int, start: wp.float64, h: wp.float64, s: Motion) -> wp
 def drive(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.vec3d:
     """Impulse of servo k over a step, equivalent inertia of its gains, bound of dry friction.
 
-    The torque is that at the middle of the step, as in ``sim2real.servo.law.substep``. Steps are
-    not longer than the controller's period, so the controller is evaluated in each. The friction of
-    the gears depends on the motor's torque; the load of the water, unknown before the step, is not
-    included.
+    The torque is that at the middle of the step, as in ``sim2real.servo.law.substep``. The friction
+    of the gears depends on the motor's torque; the load of the water, unknown before the step, is
+    not included.
     """
     p = chain.servo[e, k]
     z = chain.memory[e, k]

@@ -18,6 +18,7 @@ from sim2real.arrays import Array, Index, Integers, Mask
 from sim2real.errors import InputError
 from sim2real.model import Model
 from sim2real.robot import Robot
+from sim2real.velocity import turned
 
 
 @dataclass(frozen=True)
@@ -52,28 +53,28 @@ class Live:
 
 
 class Simulator(Protocol):
-    """Interface of the fluid's swimmer and the twin, see ``Robots``."""
+    """What environments need of ``Robots``."""
 
     robot: Robot
     n_envs: int
 
     @property
     def current(self) -> Array:
-        """Velocity of the pool's water, shape (E, 2)."""
+        """As of ``Robots``."""
 
     def live(self) -> Live:
-        """The live state."""
+        """As of ``Robots``."""
 
     def advance(self) -> None:
-        """Advance by one control period with the set-points in ``live().command``."""
+        """As of ``Robots``."""
 
     def adopt(self, which: Index, models: Sequence[Model]) -> None:
-        """Assign other models to some robots, before their reset."""
+        """As of ``Robots``."""
 
     def reset(
         self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
     ) -> None:
-        """Put robots at rest."""
+        """As of ``Robots``."""
 
 
 class Robots(ABC):
@@ -126,13 +127,11 @@ class Robots(ABC):
     def reset(
         self, mask: Mask | None = None, pose: Array | None = None, joint: Array | None = None
     ) -> None:
-        """Put robots at rest in water at rest; with a current, both move with it.
+        """Put robots, by a mask (E,), at rest in water at rest; with a current, both move with it.
 
-        Args:
-            mask: Robots to reset, shape (E,); all where None.
-            pose: x, y of the head's centre of mass and heading, shape (E, 3) or (3,); with the
-                body's middle at the origin, heading along x, where None.
-            joint: Joint angles, shape (E, J) or (J,); straight where None.
+        ``pose`` is x, y of the head's centre of mass and heading, shape (E, 3) or (3,); with the
+        body's middle at the origin, heading along x, where None. ``joint`` are angles, (E, J) or
+        (J,); straight where None.
         """
         E = self.n_envs
         chosen = np.ones(E, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
@@ -147,11 +146,9 @@ class Robots(ABC):
         self._launch(remember, E, [on_device, self.chain, self.motion])
 
     def step(self, command: Array | Any) -> None:  # noqa: ANN401 - a Warp array too
-        """Send set-points and advance by one control period.
+        """Send desired angles in rad, shape (E, J) or (J,), and advance by one control period.
 
-        Args:
-            command: Desired joint angles in rad, shape (E, J) or (J,); a Warp array of float64 on
-                the device is taken as it is, without waiting for the device.
+        A Warp array of float64 on the device is taken as it is, without waiting for the device.
 
         Raises:
             InputError: If a set-point is not finite.
@@ -181,12 +178,10 @@ class Robots(ABC):
         q, v, clock = (np.array(x.numpy()) for x in (s.q, s.v, s.clock))
         q[:, :2] += self.current * clock[:, None]
         v[:, :2] += self.current
-        c, d = np.cos(q[:, 2]), np.sin(q[:, 2])
-        surge, sway = c * v[:, 0] + d * v[:, 1], c * v[:, 1] - d * v[:, 0]
         stopped[(stopped < 0) & ~np.isfinite(q).all(axis=1)] = 0
         return State(
             pose=q[:, :3],
-            velocity=np.stack([surge, sway, v[:, 2]], axis=1),
+            velocity=np.concatenate([turned(v[:, :2], -q[:, 2]), v[:, 2:3]], axis=1),
             joint=q[:, 3:],
             rate=v[:, 3:],
             measured=np.array(s.measured.numpy()),
@@ -197,9 +192,11 @@ class Robots(ABC):
         )
 
     def track(self) -> Array:
-        """Poses and measured angles, shape (E, 3 + J)."""
+        """Poses and measured angles, shape (E, 3 + J); NaN of a stopped robot."""
         state = self.state()
-        return np.concatenate([state.pose, state.measured], axis=1)
+        track = np.concatenate([state.pose, state.measured], axis=1)
+        track[state.stopped >= 0] = np.nan
+        return track
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:  # noqa: ANN401
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)

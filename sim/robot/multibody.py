@@ -2,16 +2,16 @@
 
 Coordinates: x and y of the head's centre of mass, its heading, the joints' angles. With M the
 links' mass, C, a and p the fluid's sums (``coupling``), P the momentum of the water inside the
-links, V the links' velocities, J the Jacobian of the new pose, T the servos' torques with implicit
-gains and h the step, the new coordinates' velocities v solve
+links, V their velocities, J the Jacobian of the new pose, T the servos' torques and h the step, the
+new coordinates' velocities v solve
 
     sum J' (M + C + B) J v = sum J' ((M + B) V + B (V - V_before) + p - a - P) + h T.
 
-C is the symmetric part of the matrix of the sums; the rest, which only ghost cells have, acts on V.
-Where the water does not slip, M is the mass minus that of the water inside, p and P are 0, and B is
-a virtual mass on both sides (Tavanashad and Subramaniam, Int. J. Multiphase Flow 132 (2020)
-103413). Dry friction and joint limits are impulses, computed by projected Gauss-Seidel sweeps
-(Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer, 2008). SI.
+C is the symmetric part of the sums' matrix; the rest acts on V. Where the water does not slip, M is
+less the mass of the water inside, p and P are 0, and B is a virtual mass (Tavanashad and
+Subramaniam, Int. J. Multiphase Flow 132 (2020) 103413). Dry friction and limits are impulses by
+projected Gauss-Seidel sweeps (Acary and Brogliato, Nonsmooth Dynamical Systems, Springer, 2008).
+SI.
 """
 
 import warp as wp
@@ -92,12 +92,12 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
         side = chain.side[e, k]
         x = (at[0] + com * c + side * d - grid.origin[0]) / grid.cell
         y = (at[1] + com * d - side * c - grid.origin[1]) / grid.cell
-        grid.pose[e, k] = wp.vec4(float(x), float(y), float(c), float(d))
-        grid.centre[e, k] = wp.vec2(
+        grid.body.pose[e, k] = wp.vec4(float(x), float(y), float(c), float(d))
+        grid.body.centre[e, k] = wp.vec2(
             float((at[0] - grid.origin[0]) / grid.cell), float((at[1] - grid.origin[1]) / grid.cell)
         )
         v = s.twist[e, k] * grid.step
-        grid.twist[e, k] = wp.vec4(
+        grid.body.twist[e, k] = wp.vec4(
             float(v[0] / grid.cell), float(v[1] / grid.cell), float(v[2]), 0.0
         )
         back = chain.length[k] / grid.cell
@@ -106,7 +106,7 @@ def show(e: int, chain: Chain, s: Motion, grid: OnGrid) -> int:
     reach = int(wp.ceil(chain.widest / grid.cell)) + grid.margin
     x0 = int(wp.floor(low[0])) - reach
     y0 = int(wp.floor(low[1])) - reach
-    grid.corner[e] = wp.vec4i(
+    grid.body.corner[e] = wp.vec4i(
         x0, y0, int(wp.ceil(high[0])) + reach + 1 - x0, int(wp.ceil(high[1])) + reach + 1 - y0
     )
     middle = (low + high) * wp.float64(0.5)
@@ -121,7 +121,7 @@ def matrix(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.mat33d
     m = wp.mat33d()
     for i in range(3):
         for j in range(3):
-            x = wp.float64(grid.sums[e, k, at + 3 * i + j]) * unit
+            x = wp.float64(grid.body.sums[e, k, at + 3 * i + j]) * unit
             if i == 2:
                 x = x * c
             if j == 2:
@@ -135,9 +135,9 @@ def vector(e: int, k: int, at: int, unit: wp.float64, grid: OnGrid) -> wp.vec3d:
     """A vector of the fluid's sums over link k, in N s and N m s."""
     c = grid.cell / grid.step
     return wp.vec3d(
-        wp.float64(grid.sums[e, k, at]) * unit * c,
-        wp.float64(grid.sums[e, k, at + 1]) * unit * c,
-        wp.float64(grid.sums[e, k, at + 2]) * unit * c * grid.cell,
+        wp.float64(grid.body.sums[e, k, at]) * unit * c,
+        wp.float64(grid.body.sums[e, k, at + 1]) * unit * c,
+        wp.float64(grid.body.sums[e, k, at + 2]) * unit * c * grid.cell,
     )
 
 
@@ -182,13 +182,13 @@ def start(chain: Chain, s: Motion, grid: OnGrid, mask: wp.array(dtype=wp.int32))
     pose_links(e, chain, s)
     move_links(e, s)
     s.fresh[e] = 1
-    grid.kept[e] = 0.0
+    grid.body.kept[e] = 0.0
     for k in range(chain.length.shape[0]):
         s.before[e, k] = s.twist[e, k]
         hold(e, k, chain, s)
         s.inner[e, k] = wp.vec3d()
         for i in range(wp.static(SUMS)):
-            grid.sums[e, k, i] = wp.int64(0)
+            grid.body.sums[e, k, i] = wp.int64(0)
     show(e, chain, s, grid)
 
 
@@ -270,9 +270,11 @@ def advance(
     passed = wp.float64(0.0)
     weight = wp.float64(1.0)
     for k in range(L):
-        passed += wp.float64(grid.sums[e, k, 24])
-        weight += wp.float64(grid.sums[e, k, 25])
-    grid.kept[e] = grid.kept[e] + (float(passed / weight) - grid.kept[e]) / grid.memory
+        passed += wp.float64(grid.body.sums[e, k, 24])
+        weight += wp.float64(grid.body.sums[e, k, 25])
+    grid.body.kept[e] = (
+        grid.body.kept[e] + (float(passed / weight) - grid.body.kept[e]) / grid.memory
+    )
     for k in range(L):
         V = s.twist[e, k]
         hold(e, k, chain, s)
@@ -283,9 +285,9 @@ def advance(
         inner += (full - K) * (V - s.before[e, k])
         s.inner[e, k] = about(inner, s.link[e, k], wp.float64(1.0))
         v = V * h
-        grid.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
+        grid.body.twist[e, k] = wp.vec4(float(v[0] / c), float(v[1] / c), float(v[2]), 0.0)
         for i in range(wp.static(SUMS)):
-            grid.sums[e, k, i] = wp.int64(0)
+            grid.body.sums[e, k, i] = wp.int64(0)
     s.fresh[e] = 0
     s.clock[e] = s.clock[e] + h
 
@@ -321,8 +323,7 @@ def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dty
     """Advance the coordinates by one step, after the step of the fluid.
 
     Rotating links move their centre off the line of its velocity by the square of the step, always
-    to the same side, so that flapping alone would move the robot. The head is shifted so that the
-    centre moves with its velocity.
+    to the same side, which alone would move the robot: the head is shifted back.
     """
     e = wp.tid()
     if stopped[e] >= 0:

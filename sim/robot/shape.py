@@ -44,6 +44,12 @@ class Hull:
         )
 
 
+def between(ends: Array, s: Array) -> Array:
+    """The quadratic through values (..., 3) at 0, 1/2 and 1, at shares ``s`` of the way."""
+    curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
+    return np.tensordot(ends, curve, 1)
+
+
 def hull_of(robot: Robot) -> Hull:
     """The hull of a robot whose links have a length, a width and a height.
 
@@ -74,16 +80,6 @@ def draught(hull: Hull, mass_kg: float, appendages: tuple[Appendage, ...] = ()) 
     A floating robot displaces its own mass of water, with hull and appendages: Archimedes'
     principle.
     """
-    parts = (hull.length, hull.half_width, hull.half_height)
-    return _draught(tuple(p.tobytes() for p in parts), hull.length.size, mass_kg, appendages)
-
-
-@lru_cache(maxsize=64)
-def _draught(
-    parts: tuple[bytes, ...], links: int, mass_kg: float, appendages: tuple[Appendage, ...]
-) -> float | None:
-    length, wide, high = (np.frombuffer(part) for part in parts)
-    hull = Hull(length, wide.reshape(links, 3), high.reshape(links, 3))
     step = hull.extent / 60
 
     def excess_mass(surface: float) -> float:
@@ -108,13 +104,15 @@ def _too_light(mass_kg: float, appendages_m3: float) -> InputError:
     return InputError("robot", "links", found, f"less than the robot's {mass_kg:.3g} kg")
 
 
-def submerged(robot: Robot, hull: Hull, flat: bool, deep: float) -> tuple[Hull, float, float]:
+@lru_cache(maxsize=64)
+def submerged(robot: Robot, flat: bool, deep: float) -> tuple[Hull, float, float]:
     """The hull in the water, the depth that replaces its heights in 2D, and that of its middle, m.
 
     A robot floats at the draught of its mass. One that would sink, and any in two dimensions, has
     its heights scaled so that it displaces its own mass, under water at the depth ``deep``.
     """
-    mass_kg, appendages = sum(link.mass_kg for link in robot.links), robot.appendages
+    hull, appendages = hull_of(robot), robot.appendages
+    mass_kg = sum(link.mass_kg for link in robot.links)
     depth_m = None if flat else draught(hull, mass_kg, appendages)
     if depth_m is not None:
         return hull, 0.0, depth_m
@@ -128,18 +126,12 @@ def submerged(robot: Robot, hull: Hull, flat: bool, deep: float) -> tuple[Hull, 
 
 
 def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = np.inf) -> Array:
-    """Volume displaced by the straight hull on the grid; a cell belongs to its nearest link.
+    """Displaced volume of the straight hull on a grid; a cell belongs to its nearest link.
 
-    Args:
-        hull: The hull.
-        cell: Size of a cell in m.
-        inset: Distance by which the surface is moved inwards in m.
-        flat: In two dimensions.
-        above: Height of the water's surface above the hull's middle in m.
-
-    Returns:
-        Volume in m3 (area in m2), distance of its centre from the link's front end in m, second
-        moment about that centre in m5 (m4): shape (L, 3).
+    From the side of a cell, the distance by which the surface is moved inwards and the height of
+    the water's surface ``above`` the hull's middle, all in m, to volume in m3 (area in m2),
+    distance of its centre from the link's front end in m, and second moment about that centre in m5
+    (m4): (L, 3).
     """
     fine = cell / 6
     widest, highest = hull.half_width.max() + cell, hull.half_height.max() + cell
@@ -156,10 +148,9 @@ def displaced(hull: Hull, cell: float, inset: float, flat: bool, above: float = 
     for k, start in enumerate(front):
         back = np.clip(start - X, 0, hull.length[k])
         s = back / hull.length[k] if hull.length[k] > 0 else np.zeros_like(back)
-        curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])
         distance.append(np.hypot(X - start + back, Y))
-        width.append(np.tensordot(hull.half_width[k], curve, 1) - inset)
-        height.append(np.tensordot(hull.half_height[k], curve, 1) - inset)
+        width.append(between(hull.half_width[k], s) - inset)
+        height.append(between(hull.half_height[k], s) - inset)
         depth.append(distance[-1] - width[-1])
     owner = np.argmin(depth, axis=0)
     out = np.zeros((front.size, 3))

@@ -48,10 +48,8 @@ def least_viscosity(cell_m: float, substeps: int | None = None) -> float:
 class Swimmer(Robots):
     """A batch of robots in the fluid, one in each box.
 
-    Attributes:
-        units: Size of a cell and of a time step.
-        substeps: Time steps of the fluid per control period.
-        fluid, bodies: Fluid and robots; their Warp arrays are the current state.
+    ``units`` are the sizes of a cell and of a time step, ``substeps`` the time steps per control
+    period; the Warp arrays of ``fluid`` and ``bodies`` are the current state.
     """
 
     def __init__(
@@ -75,18 +73,16 @@ class Swimmer(Robots):
 
         Args:
             robot: Links, joints and data sheets.
-            model: Servos and body, including the normalised density if present; one for all, or one
-                for each box.
+            model: Servos and body, one for all or one for each box.
             n_envs: Number of boxes.
             device: Warp device.
             cell_m: Side of a cell.
             dimensions: 2 (plan view) or 3.
             box_m: Length, width and depth of a box.
             walls: Whether the box has walls; otherwise it moves with the robot.
-            wall: Wall model: by default slip along the surface with skin friction as a stress, for
-                robots of decimetres; ``NO_SLIP`` if cells resolve the boundary layer.
-            viscosity_m2_s: Viscosity of the fluid away from the wall, one or one for each box, at
-                least that of water, 1e-6; by default the model's or ``least_viscosity``.
+            wall: Wall model; ``NO_SLIP`` if cells resolve the boundary layer.
+            viscosity_m2_s: Viscosity away from the wall, one or one for each box, at least 1e-6; by
+                default the model's or ``least_viscosity``.
             smagorinsky: Constant of the sub-grid viscosity.
             substeps: Time steps per control period, even; by default from ``TOP_SPEED_M_S``.
             threads: CPU threads.
@@ -96,9 +92,8 @@ class Swimmer(Robots):
         """
         self.robot, self.n_envs = robot, n_envs
         flat = dimensions == 2
-        self.hull = hull_of(robot)
-        _check(robot, self.hull, box_m, cell_m)
-        self.hull, depth, self.surface_m = submerged(robot, self.hull, flat, box_m[2] / 2)
+        _check(robot, hull_of(robot), box_m, cell_m)
+        self.hull, depth, self.surface_m = submerged(robot, flat, box_m[2] / 2)
         if substeps is None:
             substeps = steps_of(cell_m)
         if substeps < 2 or substeps % 2:
@@ -113,33 +108,23 @@ class Swimmer(Robots):
         self.viscosity_m2_s = np.broadcast_to(viscosity_m2_s, (n_envs,))
         self.tank = tank(box_m, cell_m, closed=walls, flat=flat)
         self.fluid = Fluid(
-            D2Q9 if flat else D3Q19,
-            self.tank.size,
-            viscosity=self.units.viscosity_lu(1.0) * self.viscosity_m2_s,
-            boxes=n_envs,
-            walls=self.tank.walls,
-            normals=self.tank.normals,
-            smagorinsky=smagorinsky,
-            device=device,
-            threads=threads,
-        )
+            D2Q9 if flat else D3Q19, self.tank.size,
+            viscosity=self.units.viscosity_lu(1.0) * self.viscosity_m2_s, boxes=n_envs,
+            walls=self.tank.walls, normals=self.tank.normals, smagorinsky=smagorinsky,
+            device=device, threads=threads,
+        )  # fmt: skip
         self.device, self._stopped = self.fluid.device, self.fluid.stopped
         if effects.wall.any() or (walls and effects.current.any()):
             name = "wall_effect" if effects.wall.any() else "pool_current with walls"
             raise InputError("model", "body.effects", name, "walls of the tank's own, still water")
         nx, ny, nz = self.tank.size
         self.bodies = Bodies(
-            self.fluid,
-            self.hull,
-            masses(robot, models, self.hull),
-            self.units,
+            self.fluid, self.hull, masses(robot, models, self.hull), self.units,
             servos=servo_rows(robot, models),
             limits=np.array([joint.limits_rad for joint in robot.joints]),
             origin_m=(-cell_m * nx / 2, -cell_m * ny / 2),
-            middle=nz - 0.5 - self.surface_m / cell_m,
-            wall=wall,
-            outside=effects,
-        )
+            middle=nz - 0.5 - self.surface_m / cell_m, wall=wall, outside=effects,
+        )  # fmt: skip
         self.chain, self.motion = self.bodies.chain, self.bodies.motion
         J = len(robot.joints)
         self._command: Any = wp.zeros((n_envs, J), dtype=wp.float64, device=self.device)

@@ -2,12 +2,11 @@
 
 Each link has added mass across and along its axis. Water that leaves the tail's end carries its
 momentum away (Lighthill, Proc. R. Soc. B 179 (1971) 125): with added mass m per length and
-velocities w across and u along the tail, the force is - m w u across the tail and + m w w / 2 along
-it. Drag is that of Morison et al. (1950) plus a term linear in the velocity, implicit, by the
-velocity relative to the wake: the water around a link approaches a share of the link's velocity V
-with time constant T, d moved / dt = (share V - moved) / T. The quadratic drag across, C |w| w,
-grows with the vortices that cause it: it is C |w| late, where late follows w over a distance, as
-lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17).
+velocities w across and u along the tail, the force is - m w u across it and + m w w / 2 along it.
+Drag is that of Morison et al. (1950) plus a linear term, implicit, relative to the wake: the water
+around a link approaches a share of the link's velocity V, d moved / dt = (share V - moved) / T. The
+quadratic drag across, C |w| w, grows with its vortices: it is C |w| late, where late follows w over
+a distance, as lift does after a start (Wagner, Z. Angew. Math. Mech. 5 (1925) 17).
 """
 
 import warp as wp

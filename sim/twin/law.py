@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim.lattice.velocities import WATER_KG_M3
-from sim.robot.shape import Hull
+from sim.robot.shape import Hull, between
 from sim2real.arrays import Array
 from sim2real.errors import InputError, one_of
 from sim2real.structured import read_json
@@ -87,17 +87,13 @@ def law_rows(
 ) -> dict[str, Array]:
     """Rows of ``sim.twin.kernel.Water`` for E robots, at the points of quadrature of each link.
 
-    Args:
-        hull: The links' shape.
-        above: Height of the water's surface above the hull's middle in m; infinite if submerged.
-        com: Distance of the links' centres of mass from their front ends in m, shape (E, L).
-        laws: Coefficients of each robot.
-        more: Relative increase of the added mass of each robot, shape (E,).
+    ``above`` is the height of the surface above the hull's middle in m, ``com`` the distance of the
+    links' centres of mass from their front ends in m, (E, L), ``more`` the relative increase of the
+    added mass, (E,).
     """
     nodes, weights = np.polynomial.legendre.leggauss(POINTS)
     s, weight = (nodes + 1) / 2, weights / 2
-    curve = np.stack([(1 - s) * (1 - 2 * s), 4 * s * (1 - s), s * (2 * s - 1)])  # front to back
-    high, wide = hull.half_height @ curve, hull.half_width @ curve
+    high, wide = between(hull.half_height, s), between(hull.half_width, s)  # front to back
     wet = high + np.clip(above, -high, high)  # wetted heights
     part = weight * hull.length[:, None]
     end = float(hull.half_height[-1, 2])

@@ -17,7 +17,7 @@ from sim.robot.chain import fill, still
 from sim.robot.effects import Outside, surface_drag
 from sim.robot.live import Robots
 from sim.robot.rows import Rows, chain_rows, change_rows, make_chain, masses, servo_rows
-from sim.robot.shape import hull_of, submerged
+from sim.robot.shape import submerged
 from sim.robot.swimmer import CONTROL_S
 from sim.twin.kernel import Water, start_twin, swim_twin
 from sim.twin.law import POINTS, Coefficients, law_rows
@@ -42,23 +42,18 @@ class Twin(Robots):
         substeps: int = SUBSTEPS,
         threads: int = 2,
     ) -> None:
-        """Create the robots, straight, at rest, at the origin, heading along x.
+        """Create ``n_envs`` robots, straight, at rest, at the origin, heading along x.
 
-        Args:
-            robot: Links, joints and data sheets.
-            model: Servos and body; one for all, or one for each robot. The coefficients of the
-                force law are those in ``body.twin``, or those fitted to the fluid.
-            n_envs: Number of robots.
-            device: Warp device.
-            substeps: Sub-steps per control period.
-            threads: CPU threads.
+        ``model`` has servos and body, one for all or one for each robot; the coefficients of the
+        force law are those in ``body.twin``, or those fitted to the fluid. ``device`` is a Warp
+        device, ``substeps`` are sub-steps per control period, ``threads`` those of a CPU.
 
         Raises:
             InputError: If robot and model do not agree.
         """
         self.robot, self.n_envs, self.substeps, self.threads = robot, n_envs, substeps, threads
         self.device: Any = wp.get_device(device)
-        self.hull, _, self.surface_m = submerged(robot, hull_of(robot), False, np.inf)
+        self.hull, _, self.surface_m = submerged(robot, False, np.inf)
         models, effects = self._take(model)
         E, L, J = n_envs, len(robot.links), len(robot.joints)
         rows, law = self._rows(models, effects)
@@ -113,13 +108,9 @@ class Twin(Robots):
     def swim(self, commands: Array, which: Index | None = None) -> Array:
         """Simulate whole signals in one launch, from the current state.
 
-        Args:
-            commands: Set-points in rad, one row a control period, shape (signals, T, J) or (T, J).
-            which: Signal of each robot, shape (E,); the first where None.
-
-        Returns:
-            x, y, heading and measured angles at the end of each period, shape (E, T, 3 + J), in the
-            pool's frame.
+        From set-points in rad, one row a control period, shape (signals, T, J) or (T, J), and the
+        signal of each robot, shape (E,), to x, y, heading in the pool's frame and measured angles
+        at the end of each period, shape (E, T, 3 + J).
         """
         signals = commands[None] if commands.ndim == 2 else commands
         E, T = self.n_envs, signals.shape[1]

@@ -7,11 +7,12 @@ the world coordinates of its columns and rows in m: shapes (width,) and (height,
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from sim.robot.shape import Hull
 from sim.view.legend import BODY, INK
 from sim.view.plane import Plane, depth
-from sim2real.arrays import Array, Index
+from sim2real.arrays import Array
 
 GRID_M = 0.25
 _STROKE = 0.0026
@@ -35,34 +36,14 @@ def blend(canvas: Array, share: Array, colour: Colour) -> None:
 
 
 def zoomed(plane: Plane, x: Array, y: Array) -> Array:
-    """The vorticity in 1/s at the canvas's pixels, 0 outside the box."""
-    from PIL import Image as Pillow
-
-    half = (x[1] - x[0]) / 2
-    columns, left, right = _inside(x, plane.corner[0], plane.cell, plane.vorticity.shape[0], half)
-    rows, low, high = _inside(y, plane.corner[1], plane.cell, plane.vorticity.shape[1], half)
-    out = np.zeros((y.size, x.size))
-    if not columns.size or not rows.size:
-        return out
-    count = plane.vorticity.shape[1]
-    field = Pillow.fromarray(np.ascontiguousarray(plane.vorticity.T[::-1], dtype=np.float32))
-    part = field.resize(
-        (columns.size, rows.size), Pillow.Resampling.BICUBIC,
-        (left, count - high, right, count - low),
-    )  # fmt: skip
-    out[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = np.asarray(part, dtype=np.float64)
-    return out
-
-
-def _inside(
-    along: Array, corner: float, cell: float, count: int, half: float
-) -> tuple[Index, float, float]:
-    """Indices of the coordinates in the box, and their outer edges in cells."""
-    low, high = (0.5 + (along + side - corner) / cell for side in (-half, half))
-    inside = np.flatnonzero((low > -1e-9) & (high < count + 1e-9))
-    if not inside.size:
-        return inside, 0.0, 0.0
-    return inside, max(float(low[inside].min()), 0.0), min(float(high[inside].max()), float(count))
+    """The vorticity in 1/s at the canvas's pixels by cubic splines, 0 outside the box."""
+    weights = []
+    for along, corner, count in zip((x, y), plane.corner, plane.vorticity.shape, strict=True):
+        at = (along - corner) / plane.cell
+        cells = make_interp_spline(np.arange(count), np.eye(count))
+        inside = (at > -0.5) & (at < count - 0.5)
+        weights.append(inside[:, None] * cells(np.clip(at, 0, count - 1)))
+    return np.asarray(weights[1] @ plane.vorticity.T @ weights[0].T)
 
 
 def grid_lines(x: Array, y: Array) -> Array:
@@ -74,14 +55,9 @@ def grid_lines(x: Array, y: Array) -> Array:
 
 
 def add_line(share: Array, ends: Array, width: float, x: Array, y: Array) -> None:
-    """Add a straight line to ``share``, shape (height, width); overlapping lines do not add up.
+    """Add a line between ``ends`` (2, 2) in m, ``width`` pixels wide, to a share (height, width).
 
-    Args:
-        share: Covered share of each pixel.
-        ends: End points in m, shape (2, 2).
-        width: Width in pixels.
-        x: Coordinates of the columns.
-        y: Coordinates of the rows.
+    Overlapping lines do not add up.
     """
     pixel = x[1] - x[0]
     window = _window(ends, (width + 2) * pixel, x, y)
@@ -107,15 +83,7 @@ def draw_ring(
 
 
 def draw_robot(canvas: Array, hull: Hull, links: Array, x: Array, y: Array) -> None:
-    """Draw body, joints and outline from the signed distance.
-
-    Args:
-        canvas: The canvas.
-        hull: The links' shape.
-        links: Front end and heading of each link, shape (L, 3).
-        x: Coordinates of the columns.
-        y: Coordinates of the rows.
-    """
+    """Draw body, joints and outline of links by their front ends and headings, shape (L, 3)."""
     back = links[-1, :2] - hull.length[-1] * np.array([np.cos(links[-1, 2]), np.sin(links[-1, 2])])
     window = _window(np.vstack([links[:, :2], back]), 1.2 * hull.half_width.max(), x, y)
     part = canvas[window]

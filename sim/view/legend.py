@@ -12,6 +12,8 @@ from sim2real.arrays import Array, Picture
 if TYPE_CHECKING:
     from sim.view.plane import Plane
 
+VORTICITY = 10.0
+"""Vorticity in 1/s that has the full colour."""
 INK, BODY, RULE = (28, 30, 33), (250, 247, 240), (106, 112, 120)
 _STOPS = (
     "#0a2344", "#19528c", "#5698c7", "#b9d6e8", "#ffffff",
@@ -36,11 +38,7 @@ def _table() -> Array:
 
 
 class Lettering:
-    """Text and symbols on a picture, in proportion to its width.
-
-    Attributes:
-        unit: Pixels per pixel of a picture with the width ``drawn_for``.
-    """
+    """Text and symbols on a picture; ``unit`` is a pixel of a picture as wide as ``drawn_for``."""
 
     def __init__(self, image: Picture, drawn_for: int = _DRAWN_FOR) -> None:
         from PIL import Image as Pillow
@@ -69,8 +67,8 @@ class Lettering:
         )
         self.write(self.right - length / 2, self.low - 12 * self.unit, f"{_SCALE_M:g} m", "ms")
 
-    def key(self, vorticity: float) -> None:
-        """Draw a colour bar at the upper right; ``vorticity`` in 1/s has the full colour."""
+    def key(self) -> None:
+        """Draw a colour bar of the vorticity at the upper right."""
         from PIL import Image as Pillow
 
         unit = self.unit
@@ -80,34 +78,23 @@ class Lettering:
         self._page.paste(Pillow.fromarray(shades), corner)
         self._draw.rectangle((*corner, corner[0] + width, corner[1] + height), None, RULE)
         under = corner[1] + height + 8 * unit
-        self.write(corner[0], under, f"-{vorticity:g}", "ma")
+        self.write(corner[0], under, f"-{VORTICITY:g}", "ma")
         self.write(corner[0] + width / 2, under, "vorticity, 1/s", "ma")
-        self.write(corner[0] + width, under, f"{vorticity:g}", "ma")
+        self.write(corner[0] + width, under, f"{VORTICITY:g}", "ma")
 
     def image(self) -> Picture:
         """The annotated picture."""
         return np.asarray(self._page)
 
 
-def lettered(image: Picture, plane: Plane, pixels: float, vorticity: float) -> Picture:
-    """The picture with its time, the head's heading, the cells, a scale and a key to the colours.
-
-    Args:
-        image: The picture.
-        plane: The plane that it shows.
-        pixels: Pixels per metre.
-        vorticity: Vorticity in 1/s that has the full colour.
-    """
+def lettered(image: Picture, plane: Plane, pixels: float) -> Picture:
+    """The picture with time, heading, cells, scale and key; ``pixels`` are those of a metre."""
     lettering = Lettering(image)
-    lettering.write(
-        lettering.left,
-        lettering.top + 2 * lettering.unit,
-        f"cells of {100 * plane.cell:.3g} cm",
-        "lt",
-    )
+    cells = f"cells of {100 * plane.cell:.3g} cm"
+    lettering.write(lettering.left, lettering.top + 2 * lettering.unit, cells, "lt")
     lettering.write(lettering.left, lettering.low, f"{plane.time:.2f} s", "ls", large=True)
     heading = f"heading {round(np.degrees(plane.links[0, 2]))}°"
     lettering.write(lettering.left + 125 * lettering.unit, lettering.low, heading, "ls", large=True)
     lettering.scale(pixels)
-    lettering.key(vorticity)
+    lettering.key()
     return lettering.image()

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 
 from sim.robot.chain import Chain, Motion
-from sim.robot.shape import Hull
-from sim.view.slice import slice_kernel
+from sim.robot.shape import Hull, between
 from sim2real.arrays import Array
 
 if TYPE_CHECKING:
@@ -19,25 +17,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Plane:
-    """The horizontal plane through a robot's middle, world frame, SI.
+    """The horizontal plane through a robot's middle, world frame, SI."""
 
-    Attributes:
-        vorticity: In 1/s, anticlockwise above 0, shape (nx, ny).
-        corner: x and y of the first cell's middle.
-        cell: Side of a cell.
-        centre: Middle of the view: the robot, or the pool with walls.
-        size: Length and width of the view.
-        links: Front end and heading of each link, shape (L, 3).
-        time: Seconds since the start.
-    """
-
-    vorticity: Array
-    corner: tuple[float, float]
-    cell: float
-    centre: tuple[float, float]
-    size: tuple[float, float]
-    links: Array
-    time: float
+    vorticity: Array  # in 1/s, anticlockwise above 0, shape (nx, ny)
+    corner: tuple[float, float]  # x and y of the first cell's middle
+    cell: float  # side of a cell
+    centre: tuple[float, float]  # middle of the view: the robot, or the pool with walls
+    size: tuple[float, float]  # length and width of the view
+    links: Array  # front end and heading of each link, shape (L, 3)
+    time: float  # seconds since the start
 
 
 def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
@@ -48,7 +36,8 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
     """
     bodies, tank, e = swimmer.bodies, swimmer.tank, range(swimmer.n_envs)[environment]
     cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
-    spin = _curl(_velocity(swimmer, e, min(int(bodies.middle), nz - 1)))
+    velocity = swimmer.fluid.moments()[1][e, :, :, min(int(bodies.middle), nz - 1)]
+    spin = _curl(velocity.astype(np.float64))
     time = float(bodies.motion.clock.numpy()[e])
     drift = swimmer.current[e] * time  # the box moves with the pool's water
     origin = np.array(bodies.grid.origin) + drift
@@ -73,14 +62,7 @@ def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
 
 
 def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> Array:
-    """Front end and heading of each link of one robot, shape (L, 3).
-
-    Args:
-        chain: The robots.
-        motion: Their state.
-        drift: Displacement of the pool's water, shape (2,).
-        environment: Index of the robot.
-    """
+    """Front end and heading of each link, shape (L, 3), in water that moved by ``drift`` (2,)."""
     e = environment
     arrays: Any = motion.link, chain.com, chain.side
     pose, com, side = (np.array(array.numpy()[e], dtype=np.float64) for array in arrays)
@@ -91,13 +73,9 @@ def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> 
 
 
 def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
-    """Signed distance from the outline in m, negative inside; of each point (x, y).
+    """Signed distance in m of points (x, y) from the outline, negative inside.
 
-    Args:
-        hull: The links' shape.
-        links: Front end and heading of each link, shape (L, 3).
-        x: Along the world's x axis in m, of any shape.
-        y: Likewise, along y.
+    ``links`` are front end and heading of each link, shape (L, 3).
     """
     distance = np.full(np.broadcast(x, y).shape, np.inf)
     for (front_x, front_y, heading), length, half_width in zip(
@@ -105,27 +83,9 @@ def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
     ):
         dx, dy, c, d = x - front_x, y - front_y, np.cos(heading), np.sin(heading)
         back = np.clip(-(dx * c + dy * d), 0.0, length)
-        s = back / length
-        radius = (
-            half_width[0] * (1 - s) * (1 - 2 * s)
-            + 4 * half_width[1] * s * (1 - s)
-            + half_width[2] * s * (2 * s - 1)
-        )
-        distance = np.minimum(distance, np.hypot(dx + back * c, dy + back * d) - radius)
+        off = np.hypot(dx + back * c, dy + back * d) - between(half_width, back / length)
+        distance = np.minimum(distance, off)
     return distance
-
-
-def _velocity(swimmer: Swimmer, environment: int, z: int) -> Array:
-    fluid = swimmer.fluid
-    nx, ny, _ = fluid.size
-    velocity: Any = wp.empty((nx, ny), dtype=wp.vec2, device=fluid.device)
-    wp.launch(
-        slice_kernel(fluid.lattice, fluid.wide),
-        dim=(nx, ny),
-        inputs=[fluid.f, fluid.box, environment, z, velocity],
-        device=fluid.device,
-    )
-    return np.asarray(velocity.numpy(), dtype=np.float64)
 
 
 def _curl(u: Array) -> Array:

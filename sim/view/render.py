@@ -10,47 +10,37 @@ import numpy as np
 
 from sim.robot.swimmer import Swimmer
 from sim.view.canvas import blend, draw_robot, grid_lines, places, zoomed
-from sim.view.legend import RULE, colours, lettered
+from sim.view.legend import RULE, VORTICITY, colours, lettered
 from sim.view.plane import plane_of
 from sim2real.arrays import Picture
 from sim2real.errors import InputError, library
 from sim2real.output import check_writable, write_whole
 
-VORTICITY = 10.0
-"""Vorticity in 1/s that has the full colour."""
 
+def picture(swimmer: Swimmer, *, width: int = 1280) -> Picture:
+    """The water in the plane of the first robot's middle, and the robot, with a world grid.
 
-def picture(
-    swimmer: Swimmer, environment: int = 0, *, width: int = 1280, vorticity: float = VORTICITY
-) -> Picture:
-    """The water in the plane of the robot's middle, and the robot, with lines of a world grid.
-
-    Args:
-        swimmer: The robots in their current state.
-        environment: Index of the robot.
-        width: Width in pixels; the height is even and follows from the box.
-        vorticity: Vorticity in 1/s that has the full colour.
+    ``width`` is in pixels; the height is even and follows from the box.
 
     Raises:
         InputError: If Pillow is not installed.
     """
     library("PIL", "pictures")
-    plane = plane_of(swimmer, environment)
+    plane = plane_of(swimmer)
     pixels = width / plane.size[0]
     height = 2 * round(plane.size[1] * pixels / 2)
     x, y = places(plane.centre, pixels, width, height)
-    canvas = colours(zoomed(plane, x, y) / vorticity)
+    canvas = colours(zoomed(plane, x, y) / VORTICITY)
     blend(canvas, 0.16 * grid_lines(x, y), RULE)
     draw_robot(canvas, swimmer.hull, plane.links, x, y)
-    return lettered(np.rint(canvas).astype(np.uint8), plane, pixels, vorticity)
+    return lettered(np.rint(canvas).astype(np.uint8), plane, pixels)
 
 
 def check_picture(path: str | os.PathLike[str]) -> Path:
     """Check before the simulation that a picture can be made and written to ``path``.
 
     Raises:
-        InputError: If it does not end in .png, Pillow is not installed, or the folder can't be
-            made or written.
+        InputError: If it does not end in .png, Pillow is missing, or the folder can't be written.
     """
     if Path(path).suffix.lower() != ".png":
         raise InputError(path, "", repr(Path(path).suffix), "a name that ends in .png")

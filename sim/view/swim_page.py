@@ -8,15 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.inference.law_error import LAW_ERROR
-from sim.inference.swims import (
-    HELD_OUT_SHARE,
-    SIGNALS,
-    UNITS,
-    Simulator,
-    Swim,
-    SwimSimulator,
-    simulated,
-)
+from sim.inference.swims import HELD_OUT_SHARE, Simulator, Swim, SwimSimulator, simulated, units_of
 from sim2real.arrays import Array
 from sim2real.diagnose.result import Diagnosis, NamedEffect, Rival, percent
 from sim2real.model import Model
@@ -36,14 +28,6 @@ _SENTENCES = {
     "unexplained": "Something is missing that no effect of the catalogue explains.",
     "ambiguous": "Something is missing; these swims do not distinguish its candidates.",
 }
-_CALIBRATION = (
-    "A swim of thirty seconds in the reduced-order twin; the fit does not use its last third. "
-    "The next section diagnoses errors that no parameter of the body corrects."
-)
-_TABLE = (
-    "Root mean square error on the held-out part of the swim, size (root mean square) of the "
-    "measured signal there, and change of the error on the fitted part."
-)
 _ERRORS = "Root mean square error on the end of the swims, fitted to the part before; SI units."
 _COMPARED = (
     "{swim}: measured, and simulated before and after; both models were fitted to all of it."
@@ -61,58 +45,20 @@ def swim_panels(
     label: str = "calibrated",
     held_out: float = HELD_OUT_SHARE,
 ) -> list[Panel]:
-    """Surge, sway, yaw rate and the first joint, with the held-out part shaded.
+    """Surge, sway, yaw rate and the first joint of a swim, measured and simulated.
 
-    Args:
-        swim: The recorded swim.
-        models: The models before and after the fit.
-        simulator: Simulator of both.
-        robot: The robot.
-        label: Name of the fitted model.
-        held_out: Share, at the end, that it did not use.
+    The models are those before and after a fit; ``label`` is the name of the second. The share
+    ``held_out`` at the end, which the fit did not use, is shaded.
     """
     before, after = simulated(swim, list(models), simulator)
     end = float(swim.t[-1])
     shaded = [(end * (1 - held_out), end)] if held_out else []
     panels = []
-    named = [*zip(SIGNALS, UNITS, strict=True), (robot.joints[0].name, "rad")]
-    for k, (name, unit) in enumerate(named):
+    for k, (name, unit) in enumerate(list(units_of(robot).items())[:4]):
         signals = {MEASURED: swim.signals[:, k], "before": before[:, k], label: after[:, k]}
         group = SignalGroup((swim.name, name), unit, swim.t, signals)
         panels.append(Panel(group, f"{name}, {unit}", shaded))
     return panels
-
-
-def calibration_section(
-    swim: Swim,
-    models: tuple[Model, Model],
-    errors: tuple[Array, Array],
-    simulator: Simulator,
-    robot: Robot,
-) -> Section:
-    """The measured swim, its simulations before and after, and the errors.
-
-    Args:
-        swim: The fitted swim, whose end was held out.
-        models: The models before and after a calibration with this swim alone.
-        errors: Errors before and after of each signal on held-out and on fitted samples, (2, S).
-        simulator: Simulator of the calibration.
-        robot: The robot.
-    """
-    panels = swim_panels(swim, models, simulator, robot)
-    caption = f"{swim.name}: measured (simulated with other physics), before and after."
-    first = round(swim.t.size * (1 - HELD_OUT_SHARE))
-    sizes = np.sqrt(np.nanmean(swim.signals[first:] ** 2, axis=0))
-    names = [*SIGNALS, *(joint.name for joint in robot.joints)]
-    units = [*UNITS, *("rad" for _ in robot.joints)]
-    rows = []
-    for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-        held_out, fitted = (of_part[:, k].tolist() for of_part in errors)
-        numbers = [f"{x:.3f}" for x in (sizes[k], *held_out)]
-        rows.append((f"{name}\n{unit}", *numbers, change_text(*held_out), change_text(*fitted)))
-    header = ("signal", "size", "error before", "after", "change", "change\nfitted part")
-    plot = series_block(panels, swim.name, caption)
-    return Section("Calibration", _CALIBRATION, (plot, Table(header, rows, _TABLE)))
 
 
 def swims_section(
@@ -120,11 +66,7 @@ def swims_section(
 ) -> Section:
     """The verdict, the effects with their probabilities, the rivals, and the errors.
 
-    Args:
-        diagnosis: The diagnosis.
-        swims: Its swims; the first few are plotted if the models differ.
-        simulate: Simulator of the search; without plots where None.
-        robot: The robot.
+    The first few swims are plotted if the models differ, but where the simulator is None.
     """
     good = diagnosis.verdict in ("consistent", "explained")
     blocks: list[Block] = [Note("good" if good else "info", _SENTENCES[diagnosis.verdict])]
@@ -158,8 +100,9 @@ def swims_section(
         models = (diagnosis.baseline, diagnosis.model)
         for swim in swims[:_PLOTTED]:
             panels = swim_panels(
-                swim, models, _of(simulate, swim), robot, label="with what is named", held_out=0.0
-            )
+                swim, models, lambda some, *_, swim=swim: simulate(some, swim), robot,
+                label="with what is named", held_out=0.0,
+            )  # fmt: skip
             caption = _COMPARED.format(swim=swim.name)
             blocks.append(series_block(panels, f"{swim.name}: measured and simulated", caption))
     unlikely = [e for e in diagnosis.effects if e.probability < least]
@@ -168,10 +111,6 @@ def swims_section(
     if others:
         blocks.append(Table(("considered as well", "of", "probability"), others))
     return Section("Diagnosis", _LEAD, [*blocks, *(Text(line) for line in diagnosis.gate)])
-
-
-def _of(simulate: SwimSimulator, swim: Swim) -> Simulator:
-    return lambda models, *_: simulate(models, swim)
 
 
 def swims_scene(
@@ -183,12 +122,7 @@ def swims_scene(
 ) -> Scene:
     """The recordings, and the swims of the plain and of the enriched model from the same start.
 
-    Args:
-        diagnosis: The diagnosis.
-        recordings: Its recordings.
-        swims: The same recordings, prepared for the simulator.
-        simulate: The simulator; only the recordings are shown where None.
-        robot: The robot.
+    ``swims`` are the recordings prepared for the simulator; without one, only these are shown.
     """
     scene = sum((recorded(recording, robot) for recording in recordings), start=Scene())
     if simulate is None or diagnosis.baseline is None:

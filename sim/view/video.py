@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -19,27 +17,19 @@ from sim2real.output import check_writable, is_stream, write_whole
 FRAMES_PER_S = 25
 
 
-@dataclass(frozen=True)
-class _Format:
-    codec: str
-    pixels: str
-    options: dict[str, str]
-    width: int
-
-
-_FORMATS = {
-    ".mp4": _Format("libx264", "yuv420p", {"crf": "23", "preset": "medium"}, 1280),
-    ".avi": _Format("mpeg4", "yuv420p", {"qmin": "2", "qmax": "4"}, 1280),
-    ".gif": _Format("gif", "pal8", {}, 640),
+_FORMATS: dict[str, tuple[str, str, dict[str, str], int]] = {
+    ".mp4": ("libx264", "yuv420p", {"crf": "23", "preset": "medium"}, 1280),
+    ".avi": ("mpeg4", "yuv420p", {"qmin": "2", "qmax": "4"}, 1280),
+    ".gif": ("gif", "pal8", {}, 640),
 }
+"""Codec, pixels, options and width in pixels by suffix."""
 
 
 def check_video(path: str | os.PathLike[str]) -> Path:
     """Check before the simulation that a video can be made and written to ``path``.
 
     Raises:
-        InputError: If it ends in none of .mp4, .avi and .gif, PyAV or Pillow is not installed, or
-            the folder can't be made or written.
+        InputError: If its suffix is unknown, a library is missing, or the folder can't be written.
     """
     if Path(path).suffix.lower() not in _FORMATS:
         raise InputError(
@@ -53,20 +43,12 @@ def check_video(path: str | os.PathLike[str]) -> Path:
 class Video:
     """An MP4 (H.264), AVI (MPEG-4) or GIF, open inside a ``with`` block.
 
-    The file is created when the block ends. An error inside the block leaves no file.
-
-    Attributes:
-        path: Where the video will be.
-        frames: Number of frames written.
-        width: Width in pixels for this format.
+    The file is created when the block ends; an error inside it leaves no file. ``frames`` is the
+    number of frames written, ``width`` the width in pixels for this format.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, frames_per_s: int = FRAMES_PER_S) -> None:
-        """Open the file.
-
-        Args:
-            path: Where the video will be; its suffix sets the format.
-            frames_per_s: Frame rate of playback.
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open the file, whose suffix sets the format.
 
         Raises:
             InputError: As ``check_video``.
@@ -75,8 +57,7 @@ class Video:
         import av
 
         ending = self.path.suffix.lower()
-        self._format = _FORMATS[ending]
-        self.width = self._format.width
+        codec, pixels, options, self.width = _FORMATS[ending]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         folder = None if is_stream(self.path) else self.path.parent
         handle, name = tempfile.mkstemp(dir=folder, prefix=f".{self.path.name}.", suffix=ending)
@@ -85,27 +66,26 @@ class Video:
         faststart = {"movflags": "faststart"} if ending == ".mp4" else {}
         self._file = av.open(name, "w", options=faststart)
         add: Any = self._file.add_stream
-        self._stream = add(self._format.codec, rate=frames_per_s, options=self._format.options)
-        self._stream.pix_fmt = self._format.pixels
+        self._stream = add(codec, rate=FRAMES_PER_S, options=options)
+        self._stream.pix_fmt = pixels
 
     def add(self, image: Picture) -> None:
         """Append a frame; all have the size of the first, with even sides."""
+        from av import VideoFrame
+
         if not self.frames:
             self._stream.height, self._stream.width = image.shape[:2]
-        few = self._format.pixels == "pal8"
-        self._file.mux(self._stream.encode(_in_few_colours(image) if few else _in_all(image)))
+        frame = VideoFrame.from_ndarray(image, format="rgb24")
+        if self._stream.pix_fmt == "pal8":
+            frame = VideoFrame.from_ndarray(_in_few_colours(image), format="pal8")
+        self._file.mux(self._stream.encode(frame))
         self.frames += 1
 
     def __enter__(self) -> Self:
         """Return the video."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         """Close the file, and write it to ``path`` if there was no error."""
         try:
             if kind is None and self.frames:
@@ -119,15 +99,8 @@ class Video:
                 self._temporary.unlink()
 
 
-def _in_all(image: Picture) -> Any:  # noqa: ANN401 - PyAV is optional
-    from av import VideoFrame
-
-    return VideoFrame.from_ndarray(image, format="rgb24")
-
-
 def _in_few_colours(image: Picture) -> Any:  # noqa: ANN401
-    """A GIF has 256 colours, which each frame chooses for itself."""
-    from av import VideoFrame
+    """Indices and palette: a GIF has 256 colours, which each frame chooses for itself."""
     from PIL import Image as Pillow
 
     few = Pillow.fromarray(image).quantize(256, Pillow.Quantize.FASTOCTREE)
@@ -135,5 +108,4 @@ def _in_few_colours(image: Picture) -> Any:  # noqa: ANN401
     chosen = np.array(few.getpalette("RGB"), dtype=np.uint8).reshape(-1, 3)
     palette[:, 0] = 255  # opaque
     palette[: len(chosen), 1:] = chosen
-    indexed: Any = np.asarray(few), palette
-    return VideoFrame.from_ndarray(indexed, format="pal8")
+    return np.asarray(few), palette

@@ -530,7 +530,7 @@ for k in range(60):
     twin.step(np.array([0.3, 0.45, 0.6]) * turn)
 gone = np.abs(twin.state().pose[:, 0])
 assert abs(gone[1] - gone[0]) > 1e-4, gone
-assert "weed" in [name for name, _, free in candidates(FISH) if free[0].name == "weed.coefficient"]
+assert candidates(FISH)["weed", "body"][0].name == "weed.coefficient"
 assert plain("weed") == "weed on the tail"
 """
     done = run_in_a_copy(tmp_path, {"servo/hard_spring.py": spring, "body/weed.py": weed}, program)

@@ -154,7 +154,7 @@ def test_a_box_carries_a_part_of_the_weight():
 def test_links_of_any_size_are_measured_on_a_grid_of_bounded_size(size, value):
     head, *others = FISH.links
     fish = replace(FISH, links=(replace(head, **{size: value}), *others))
-    hull, _, above = submerged(fish, hull_of(fish), False, np.inf)
+    hull, _, above = submerged(fish, False, np.inf)
     assert np.isfinite(hull.half_height).all()
     assert above > -hull.extent
 
@@ -171,7 +171,7 @@ def test_a_calibration_fits_the_areas_and_a_diagnosis_does_not():
     assert (ratio.name, ratio.nominal) == ("appendage_area.ratio", 0.0)
     assert ratio.prior_sd == pytest.approx(0.25)
     assert appendage_parameters(FISH) == []
-    names = {candidate.name for candidate in candidates(robot)}
+    names = {name for name, _ in candidates(robot)}
     assert "appendage_drag" in names
     assert "appendage_area" not in names
 

@@ -22,7 +22,7 @@ OURS = replace(IN_WATER, shift={}, usual={})
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
     names = ("camera_latency", "linear_drag")
-    listed = [one for one in candidates(FISH) if one[0] in names]
+    listed = {one: free for one, free in candidates(FISH).items() if one[0] in names}
     monkeypatch.setattr(places, "candidates", lambda robot: listed)
 
 

@@ -150,18 +150,6 @@ def test_published_cases_are_met(run):
 
 
 @BOTH
-@pytest.mark.parametrize("smagorinsky", [0.0, 0.1])
-def test_boxes_side_by_side_are_single_boxes_bit_for_bit(lattice, smagorinsky):
-    viscosities = np.array([0.01, 0.05, 0.2])
-    more = {"smagorinsky": smagorinsky}
-    together = flowing(lattice, 20, viscosity=viscosities, boxes=3, **more).moments()
-    for e, viscosity in enumerate(viscosities):
-        alone = flowing(lattice, 20, viscosity=viscosity, **more).moments()
-        for many, one in zip(together, alone, strict=True):
-            assert np.array_equal(many[e], one[0])
-
-
-@BOTH
 def test_threads_make_no_difference(lattice):
     size = (96, 64) if lattice is D2Q9 else (24, 18, 12)
     one, two = (flowing(lattice, 15, size, threads=threads) for threads in (1, 2))

@@ -62,13 +62,6 @@ def test_body_and_water_keep_their_momentum():
     assert np.abs(found.angular[found.step < 60]).max() < 1e-5
 
 
-def test_a_towed_spheroid_has_no_drag_without_friction(monkeypatch):
-    """D'Alembert's paradox, in three cells of thickness."""
-    monkeypatch.setattr(spheroid, "_LENGTHS", 0.5)
-    moved, found = spheroid.drag(18, SLIPS)
-    assert abs(found[moved > moved[-1] / 2].mean()) < 0.01
-
-
 def ellipse(fluid, length):
     """An ellipse six times as long as thick in a box of two dimensions, its head at (2/3, 1/2)."""
     hull = spheroid.prolate(float(length))

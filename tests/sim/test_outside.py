@@ -48,31 +48,27 @@ def test_a_stiff_skin_holds_the_joints_straight():
     assert np.abs(stiff.joint).max() < 0.5 * np.abs(free.joint).max()
 
 
+def held(periods, command, **parameters):
+    """Angle of the first joint after commands that do not change."""
+    swimmer = Swimmer(FISH, with_effects(**parameters), dimensions=2, cell_m=0.04, box_m=BOX)
+    for _ in range(periods):
+        swimmer.step(np.array(command))
+    return swimmer.state().joint[0, 0]
+
+
 def test_a_skin_that_relaxes_gives_way():
-    spring = swim(60, wave=0.0)
-    assert np.abs(spring.joint).max() < 1e-9
-    held = {}
-    for relaxation in (0.02, 5.0):
-        given = {
-            "skin_viscoelasticity__stiffness_Nm_per_rad": 3.0,
-            "skin_viscoelasticity__relaxation_s": relaxation,
-        }
-        swimmer = Swimmer(FISH, with_effects(**given), dimensions=2, cell_m=0.04, box_m=BOX)
-        for _ in range(40):
-            swimmer.step(np.full(3, 0.3))
-        held[relaxation] = swimmer.state().joint[0, 0]
-    assert held[5.0] < 0.75 * held[0.02]
+    assert np.abs(swim(60, wave=0.0).joint).max() < 1e-9
+    skin = "skin_viscoelasticity__stiffness_Nm_per_rad", "skin_viscoelasticity__relaxation_s"
+    quick, slow = (
+        held(40, [0.3] * 3, **dict(zip(skin, (3.0, relaxation), strict=True)))
+        for relaxation in (0.02, 5.0)
+    )
+    assert slow < 0.75 * quick
 
 
 def test_water_that_goes_along_slows_the_joints():
-    reached = []
-    for ratio in (0.0, 2.0):
-        given = with_effects(added_mass__ratio=ratio)
-        swimmer = Swimmer(FISH, given, dimensions=2, cell_m=0.04, box_m=BOX)
-        for _ in range(5):
-            swimmer.step(np.array([0.6, 0.0, 0.0]))
-        reached.append(swimmer.state().joint[0, 0])
-    assert 0 < reached[1] < 0.95 * reached[0]
+    alone, laden = (held(5, [0.6, 0.0, 0.0], added_mass__ratio=ratio) for ratio in (0.0, 2.0))
+    assert 0 < laden < 0.95 * alone
 
 
 def test_a_tether_pulls_to_its_anchor():

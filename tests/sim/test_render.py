@@ -21,18 +21,6 @@ def fish(**more):
     return Swimmer(FISH, servos(), dimensions=2, cell_m=0.04, box_m=BOX, **more)
 
 
-def test_the_outline_is_where_the_links_are():
-    swimmer = fish()
-    swimmer.reset(pose=np.array([0.1, 0.05, 0.6]))
-    seen = plane_of(swimmer)
-    x, y, _ = swimmer.state().pose[0]
-    ahead = np.array([np.cos(0.6), np.sin(0.6)])
-    places = np.array([x, y]) + np.outer([0.0, 0.5, -0.5], ahead)
-    assert (depth(swimmer.hull, seen.links, places[:, 0], places[:, 1]) < 0).tolist() == [
-        True, False, False,
-    ]  # fmt: skip
-
-
 def test_a_viewer_shows_the_axis_where_the_links_are():
     swimmer = fish()
     swimmer.reset(pose=np.array([0.1, 0.05, 0.6]), joint=np.array([0.3, -0.5, 0.2]))

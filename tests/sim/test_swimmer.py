@@ -57,14 +57,6 @@ def test_resetting_one_environment_leaves_the_others_alone():
     assert np.array_equal(swimmer.state().pose[1], other.state().pose[1])
 
 
-def test_each_environment_can_have_its_own_model():
-    swimmer = small(n_envs=2, model=[servos(), servos(latency=0.2)])
-    beat(swimmer, 8)
-    joint = np.abs(swimmer.state().joint)
-    assert joint[0].max() > 1e-3
-    assert joint[1].max() < 1e-6
-
-
 def test_the_rotor_of_a_gear_train_turns_with_the_joint():
     """It adds to the links' inertia, as that of the motor's law does."""
     rotor = 0.004
@@ -111,19 +103,6 @@ def test_a_heavy_robot_is_under_water():
     )
     swimmer = Swimmer(heavy, servos(), cell_m=0.04, box_m=BOX)
     assert swimmer.bodies.middle == pytest.approx(swimmer.tank.size[2] - 0.5 - BOX[2] / 2 / 0.04)
-
-
-def test_a_supersonic_cell_stops_its_own_box():
-    swimmer = small(n_envs=2)
-    velocity = np.zeros((2, *swimmer.tank.size, 3))
-    velocity[1, 2, 3, 0, 0] = 0.7
-    swimmer.fluid.set(velocity=velocity)
-    beat(swimmer, 3)
-    state = swimmer.state()
-    assert state.stopped[0] == -1
-    assert state.stopped[1] >= 0
-    assert state.time[0] == pytest.approx(3 * CONTROL_S)
-    assert state.time[1] < CONTROL_S
 
 
 def refused(call, *parts):

@@ -6,7 +6,6 @@ from swimming_robots import FISH, servos
 
 import sim.lattice.populations
 from sim.fluid.fluid import Fluid
-from sim.lattice.cell import MOVING, SLIP, SOLID
 from sim.lattice.populations import MOST_CELLS, is_wide
 from sim.lattice.velocities import D2Q9, D3Q19
 from sim.robot.swimmer import CONTROL_S, Swimmer
@@ -26,49 +25,6 @@ def narrow_and_wide(monkeypatch):
         return narrow, work()
 
     return twice
-
-
-def channel(lattice):
-    """A stream past a block: a floor that moves, free-slip sides, a top at rest.
-
-    In two dimensions the top is free-slip.
-    """
-    size = (16, 12, 8)[: lattice.dimensions]
-    walls, normals = np.zeros(size, np.uint8), np.zeros(size, np.int32)
-    walls[..., 0], walls[..., -1] = MOVING, SOLID
-    walls[:, -1], normals[:, -1] = SLIP, 2
-    if lattice.dimensions == 3:
-        walls[:, 0], normals[:, 0] = SLIP, 3
-    walls[6:8, 4:6] = SOLID
-    velocity = np.zeros((*size, 3), np.float32)
-    velocity[..., 0] = 0.05
-    fluid = Fluid(
-        lattice, size, viscosity=[0.01, 0.05], boxes=2, walls=walls, normals=normals,
-        wall_velocity=velocity, smagorinsky=0.1,
-    )  # fmt: skip
-    start = np.random.default_rng(0).normal(0, 0.01, (*fluid.size, 3))
-    start[..., 0] += 0.05
-    start[..., lattice.dimensions :] = 0
-    fluid.set(velocity=start)
-    fluid.accelerate(np.array([1e-5, 2e-5, 0]))
-    return fluid
-
-
-@BOTH
-def test_water_among_walls_is_the_same_bit_for_bit(lattice, narrow_and_wide):
-    def flow():
-        fluid = channel(lattice)
-        fluid.step(201)
-        return fluid
-
-    narrow, wide = narrow_and_wide(flow)
-    assert wide.f.shape == (lattice.Q, 2 * wide.cells) and narrow.f.ndim == 1
-    assert np.array_equal(narrow.f.numpy(), wide.f.numpy().ravel())
-    assert np.array_equal(wide.stopped.numpy(), [-1, -1])
-    density, velocity = wide.moments()
-    assert np.array_equal(narrow.moments()[0], density)
-    assert np.array_equal(narrow.moments()[1], velocity)
-    assert np.abs(velocity).max() > 0.03
 
 
 @BOTH
