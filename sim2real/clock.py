@@ -26,20 +26,14 @@ UNITS = (("seconds", 1.0), ("milliseconds", 1e-3), ("microseconds", 1e-6), ("nan
 
 @dataclass(frozen=True)
 class Timing:
-    """The clock of a recording's measurements.
+    """The clock of a recording's measurements."""
 
-    Attributes:
-        rate_hz: One over the median step between measurements.
-        jitter_s: Standard deviation of the steps without gaps; a step of several usual ones, over
-            measurements that are missing, counts by its difference from their sum.
-        gaps: Start and length in s of every pause of more than 2.5 median steps.
-        missing_cells: Number of missing positions of all joints, see ``missing_samples``.
-    """
-
-    rate_hz: float
+    rate_hz: float  # one over the median step between measurements
     jitter_s: float
-    gaps: tuple[tuple[float, float], ...]
-    missing_cells: int
+    """Standard deviation of the steps without gaps; a step of several usual ones, over measurements
+    that are missing, counts by its difference from their sum."""
+    gaps: tuple[tuple[float, float], ...]  # start and length of pauses of over 2.5 median steps, s
+    missing_cells: int  # missing positions of all joints, see ``missing_samples``
 
 
 def timing(t: Array, position: Array) -> Timing:

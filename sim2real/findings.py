@@ -22,15 +22,15 @@ fail for a time were away for at most 0.23 (``benchmarks/recording_findings.py``
 
 
 @dataclass(frozen=True)
-class _PoweredJoint:
+class MeasuredJoint:
     """One joint of a recording while its torque is on; no command is missing."""
 
     joint: str
     t: Array
     command: Array
     position: Array
-    noise_rad: float
-    step_rad: float
+    noise_rad: float  # standard deviation of the noise of all positions
+    step_rad: float  # their quantization step; 0 if there is none
 
     def finding(self, text: str) -> RecordingFinding:
         """A note about the joint; ``text`` continues its name."""
@@ -44,6 +44,14 @@ class _PoweredJoint:
         """An angle of the joint that does what it should not; sentence: what it does, and why."""
         where, found = f"{self.joint}.position_rad", f"an angle that {does}"
         return RecordingFinding(f"{self.joint} {does}{why}", "error", where, found, expected)
+
+
+def measured_joint(recording: Recording, j: int) -> MeasuredJoint:
+    """Joint number ``j`` of a recording."""
+    t, command, position = recording.t, recording.command[:, j], recording.position[:, j]
+    on = slice(recording.powered(j))
+    noise, step = noise_floor(t, command, position), quantization_step(position)
+    return MeasuredJoint(recording.joints[j], t[on], command[on], position[on], noise, step)
 
 
 def moves(t: Array, command: Array) -> int:
@@ -83,10 +91,7 @@ def joint_rows(
 ) -> Iterator[tuple[str, RecordingFinding]]:
     """The name of each joint of a recording with each finding about it."""
     for j, joint in enumerate(recording.joints):
-        position = recording.position[:, j]
-        noise = noise_floor(recording.t, recording.command[:, j], position)
-        sheet = robot.joint(joint) if robot else None
-        for finding in joint_findings(recording, j, noise, quantization_step(position), sheet):
+        for finding in joint_findings(recording, measured_joint(recording, j), robot):
             yield joint, finding
 
 
@@ -107,19 +112,13 @@ def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFindin
 
 
 def joint_findings(
-    recording: Recording, j: int, noise_rad: float, step_rad: float, sheet: Joint | None
+    recording: Recording, data: MeasuredJoint, robot: Robot | None
 ) -> Iterator[RecordingFinding]:
-    """Findings about joint number ``j``, including what its load does not allow to identify.
-
-    ``noise_rad`` is the standard deviation of its noise, ``step_rad`` its quantization step, 0 if
-    there is none.
-    """
-    powered = recording.powered(j)
-    if powered < 2:
+    """Findings about a joint, including what its load does not allow to identify."""
+    t, command, position = data.t, data.command, data.position
+    if t.size < 2:
         return
-    t, command = recording.t[:powered], recording.command[:powered, j]
-    position = recording.position[:powered, j]
-    data = _PoweredJoint(recording.joints[j], t, command, position, noise_rad, step_rad)
+    sheet = robot.joint(data.joint) if robot else None
     load = recording.loads.get(data.joint)
     finite = np.isfinite(position)
     if not finite.any():
@@ -133,8 +132,8 @@ def joint_findings(
     yield from readings
     if any(finding.severity == "error" for finding in readings):
         return  # nothing else is known of its motion
-    span, least = float(np.ptp(command)), max(2 * step_rad, 9 * noise_rad)
-    if span <= max(2 * step_rad, 1e-4):
+    span, least = float(np.ptp(command)), max(2 * data.step_rad, 9 * data.noise_rad)
+    if span <= max(2 * data.step_rad, 1e-4):
         yield data.finding(" is never commanded to move: nothing can be fitted to it.")
     elif float(np.ptp(position[finite])) <= min(least, 0.5 * span):
         yield data.warning(f" does not move, although its command spans {span:.3g} rad.")
@@ -144,8 +143,8 @@ def joint_findings(
     yield from _excitation(data)
     if sheet is not None:
         yield from _data_sheet(data, sheet)
-    if powered < recording.t.size:
-        yield data.finding(f"'s torque is off from {recording.t[powered]:.4g} s on.")
+    if t.size < recording.t.size:
+        yield data.finding(f"'s torque is off from {recording.t[t.size]:.4g} s on.")
     if recording.kind != "servo":
         return
     if load is None:
@@ -157,7 +156,7 @@ def joint_findings(
         )
 
 
-def _readings(data: _PoweredJoint) -> Iterator[RecordingFinding]:
+def _readings(data: MeasuredJoint) -> Iterator[RecordingFinding]:
     """Readings that are wrong in themselves, whatever the joint does."""
     after, jumps = wraps(data.position)
     if after.size:
@@ -203,7 +202,7 @@ def _times(count: int) -> str:
 
 
 def _motion(
-    data: _PoweredJoint,
+    data: MeasuredJoint,
     finite: Mask,
     *,
     gravity: bool,
@@ -264,7 +263,7 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.sum(a * b)) / size if size > 0 else 0.0
 
 
-def _start(data: _PoweredJoint, finite: Mask) -> Iterator[RecordingFinding]:
+def _start(data: MeasuredJoint, finite: Mask) -> Iterator[RecordingFinding]:
     changed = np.flatnonzero(data.command != data.command[0])
     still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
     early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))
@@ -284,7 +283,7 @@ def _start(data: _PoweredJoint, finite: Mask) -> Iterator[RecordingFinding]:
 
 
 def _excitation(
-    data: _PoweredJoint, *, fewest_moves: int = 4, slowest_hz: float = 0.2
+    data: MeasuredJoint, *, fewest_moves: int = 4, slowest_hz: float = 0.2
 ) -> Iterator[RecordingFinding]:
     count = moves(data.t, data.command)
     if not count:
@@ -306,7 +305,7 @@ def _excitation(
 
 
 def _data_sheet(
-    data: _PoweredJoint, sheet: Joint, *, beyond_rad: float = 0.1
+    data: MeasuredJoint, sheet: Joint, *, beyond_rad: float = 0.1
 ) -> Iterator[RecordingFinding]:
     if sheet.states("limits_rad"):
         low, high = sheet.limits_rad
