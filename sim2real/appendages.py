@@ -136,52 +136,32 @@ class Sides:
 
 @dataclass(frozen=True)
 class Wetted:
-    """What one appendage does in the water, with its surface at a certain height.
+    """What one appendage does in the water; pairs are along and across its link."""
 
-    Attributes:
-        place_m: Of the centre: behind the link's front and to the left of its axis.
-        length_m: Extent along and across the link.
-        area_m2, area_sd_m2: Drag area (coefficient times area) for motion along and across the
-            link, and its standard deviation.
-        added_mass_m3: Added mass over the density of water, along and across.
-        volume_m3: Water that it displaces.
-    """
-
-    place_m: tuple[float, float]
+    place_m: tuple[float, float]  # of the centre: behind the link's front, to the left of its axis
     length_m: tuple[float, float]
-    area_m2: tuple[float, float]
-    area_sd_m2: tuple[float, float]
-    added_mass_m3: tuple[float, float]
-    volume_m3: float
+    area_m2: tuple[float, float]  # drag area: coefficient times area
+    area_sd_m2: tuple[float, float]  # its standard deviation
+    added_mass_m3: tuple[float, float]  # over the density of water
+    volume_m3: float  # of the water that it displaces
 
 
 @dataclass(frozen=True)
 class Appendage:
-    """A body outside the hull of a link, which moves with it.
-
-    Attributes:
-        name: Its name.
-        shape: ``box`` or ``cylinder``.
-        size_m: Extent along the link, across it and up.
-        at_m: Its centre: behind the link's front, to the left of its axis, above its middle.
-        submerged: Share of its height under water; None if the robot's draught determines it.
-        drag: Drag coefficient for motion along the link, on the area that faces it, with its
-            standard deviation; None for that of ``bluff_bodies``.
-        lateral_drag: Likewise for motion across the link.
-        axis: Direction of a cylinder's axis.
-        in_hull: Whether the hull includes it. The hull then displaces its water and resists its
-            motion across, and only its drag along the link is added.
-    """
+    """A body outside the hull of a link, which moves with it."""
 
     name: str
     shape: Literal["box", "cylinder"]
-    size_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]  # along the link, across it and up
     at_m: tuple[float, float, float]
-    submerged: float | None = None
-    drag: Coefficient | None = None
-    lateral_drag: Coefficient | None = None
-    axis: Literal["along", "across", "up"] = "along"
+    """Its centre: behind the link's front, to the left of its axis, above its middle."""
+    submerged: float | None = None  # share of its height; None if the draught determines it
+    drag: Coefficient | None = None  # along the link, on ``face_m2``; None for that of ``Sides``
+    lateral_drag: Coefficient | None = None  # likewise across the link
+    axis: Literal["along", "across", "up"] = "along"  # of a cylinder
     in_hull: bool = False
+    """Whether the hull includes it. The hull then displaces its water and resists its motion
+    across, and only its drag along the link is added."""
 
     def wet_share(self, surface_m: float) -> float:
         """Share of its height below a surface at this height above the link's middle."""

@@ -30,22 +30,14 @@ _MOST_PRINTED_BYTES = 2**20
 
 
 class Results:
-    """The files of one call of the command line: what it reads, and results that were kept.
-
-    Attributes:
-        inputs: Input files by device and number, which no result may replace.
-        folders: Folders of results that were checked before the computation.
-        kept: One sentence for each result that could not be written to its place.
-        moved: Where these are instead; None for one that was printed or lost.
-        written: Number of results in their places.
-    """
+    """The files of one call of the command line: what it reads, and results that were kept."""
 
     def __init__(self) -> None:
-        self.inputs: dict[tuple[int, int], str] = {}
-        self.folders: set[Path] = set()
-        self.kept: list[str] = []
-        self.moved: dict[Path, Path | None] = {}
-        self.written = 0
+        self.inputs: dict[tuple[int, int], str] = {}  # by device and number: not to be replaced
+        self.folders: set[Path] = set()  # of results, checked before the computation
+        self.kept: list[str] = []  # a sentence for each result that could not be written
+        self.moved: dict[Path, Path | None] = {}  # where these are; None if printed or lost
+        self.written = 0  # number of results in their places
         self._folder: Path | None = None
 
     def protect(self, path: str | os.PathLike[str]) -> None:

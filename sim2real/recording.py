@@ -16,12 +16,7 @@ import pandas as pd
 
 from sim2real import csv_columns
 from sim2real.arrays import Array
-from sim2real.clock import (
-    LONGEST_COMMAND_PERIOD_S,
-    check_sampling,
-    missing_samples,
-    timing,
-)
+from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling, missing_samples, timing
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.output import beside, write_json, write_whole
@@ -35,17 +30,11 @@ FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
 
 @dataclass(frozen=True)
 class Load:
-    """Load on the output shaft of a bench servo: inertia, and a pendulum if there is one.
+    """Load on the output shaft of a bench servo: inertia, and a pendulum if there is one."""
 
-    Attributes:
-        inertia_kgm2: Moment of inertia about the shaft, pendulum included.
-        pendulum_mass_kg: Mass of a point hanging straight down at position 0.
-        pendulum_length_m: Distance of that mass from the shaft.
-    """
-
-    inertia_kgm2: float
-    pendulum_mass_kg: float = 0.0
-    pendulum_length_m: float = 0.0
+    inertia_kgm2: float  # about the shaft, pendulum included
+    pendulum_mass_kg: float = 0.0  # mass of a point hanging straight down at position 0
+    pendulum_length_m: float = 0.0  # distance of that mass from the shaft
 
     @property
     def gravity_Nm(self) -> float:
@@ -59,19 +48,12 @@ PER_INERTIA = Load(inertia_kgm2=1.0)
 
 @dataclass(frozen=True)
 class VaryingLoad:
-    """A load that the other joints of an arm cause, at evenly spaced times, linear between them.
+    """A load that the other joints of an arm cause, at evenly spaced times, linear between them."""
 
-    Attributes:
-        start_s: Time of the first value, on the clock of the recording.
-        step_s: Time between values.
-        inertia_kgm2: Inertia about the shaft, shape (K,), K at least 2.
-        torque_Nm: Torque on the shaft, gravity included, shape (K,).
-    """
-
-    start_s: float
-    step_s: float
-    inertia_kgm2: Array
-    torque_Nm: Array
+    start_s: float  # time of the first value, on the clock of the recording
+    step_s: float  # time between values
+    inertia_kgm2: Array  # about the shaft, shape (K,), K at least 2
+    torque_Nm: Array  # on the shaft, gravity included, shape (K,)
 
     @cached_property
     def mean_inertia_kgm2(self) -> float:
@@ -81,39 +63,24 @@ class VaryingLoad:
 
 @dataclass(frozen=True)
 class Recording(NotebookDisplay):
-    """One recording.
+    """One recording."""
 
-    Attributes:
-        name: File name without extension.
-        kind: ``"servo"`` (a bench) or ``"pool"`` (the robot swims).
-        joints: Names of the J joints.
-        t: Times in s, shape (T,), increasing, with jitter and gaps as recorded.
-        command: Set-points in rad, shape (T, J). NaN only after the last command of a joint, where
-            its torque is off, or everywhere if commands were not recorded (pool only).
-        position: Measured angles in rad, shape (T, J); NaN where a sample is missing.
-        loads: Known loads by joint name.
-        medium: ``"air"`` or ``"water"``.
-        source: Origin of the recording.
-        columns: All other columns by their full name, each of shape (T,).
-        metadata: All other fields of the JSON file.
-        path: The CSV file, if it was read from one.
-        varying_loads: Loads that vary with time by joint, computed from the robot
-            (``sim2real.arm``) and not part of the file.
-    """
-
-    name: str
-    kind: str
-    joints: tuple[str, ...]
-    t: Array
+    name: str  # file name without extension
+    kind: str  # ``"servo"`` (a bench) or ``"pool"`` (the robot swims)
+    joints: tuple[str, ...]  # names of the J joints
+    t: Array  # times in s, shape (T,), increasing, with jitter and gaps as recorded
     command: Array
-    position: Array
-    loads: Mapping[str, Load] = field(default_factory=dict)
-    medium: str = "air"
+    """Set-points in rad, shape (T, J). NaN only after the last command of a joint, where its torque
+    is off, or everywhere if commands were not recorded (pool only)."""
+    position: Array  # measured angles in rad, shape (T, J); NaN where a sample is missing
+    loads: Mapping[str, Load] = field(default_factory=dict)  # known loads by joint name
+    medium: str = "air"  # or ``"water"``
     source: str = ""
-    columns: Mapping[str, Array] = field(default_factory=dict)
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    path: Path | None = None
+    columns: Mapping[str, Array] = field(default_factory=dict)  # all others by name, shape (T,)
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # other fields of the JSON file
+    path: Path | None = None  # the CSV file, if it was read from one
     varying_loads: Mapping[str, VaryingLoad] = field(default_factory=dict)
+    """Loads that vary with time, by joint, from the robot (``sim2real.arm``); not in the file."""
 
     @property
     def file(self) -> str:
@@ -244,7 +211,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
         columns={name: csv_columns.column(csv, table, name) for name in others},
-        metadata=_metadata(top),
+        metadata={k: x for k, x in top.content.items() if k not in FIELDS},
         path=csv,
     )
 
@@ -284,7 +251,7 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
         command,
         np.full_like(command, np.nan),
         loads=_loads(top, joints),
-        metadata=_metadata(top),
+        metadata={k: x for k, x in top.content.items() if k not in FIELDS},
         path=csv,
     )
 
@@ -339,10 +306,6 @@ def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
             raise InputError(top.file, f"loads.{name}", "a joint not recorded", ", ".join(joints))
         loads[name] = read_load(table.table(name))
     return loads
-
-
-def _metadata(top: Fields) -> dict[str, Any]:
-    return {name: value for name, value in top.content.items() if name not in FIELDS}
 
 
 def read_load(fields: Fields) -> Load:

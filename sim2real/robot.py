@@ -10,7 +10,6 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
@@ -72,6 +71,11 @@ class Sheet:
     """A named dataclass with ``Stated`` values, compared regardless of where it was read."""
 
     name: str
+
+    @classmethod
+    def keys(cls) -> list[str]:
+        """Keys of its table in the file."""
+        return [name for name in cls.__annotations__ if name != "where"]
 
     def states(self, *names: str) -> bool:
         """Whether all of these values are stated."""
@@ -166,11 +170,7 @@ class Robot(NotebookDisplay):
 
 
 def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
-    """Check that the robot has all joints of the recordings, and that no recording is repeated.
-
-    Raises:
-        InputError: If a joint is missing or a recording is repeated.
-    """
+    """Raise InputError if the robot lacks a joint of a recording, or a recording is repeated."""
     files: set[str] = set()
     for recording in recordings:
         match_joints(recording, robot)
@@ -180,11 +180,7 @@ def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
 
 
 def match_joints(recording: Recording, robot: Robot) -> None:
-    """Check that the robot has all joints of the recording.
-
-    Raises:
-        InputError: If a joint is missing.
-    """
+    """Raise InputError if the robot lacks a joint of the recording."""
     for joint in recording.joints:
         if robot.joint(joint) is None:
             names = ", ".join(defined.name for defined in robot.joints)
@@ -219,24 +215,17 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     return Robot(top.label("name", "robot"), links, joints, Path(path), arm)
 
 
-def _keys(sheet: type) -> list[str]:
-    """Keys of a table of the file: the fields of the corresponding dataclass."""
-    return [field.name for field in dataclass_fields(sheet) if field.name != "where"]
-
-
 def _servo(name: str, fields: Fields) -> Servo:
-    known = [key for key in _keys(Servo) if key != "name"]
     if "type" in fields:  # of earlier versions
-        known.append("type")
         warnings.warn(f"{fields.file}: {fields.path('type')} is ignored", stacklevel=2)
-    fields.refuse_unknown(known)
+    fields.refuse_unknown([*Servo.keys()[1:], *(["type"] if "type" in fields else [])])
     number, where = fields.optional_number, (str(fields.file), fields.where)
     torque, speed = (number(key, above=0) for key in ("max_torque_Nm", "no_load_speed_rad_s"))
     return Servo(name, torque, speed, number("position_step_rad", low=0), where)
 
 
 def _link(fields: Fields) -> Link:
-    fields.refuse_unknown(_keys(Link))
+    fields.refuse_unknown(Link.keys())
     tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
     length, com = number("length_m", above=0), number("com_m", low=0)
@@ -258,7 +247,7 @@ def _link(fields: Fields) -> Link:
 
 
 def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
-    fields.refuse_unknown(_keys(Joint))
+    fields.refuse_unknown(Joint.keys())
     servo = fields.text("servo")
     if servo not in servos:
         raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
@@ -295,19 +284,6 @@ class Density(NotebookDisplay):
     def interval(self) -> Array | None:
         """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
-
-    def __str__(self) -> str:
-        """Mass, length and normalised density of each link."""
-        width = max(len("link"), *(len(name) for name in self.links))
-        lines = [f"{'link':<{width}}  mass, kg  length, m  density   90 % interval"]
-        rows = zip(self.links, self.mass_kg, self.length_m, self.value, strict=True)
-        for k, (name, mass, length, value) in enumerate(rows):
-            lines.append(f"{name:<{width}}  {mass:8.3f}  {length:9.3f}  {value:7.3f}")
-            if self.interval is not None:
-                lines[-1] += "   {:.3f} to {:.3f}".format(*self.interval[:, k])
-        if self.interval is None:
-            lines.append("  ! mass_sd_kg and length_sd_m of the links would give intervals")
-        return "\n".join(lines)
 
     def plot(self) -> Figure:
         """Bar chart of the normalised density of each link."""

@@ -30,19 +30,12 @@ class Shape:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Set-points for several joints.
+    """Set-points for several joints."""
 
-    Attributes:
-        joints: Names of the J joints.
-        t: Times in s, shape (T,), evenly spaced.
-        command: Set-points in rad, shape (T, J).
-        notes: How limits changed the requested signal, one sentence each.
-    """
-
-    joints: tuple[str, ...]
-    t: Array
-    command: Array
-    notes: tuple[str, ...] = ()
+    joints: tuple[str, ...]  # names of the J joints
+    t: Array  # times in s, shape (T,), evenly spaced
+    command: Array  # set-points in rad, shape (T, J)
+    notes: tuple[str, ...] = ()  # how limits changed the requested signal, one sentence each
 
     @property
     def largest_rate(self) -> Array:
