@@ -96,12 +96,7 @@ def protect(path: str | os.PathLike[str]) -> None:
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
-    """Check, before any computation, that a result can be written to ``path``.
-
-    Raises:
-        InputError: If ``path`` is a folder, a disk, a socket or an input of the command, or its
-            folder cannot be created or written.
-    """
+    """Raise InputError, before any computation, unless a result can be written to ``path``."""
     _place(path)
     if _results is not None:
         _results.folders.add(Path(path).parent)
@@ -109,11 +104,7 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def check_not_read(place: Path, target: Path | None = None) -> None:
-    """Check that ``place`` is no input of this call of the command line, by any name or link.
-
-    Raises:
-        InputError: If it is one; its name in the message is ``target``.
-    """
+    """Raise InputError if ``place`` (in the message ``target``) is an input of this command."""
     with contextlib.suppress(OSError):
         found = place.stat()
         read = None if _results is None else _results.inputs.get((found.st_dev, found.st_ino))
@@ -150,10 +141,8 @@ def beside(out: Path, name: str) -> Path:
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
     """Write ``content`` to a temporary file in the same folder, sync it and rename it to ``path``.
 
-    A new file has the permissions that the umask leaves, an existing one keeps its own.
-
-    Raises:
-        InputError: If it cannot be written, unless that is handled by the command (``results``).
+    A new file has the permissions that the umask leaves, an existing one keeps its own. What cannot
+    be written is an InputError, unless the command keeps it elsewhere (``results``).
     """
     target = Path(path)
     data = content.encode(errors="backslashreplace") if isinstance(content, str) else content

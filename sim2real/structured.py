@@ -37,11 +37,7 @@ _MISSPELT = 0.8
 
 
 def check_size(path: Path, largest: int, advice: str = "") -> None:
-    """Check, without reading it, that ``path`` is a regular file of at most ``largest`` bytes.
-
-    Raises:
-        InputError: If it is missing, a folder, a pipe, a device, inaccessible or too large.
-    """
+    """Raise InputError, without reading, unless ``path`` is a regular file of ``largest`` bytes."""
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -60,11 +56,7 @@ def check_size(path: Path, largest: int, advice: str = "") -> None:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Read the text of a small file.
-
-    Raises:
-        InputError: If it is missing, a folder, unreadable, too large or not UTF-8.
-    """
+    """Read the text of a small file in UTF-8."""
     file = Path(path)
     check_size(file, LARGEST_FILE_BYTES)
     try:
@@ -76,11 +68,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[str, Any]:
-    """Read a JSON object, and check its ``schema`` field if ``schema`` is given.
-
-    Raises:
-        InputError: If it does not parse, is not an object or has a different schema.
-    """
+    """Read a JSON object, and check its ``schema`` field if ``schema`` is given."""
     text = read_text(path)
     try:
         content = json.loads(text)
@@ -101,11 +89,7 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML document.
-
-    Raises:
-        InputError: If it does not parse, or has dotted keys of more than 16 parts.
-    """
+    """Read a TOML document without dotted keys of more than 16 parts."""
     text = read_text(path)
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -119,11 +103,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_label(file: str | os.PathLike[str], where: str, label: str) -> str:
-    """Check that a name, as of a joint, has no control characters or line breaks; return it.
-
-    Raises:
-        InputError: If it has.
-    """
+    """Raise InputError if a name, as of a joint, has control characters; return it."""
     if not label.isprintable():
         expected = "a name without control characters and line breaks"
         raise InputError(file, where, shown(label), expected)
@@ -142,15 +122,8 @@ def read_members(
 ) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the members of a zip archive, one after the other.
 
-    Args:
-        path: The archive.
-        expected: What it should be, for errors.
-        what: What it then does not contain, for errors.
-        largest: Largest number of bytes of all members together, checked before any is unpacked.
-
-    Raises:
-        InputError: If it is no regular file, no archive, damaged or too large, or if two members
-            have the same name.
+    ``expected`` is what the archive should be, and ``what`` is then missing, for errors. The bytes
+    of all members together, at most ``largest``, are checked before any is unpacked.
     """
     file = Path(path)
     if file.is_dir() or not file.exists():
@@ -182,10 +155,7 @@ def read_arrays(
     what: str = "arrays",
     largest: int = _LARGEST_ARCHIVE_BYTES,
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file by name: real numbers, truth values or text.
-
-    Arguments and errors are those of ``read_members``; a member that is no such array is an error.
-    """
+    """The arrays of an ``.npz`` file by name: real numbers, truth values or text."""
     import numpy as np
 
     arrays = {}
@@ -242,22 +212,14 @@ class Fields:
         return InputError(self.file, self.path(name), found, expected)
 
     def refuse_unknown(self, known: Iterable[str]) -> None:
-        """Check that the table has no fields other than the known ones.
-
-        Raises:
-            InputError: If it has one; the message names the most similar known field.
-        """
+        """Raise InputError if the table has fields other than the known ones."""
         names = list(known)
         for name in self.content:
             if name not in names:
                 raise InputError(self.file, self.path(name), "an unknown key", one_of(name, names))
 
     def refuse_misspelt(self, known: Iterable[str]) -> None:
-        """Check that no unknown field looks like a misspelling of a missing known field.
-
-        Raises:
-            InputError: If one does.
-        """
+        """Raise InputError if an unknown field looks like a misspelling of a missing known one."""
         names = list(known)
         missing = [name for name in names if name not in self.content]
         for name in self.content:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.errors import InputError, check_effort, check_whole, shown
+from sim2real.errors import InputError, check_positive, check_whole, shown
 
 if TYPE_CHECKING:
     from sim2real.model import Model
@@ -73,7 +73,7 @@ def identify(
     from sim2real.arm.identify_arm import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
-    check_effort("identify", effort)
+    check_positive("identify", "effort", effort)
     description, listed = robot_of(robot), recordings_to_fit(recordings)
     settings: dict[str, Any] = {
         "held_out": held_out,

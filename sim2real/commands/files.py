@@ -67,12 +67,7 @@ def _real(path: Path) -> str:
 
 
 def check_views(options: argparse.Namespace) -> None:
-    """Check, before any computation, that the files for viewers that are asked for can be written.
-
-    Raises:
-        InputError: If a name has another ending, a folder cannot be written, or a library is
-            missing.
-    """
+    """Raise InputError, before any computation, unless files for viewers can be written."""
     for name, (ending, module) in _VIEWS.items():
         path = getattr(options, name)
         if path is None:

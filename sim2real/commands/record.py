@@ -71,14 +71,7 @@ def run(options: argparse.Namespace) -> int:
 def sidecar(
     signal: Excitation, planned: dict[str, Any], *, name: str, **more: object
 ) -> dict[str, object]:
-    """The JSON of a recording of a signal.
-
-    Args:
-        signal: The signal.
-        planned: Loads, and what else is stated of a designed recording.
-        name: Name of the signal.
-        more: Medium, source and provenance.
-    """
+    """The JSON of a recording of a signal; ``planned`` has the loads, ``more`` the medium."""
     return {
         "schema": SCHEMA,
         "kind": "servo",
@@ -90,11 +83,7 @@ def sidecar(
 
 
 def check_temperature(limit_C: float) -> None:
-    """Check a limit of temperature.
-
-    Raises:
-        InputError: If servos would switch themselves off below it.
-    """
+    """Raise InputError if servos would switch themselves off below this limit."""
     if not 0 < limit_C <= HOTTEST_POSSIBLE_C:
         expected = f"at most {HOTTEST_POSSIBLE_C:g} C"
         raise InputError("--max-temperature", "", f"{limit_C:g} C", expected)

@@ -32,11 +32,7 @@ from sim2real.servo_library.entry import ServoEntry
 
 
 def result_html(result: object) -> str:
-    """A result as an HTML fragment for a notebook.
-
-    Raises:
-        ModuleNotFoundError: If Jinja is not installed.
-    """
+    """A result as an HTML fragment for a notebook; it needs Jinja."""
     return render_fragment([result_section(result)])
 
 
@@ -47,11 +43,7 @@ def result_text(result: object) -> str:
 
 @singledispatch
 def result_section(result: object) -> Section:
-    """Tables and notes of a result.
-
-    Raises:
-        TypeError: If no function is registered for the type of the result.
-    """
+    """Tables and notes of a result of a type for which a function is registered."""
     raise TypeError(f"no section for a {type(result).__name__}")
 
 

@@ -75,31 +75,19 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: an ``<svg>`` element of ``sim2real.report.drawing.svg``, inserted unchanged.
-
-    Attributes:
-        svg: The figure.
-        caption: Caption.
-        live: The same as JSON to be drawn by uPlot and zoomed into, where scripts run.
-    """
+    """A figure: an ``<svg>`` element of ``sim2real.report.drawing.svg``, inserted unchanged."""
 
     svg: str
     caption: str = ""
-    live: str = ""
+    live: str = ""  # the same as JSON to be drawn by uPlot and zoomed into, where scripts run
 
 
 @dataclass(frozen=True)
 class Film:
-    """A short film, as a GIF embedded in the page.
+    """A short film, as a GIF embedded in the page."""
 
-    Attributes:
-        gif: Content of the file.
-        alt: Alternative text.
-        caption: Caption.
-    """
-
-    gif: bytes
-    alt: str
+    gif: bytes  # content of the file
+    alt: str  # alternative text
     caption: str = ""
 
     @property
@@ -127,19 +115,7 @@ def write_page(
     sections: Sequence[Section],
     provenance: Mapping[str, Any],
 ) -> Path:
-    """Write a report atomically.
-
-    Args:
-        path: The HTML file to write.
-        title: Subject of the report, such as a robot or a recording.
-        subtitle: One line below it.
-        sections: Sections.
-        provenance: Result of ``sim2real.output.provenance``, for the footer.
-
-    Raises:
-        InputError: If the file cannot be written.
-        MissingLibrary: If Jinja is not installed.
-    """
+    """Write a report; ``provenance`` (of ``sim2real.output``) is for the footer."""
     return write_whole(path, render_page(title, subtitle, sections, provenance))
 
 
@@ -165,11 +141,7 @@ def render_page(
 
 
 def render_fragment(sections: Sequence[Section]) -> str:
-    """Sections as HTML for another page, such as a notebook, including their style.
-
-    Raises:
-        MissingLibrary: If Jinja is not installed.
-    """
+    """Sections as HTML for another page, such as a notebook, including their style."""
     template = _template()
     blocks = template.blocks["sections"](template.new_context({"sections": sections, "script": ""}))
     style = _texts("notebook.css")

@@ -14,22 +14,14 @@ from sim2real.units import readable_name, unit_of
 
 @dataclass(frozen=True)
 class Quantity:
-    """One value with its interval, in the unit of the display.
+    """One value with its interval, in the unit of the display."""
 
-    Attributes:
-        name: Its name, such as ``"kp"``.
-        unit: Unit, such as ``"N m/rad"``.
-        value: The estimate.
-        interval: Interval, with an infinite end where the data do not constrain the value;
-            None if it was not estimated.
-        origin: Origin of a value without an interval.
-    """
-
-    name: str
-    unit: str
+    name: str  # such as ``"kp"``
+    unit: str  # such as ``"N m/rad"``
     value: float
     interval: tuple[float, float] | None = None
-    origin: str = ""
+    """With an infinite end where the data do not constrain the value; None if not estimated."""
+    origin: str = ""  # of a value without an interval
 
     @property
     def unbounded(self) -> str:
@@ -81,14 +73,7 @@ def quantity_table(
     *,
     level: float = LEVEL,
 ) -> Table:
-    """A table of quantities, each with the name of the joint or the effect that it belongs to.
-
-    Args:
-        rows: Name and quantity.
-        place: Title of the column of names.
-        caption: Caption of the table.
-        level: Probability of the intervals.
-    """
+    """A table of quantities, each with the name of what it belongs to, such as a joint."""
     cells = [
         (printable(where), printable(q.name), q.texts[0], q.unit, q.between, q.remark)
         for where, q in rows

@@ -100,13 +100,6 @@ def test_fit_figure_of_little(bench):
     assert "<svg" in svg(timing_figure(recording))
 
 
-def test_fit_figure_refuses_what_does_not_belong(bench):
-    with pytest.raises(ValueError, match="no joint 'tail'"):
-        fit_figure(bench.recording, "tail", bench.predicted[:, 0])
-    with pytest.raises(ValueError, match="predicted: shape"):
-        fit_figure(bench.recording, "j1", bench.predicted)
-
-
 def test_parameter_figure_has_a_panel_a_parameter(bench):
     panels = parameter_figure(bench.model).axes
     assert [axes.get_title(loc="left").split(",")[0] for axes in panels] == ["kp", "kd", "latency"]
