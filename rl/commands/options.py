@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rl import verbs
-from sim2real.commands.command import Command, add_executor, add_file, add_flag, add_verb
+from sim2real.commands.command import Command, add_executor, add_options, add_verb
 
 _TASKS = ("point", "near", "mixed", "chain", "turn", "pentagram")
 _ARMS = (
@@ -192,17 +192,17 @@ def _evaluate(command: argparse.ArgumentParser) -> None:
 
 def _forecast(command: argparse.ArgumentParser) -> None:
     add_verb(command, verbs.forecast, positional=("policies",), leave_out=("kept",))
-    add_file(command, "--out", "JSON", "forecast to write (forecast.json)", required=True)
-    add_flag(command, "--no-page", "do not write the HTML page")
+    add_options(command, "--out JSON!: forecast to write (forecast.json)")
+    add_options(command, "--no-page: do not write the HTML page")
 
 
 def _export(command: argparse.ArgumentParser) -> None:
-    add_file(command, "policy", "POLICY", "trained policy (POLICY.zip)")
+    add_options(command, "policy POLICY: trained policy (POLICY.zip)")
     _add(command, "export")
 
 
 def _swim(command: argparse.ArgumentParser) -> None:
-    add_file(command, "policy", "POLICY", "policy (policy.npz or policy.zip)")
+    add_options(command, "policy POLICY: policy (policy.npz or policy.zip)")
     _add(command, "swim")
 
 

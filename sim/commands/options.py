@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-
 from sim import verbs
-from sim2real.commands.command import VIEWS, Command, add_former, add_options, add_verb, command
+from sim2real.commands.command import VIEWS, command
 
 _SWIMS = "sim.commands.swims"
 _NO_PAGE = "--no-page: do not write the HTML page"
@@ -18,13 +16,6 @@ model MODEL: servos and body (MODEL.json)
 recordings CSV: recording or table of commands (t_s, J.command_rad)
 --out CSV!: recording to write
 """
-
-
-def _simulate(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, _SIMULATE)
-    add_options(parser, VIEWS)
-    add_verb(parser, verbs.simulate, leave_out=("recordings", "model"))
-    add_former(parser, "--picture", "plot")
 
 
 COMMANDS = (
@@ -40,11 +31,12 @@ COMMANDS = (
         [verbs.diagnose, "--out FILE!: diagnosis to write (diagnosis.json)", _NO_PAGE, VIEWS],
         "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
     ),
-    Command(
+    command(
         "simulate",
         f"{_SWIMS}:simulate",
-        _simulate,
+        [_SIMULATE, VIEWS, verbs.simulate],
         "sim2real simulate model.json wave.csv --robot fish.toml --out swim.csv",
+        leave_out=("recordings", "model"),
     ),
     command(
         "calibrate",

@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-
 from sim2real import verbs
-from sim2real.commands.command import (
-    VIEWS,
-    Command,
-    add_former,
-    add_options,
-    add_verb,
-    command,
-)
+from sim2real.commands.command import VIEWS, command
 
 _RUNS, _EXPORTS = "sim2real.commands.recordings", "sim2real.commands.exports"
 
@@ -80,6 +71,7 @@ source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder)
     (.csv, .tsv; .npz of MuJoCo's time, qpos, ctrl), or BAM's parameters of a servo (.json)
 --out CSV!: recording to write (of parameters: model)
 --state-topic TOPIC: bag: measured joint states
+--command-topic TOPIC&: bag: commanded positions; once, or once for each joint
 --joints JOINT+: bag, dataset: joints, in order
 --units UNIT+: dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or
     range_0_100; JOINT=UNIT for one joint, JOINT.command=UNIT or JOINT.position=UNIT for one of
@@ -95,18 +87,6 @@ source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder)
 --pendulum J=KG,M+: load of a joint: mass that hangs straight down at angle 0, and its distance
     from the shaft
 """
-
-
-def _density(parser: argparse.ArgumentParser) -> None:
-    add_verb(parser, verbs.density, positional=("robot",))
-    add_options(parser, _DENSITY)
-    add_former(parser, "--png", "plot")
-
-
-def _import(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, _IMPORT)
-    text = "bag: commanded positions; once, or once for each joint"
-    parser.add_argument("--command-topic", metavar="TOPIC", action="append", help=text)
 
 
 COMMANDS = (
@@ -128,11 +108,12 @@ COMMANDS = (
         [verbs.identify, _IDENTIFY, VIEWS],
         "sim2real identify steps.csv sine.csv square.csv --robot robot.toml --out model.json",
     ),
-    Command(
+    command(
         "density",
         f"{_RUNS}:density",
-        _density,
+        [verbs.density, _DENSITY],
         "sim2real density robot.toml --model model.json --out weighed.json",
+        positional=("robot",),
     ),
     command(
         "ranges",
@@ -155,10 +136,10 @@ COMMANDS = (
         ["shell bash|zsh|tcsh: shell to write the script for"],
         "sim2real completion bash > ~/.local/share/bash-completion/completions/sim2real",
     ),
-    Command(
+    command(
         "import",
         "sim2real.commands.import_logs",
-        _import,
+        [_IMPORT],
         "sim2real import run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
     ),
     command(

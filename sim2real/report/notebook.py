@@ -70,13 +70,9 @@ def _servo(entry: ServoEntry) -> Section:
 
 @result_section.register
 def _diagnosis(diagnosis: Diagnosis) -> Section:
-    notes = [Note("info", effect.statement) for effect in diagnosis.effects]
-    notes += [Note("info", str(mismatch)) for mismatch in diagnosis.mismatch]
-    if diagnosis.next_experiment is not None:
-        notes.append(Note("info", f"Next: {diagnosis.next_experiment.statement}"))
-    notes = [Note("info", printable(note.text)) for note in notes]
-    verdict = f"Verdict: {diagnosis.verdict.replace('_', ' ')}."
-    return Section("Diagnosis", verdict, [*effect_tables(diagnosis), *notes])
+    verdict, *lines = (printable(line.strip()) for line in str(diagnosis).splitlines())
+    notes = [Note("info", line) for line in lines]
+    return Section("Diagnosis", verdict.capitalize(), [*effect_tables(diagnosis), *notes])
 
 
 @result_section.register

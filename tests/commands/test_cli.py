@@ -75,17 +75,6 @@ def test_help_imports_no_other_floor():
     assert run.stdout.splitlines()[-1] == "[]", run.stderr
 
 
-def test_names_that_options_had_before_still_work(tmp_path, capsys):
-    robot = str(DATA / "robot.toml")
-    for name in ("--png", "--plot"):
-        picture = tmp_path / f"{name[2:]}.png"
-        assert main(["density", robot, name, str(picture)]) == 0
-        assert picture.exists()
-    with pytest.raises(SystemExit):
-        main(["density", "--help"])
-    assert "--png" not in capsys.readouterr().out.split("example:")[0]
-
-
 def test_json_is_all_of_standard_output(bench, capsys):
     assert identify(bench, "--no-plots", "--json") == 0
     output = capsys.readouterr()
@@ -119,7 +108,6 @@ def test_a_shell_completes_commands_and_options(shell, capsys):
     script = capsys.readouterr().out
     for word in ("identify", "calibrate-camera", "--held-out", "--fidelity"):
         assert word in script
-    assert "--png" not in script
 
 
 def test_no_command_is_bad_input():

@@ -12,7 +12,6 @@ import pytest
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report.diagnosis_plots import Bar, bar_figure
 from sim2real.report.drawing import save_png, svg
 from sim2real.report.identification import parameter_figure
 from sim2real.report.series import (
@@ -198,10 +197,3 @@ def test_largest_move_is_found_where_it_was_measured():
     lost = np.where((t > 4.5) & (t < 7), np.nan, command)
     start = largest_move(t, {"command": command, "measured": lost})
     assert start < 12 < start + 0.3
-
-
-def test_bars_without_a_finite_value_end_at_the_edge():
-    bars = [Bar("noise", 1.0, "1.0 mrad"), Bar("diverged", float("inf"), "∞")]
-    (axes,) = bar_figure({"j1": bars}, "errors").axes
-    assert axes.get_xlim() == (0.0, 1.2)
-    assert [patch.get_width() for patch in axes.patches] == [1.0, 1.0]
