@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim import verbs
-from sim2real.commands.command import VIEWS, command
+from sim2real.commands.command import VIEWS, commands
 
 _SWIMS = "sim.commands.swims"
 _NO_PAGE = "--no-page: do not write the HTML page"
@@ -18,30 +18,27 @@ recordings CSV: recording or table of commands (t_s, J.command_rad)
 """
 
 
-COMMANDS = (
-    command(
-        "design",
-        f"{_SWIMS}:design",
-        [verbs.design, "--out CSV!: commands to write (next.csv)", _NO_PAGE],
-        "sim2real design --robot robot.toml --model model.json --out next.csv",
-    ),
-    command(
-        "diagnose",
-        "sim.commands.diagnose",
-        [verbs.diagnose, "--out FILE!: diagnosis to write (diagnosis.json)", _NO_PAGE, VIEWS],
-        "sim2real diagnose steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
-    ),
-    command(
-        "simulate",
-        f"{_SWIMS}:simulate",
-        [_SIMULATE, VIEWS, verbs.simulate],
-        "sim2real simulate model.json wave.csv --robot fish.toml --out swim.csv",
-        leave_out=("recordings", "model"),
-    ),
-    command(
-        "calibrate",
-        f"{_SWIMS}:calibrate",
-        [verbs.calibrate, _CALIBRATE],
-        "sim2real calibrate swim.csv --robot fish.toml --model model.json --out calibrated.json",
-    ),
+COMMANDS = commands(
+    {
+        "design": (
+            f"{_SWIMS}:design",
+            [verbs.design, "--out CSV!: commands to write (next.csv)", _NO_PAGE],
+            "--robot robot.toml --model model.json --out next.csv",
+        ),
+        "diagnose": (
+            "sim.commands.diagnose",
+            [verbs.diagnose, "--out FILE!: diagnosis to write (diagnosis.json)", _NO_PAGE, VIEWS],
+            "steps.csv chirp.csv --robot robot.toml --out diagnosis.json",
+        ),
+        "simulate": (
+            f"{_SWIMS}:simulate",
+            [_SIMULATE, VIEWS, verbs.simulate],
+            "model.json wave.csv --robot fish.toml --out swim.csv",
+        ),
+        "calibrate": (
+            f"{_SWIMS}:calibrate",
+            [verbs.calibrate, _CALIBRATE],
+            "swim.csv --robot fish.toml --model model.json --out calibrated.json",
+        ),
+    }
 )

@@ -6,7 +6,7 @@ import argparse
 import inspect
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,11 +15,9 @@ from sim2real.errors import InputError
 N = TypeVar("N", int, float)
 Verb = Callable[..., Any]
 
-_COMMON = ("seed",)
-"""Arguments that every command has (``sim2real.cli``)."""
 _FILES = {"Recorded": "RECORDING", "Robot": "TOML", "Model": "MODEL", "File": "FILE"}
 _NUMBERS: dict[str, type] = {"int": int, "float": float}
-_PATHS = ["FILE", "FOLDER", "CSV", "TOML", "MODEL", "PNG", "JSON", "RECORDING", "PICTURE", "POLICY"]
+_PATHS = ("FILE", "FOLDER", "CSV", "TOML", "MODEL", "PNG", "RECORDING", "PICTURE")
 _TYPES: dict[str, type] = {"N": int, "X": float, **dict.fromkeys(_PATHS, Path)}
 """Type of an option by the name of its value; text by default."""
 _LINE = re.compile(r"(?P<name>\S+?)(?: (?P<value>\S+?)(?P<count>[?+&]|\*\d)?)?(?P<needed>!?)"
@@ -59,7 +57,6 @@ def command(
     example: str,
     *,
     resumes: bool = False,
-    positional: Collection[str] = ("recordings",),
     leave_out: Collection[str] = (),
 ) -> Command:
     """A command with the options of texts (``add_options``) and of verbs (``add_verb``)."""
@@ -69,9 +66,14 @@ def command(
             if isinstance(some, str):
                 add_options(parser, some)
             else:
-                add_verb(parser, some, positional=positional, leave_out=leave_out)
+                add_verb(parser, some, leave_out=leave_out)
 
-    return Command(name, module, add, example, resumes)
+    return Command(name, module, add, f"sim2real {name} {example}", resumes)
+
+
+def commands(table: Mapping[str, tuple[str, Sequence[str | Verb], str]]) -> tuple[Command, ...]:
+    """Commands by name, each with its module, options and those of an example."""
+    return tuple(command(name, *described) for name, described in table.items())
 
 
 def add_options(command: argparse.ArgumentParser, text: str) -> None:
@@ -110,14 +112,14 @@ def add_verb(
     positional: Collection[str] = ("recordings",),
     leave_out: Collection[str] = (),
 ) -> None:
-    """Add an option for each argument of a verb, but those that the command sets itself.
+    """Add an option for each argument of a verb that the parser lacks and that is not left out.
 
     The annotation, a string, determines the type of an option, the default whether it is required,
     and the entry under ``Args`` of the docstring is its help. ``positional`` have no option name.
     """
-    described = described_arguments(verb)
+    described, there = described_arguments(verb), {action.dest for action in command._actions}
     for name, parameter in inspect.signature(verb).parameters.items():
-        if name in _COMMON or name in leave_out:
+        if name in there or name in leave_out:
             continue
         options = _options(str(parameter.annotation), parameter.default)
         options["help"] = _help(described[name], parameter.default)

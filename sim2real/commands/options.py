@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from sim2real import verbs
-from sim2real.commands.command import VIEWS, command
+from sim2real.commands.command import VIEWS, command, commands
 
 _RUNS, _EXPORTS = "sim2real.commands.recordings", "sim2real.commands.exports"
+_IMPORTS = "sim2real.commands.import_logs"
 
 
 _CHECK = """
@@ -62,6 +63,7 @@ model MODEL?: add: identified servo (MODEL.json)
 --date DAY: add: day of the recordings (2026-01-31)
 """
 _DENSITY = """
+robot TOML: the robot, with masses and lengths of its links (robot.toml)
 --model MODEL: model to add the densities to (MODEL.json)
 --out MODEL: model to write (MODEL.json)
 --plot PNG: plot of the mass distribution to write
@@ -89,82 +91,63 @@ source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder)
 """
 
 
-COMMANDS = (
-    command(
-        "example",
-        f"{_RUNS}:example",
-        ["--out FOLDER = example: folder to write"],
-        "sim2real example --out example",
-    ),
-    command(
-        "check",
-        f"{_RUNS}:check",
-        [_CHECK],
-        "sim2real check steps.csv sine.csv --robot robot.toml",
-    ),
-    command(
-        "identify",
-        f"{_RUNS}:identify",
-        [verbs.identify, _IDENTIFY, VIEWS],
-        "sim2real identify steps.csv sine.csv square.csv --robot robot.toml --out model.json",
-    ),
-    command(
-        "density",
-        f"{_RUNS}:density",
-        [verbs.density, _DENSITY],
-        "sim2real density robot.toml --model model.json --out weighed.json",
-        positional=("robot",),
-    ),
+COMMANDS = commands(
+    {
+        "example": (
+            f"{_RUNS}:example",
+            ["--out FOLDER = example: folder to write"],
+            "--out example",
+        ),
+        "check": (f"{_RUNS}:check", [_CHECK], "steps.csv sine.csv --robot robot.toml"),
+        "identify": (
+            f"{_RUNS}:identify",
+            [verbs.identify, _IDENTIFY, VIEWS],
+            "steps.csv sine.csv square.csv --robot robot.toml --out model.json",
+        ),
+        "density": (
+            f"{_RUNS}:density",
+            [_DENSITY, verbs.density],
+            "robot.toml --model model.json --out weighed.json",
+        ),
+        "predict": (
+            f"{_RUNS}:predict",
+            [_PREDICT, VIEWS],
+            "model.json chirp.csv --out predicted.csv",
+        ),
+        "completion": (
+            f"{_RUNS}:completion",
+            ["shell bash|zsh|tcsh: shell to write the script for"],
+            "bash > ~/.local/share/bash-completion/completions/sim2real",
+        ),
+        "import": (
+            _IMPORTS,
+            [_IMPORT],
+            "run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
+        ),
+        "robot": (f"{_IMPORTS}:robot", [_ROBOT], "from-urdf arm.urdf --out robot.toml"),
+        "export-servo": (
+            f"{_EXPORTS}:export_servo",
+            [_EXPORT_SERVO],
+            "diagnosis.enriched.json --to mujoco --out servos.xml --recordings steps.csv chirp.csv",
+        ),
+        "export-ranges": (
+            f"{_EXPORTS}:export_ranges",
+            [_EXPORT_RANGES],
+            "ranges.json --to isaaclab --out randomization.py",
+        ),
+        "servos": (
+            "sim2real.commands.servos",
+            [_SERVOS],
+            "xl330_gain800 --joints pan tilt --out model.json",
+        ),
+    }
+) + (
     command(
         "ranges",
         f"{_RUNS}:ranges",
         [verbs.ranges, _RANGES],
-        "sim2real ranges steps.csv square.csv --robot robot.toml --model model.json "
-        "--out ranges.json",
+        "steps.csv square.csv --robot robot.toml --model model.json --out ranges.json",
         resumes=True,
         leave_out=("chains",),
-    ),
-    command(
-        "predict",
-        f"{_RUNS}:predict",
-        [_PREDICT, VIEWS],
-        "sim2real predict model.json chirp.csv --out predicted.csv",
-    ),
-    command(
-        "completion",
-        f"{_RUNS}:completion",
-        ["shell bash|zsh|tcsh: shell to write the script for"],
-        "sim2real completion bash > ~/.local/share/bash-completion/completions/sim2real",
-    ),
-    command(
-        "import",
-        "sim2real.commands.import_logs",
-        [_IMPORT],
-        "sim2real import run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
-    ),
-    command(
-        "robot",
-        "sim2real.commands.import_logs:robot",
-        [_ROBOT],
-        "sim2real robot from-urdf arm.urdf --out robot.toml",
-    ),
-    command(
-        "export-servo",
-        f"{_EXPORTS}:export_servo",
-        [_EXPORT_SERVO],
-        "sim2real export-servo diagnosis.enriched.json --to mujoco --out servos.xml "
-        "--recordings steps.csv chirp.csv",
-    ),
-    command(
-        "export-ranges",
-        f"{_EXPORTS}:export_ranges",
-        [_EXPORT_RANGES],
-        "sim2real export-ranges ranges.json --to isaaclab --out randomization.py",
-    ),
-    command(
-        "servos",
-        "sim2real.commands.servos",
-        [_SERVOS],
-        "sim2real servos xl330_gain800 --joints pan tilt --out model.json",
     ),
 )
