@@ -168,11 +168,9 @@ def optional(place: str) -> Iterator[None]:
 def if_installed(what: str) -> Iterator[None]:
     """Context that makes ``what``, as ``"plots"``, or prints which optional library it needs."""
     try:
-        yield
-    except ModuleNotFoundError as error:
-        missing = missing_library(error)
-        if missing is None:
-            raise
+        with optional(what):
+            yield
+    except MissingLibrary as missing:
         title, extra = _LIBRARIES[str(missing.name)]
         print(f"no {what}: {title} is not installed; {install_command(extra)}", file=sys.stderr)
 

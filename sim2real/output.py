@@ -71,10 +71,9 @@ _results: Results | None = None
 
 @contextlib.contextmanager
 def results() -> Iterator[Results]:
-    """Context of one call of the command line.
+    """Context of one call of the command line, in which no finished computation is lost.
 
-    Inside it, a result that can't be written after its folder was checked is kept elsewhere, so
-    that no finished computation is lost, and the computation goes on.
+    A result that can't be written after its folder was checked is kept elsewhere.
     """
     global _results
     before, _results = _results, Results()
@@ -113,27 +112,24 @@ def check_not_read(place: Path, target: Path | None = None) -> None:
             raise InputError(target or place, "", f"{read}, which the command reads", expected)
 
 
-def is_standard_output(path: str | os.PathLike[str] | None) -> bool:
+def is_standard_output(path: str | os.PathLike[str]) -> bool:
     """Whether ``path`` is the standard output of this process."""
-    try:
-        return path is not None and _descriptor(_followed(Path(path))) == 1
-    except OSError:
-        return False
+    with contextlib.suppress(OSError):
+        return _descriptor(_followed(Path(path))) == 1
+    return False
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
     """Whether ``path`` is a device or a pipe, next to which no other file can be written."""
-    try:
+    with contextlib.suppress(OSError):
         return _streams(_followed(Path(path)))
-    except OSError:
-        return False
+    return False
 
 
 def beside(out: Path, name: str) -> Path:
-    """A further file of the result ``out``: ``name`` in its folder.
+    """A further file of the result ``out``: ``name`` in its folder, ``/`` (of ROS) as ``%2F``.
 
-    A ``/`` in the name, as in the names of joints of ROS, is written as ``%2F``. If ``out`` is a
-    device or a pipe, this is the null device.
+    If ``out`` is a device or a pipe, this is the null device.
     """
     return Path(os.devnull) if is_stream(out) else out.with_name(name.replace("/", "%2F"))
 
@@ -182,19 +178,10 @@ def _place(path: str | os.PathLike[str]) -> Path:
         while not folder.exists() and folder != folder.parent:
             folder = folder.parent
     except OSError as error:  # a name too long, a loop of links, a folder that can't be searched
-        found = "a working directory that was removed" if _homeless(target) else error.strerror
-        raise InputError(target, "", str(found), "the name of a file to write") from None
+        raise InputError(target, "", str(error.strerror), "the name of a file to write") from None
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(target, "", f"{folder}, which can't be written", "a folder to write in")
     return place
-
-
-def _homeless(target: Path) -> bool:
-    """Whether a path is relative to a working directory that no longer exists."""
-    try:
-        return not target.is_absolute() and not os.getcwd()
-    except OSError:
-        return True
 
 
 def _followed(target: Path, most_links: int = 40) -> Path:
@@ -263,10 +250,7 @@ def _replace(place: Path, data: bytes) -> None:
 
 
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
-    """Write ``content`` as indented JSON, with numbers converted by ``finite_json``.
-
-    Infinite ends of intervals must be ``None``, which is written as null.
-    """
+    """Write ``content`` as indented JSON, with numbers converted by ``finite_json``."""
     return write_whole(path, json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n")
 
 

@@ -242,12 +242,9 @@ def servos() -> ServoLibrary:
 
 
 def recordings_of(recordings: Recorded, *, or_commands: bool = False) -> list[Recording]:
-    """The recordings, read where files are given.
+    """The recordings, at least one, read where files are given.
 
     With ``or_commands``, a CSV without JSON is a table of commands.
-
-    Raises:
-        InputError: If there is none, or a file is not a recording.
     """
     from sim2real.recording import Recording, read_commands, read_recording
 
@@ -272,11 +269,7 @@ def recordings_of(recordings: Recorded, *, or_commands: bool = False) -> list[Re
 
 
 def recordings_to_fit(recordings: Recorded) -> list[Recording]:
-    """The recordings, read where files are given, with a warning of those that are simulated.
-
-    Raises:
-        InputError: If there is none, or a file is not a recording.
-    """
+    """The recordings, read where files are given, with a warning of those that are simulated."""
     listed = recordings_of(recordings)
     simulated = [recording.file for recording in listed if recording.is_simulated]
     if simulated:
@@ -288,11 +281,7 @@ def recordings_to_fit(recordings: Recorded) -> list[Recording]:
 
 
 def robot_of(robot: Robot | File) -> Robot:
-    """The robot, read where a file is given.
-
-    Raises:
-        InputError: If it is neither, or the file is not a robot.
-    """
+    """The robot, read where a file is given."""
     from sim2real.robot import Robot, read_robot
 
     _check_type("robot", robot, Robot, "a robot or its robot.toml")
@@ -300,11 +289,7 @@ def robot_of(robot: Robot | File) -> Robot:
 
 
 def model_of(model: Model | File) -> Model:
-    """The model, read where a file is given.
-
-    Raises:
-        InputError: If it is neither, or the file is not a model.
-    """
+    """The model, read where a file is given."""
     from sim2real.model import Model, read_model
 
     _check_type("model", model, Model, "a model or its MODEL.json")
