@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import inspect
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from textwrap import dedent
 from typing import Any, NamedTuple, TypeVar
 
 from sim2real.errors import InputError
@@ -139,13 +141,19 @@ def arguments_of(verb: Verb, options: argparse.Namespace, **other: Any) -> dict[
 
 def described_arguments(verb: Verb) -> dict[str, str]:
     """The text of each argument in a docstring in Google's style, on one line."""
-    _, _, block = (inspect.getdoc(verb) or "").partition("Args:\n")
+    _, _, block = (inspect.getdoc(verb) or _docstring(verb)).partition("Args:\n")
     block = re.split(r"\n\n?\S", block, maxsplit=1)[0]
     entries = re.split(r"^ {4}(\w+): ", block, flags=re.M)[1:]
     return {
         name: " ".join(entry.split()).replace("``", "")
         for name, entry in zip(entries[::2], entries[1::2], strict=True)
     }
+
+
+def _docstring(verb: Verb) -> str:
+    """The docstring in the source, which ``python -OO`` leaves out of the function."""
+    (definition,) = ast.parse(dedent(inspect.getsource(verb))).body
+    return ast.get_docstring(definition) or "" if isinstance(definition, ast.FunctionDef) else ""
 
 
 def _options(annotation: str, default: object) -> dict[str, Any]:
