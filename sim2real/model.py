@@ -122,31 +122,17 @@ def with_inertia(effects: Sequence[FittedEffect], added: float) -> tuple[FittedE
 
 
 def write_model(model: Model, path: str | os.PathLike[str]) -> None:
-    """Write ``MODEL.json``; an infinite end of an interval is written as null.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
+    """Write ``MODEL.json``; an infinite end of an interval is written as null."""
     content = {"schema": SCHEMA, _ROTOR_IN_LOAD: False, **vars(model)}
     content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
     content["effects"] = [vars(effect) for effect in model.effects]
-    if model.firmware_p_gain is None:
-        del content["firmware_p_gain"]
-    if model.arm is None:
-        del content["arm"]
-    else:
-        content["arm"] = arm_content(model.arm)
-    write_json(path, content)
+    content["arm"] = model.arm and arm_content(model.arm)
+    stated = {k: x for k, x in content.items() if x is not None}
+    write_json(path, stated)
 
 
 def read_model(path: str | os.PathLike[str]) -> Model:
-    """Read ``MODEL.json``.
-
-    Files of earlier versions are read with the same motion: see ``docs/reference/files.md``.
-
-    Raises:
-        InputError: If the file or one of its fields does not conform to the format.
-    """
+    """Read ``MODEL.json``, of earlier versions as well (``docs/reference/files.md``)."""
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")
     servos = {name: _read_joint(joints.table(name)) for name in joints.labels()}

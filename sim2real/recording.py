@@ -173,11 +173,7 @@ class Recording(NotebookDisplay):
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read and validate ``NAME.csv`` and ``NAME.json`` in the same folder.
-
-    Raises:
-        InputError: If a file cannot be read, or a row or field does not conform to the format.
-    """
+    """Read and validate ``NAME.csv`` and ``NAME.json`` in the same folder."""
     csv = Path(path)
     sidecar = csv.with_suffix(".json")
     if os.path.isdir(csv):  # perhaps of a ROS bag
@@ -196,8 +192,6 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
     none = np.full((t.size, len(joints)), np.nan)
-    command = csv_columns.commands(csv, table, joints) if recorded else none
-    position = csv_columns.angles(csv, table, joints, "position_rad")
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
     others = [str(name) for name in table.columns if name not in used]
     return Recording(
@@ -205,8 +199,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         kind,
         joints,
         t,
-        command,
-        position,
+        csv_columns.commands(csv, table, joints) if recorded else none,
+        csv_columns.angles(csv, table, joints, "position_rad"),
         loads=_loads(top, joints),
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
@@ -226,11 +220,7 @@ def _import_first(log: Path) -> str:
 def read_commands(path: str | os.PathLike[str]) -> Recording:
     """Read the commands of a CSV file as a bench recording whose positions are NaN.
 
-    Measured columns are ignored, and no JSON file is needed; of one that exists, loads and context
-    apply.
-
-    Raises:
-        InputError: If times or commands do not conform to the format.
+    Measured columns are ignored. No JSON file is needed; if there is one, its loads apply.
     """
     csv = Path(path)
     table = csv_columns.read_table(csv)
@@ -262,9 +252,6 @@ def write_recording(
     """Write ``NAME.csv`` and ``NAME.json``, from which ``read_recording`` restores the recording.
 
     If not ``measured``, measured angles are left out, and ``read_commands`` reads it.
-
-    Raises:
-        InputError: If the folder cannot be written, or the name of a joint has control characters.
     """
     csv = Path(path)
     for joint in recording.joints:
@@ -278,11 +265,8 @@ def write_recording(
     table |= recording.columns
     sidecar = {
         "schema": SCHEMA,
-        "kind": recording.kind,
-        "joints": list(recording.joints),
+        **{name: getattr(recording, name) for name in ("kind", "joints", "medium", "source")},
         "loads": {name: vars(load) for name, load in recording.loads.items()},
-        "medium": recording.medium,
-        "source": recording.source,
         **recording.metadata,
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))

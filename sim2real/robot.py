@@ -99,9 +99,7 @@ class Sheet:
 class Link(Sheet):
     """One rigid link in SI units; ``com_m`` is measured from its front end.
 
-    ``mass_sd_kg`` and ``length_sd_m`` are standard deviations of the measured mass and length.
     ``mass_kg``, ``com_m`` and ``inertia_kgm2`` include the ``appendages``, the hull does not.
-    Using a mass, length, width or height that was not stated raises an InputError.
     """
 
     name: str
@@ -120,7 +118,7 @@ class Link(Sheet):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Servo(Sheet):
-    """Data sheet of a servo. Using a value that was not stated raises an InputError."""
+    """Data sheet of a servo."""
 
     name: str
     max_torque_Nm: Stated[float] = Stated()
@@ -195,16 +193,11 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     """
     top = Fields(path, "", read_toml(path))
     top.refuse_unknown(("name", "links", "joints", "servos", "arm"))
-    servos = {
-        name: _servo(name, Fields(path, f"servos.{name}", content))
-        for name, content in top.table("servos").content.items()
-    }
+    sheets = top.table("servos")
+    servos = {name: _servo(name, sheets.table(name)) for name in sheets.labels()}
     joints = tuple(_joint(fields, servos) for fields in top.tables("joints"))
     unknown = (Link(f"link{k}", where=(str(path), f"links[{k}]")) for k in range(len(joints) + 1))
-    top.table("servos").labels()
-    links = (
-        tuple(_link(fields) for fields in top.tables("links")) if "links" in top else (*unknown,)
-    )
+    links = tuple(map(_link, top.tables("links"))) if "links" in top else tuple(unknown)
     if len(links) != len(joints) + 1:
         found = f"{len(links)} links and {len(joints)} joints"
         raise InputError(path, "links", found, "one link more than joints")
@@ -251,16 +244,15 @@ def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
     servo = fields.text("servo")
     if servo not in servos:
         raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
-    place = (str(fields.file), fields.where)
-    if "limits_rad" not in fields:
-        return Joint(fields.label("name"), servos[servo], where=place)
-    low, high = fields.numbers("limits_rad", LIMITS, 2)
-    if low >= high:
-        raise fields.error("limits_rad", LIMITS)
-    if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
-        expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
-        raise fields.error("limits_rad", expected)
-    return Joint(fields.label("name"), servos[servo], (low, high), place)
+    limits = None
+    if "limits_rad" in fields:
+        low, high = limits = tuple(fields.numbers("limits_rad", LIMITS, 2))
+        if low >= high:
+            raise fields.error("limits_rad", LIMITS)
+        if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
+            expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
+            raise fields.error("limits_rad", expected)
+    return Joint(fields.label("name"), servos[servo], limits, (str(fields.file), fields.where))
 
 
 @dataclass(frozen=True)
@@ -299,13 +291,12 @@ def normalised_density(robot: Robot) -> Density:
 
         d log rho_i = dm_i / m_i - dl_i / l_i + sum(dl) / sum(l) - sum(dm) / sum(m).
     """
-    mass, length = (np.array([getattr(x, n) for x in robot.links]) for n in ("mass_kg", "length_m"))
+    names = ("mass_kg", "length_m", "mass_sd_kg", "length_sd_m")
+    mass, length, *errors = (np.array([getattr(x, n) for x in robot.links]) for n in names)
     value = mass / length * length.sum() / mass.sum()
-    stated = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
     sd = None
-    if stated:
-        mass_sd = np.array([x.mass_sd_kg or 0.0 for x in robot.links])
-        length_sd = np.array([x.length_sd_m or 0.0 for x in robot.links])
+    if any(x is not None for error in errors for x in error):
+        mass_sd, length_sd = (np.nan_to_num(error.astype(float)) for error in errors)
         by_mass = np.diag(1 / mass) - 1 / mass.sum()
         by_length = 1 / length.sum() - np.diag(1 / length)
         sd = value * np.hypot(
