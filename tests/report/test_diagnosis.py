@@ -213,12 +213,6 @@ def test_what_the_plain_fit_had_been_hiding():
     assert row[2].startswith("0 %\n") and row[3] == "+14 %\n58 to 66 ms"
 
 
-def test_parameters_that_stay_need_no_table():
-    still = replace(NAMED, baseline_shift={"kp_Nm_per_rad": 0.001, "latency_s": 0.0})
-    _, blocks = said(replace(EXPLAINED, effects=(still,)))
-    assert not [b for b in blocks if isinstance(b, Table) and b.header[0] == "servo"]
-
-
 def test_joints_without_mismatch_get_one_sentence():
     text, blocks = explained()
     errors = "j1 has an error of 1.6 mrad, with 1.5 mrad of noise"
@@ -313,14 +307,6 @@ def test_an_effect_that_joints_share_shifts_the_first():
     shared = replace(NAMED, component="supply")
     _, blocks = said(replace(EXPLAINED, effects=(shared,)))
     assert [row[0] for row in table(blocks, "servo").rows] == ["j2"]
-
-
-def test_only_joints_with_a_finding_show_what_it_is_worth():
-    other = replace(MISMATCH, signal="j1.position_rad", component="j1")
-    _, blocks = said(EXPLAINED)
-    assert table(blocks, "error of").rows == [("j2", "4.7 mrad", "1.7 mrad", "1.5 mrad")]
-    _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other)))
-    assert [row[2] for row in table(blocks, "error of").rows] == ["–", "1.7 mrad"]
 
 
 @pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])

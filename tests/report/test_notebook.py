@@ -140,13 +140,6 @@ def test_a_notebook_shows_a_table_with_the_numbers_and_no_markup_of_files(kind, 
         assert EVIL in page.text
 
 
-def test_what_a_diagnosis_says_is_shown(results):
-    diagnosis, _ = results["diagnosis"]
-    page = Fragment(diagnosis._repr_html_())
-    assert "Verdict: unexplained" in page.text
-    assert "RMSE 5.00 mrad, noise 1.00 mrad" in page.text
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_text_has_the_cells_of_the_notebook(kind, results):
     """But a diagnosis and what a swim says are written otherwise."""
@@ -163,10 +156,6 @@ def test_errors_and_notes_of_a_fit_are_shown(results):
     page = Fragment(fitted._repr_html_())
     assert page.cells[-4:] == ["4.1 mrad", "-", "-", ""]
     assert EVIL in page.text.split("RMSE")[-1]
-
-
-def test_an_empty_model_is_shown():
-    assert "Model" in Fragment(Model({})._repr_html_()).text
 
 
 def test_without_jinja_a_notebook_shows_the_text(results, monkeypatch):

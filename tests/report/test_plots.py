@@ -9,10 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report.drawing import save_png, svg
+from sim2real.report.drawing import svg
 from sim2real.report.identification import parameter_figure
 from sim2real.report.series import (
     Panel,
@@ -158,14 +157,6 @@ def test_names_and_numbers_are_text():
     assert "<script" not in text and text.count("</svg>") == 1
     assert "$x_1$" in text and "1.23456" in text
     ElementTree.fromstring(text)
-
-
-def test_png_is_written_whole(bench, tmp_path):
-    path = save_png(timing_figure(bench.recording), tmp_path / "new" / "timing.png")
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert [p.name for p in path.parent.iterdir()] == ["timing.png"]
-    with pytest.raises(InputError):
-        save_png(timing_figure(bench.recording), tmp_path)
 
 
 def test_long_series_keep_their_extremes_and_gaps():
