@@ -66,23 +66,18 @@ def moves(t: Array, command: Array) -> int:
 
 def recording_findings(recording: Recording) -> list[RecordingFinding]:
     """Findings about a recording as a whole: its clock, and columns that it lacks."""
-    findings = recording_clock_findings(recording.joints, recording.t, recording.position)
     imported = recording.metadata.get("import_warnings")
-    if isinstance(imported, list):
-        findings += [RecordingFinding(str(sentence)) for sentence in imported]
+    sentences = [str(sentence) for sentence in imported] if isinstance(imported, list) else []
     if np.isnan(recording.command).all():
-        findings.append(RecordingFinding("No command was recorded: servos cannot be identified."))
+        sentences.append("No command was recorded: servos cannot be identified.")
     if recording.kind == "pool" and not recording.has_poses:
-        text = "The body was not tracked: body and fluid cannot be calibrated."
-        findings.append(RecordingFinding(text))
-    return findings
+        sentences.append("The body was not tracked: body and fluid cannot be calibrated.")
+    clock = recording_clock_findings(recording.joints, recording.t, recording.position)
+    return [*clock, *map(RecordingFinding, sentences)]
 
 
 def all_findings(recording: Recording, robot: Robot | None = None) -> list[RecordingFinding]:
-    """All findings about a recording; one that several joints share is listed once.
-
-    With the robot that was recorded, also those about its limits and data sheets.
-    """
+    """All findings about a recording, with its robot those about its data sheets as well."""
     return [*recording_findings(recording), *merged(joint_rows(recording, robot))]
 
 
@@ -90,9 +85,8 @@ def joint_rows(
     recording: Recording, robot: Robot | None = None
 ) -> Iterator[tuple[str, RecordingFinding]]:
     """The name of each joint of a recording with each finding about it."""
-    for j, joint in enumerate(recording.joints):
-        for finding in joint_findings(recording, measured_joint(recording, j), robot):
-            yield joint, finding
+    for data in (measured_joint(recording, j) for j in range(len(recording.joints))):
+        yield from ((data.joint, found) for found in joint_findings(recording, data, robot))
 
 
 def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFinding]:
@@ -104,10 +98,10 @@ def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFindin
         joints.setdefault(about, []).append(joint)
         findings[about] = finding
     return [
-        findings[about]
-        if len(names) == 1
-        else replace(findings[about], text=f"{', '.join(names)}: {about}")
-        for about, names in joints.items()
+        replace(found, text=f"{', '.join(some)}: {about}")
+        if len(some := joints[about]) > 1
+        else found
+        for about, found in findings.items()
     ]
 
 
@@ -253,14 +247,12 @@ def _motion(
 def _correlations(t: Array, command: Array, position: Array, longest_s: float) -> Array:
     """Correlations of the command with the position at lags of up to ``longest_s``, shape (L,)."""
     largest = max(1, int(longest_s / np.median(np.diff(t)))) if t.size > 2 else 0
-    lags = range(min(largest, t.size - 3) + 1)
-    return np.array([_correlation(command[: t.size - k], position[k:]) for k in lags])
-
-
-def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
-    return float(np.sum(a * b)) / size if size > 0 else 0.0
+    found = np.zeros(max(min(largest, t.size - 3) + 1, 0))
+    for k in range(found.size):
+        a, b = (x - x.mean() for x in (command[: t.size - k], position[k:]))
+        size = np.sqrt(np.sum(a**2) * np.sum(b**2))
+        found[k] = np.sum(a * b) / size if size > 0 else 0.0
+    return found
 
 
 def _start(data: MeasuredJoint, finite: Mask) -> Iterator[RecordingFinding]:
