@@ -136,9 +136,7 @@ def recording_clock_findings(
         for sentence in dropped_rows(t, angle):
             concerned.setdefault((sentence, "warning"), []).append(joint)
     return [
-        RecordingFinding(
-            f"{', '.join(some)}: {text}" if len(some) < len(joints) else text, severity
-        )
+        RecordingFinding(text if len(some) == len(joints) else f"{', '.join(some)}: {text}", level)
         for (text, level), some in concerned.items()
     ]
 

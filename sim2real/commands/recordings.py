@@ -82,9 +82,7 @@ def _plot(model: Model, replays: Callable[[], Sequence[Replay]], out: Path) -> N
 
     for joint, shown in most_held_out(replays()).items():
         noise = model.fit[f"{joint}.position_rad"].get("noise")
-        figure = fit_figure(
-            shown.recording, joint, shown.predicted, heldout=shown.held_out, noise_rad=noise
-        )
+        figure = fit_figure(shown.recording, joint, shown.predicted, shown.held_out, noise)
         save_png(figure, beside(out, f"{out.stem}.{joint}.png"))
 
 
@@ -156,10 +154,11 @@ def ranges(options: argparse.Namespace) -> int:
         return 0
     with if_installed("page"):
         from sim2real.report.page import write_page
-        from sim2real.report.ranges import posterior_sections, ranges_section
+        from sim2real.report.ranges import posterior_section, ranges_section
 
         page = beside(out, f"{out.stem}.html")
-        sections = [ranges_section(gathered), *posterior_sections(gathered)]
+        sections = [ranges_section(gathered)]
+        sections += [posterior_section(gathered, joint) for joint in gathered.posteriors]
         title = f"Randomization ranges of {read_robot(options.robot).name}"
         subtitle = f"{len(gathered.ranges.entries)} parameters, each from data"
         write_page(page, title, subtitle, sections, gathered.ranges.provenance)

@@ -25,21 +25,10 @@ _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
-    """Write ``figure`` to ``path`` at 150 dots per inch, atomically.
-
-    Raises:
-        InputError: If the folder cannot be created or written.
-    """
-    stream = io.BytesIO()
+    """Write ``figure`` to ``path`` at 150 dots per inch."""
+    stream, look = io.BytesIO(), {"bbox_inches": "tight", "pad_inches": MARGIN_INCHES}
     with _unchanged(figure), house_style():
-        figure.savefig(
-            stream,
-            format="png",
-            dpi=PNG_DPI,
-            bbox_inches="tight",
-            pad_inches=MARGIN_INCHES,
-            metadata={"Software": None},
-        )
+        figure.savefig(stream, format="png", dpi=PNG_DPI, metadata={"Software": None}, **look)
     return write_whole(path, stream.getvalue())
 
 

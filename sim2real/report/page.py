@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _FOLDER = Path(__file__).parent
-_HASH_LETTERS = 12
+_SHOWN = 12
 _NUMBER = re.compile(r"[<>≥≤±]?\s?[+\-−]?(\d[\d.,]*(e[+\-]?\d+)?|∞)(?![\w\-:])")
 _DASHES = ("", "-", "–", "−")
 _PART = re.compile(r"(?<=[_/.])(?=[A-Za-z])")
@@ -46,10 +46,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header.
-
-    Text after a line break in a cell, such as an interval or a unit, is set smaller below it.
-    """
+    """Rows of text under a header; what follows a line break in a cell is set smaller below it."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -175,20 +172,14 @@ def _template() -> Template:
 
 def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
     """Label and lines of every non-empty part of the footer."""
-    seed = provenance.get("seed")
-    parts = [
-        ("command", [str(provenance.get("command", ""))]),
-        ("seed", ["" if seed is None else str(seed)]),
-        ("versions", [", ".join(f"{k} {v}" for k, v in provenance.get("versions", {}).items())]),
-        (
-            "inputs (SHA-256)",
-            [
-                f"{Path(path).name}  {str(digest)[:_HASH_LETTERS]}"
-                for path, digest in provenance.get("inputs", {}).items()
-            ],
-        ),
-    ]
-    return [(label, lines) for label, lines in parts if any(lines)]
+    seed, inputs = provenance.get("seed"), provenance.get("inputs", {})
+    parts = {
+        "command": [str(provenance.get("command", ""))],
+        "seed": ["" if seed is None else str(seed)],
+        "versions": [", ".join(f"{k} {v}" for k, v in provenance.get("versions", {}).items())],
+        "inputs (SHA-256)": [f"{Path(k).name}  {str(v)[:_SHOWN]}" for k, v in inputs.items()],
+    }
+    return [(label, lines) for label, lines in parts.items() if any(lines)]
 
 
 def _is_number(cell: str, *, alone: bool = False) -> bool:

@@ -123,18 +123,13 @@ def fit_panels(
     recording: Recording,
     joint: str,
     predicted: Array,
-    *,
     heldout: Mask | None = None,
     noise_rad: float | None = None,
 ) -> tuple[list[Panel], list[Panel]]:
     """Panels of the prediction of one joint, and a close-up of 1.5 s at the largest movement.
 
-    Args:
-        recording: The recording.
-        joint: Name of the joint.
-        predicted: Predicted position in rad, shape (T,).
-        heldout: Mask of held-out samples, shape (T,), which are shaded.
-        noise_rad: Standard deviation of the measurement noise, shown with the residual.
+    The predicted position (T,) in rad is shown with the residual, the held-out samples, a mask
+    (T,), are shaded, and ``noise_rad`` is the standard deviation of the measurement noise.
     """
     position, *residual = fit_groups(recording, joint, predicted)
     t, shaded = recording.t, [] if heldout is None else segments(heldout)
@@ -154,12 +149,11 @@ def fit_figure(
     recording: Recording,
     joint: str,
     predicted: Array,
-    *,
     heldout: Mask | None = None,
     noise_rad: float | None = None,
 ) -> Drawing:
     """Plot the prediction of one joint of a recording; arguments as for ``fit_panels``."""
-    panels, close_up = fit_panels(recording, joint, predicted, heldout=heldout, noise_rad=noise_rad)
+    panels, close_up = fit_panels(recording, joint, predicted, heldout, noise_rad)
     return series_figure([*panels, *close_up], f"{joint} in {recording.name}")
 
 
@@ -183,9 +177,8 @@ def in_mrad(group: SignalGroup) -> SignalGroup:
 def gaps(t: Array) -> Index:
     """Indices of samples more than three median intervals after the previous one."""
     interval = np.diff(t)
-    if not interval.size:
-        return np.empty(0, dtype=np.intp)
-    return np.flatnonzero(interval > GAP_INTERVALS * np.median(interval)) + 1
+    usual = np.median(interval) if interval.size else 0.0
+    return np.flatnonzero(interval > GAP_INTERVALS * usual) + 1
 
 
 def drawable(t: Array, values: Array) -> tuple[Array, Array]:
