@@ -72,14 +72,9 @@ def sidecar(
     signal: Excitation, planned: dict[str, Any], *, name: str, **more: object
 ) -> dict[str, object]:
     """The JSON of a recording of a signal; ``planned`` has the loads, ``more`` the medium."""
-    return {
-        "schema": SCHEMA,
-        "kind": "servo",
-        "joints": list(signal.joints),
-        "signal": {"name": name, "notes": list(signal.notes)},
-        **planned,
-        **more,
-    }
+    played = {"name": name, "notes": list(signal.notes)}
+    head = {"schema": SCHEMA, "kind": "servo", "joints": list(signal.joints), "signal": played}
+    return head | planned | more
 
 
 def check_temperature(limit_C: float) -> None:
@@ -131,9 +126,9 @@ def _joints(robot: Robot, names: Sequence[str] | None) -> list[Joint]:
 
 
 def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
-    for option, value in (("--port", options.port), ("--ids", options.ids)):
-        if value is None:
-            raise InputError(option, "", "nothing", "it, unless with --dry-run")
+    for name in ("port", "ids"):
+        if getattr(options, name) is None:
+            raise InputError(f"--{name}", "", "nothing", "it, unless with --dry-run")
     check_temperature(options.max_temperature)
     whole = "whole numbers, as 1,2,3"
     wiring = Wiring(

@@ -57,9 +57,8 @@ def identify(options: argparse.Namespace) -> int:
     check_writable(options.out)
     check_views(options)
     robot, recordings = read_robot(options.robot), verbs.recordings_of(options.recordings)
-    model = verbs.identify(
-        **arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
-    )
+    given = arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
+    model = verbs.identify(**given)
     write_model(model, options.out)
     print(model)
     replays = cache(lambda: replay(model, recordings, options.held_out))

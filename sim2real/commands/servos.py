@@ -23,8 +23,7 @@ def run(options: argparse.Namespace) -> int:
         return _add(options)
     for option in _OF_ADD:
         if getattr(options, option) is not None:
-            shown = option
-            raise InputError(f"--{shown}", "", options.name or "no servo", "servos add MODEL")
+            raise InputError(f"--{option}", "", options.name or "no servo", "servos add MODEL")
     if options.model is not None:
         raise InputError("servos", "", f"{options.name} {options.model}", "servos add MODEL")
     return _list(options) if options.name is None else _one(options)
@@ -65,15 +64,9 @@ def _add(options: argparse.Namespace) -> int:
 
     if options.model is None:
         raise InputError("servos add", "MODEL", "nothing", "an identified servo (MODEL.json)")
-    about = {
-        "name": vars(options)["as"],
-        "type": options.type,
-        "source": options.source,
-        "licence": options.licence,
-        "date": options.date,
-        "supply_V": options.supply,
-        "firmware_gain": options.firmware_gain,
-    }
+    given = vars(options)
+    about = {name: given[name] for name in ("type", "source", "licence", "date", "firmware_gain")}
+    about |= {"name": given["as"], "supply_V": options.supply}
     entry = prepared(read_model(options.model), about, joint=options.joint, file=options.model)
     library = verbs.servos()
     if entry.name in library.names:
