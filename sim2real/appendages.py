@@ -188,14 +188,13 @@ class Appendage:
         counted = (share > 0) / mirrored
 
         def towards(direction: int, given: Coefficient | None) -> tuple[float, float, float]:
-            here = counted * (direction == 0 or not self.in_hull)
             value, sd = given or sides.drag_coefficient(direction)
-            face = here * sides.face_m2(direction)
-            return value * face, sd * face, here * sides.added_mass_m3(direction)
+            outside = counted * (not self.in_hull)
+            face = (outside if direction else counted) * sides.face_m2(direction)
+            return value * face, sd * face, outside * sides.added_mass_m3(direction)
 
         ahead, sideways = towards(0, self.drag), towards(1, self.lateral_drag)
         areas, sds, masses = zip(ahead, sideways, strict=True)
-        masses = (0.0, 0.0) if self.in_hull else masses
         displaced = self.displaced_m3(surface_m)
         return Wetted(self.at_m[:2], (along, across), areas, sds, masses, displaced)
 
@@ -211,23 +210,17 @@ def area_error(wetted: Sequence[Wetted]) -> float:
 
 
 def read_appendage(fields: Fields, length_m: float | None) -> Appendage:
-    """Read one ``[[links.appendages]]`` table; without ``at_m`` it is in the middle of the link.
-
-    Raises:
-        InputError: If a field does not conform to the format.
-    """
+    """Read one ``[[links.appendages]]`` table; without ``at_m`` it is in the middle of the link."""
     fields.refuse_unknown(KEYS)
-    shape = fields.choice("shape", ("box", "cylinder"))
-    axis = fields.choice("axis", AXES) if "axis" in fields else "along"
+    shape, axis = fields.choice("shape", ("box", "cylinder")), fields.choice("axis", AXES, "along")
     if "axis" in fields and shape != "cylinder":
         raise fields.error("axis", "no axis of a box")
     size = _lengths(fields, "size_m", 3 if shape == "box" else 2, above_zero=True)
     if shape == "cylinder":
         length, diameter = size
         size = [length if name == axis else diameter for name in AXES]
-    at = [(length_m or 0.0) / 2, 0.0, 0.0]
-    if "at_m" in fields:
-        at = _lengths(fields, "at_m", 3)
+    middle = [(length_m or 0.0) / 2, 0.0, 0.0]
+    at = _lengths(fields, "at_m", 3) if "at_m" in fields else middle
     share = fields.optional_number("submerged", low=0)
     if share is not None and share > 1:
         raise fields.error("submerged", "a share from 0 to 1")

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.arm.description import Arm, arm_content, arm_from
@@ -216,18 +217,16 @@ def _read_body(fields: Fields) -> Mapping[str, Any]:
     _read_effects(fields)
     if fields.content.get("posterior") is not None:
         posterior = fields.table("posterior")
-        names = posterior.content.get("names")
+        names, rows = (posterior.content.get(name) for name in ("names", "covariance"))
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise posterior.error("names", "a list of names")
-        size, rows = len(names), posterior.content.get("covariance")
+        size = len(names)
         posterior.numbers("mean", f"{size} numbers", size)
         expected = f"{size} rows of {size} numbers"
         if not isinstance(rows, list) or len(rows) != size:
             raise posterior.error("covariance", expected)
-        for row in rows:
-            Fields(fields.file, posterior.where, {"covariance": row}).numbers(
-                "covariance", expected, size
-            )
+        for row in (Fields(fields.file, posterior.where, {"covariance": row}) for row in rows):
+            row.numbers("covariance", expected, size)
     return fields.content
 
 
@@ -242,10 +241,8 @@ def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
 
 
 def _read_figures(fields: Fields) -> dict[str, float | None]:
-    return {
-        name: None if value is None else fields.number(name, infinite=True)
-        for name, value in fields.content.items()
-    }
+    number = partial(fields.number, infinite=True)
+    return {name: None if x is None else number(name) for name, x in fields.content.items()}
 
 
 def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:

@@ -11,6 +11,7 @@ import math
 import os
 import re
 import stat
+import sys
 import tomllib
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -49,10 +50,9 @@ def check_size(path: Path, largest: int, advice: str = "") -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = "a pipe" if stat.S_ISFIFO(found.st_mode) else "a device or a socket"
         raise InputError(path, "", kind, "a file")
-    size = found.st_size
-    if size > largest:
+    if found.st_size > largest:
         expected = f"at most {largest // 2**20} MiB{advice}"
-        raise InputError(path, "", f"{size // 2**20} MiB", expected)
+        raise InputError(path, "", f"{found.st_size // 2**20} MiB", expected)
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
@@ -174,11 +174,7 @@ def finite_number(value: object) -> float | None:
     """``value`` as a float; None unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    try:
-        number = float(value)
-    except OverflowError:  # an integer beyond the range of a float
-        return None
-    return number if math.isfinite(number) else None
+    return float(value) if abs(value) <= sys.float_info.max else None
 
 
 def number_or_infinity(value: object) -> float | None:
@@ -244,11 +240,8 @@ class Fields:
         """
         if name not in self.content and default is not None:
             return default
-        expected = "a number"
-        if math.isfinite(above):
-            expected += f" above {above:g}"
-        elif math.isfinite(low):
-            expected += f" of at least {low:g}"
+        least = f" of at least {low:g}" if math.isfinite(low) else ""
+        expected = "a number" + (f" above {above:g}" if math.isfinite(above) else least)
         convert = number_or_infinity if infinite else finite_number
         value = convert(self.content.get(name))
         if value is None or value < low or value <= above:
@@ -270,10 +263,9 @@ class Fields:
     ) -> list[float]:
         """Read a list of finite numbers, ``>= low``; ``expected`` describes it in the error."""
         value = self.content.get(name)
-        found = [finite_number(entry) for entry in value] if isinstance(value, list) else []
-        numbers = [number for number in found if number is not None and number >= low]
-        whole = isinstance(value, list) and len(numbers) == len(value)
-        if not whole or size not in (None, len(numbers)):
+        entries = value if isinstance(value, list) else [None]
+        numbers = [x for x in map(finite_number, entries) if x is not None and x >= low]
+        if len(numbers) != len(entries) or size not in (None, len(numbers)):
             raise self.error(name, expected)
         return numbers
 

@@ -169,11 +169,6 @@ def test_lag_is_no_wrong_sign(frequency: float, lag: float) -> None:
         assert "against" not in said(check(recording(command, position)))
 
 
-@pytest.mark.usefixtures("without_fits")
-def test_data_sheet_needs_a_robot() -> None:
-    assert said(check(recording(2 * SQUARE))) == ""
-
-
 def test_joint_that_the_robot_lacks() -> None:
     strange = replace(recording(), joints=("j9",), loads={})
     for look in (match_joints, check):
