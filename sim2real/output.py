@@ -7,6 +7,7 @@ A result that is a link is written to the file behind the link. A result that is
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import hashlib
 import json
@@ -255,14 +256,21 @@ def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
 
 
 def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
-    """``value`` with infinities as ``"inf"`` or ``"-inf"`` and NaN as null, which JSON lacks."""
+    """``value`` as JSON: dataclasses as objects, arrays as lists, other objects as text.
+
+    Infinities are ``"inf"`` or ``"-inf"`` and NaN is null, which JSON lacks.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: finite_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {key: finite_json(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
+        return {str(key): finite_json(entry) for key, entry in value.items()}
+    if hasattr(value, "tolist"):
+        return finite_json(value.tolist())
+    if isinstance(value, list | tuple | set):
         return [finite_json(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(float(value))
-    return value
+        return None if math.isnan(value) else str(value)
+    return value if isinstance(value, bool | int | float | str | None) else str(value)
 
 
 def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:

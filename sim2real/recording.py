@@ -6,7 +6,6 @@ import os
 import shlex
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from dataclasses import fields as dataclass_fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -183,7 +182,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         raise InputError(sidecar, "", "no such file", expected)
     table = csv_columns.read_table(csv)
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA))
-    top.refuse_misspelt(FIELDS)
+    top.refuse_unknown(FIELDS, misspelt=True)
     kind = top.text("kind")
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
@@ -294,7 +293,7 @@ def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
 
 def read_load(fields: Fields) -> Load:
     """Read a load from its table; the pendulum is optional."""
-    fields.refuse_misspelt(field.name for field in dataclass_fields(Load))
+    fields.refuse_unknown(Load.__annotations__, misspelt=True)
     return Load(
         inertia_kgm2=fields.number("inertia_kgm2", above=0),
         pendulum_mass_kg=fields.number("pendulum_mass_kg", 0.0, low=0),

@@ -207,21 +207,19 @@ class Fields:
         found = shown(self.content[name]) if name in self.content else "nothing"
         return InputError(self.file, self.path(name), found, expected)
 
-    def refuse_unknown(self, known: Iterable[str]) -> None:
-        """Raise InputError if the table has fields other than the known ones."""
-        names = list(known)
-        for name in self.content:
-            if name not in names:
-                raise InputError(self.file, self.path(name), "an unknown key", one_of(name, names))
+    def refuse_unknown(self, known: Iterable[str], *, misspelt: bool = False) -> None:
+        """Raise InputError if the table has fields other than the known ones.
 
-    def refuse_misspelt(self, known: Iterable[str]) -> None:
-        """Raise InputError if an unknown field looks like a misspelling of a missing known one."""
+        With ``misspelt`` only if one looks like a misspelling of a known one that is missing.
+        """
         names = list(known)
         missing = [name for name in names if name not in self.content]
-        for name in self.content:
-            close = None if name in names else nearest(name, missing, _MISSPELT)
-            if close:
-                expected = f"{close} (did you mean that?)"
+        for name in (name for name in self.content if name not in names):
+            expected = one_of(name, names)
+            if misspelt:
+                close = nearest(name, missing, _MISSPELT)
+                expected = f"{close} (did you mean that?)" if close else ""
+            if expected:
                 raise InputError(self.file, self.path(name), "an unknown key", expected)
 
     def number(

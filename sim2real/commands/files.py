@@ -6,7 +6,7 @@ import argparse
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sim2real.errors import InputError, library
 from sim2real.output import Results, check_not_read, check_writable, is_stream
@@ -64,6 +64,21 @@ def _real(path: Path) -> str:
         return os.path.realpath(path)
     except OSError:
         return str(path)
+
+
+def check_written(options: argparse.Namespace) -> None:
+    """Raise InputError, before any computation, unless ``--out`` and ``--plot`` can be written."""
+    for path in (options.out, options.plot):
+        if path is not None:
+            check_writable(path)
+
+
+def save_plot(result: Any, path: Path | None) -> None:  # noqa: ANN401 - with a method plot
+    """Write the plot of a result, if a file for it is named."""
+    if path is not None:
+        from sim2real.report.drawing import save_png
+
+        save_png(result.plot(), path)
 
 
 def check_views(options: argparse.Namespace) -> None:

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from sim2real import verbs
 from sim2real.commands.command import arguments_of
-from sim2real.commands.files import check_views, write_views
+from sim2real.commands.files import check_views, check_written, save_plot, write_views
 from sim2real.errors import InputError, if_installed, library
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import beside, check_writable, is_stream
@@ -118,9 +118,7 @@ def _predicted(file: Path, prediction: Prediction) -> Scene:
 
 def density(options: argparse.Namespace) -> int:
     """Print the table; write the model and the plot if requested."""
-    for path in (options.out, options.plot):
-        if path is not None:
-            check_writable(path)
+    check_written(options)
     if (options.model is None) != (options.out is None):
         missing, partner = ("--out", "--model") if options.out is None else ("--model", "--out")
         raise InputError(missing, "", "nothing", f"a file, to go with {partner}")
@@ -129,10 +127,7 @@ def density(options: argparse.Namespace) -> int:
         write_model(with_density(read_model(options.model), found), options.out)
     options.result = found
     print(found)
-    if options.plot is not None:
-        from sim2real.report.drawing import save_png
-
-        save_png(found.plot(), options.plot)
+    save_plot(found, options.plot)
     return 0
 
 

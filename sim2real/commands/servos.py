@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim2real import verbs
+from sim2real.commands.files import check_written, save_plot
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
@@ -16,9 +17,7 @@ _OF_ADD = ("joint", "as", "type", "source", "licence", "date")
 
 def run(options: argparse.Namespace) -> int:
     """List the servos of the library, write the model of one, or prepare an entry."""
-    for path in (options.out, options.plot):
-        if path is not None:
-            check_writable(path)
+    check_written(options)
     if options.name == ADD:
         return _add(options)
     for option in _OF_ADD:
@@ -37,7 +36,7 @@ def _list(options: argparse.Namespace) -> int:
     library = verbs.servos()
     options.result = library
     print(library)
-    _plot(library, options.plot)
+    save_plot(library, options.plot)
     return 0
 
 
@@ -53,7 +52,7 @@ def _one(options: argparse.Namespace) -> int:
     else:
         print(entry)
     options.result = entry if options.out is None else None
-    _plot(entry, options.plot)
+    save_plot(entry, options.plot)
     return 0
 
 
@@ -78,13 +77,5 @@ def _add(options: argparse.Namespace) -> int:
     print(f"{out}: put it into sim2real/servo_library/entries; its row:")
     print(markdown_row(entry))
     options.result = {"file": str(out), "row": markdown_row(entry)}
-    _plot(entry, options.plot)
+    save_plot(entry, options.plot)
     return 0
-
-
-def _plot(shown: object, path: Path | None) -> None:
-    if path is None:
-        return
-    from sim2real.report.drawing import save_png
-
-    save_png(shown.plot(), path)  # type: ignore[attr-defined]

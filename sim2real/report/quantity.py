@@ -24,14 +24,6 @@ class Quantity:
     origin: str = ""  # of a value without an interval
 
     @property
-    def unbounded(self) -> str:
-        """``"unbounded"``, ``"unbounded above"``, ``"unbounded below"`` or an empty string."""
-        below, above = (math.isinf(end) for end in self.interval or (0.0, 0.0))
-        if below and above:
-            return "unbounded"
-        return "unbounded above" if above else "unbounded below" if below else ""
-
-    @property
     def texts(self) -> tuple[str, str, str]:
         """Value, lower and upper end with the same rounding; empty ends without an interval."""
         if self.interval is None:
@@ -48,17 +40,15 @@ class Quantity:
         _, low, high = self.texts
         if self.interval is None:
             return ""
-        open_ended = {
-            "unbounded": "no bound",
-            "unbounded above": f"above {low}",
-            "unbounded below": f"below {high}",
-        }
-        return open_ended.get(self.unbounded, f"{low} to {high}")
+        below, above = map(math.isinf, self.interval)
+        if below or above:
+            return "no bound" if below and above else f"above {low}" if above else f"below {high}"
+        return f"{low} to {high}"
 
     @property
     def remark(self) -> str:
         """Half the width of the interval in percent of the value, or where the value is from."""
-        if self.interval is None or self.unbounded or not self.value:
+        if self.interval is None or any(map(math.isinf, self.interval)) or not self.value:
             return self.origin
         percent = 50 * (self.interval[1] - self.interval[0]) / abs(self.value)
         if percent >= 1000:
