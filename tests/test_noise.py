@@ -136,3 +136,15 @@ def test_steps_of_real_servos(realdata, folder: str) -> None:
             assert step == pytest.approx(0.00153398, rel=0.01), csv.name
             noise = noise_floor(recording.t, command, recording.position[:, j])
             assert step / 4 < noise < 2 * step, csv.name
+
+
+def test_commands_missing() -> None:
+    rng = np.random.default_rng(3)
+    t = times(rng)
+    position = np.sin(t) + rng.normal(0, 0.01, t.size)
+    assert noise_floor(t, np.full(t.size, np.nan), position) == pytest.approx(0.01, rel=0.15)
+
+
+def test_resting_exactly_is_no_quantization() -> None:
+    t = np.arange(0, 4, 0.01)
+    assert quantization_step(np.where(t < 1, 0, 0.3 * np.sin(t - 1))) == 0

@@ -222,15 +222,6 @@ def test_joints_without_mismatch_get_one_sentence():
     ]
 
 
-def test_consistent_joints_are_told_with_error_and_noise():
-    errors = fits(**dict.fromkeys(CONSISTENT.model.joints, 0.0016))
-    text, _ = said(replace(CONSISTENT, baseline_fit=errors))
-    assert "j1, j2 and j3 follow the plain servo down to the noise" in text
-    assert text.count("has an error of 1.6 mrad, with 1.5 mrad of noise") == 3
-    train = {"j3.position_rad": {"train": 0.0015, "heldout": None}}
-    assert "noise: j3 has an error of 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=train))[0]
-
-
 def test_an_error_far_above_the_noise_is_no_good_news():
     found = replace(CONSISTENT, baseline_fit=fits(j1=0.0112))
     sentence = "j1: RMSE 11.2 mrad, 7 times the noise of 1.5 mrad, although no effect explains it"
@@ -301,12 +292,6 @@ def test_empty_parts_do_no_harm(whole):
     for some in ((), (unmeasured,), (resting,)):
         render_page("a", "", [diagnosis_section(replace(empty, evidence=some))], {})
     diagnosis_section(replace(empty, mismatch=(), effects=()))
-
-
-def test_an_effect_that_joints_share_shifts_the_first():
-    shared = replace(NAMED, component="supply")
-    _, blocks = said(replace(EXPLAINED, effects=(shared,)))
-    assert [row[0] for row in table(blocks, "servo").rows] == ["j2"]
 
 
 @pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])

@@ -184,16 +184,3 @@ def test_a_recording_prints_the_span_of_each_joint(recording):
     assert "0.000 to 0.000 rad" in j2 and j2.endswith(" 7")
     blind = replace(recording, position=np.full_like(recording.position, np.nan))
     assert re.search(r"none +500$", str(blind))
-
-
-@pytest.mark.parametrize("samples", [0, 1, 2])
-def test_a_part_too_short_to_have_a_rate_prints(recording, samples):
-    part = recording.between(0, samples)
-    assert f"{samples} samples" in repr(part) and f"{samples} samples" in str(part)
-    assert Fragment(part._repr_html_()).cells
-
-
-def test_a_check_prints_clock_and_joints(recording):
-    text = str(check(recording))
-    assert text.startswith("Check of steps: servo, 9.98 s, 2 joints; clock: 50 Hz")
-    assert not text.endswith("\n")
