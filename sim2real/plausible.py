@@ -15,7 +15,7 @@ from sim2real.clock import check_sampling
 from sim2real.errors import InputError
 from sim2real.findings import joint_rows, merged, recording_findings
 from sim2real.readings import lead_s, wrong_readings
-from sim2real.recording import PER_INERTIA, Recording
+from sim2real.recording import Recording
 from sim2real.robot import Joint, Robot, match_joints
 
 _QUANTILE = 0.99
@@ -130,21 +130,17 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
 
 
-def _check_speed(
-    file: str, joint: Joint, t: Array, angle: Array, *, window_s: float = 0.1, ratio: float = 4.0
-) -> None:
+def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: float = 4.0) -> None:
     """Reject angles that change much faster than the servo can turn, such as degrees.
 
-    A speed over a window is compared with the data sheet's, which servos exceed by 50 % at a
-    higher voltage.
+    A speed over 0.1 s is compared with the data sheet's, which servos exceed by 50 % at a higher
+    voltage.
     """
-    if not joint.servo.states("no_load_speed_rad_s"):
-        return
-    window = max(window_s, 2 * float(np.median(np.diff(t))))
+    window = max(0.1, 2 * float(np.median(np.diff(t))))
     early = t <= t[-1] - window
-    change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
-    if change.size < _FEWEST_SAMPLES:
+    if not joint.servo.states("no_load_speed_rad_s") or early.sum() < _FEWEST_SAMPLES:
         return
+    change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
     if speed > ratio * stated:
         raise InputError(
@@ -157,25 +153,16 @@ def _check_speed(
 
 
 def _check_torque(
-    recording: Recording,
-    joint: Joint,
-    t: Array,
-    angle: Array,
-    *,
-    window_s: float = 0.06,
-    ratio: float = 6.0,
+    recording: Recording, joint: Joint, t: Array, angle: Array, *, ratio: float = 6.0
 ) -> None:
     """Reject a load whose measured acceleration needs far more torque than the servo has.
 
-    The second difference over a window is a weighted mean of the acceleration, so it never exceeds
+    The second difference over 0.06 s is a weighted mean of the acceleration, so it never exceeds
     the maximum; a part may be due to the weight of a pendulum.
     """
-    load = recording.loads.get(joint.name, PER_INERTIA)
-    if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
-        return
-    window = max(window_s, 2 * float(np.median(np.diff(t))))
+    load, window = recording.loads.get(joint.name), max(0.06, 2 * float(np.median(np.diff(t))))
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
-    if middle.size < _FEWEST_SAMPLES:
+    if load is None or not joint.servo.states("max_torque_Nm") or middle.size < _FEWEST_SAMPLES:
         return
     before, mid, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
     acceleration = np.abs(after - 2 * mid + before) / window**2

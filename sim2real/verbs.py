@@ -195,13 +195,12 @@ def ranges(
         completed[joint] = count
         bar.update(sum(completed.values()) - bar.n)
 
-    def file(joint: str) -> Path | None:
-        return None if chains is None else chain_file(Path(chains), joint)
-
-    total = steps * len(fitted.joints)
+    sampling = Sampling(steps, walkers, seed, held_out, progress=advance)
+    if chains is not None:
+        out = Path(chains)
+        sampling = replace(sampling, file=lambda joint: chain_file(out, joint))
+    recorded, total = with_arm_loads(loaded, description, fitted), steps * len(fitted.joints)
     with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
-        sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
-        recorded = with_arm_loads(loaded, description, fitted)
         gathered = gather(recorded, description, fitted, sampling)
     origin = provenance([*loaded, description, model], seed)
     return replace(gathered, ranges=replace(gathered.ranges, provenance=origin))

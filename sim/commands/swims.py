@@ -83,7 +83,7 @@ def design(options: argparse.Namespace) -> int:
         from sim2real.report.page import write_page
 
         page = beside(out, f"{out.stem}.html")
-        section = (rivals_section if isinstance(found, RivalDesign) else design_section)(found)
+        section = rivals_section(found) if isinstance(found, RivalDesign) else design_section(found)
         title = f"The next recording of {robot_of(options.robot).name}"
         write_page(page, title, "The most informative commands", [section], found.provenance)
         print(f"page: {page}")

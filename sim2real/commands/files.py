@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,12 +24,9 @@ _VIEWS = {"rerun": (".rrd", "rerun"), "mcap": (".mcap", "mcap.writer")}
 
 
 def check_files(options: argparse.Namespace, files: Results) -> None:
-    """Declare all files that a command reads, and check that it writes none of them.
+    """Declare all files that a command reads, none endless, and check that it writes none of them.
 
     A recording or table ``NAME.csv`` is read and written with its ``NAME.json``.
-
-    Raises:
-        InputError: If an input is a pipe or a device, or an output is an input or is named twice.
     """
     writes = [name for name in WRITTEN if name not in _READ.get(options.command, ())]
     for name, value in vars(options).items():
@@ -43,9 +41,10 @@ def check_files(options: argparse.Namespace, files: Results) -> None:
         for path in _paths(getattr(options, name, None)):
             check_not_read(path)
         if isinstance(out := getattr(options, name, None), Path) and not is_stream(out):
-            if (place := _real(out)) in named:
-                raise InputError(out, f"--{name}", "a file that is named twice", "another file")
-            named.add(place)
+            with contextlib.suppress(FileNotFoundError):  # of a working directory that is gone
+                if (place := os.path.realpath(out)) in named:
+                    raise InputError(out, f"--{name}", "a file that is named twice", "another file")
+                named.add(place)
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -56,14 +55,6 @@ def _paths(value: object) -> Iterator[Path]:
             yield path
             if path.suffix == ".csv":
                 yield path.with_suffix(".json")
-
-
-def _real(path: Path) -> str:
-    """The path behind links; as it is where the working directory was removed."""
-    try:
-        return os.path.realpath(path)
-    except OSError:
-        return str(path)
 
 
 def check_written(options: argparse.Namespace) -> None:

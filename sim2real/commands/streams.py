@@ -19,10 +19,8 @@ Run = Callable[[argparse.Namespace], int]
 class Lenient:
     """A text stream whose first failure is kept as ``error``; all later text is dropped.
 
-    Characters that the encoding lacks are written as escapes.
-
-    Args:
-        stream: The stream; None if it was closed before the program started.
+    Characters that the encoding lacks are written as escapes. ``stream`` is None if it was closed
+    before the program started.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
