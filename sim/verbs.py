@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.errors import InputError, check_choice, check_effort, check_whole
+from sim2real.errors import InputError, check_choice, check_positive, check_whole
 from sim2real.verbs import model_of, recordings_of, recordings_to_fit, robot_of
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def diagnose(
         InputError: If recordings, robot and model do not agree.
     """
     check_whole("diagnose", "seed", seed)
-    check_effort("diagnose", effort)
+    check_positive("diagnose", "effort", effort)
     read, machine = recordings_to_fit(recordings), robot_of(robot)
     earlier = recordings_to_fit(references) if references else []
     start = None if model is None else model_of(model)

@@ -136,52 +136,32 @@ class Sides:
 
 @dataclass(frozen=True)
 class Wetted:
-    """What one appendage does in the water, with its surface at a certain height.
+    """What one appendage does in the water; pairs are along and across its link."""
 
-    Attributes:
-        place_m: Of the centre: behind the link's front and to the left of its axis.
-        length_m: Extent along and across the link.
-        area_m2, area_sd_m2: Drag area (coefficient times area) for motion along and across the
-            link, and its standard deviation.
-        added_mass_m3: Added mass over the density of water, along and across.
-        volume_m3: Water that it displaces.
-    """
-
-    place_m: tuple[float, float]
+    place_m: tuple[float, float]  # of the centre: behind the link's front, to the left of its axis
     length_m: tuple[float, float]
-    area_m2: tuple[float, float]
-    area_sd_m2: tuple[float, float]
-    added_mass_m3: tuple[float, float]
-    volume_m3: float
+    area_m2: tuple[float, float]  # drag area: coefficient times area
+    area_sd_m2: tuple[float, float]  # its standard deviation
+    added_mass_m3: tuple[float, float]  # over the density of water
+    volume_m3: float  # of the water that it displaces
 
 
 @dataclass(frozen=True)
 class Appendage:
-    """A body outside the hull of a link, which moves with it.
-
-    Attributes:
-        name: Its name.
-        shape: ``box`` or ``cylinder``.
-        size_m: Extent along the link, across it and up.
-        at_m: Its centre: behind the link's front, to the left of its axis, above its middle.
-        submerged: Share of its height under water; None if the robot's draught determines it.
-        drag: Drag coefficient for motion along the link, on the area that faces it, with its
-            standard deviation; None for that of ``bluff_bodies``.
-        lateral_drag: Likewise for motion across the link.
-        axis: Direction of a cylinder's axis.
-        in_hull: Whether the hull includes it. The hull then displaces its water and resists its
-            motion across, and only its drag along the link is added.
-    """
+    """A body outside the hull of a link, which moves with it."""
 
     name: str
     shape: Literal["box", "cylinder"]
-    size_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]  # along the link, across it and up
     at_m: tuple[float, float, float]
-    submerged: float | None = None
-    drag: Coefficient | None = None
-    lateral_drag: Coefficient | None = None
-    axis: Literal["along", "across", "up"] = "along"
+    """Its centre: behind the link's front, to the left of its axis, above its middle."""
+    submerged: float | None = None  # share of its height; None if the draught determines it
+    drag: Coefficient | None = None  # along the link, on ``face_m2``; None for that of ``Sides``
+    lateral_drag: Coefficient | None = None  # likewise across the link
+    axis: Literal["along", "across", "up"] = "along"  # of a cylinder
     in_hull: bool = False
+    """Whether the hull includes it. The hull then displaces its water and resists its motion
+    across, and only its drag along the link is added."""
 
     def wet_share(self, surface_m: float) -> float:
         """Share of its height below a surface at this height above the link's middle."""
@@ -208,14 +188,13 @@ class Appendage:
         counted = (share > 0) / mirrored
 
         def towards(direction: int, given: Coefficient | None) -> tuple[float, float, float]:
-            here = counted * (direction == 0 or not self.in_hull)
             value, sd = given or sides.drag_coefficient(direction)
-            face = here * sides.face_m2(direction)
-            return value * face, sd * face, here * sides.added_mass_m3(direction)
+            outside = counted * (not self.in_hull)
+            face = (outside if direction else counted) * sides.face_m2(direction)
+            return value * face, sd * face, outside * sides.added_mass_m3(direction)
 
         ahead, sideways = towards(0, self.drag), towards(1, self.lateral_drag)
         areas, sds, masses = zip(ahead, sideways, strict=True)
-        masses = (0.0, 0.0) if self.in_hull else masses
         displaced = self.displaced_m3(surface_m)
         return Wetted(self.at_m[:2], (along, across), areas, sds, masses, displaced)
 
@@ -231,23 +210,17 @@ def area_error(wetted: Sequence[Wetted]) -> float:
 
 
 def read_appendage(fields: Fields, length_m: float | None) -> Appendage:
-    """Read one ``[[links.appendages]]`` table; without ``at_m`` it is in the middle of the link.
-
-    Raises:
-        InputError: If a field does not conform to the format.
-    """
+    """Read one ``[[links.appendages]]`` table; without ``at_m`` it is in the middle of the link."""
     fields.refuse_unknown(KEYS)
-    shape = fields.choice("shape", ("box", "cylinder"))
-    axis = fields.choice("axis", AXES) if "axis" in fields else "along"
+    shape, axis = fields.choice("shape", ("box", "cylinder")), fields.choice("axis", AXES, "along")
     if "axis" in fields and shape != "cylinder":
         raise fields.error("axis", "no axis of a box")
     size = _lengths(fields, "size_m", 3 if shape == "box" else 2, above_zero=True)
     if shape == "cylinder":
         length, diameter = size
         size = [length if name == axis else diameter for name in AXES]
-    at = [(length_m or 0.0) / 2, 0.0, 0.0]
-    if "at_m" in fields:
-        at = _lengths(fields, "at_m", 3)
+    middle = [(length_m or 0.0) / 2, 0.0, 0.0]
+    at = _lengths(fields, "at_m", 3) if "at_m" in fields else middle
     share = fields.optional_number("submerged", low=0)
     if share is not None and share > 1:
         raise fields.error("submerged", "a share from 0 to 1")

@@ -32,25 +32,19 @@ def values(model: Model, where: str = "model") -> dict[str, float]:
     """Parameters of the effects of body and camera by ``effect.parameter``.
 
     Parameters of a material are named ``effect.material.parameter``.
-
-    Raises:
-        InputError: If an effect or a parameter does not exist, or a value is not a number.
     """
     out: dict[str, float] = {}
-    entries: list[Mapping[str, Any]] = list(model.body.get("effects", ()))
-    for entry in entries:
+    for entry in model.body.get("effects", ()):
         effect = body_effect(str(entry.get("effect")), where)
         names = {parameter.name for parameter in effect.parameters}
-        prefix = effect.name
-        if effect.by_material:
-            prefix += f".{entry.get('component', '')}"
+        material = f".{entry.get('component', '')}" if effect.by_material else ""
         for name, value in dict(entry.get("parameters", {})).items():
             field = f"body.effects {effect.name}.{name}"
             if name not in names:
                 raise InputError(where, field, "no such parameter", " or ".join(sorted(names)))
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(where, field, repr(value), "a number")
-            out[f"{prefix}.{name}"] = float(value)
+            out[f"{effect.name}{material}.{name}"] = float(value)
     return out
 
 

@@ -10,9 +10,8 @@ from sim2real.arrays import Array
 from sim2real.clock import Timing, timing
 from sim2real.display import NotebookDisplay
 from sim2real.errors import RecordingFinding
-from sim2real.findings import joint_findings, merged, moves, recording_findings
+from sim2real.findings import joint_findings, measured_joint, merged, moves, recording_findings
 from sim2real.identification.expected_precision import expected_precision
-from sim2real.noise import noise_floor, quantization_step
 from sim2real.plausible import validate_recording
 from sim2real.recording import Load, Recording
 from sim2real.robot import Robot
@@ -20,31 +19,18 @@ from sim2real.robot import Robot
 
 @dataclass(frozen=True)
 class JointCheck:
-    """One joint of a recording.
-
-    Attributes:
-        joint: Name of the joint.
-        range_rad: Largest minus smallest position; 0 if there is none.
-        command_range_rad: Largest minus smallest command; 0 if there is none.
-        moves: Number of movements of the command, separated by pauses or reversals.
-        noise_rad: Standard deviation of the measurement noise, including quantization.
-        step_rad: Quantization step; 0 if none is visible.
-        missing: Number of missing positions.
-        load: Description of the load.
-        findings: Findings.
-        identifiable: Which parameters can and cannot be identified, one sentence each.
-    """
+    """One joint of a recording."""
 
     joint: str
-    range_rad: float
-    command_range_rad: float
-    moves: int
-    noise_rad: float
-    step_rad: float
-    missing: int
+    range_rad: float  # largest minus smallest position; 0 if there is none
+    command_range_rad: float  # of the commands before the torque is off, likewise
+    moves: int  # movements of the command, separated by pauses or reversals
+    noise_rad: float  # standard deviation of the measurement noise, including quantization
+    step_rad: float  # quantization step; 0 if none is visible
+    missing: int  # number of missing positions
     load: str
     findings: tuple[RecordingFinding, ...]
-    identifiable: tuple[str, ...] = ()
+    identifiable: tuple[str, ...] = ()  # what can and cannot be identified, one sentence each
 
 
 @dataclass(frozen=True)
@@ -94,13 +80,9 @@ def check(
 
 
 def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | None) -> JointCheck:
-    name, position = recording.joints[j], recording.position[:, j]
-    powered = recording.powered(j)
-    command = recording.command[:powered, j]
-    step = quantization_step(position)
-    noise = noise_floor(recording.t, recording.command[:, j], position)
-    sheet = robot.joint(name) if robot else None
-    findings = tuple(joint_findings(recording, j, noise, step, sheet))
+    data = measured_joint(recording, j)
+    name, powered = data.joint, data.t.size
+    findings = tuple(joint_findings(recording, data, robot))
     identifiable: tuple[str, ...] = ()
     if seed is not None and powered > 1:
         # Excitation alone says nothing about readings that do not belong to it.
@@ -110,11 +92,11 @@ def _check_joint(recording: Recording, j: int, robot: Robot | None, seed: int | 
     load = recording.loads.get(name)
     return JointCheck(
         joint=name,
-        range_rad=_range(position),
-        command_range_rad=_range(command),
-        moves=moves(recording.t[:powered], command) if powered > 1 else 0,
-        noise_rad=noise,
-        step_rad=step,
+        range_rad=_range(recording.position[:, j]),
+        command_range_rad=_range(data.command),
+        moves=moves(data.t, data.command) if powered > 1 else 0,
+        noise_rad=data.noise_rad,
+        step_rad=data.step_rad,
         missing=recording.missing(j),
         load=_load_text(load) if recording.kind == "servo" else recording.medium,
         findings=findings,

@@ -137,7 +137,7 @@ def _run(options: argparse.Namespace) -> int:
         warnings.showwarning = partial(_show_warning, options.command)
         check_files(options, files)
         options.files = files
-        if is_standard_output(getattr(options, "out", None)):
+        if is_standard_output(getattr(options, "out", None) or ""):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
             status: int = run_as_json(run, options) if options.json else run(options)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
+from typing import Literal
 
 import numpy as np
 
@@ -26,20 +27,14 @@ UNITS = (("seconds", 1.0), ("milliseconds", 1e-3), ("microseconds", 1e-6), ("nan
 
 @dataclass(frozen=True)
 class Timing:
-    """The clock of a recording's measurements.
+    """The clock of a recording's measurements."""
 
-    Attributes:
-        rate_hz: One over the median step between measurements.
-        jitter_s: Standard deviation of the steps without gaps; a step of several usual ones, over
-            measurements that are missing, counts by its difference from their sum.
-        gaps: Start and length in s of every pause of more than 2.5 median steps.
-        missing_cells: Number of missing positions of all joints, see ``missing_samples``.
-    """
-
-    rate_hz: float
+    rate_hz: float  # one over the median step between measurements
     jitter_s: float
-    gaps: tuple[tuple[float, float], ...]
-    missing_cells: int
+    """Standard deviation of the steps without gaps; a step of several usual ones, over measurements
+    that are missing, counts by its difference from their sum."""
+    gaps: tuple[tuple[float, float], ...]  # start and length of pauses of over 2.5 median steps, s
+    missing_cells: int  # missing positions of all joints, see ``missing_samples``
 
 
 def timing(t: Array, position: Array) -> Timing:
@@ -99,16 +94,11 @@ def check_sampling(
     where: str = "t_s",
     unit_s: float = 1.0,
 ) -> None:
-    """Check that the intervals of the times ``t`` (T,) in s are plausible for samples of a servo.
+    """Raise InputError unless the times ``t`` (T,) in s are plausible for samples of a servo.
 
     The upper quartile of the steps is checked: rows may come in pairs, such as a set-point and an
     angle a few microseconds later. ``where`` is what states the times, and ``unit_s`` the unit from
     which they were converted.
-
-    Raises:
-        InputError: If that step is below 20 us or above ``longest_s``; the message names the
-            unit in which the times would be plausible. If the times have pauses that are longer
-            than the rest, and than half a minute.
     """
     if t.size < 2:
         raise InputError(file, where, f"{t.size} sample", "at least two")
@@ -139,17 +129,15 @@ def recording_clock_findings(
     Rows that are missing one at a time are a warning: commands between them are not known. A
     sentence that does not concern all joints names its own.
     """
-    concerned: dict[RecordingFinding, list[str]] = {}
+    concerned: dict[tuple[str, Literal["note", "warning"]], list[str]] = {}
     for joint, angle in zip(joints, position.T, strict=True):
-        found = [RecordingFinding(sentence) for sentence in clock_findings(_times(t, angle))]
-        found += [RecordingFinding(sentence, "warning") for sentence in dropped_rows(t, angle)]
-        for finding in found:
-            concerned.setdefault(finding, []).append(joint)
+        for sentence in clock_findings(_times(t, angle)):
+            concerned.setdefault((sentence, "note"), []).append(joint)
+        for sentence in dropped_rows(t, angle):
+            concerned.setdefault((sentence, "warning"), []).append(joint)
     return [
-        finding
-        if len(names) == len(joints)
-        else replace(finding, text=f"{', '.join(names)}: {finding.text}")
-        for finding, names in concerned.items()
+        RecordingFinding(text if len(some) == len(joints) else f"{', '.join(some)}: {text}", level)
+        for (text, level), some in concerned.items()
     ]
 
 

@@ -19,11 +19,7 @@ LARGEST_ANGLE_RAD = 4 * np.pi
 
 
 def read_table(csv: Path) -> pd.DataFrame:
-    """The cells of a CSV file.
-
-    Raises:
-        InputError: If it is not a table with a header and rows of equal length.
-    """
+    """The cells of a CSV file with a header and rows of equal length."""
     check_size(csv, LARGEST_FILE_BYTES, "; cut the recording into pieces")
     try:
         header = pd.read_csv(csv, skipinitialspace=True, compression=None, header=None, nrows=1)
@@ -31,7 +27,9 @@ def read_table(csv: Path) -> pd.DataFrame:
     except pd.errors.EmptyDataError:
         raise InputError(csv, "", "an empty file", "a header and rows") from None
     except UnicodeDecodeError:
-        raise InputError(csv, _undecodable_row(csv), "bytes that are not UTF-8", "text") from None
+        good = csv.read_bytes().decode(errors="replace").partition("\N{REPLACEMENT CHARACTER}")[0]
+        place = f"row {good.count(chr(10)) + 1}"
+        raise InputError(csv, place, "bytes that are not UTF-8", "text") from None
     except (ValueError, OSError) as error:
         long = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
         if long:
@@ -53,23 +51,8 @@ def read_table(csv: Path) -> pd.DataFrame:
     return table
 
 
-def _undecodable_row(csv: Path) -> str:
-    content = csv.read_bytes()
-    try:
-        content.decode()
-    except UnicodeDecodeError as error:
-        row = content.count(b"\n", 0, error.start) + 1
-        return f"row {row}"
-    return ""
-
-
 def column(csv: Path, table: pd.DataFrame, name: str) -> Array:
-    """A column as numbers, NaN where a cell is empty, shape (T,).
-
-    Raises:
-        InputError: If there is no such column, or a cell is not a number that is plausible for the
-            unit in the column's name.
-    """
+    """A column as numbers plausible for the unit in its name, NaN where empty, shape (T,)."""
     if name not in table:
         columns = [str(column) for column in table.columns]
         found = f"no column {name} among {_listed(columns)}"
@@ -111,11 +94,7 @@ def cell(csv: Path, index: int, column: str) -> str:
 
 
 def angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: str) -> Array:
-    """Columns ``J.QUANTITY`` of all joints in rad, shape (T, J).
-
-    Raises:
-        InputError: If one is missing, or an angle is too large to be in rad.
-    """
+    """Columns ``J.QUANTITY`` of all joints, shape (T, J), of angles that may be in rad."""
     angles = np.stack([column(csv, table, f"{j}.{quantity}") for j in joints], axis=1)
     wrong = np.argwhere(np.abs(angles) > LARGEST_ANGLE_RAD)
     if wrong.size:
@@ -127,11 +106,7 @@ def angles(csv: Path, table: pd.DataFrame, joints: tuple[str, ...], quantity: st
 
 
 def times(csv: Path, table: pd.DataFrame) -> Array:
-    """The column ``t_s``, shape (T,), T at least 2.
-
-    Raises:
-        InputError: If a time is missing or does not increase.
-    """
+    """The column ``t_s``, shape (T,), T at least 2, without a gap and increasing."""
     t = column(csv, table, "t_s")
     if t.size < 2:
         raise InputError(csv, "", f"{t.size} row", "at least two rows")
@@ -147,11 +122,7 @@ def times(csv: Path, table: pd.DataFrame) -> Array:
 
 
 def commands(csv: Path, table: pd.DataFrame, joints: tuple[str, ...]) -> Array:
-    """Set-points of all joints in rad, shape (T, J), missing only at the end of a joint's column.
-
-    Raises:
-        InputError: If one is missing before the last one, or too large to be in rad.
-    """
+    """Set-points of all joints in rad, shape (T, J), missing only at the end of a column."""
     command = angles(csv, table, joints, "command_rad")
     for joint, present in zip(joints, np.isfinite(command).T, strict=True):
         last = int(np.flatnonzero(present)[-1]) if present.any() else 0

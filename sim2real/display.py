@@ -8,16 +8,12 @@ from typing import Any
 
 
 def from_report(name: str) -> Callable[..., Any]:
-    """A function of ``sim2real.report`` by name, as ``"table.fit_report"``.
-
-    Results use it to print and plot, so that Matplotlib and Jinja are imported only for plots and
-    HTML.
-    """
+    """A function of ``sim2real.report`` by name, as ``"notebook.result_text"``."""
     module, _, function = name.rpartition(".")
-    report_function: Callable[..., Any] = getattr(
+    found: Callable[..., Any] = getattr(
         importlib.import_module(f"sim2real.report.{module}"), function
     )
-    return report_function
+    return found
 
 
 class NotebookDisplay:
@@ -30,7 +26,6 @@ class NotebookDisplay:
     def _repr_html_(self) -> str | None:
         """HTML for IPython, or None (it then shows the text) where Jinja is not installed."""
         try:
-            html: str = from_report("notebook.result_html")(self)
-            return html
+            return str(from_report("notebook.result_html")(self))
         except ModuleNotFoundError:
             return None

@@ -44,13 +44,8 @@ _LIBRARIES = {
 class InputError(Exception):
     """Invalid input, with a message of one line: place, what was found, what was expected.
 
-    The command line prints ``str(error)`` and exits with status 2.
-
-    Args:
-        file: File or recording with the error.
-        where: Row, field or column inside it; empty for the whole file.
-        found: What was found.
-        expected: What was expected.
+    The command line prints ``str(error)`` and exits with status 2. ``where`` is the row, field or
+    column in the file or recording; empty for all of it.
     """
 
     def __init__(self, file: str | PathLike[str], where: str, found: str, expected: str) -> None:
@@ -65,30 +60,19 @@ class InputError(Exception):
 
 @dataclass(frozen=True)
 class RecordingFinding:
-    """A finding about a recording.
+    """A finding about a recording; of an error with the arguments of the exception."""
 
-    Attributes:
-        text: The finding, one sentence.
-        severity: ``"note"`` if it is merely unusual; ``"warning"`` if numbers that are fitted to
-            the recording may be wrong, and are shown with it; ``"error"`` if they would be wrong,
-            and nothing is fitted.
-        where, found, expected: Of an error, the column, what is found there and what is expected,
-            for the exception.
-    """
-
-    text: str
+    text: str  # one sentence
     severity: Literal["note", "warning", "error"] = "note"
+    """``"note"`` if it is merely unusual; ``"warning"`` if numbers that are fitted to the recording
+    may be wrong, and are shown with it; ``"error"`` if they would be, and nothing is fitted."""
     where: str = ""
     found: str = ""
     expected: str = ""
 
 
 def check_choice(call: str, argument: str, value: object, choices: Iterable[str]) -> None:
-    """Check that ``value``, an argument of the function ``call``, is one of ``choices``.
-
-    Raises:
-        InputError: If it is none of them; the message names the most similar choice.
-    """
+    """Raise InputError unless ``value``, an argument of ``call``, is one of ``choices``."""
     names = list(choices)
     if isinstance(value, str) and value in names:
         return
@@ -96,43 +80,23 @@ def check_choice(call: str, argument: str, value: object, choices: Iterable[str]
 
 
 def check_whole(call: str, argument: str, value: object, least: int = 0) -> None:
-    """Check that ``value``, such as a seed, is a whole number of at least ``least``.
-
-    Raises:
-        InputError: If it is not.
-    """
+    """Raise InputError unless ``value``, such as a seed, is whole and at least ``least``."""
     whole = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
     if not whole:
         raise InputError(call, argument, shown(value), f"a whole number of at least {least}")
 
 
-def check_level(call: str, value: object) -> None:
-    """Check that the probability of intervals is a number between 0 and 1.
-
-    Raises:
-        InputError: If it is not.
-    """
-    if not isinstance(value, Real) or isinstance(value, bool) or not 0 < float(value) < 1:
-        raise InputError(call, "interval", shown(value), "a number between 0 and 1")
-
-
-def check_effort(call: str, value: object) -> None:
-    """Check that the multiple of a search's budget is a finite number above 0.
-
-    Raises:
-        InputError: If it is not.
-    """
-    number = value if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
-    if not 0 < number < math.inf:
-        raise InputError(call, "effort", shown(value), "a number above 0")
+def check_positive(
+    call: str, argument: str, value: object, below: float = math.inf, kind: str = "above 0"
+) -> None:
+    """Raise InputError unless ``value`` is a number above 0 and ``below`` a limit."""
+    number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else 0.0
+    if not 0 < number < below:
+        raise InputError(call, argument, shown(value), f"a number {kind}")
 
 
 def names_of(call: str, argument: str, value: str | Sequence[str]) -> list[str]:
-    """A list of names without duplicates, from a list or a single name.
-
-    Raises:
-        InputError: If an entry is not a string.
-    """
+    """A list of names without duplicates, from a list or a single name."""
     listed = [value] if isinstance(value, str) else list(value)
     for entry in listed:
         if not isinstance(entry, str):
@@ -147,10 +111,7 @@ def one_of(name: object, known: Sequence[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> str | None:
-    """The known name most similar to ``name``, ignoring case; None if none is.
-
-    ``similarity``: the smallest one, 0 to 1, as by ``difflib.SequenceMatcher.ratio``.
-    """
+    """The known name most similar to ``name``, ignoring case; None if none is similar enough."""
     by_lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=similarity)
     return by_lower[close[0]] if close else None
@@ -193,11 +154,7 @@ def missing_library(error: ModuleNotFoundError, place: str = "") -> MissingLibra
 
 @contextmanager
 def optional(place: str) -> Iterator[None]:
-    """Context of imports of optional libraries, which the option, command or file ``place`` needs.
-
-    Raises:
-        MissingLibrary: If one is not installed.
-    """
+    """Context of imports of optional libraries, which the option or command ``place`` needs."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -211,20 +168,14 @@ def optional(place: str) -> Iterator[None]:
 def if_installed(what: str) -> Iterator[None]:
     """Context that makes ``what``, as ``"plots"``, or prints which optional library it needs."""
     try:
-        yield
-    except ModuleNotFoundError as error:
-        missing = missing_library(error)
-        if missing is None:
-            raise
+        with optional(what):
+            yield
+    except MissingLibrary as missing:
         title, extra = _LIBRARIES[str(missing.name)]
         print(f"no {what}: {title} is not installed; {install_command(extra)}", file=sys.stderr)
 
 
 def library(module: str, place: str) -> Any:  # noqa: ANN401 - a module
-    """Import an optional library.
-
-    Raises:
-        MissingLibrary: If it is not installed.
-    """
+    """Import an optional library, or raise MissingLibrary."""
     with optional(place):
         return importlib.import_module(module)

@@ -22,15 +22,15 @@ fail for a time were away for at most 0.23 (``benchmarks/recording_findings.py``
 
 
 @dataclass(frozen=True)
-class _PoweredJoint:
+class MeasuredJoint:
     """One joint of a recording while its torque is on; no command is missing."""
 
     joint: str
     t: Array
     command: Array
     position: Array
-    noise_rad: float
-    step_rad: float
+    noise_rad: float  # standard deviation of the noise of all positions
+    step_rad: float  # their quantization step; 0 if there is none
 
     def finding(self, text: str) -> RecordingFinding:
         """A note about the joint; ``text`` continues its name."""
@@ -46,6 +46,14 @@ class _PoweredJoint:
         return RecordingFinding(f"{self.joint} {does}{why}", "error", where, found, expected)
 
 
+def measured_joint(recording: Recording, j: int) -> MeasuredJoint:
+    """Joint number ``j`` of a recording."""
+    t, command, position = recording.t, recording.command[:, j], recording.position[:, j]
+    on = slice(recording.powered(j))
+    noise, step = noise_floor(t, command, position), quantization_step(position)
+    return MeasuredJoint(recording.joints[j], t[on], command[on], position[on], noise, step)
+
+
 def moves(t: Array, command: Array) -> int:
     """Number of movements of ``command`` (T,): reversals, and starts after 0.1 s or more."""
     changed = np.flatnonzero(np.diff(command)) + 1
@@ -58,23 +66,18 @@ def moves(t: Array, command: Array) -> int:
 
 def recording_findings(recording: Recording) -> list[RecordingFinding]:
     """Findings about a recording as a whole: its clock, and columns that it lacks."""
-    findings = recording_clock_findings(recording.joints, recording.t, recording.position)
     imported = recording.metadata.get("import_warnings")
-    if isinstance(imported, list):
-        findings += [RecordingFinding(str(sentence)) for sentence in imported]
+    sentences = [str(sentence) for sentence in imported] if isinstance(imported, list) else []
     if np.isnan(recording.command).all():
-        findings.append(RecordingFinding("No command was recorded: servos cannot be identified."))
+        sentences.append("No command was recorded: servos cannot be identified.")
     if recording.kind == "pool" and not recording.has_poses:
-        text = "The body was not tracked: body and fluid cannot be calibrated."
-        findings.append(RecordingFinding(text))
-    return findings
+        sentences.append("The body was not tracked: body and fluid cannot be calibrated.")
+    clock = recording_clock_findings(recording.joints, recording.t, recording.position)
+    return [*clock, *map(RecordingFinding, sentences)]
 
 
 def all_findings(recording: Recording, robot: Robot | None = None) -> list[RecordingFinding]:
-    """All findings about a recording; one that several joints share is listed once.
-
-    With the robot that was recorded, also those about its limits and data sheets.
-    """
+    """All findings about a recording, with its robot those about its data sheets as well."""
     return [*recording_findings(recording), *merged(joint_rows(recording, robot))]
 
 
@@ -82,12 +85,8 @@ def joint_rows(
     recording: Recording, robot: Robot | None = None
 ) -> Iterator[tuple[str, RecordingFinding]]:
     """The name of each joint of a recording with each finding about it."""
-    for j, joint in enumerate(recording.joints):
-        position = recording.position[:, j]
-        noise = noise_floor(recording.t, recording.command[:, j], position)
-        sheet = robot.joint(joint) if robot else None
-        for finding in joint_findings(recording, j, noise, quantization_step(position), sheet):
-            yield joint, finding
+    for data in (measured_joint(recording, j) for j in range(len(recording.joints))):
+        yield from ((data.joint, found) for found in joint_findings(recording, data, robot))
 
 
 def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFinding]:
@@ -99,27 +98,21 @@ def merged(rows: Iterable[tuple[str, RecordingFinding]]) -> list[RecordingFindin
         joints.setdefault(about, []).append(joint)
         findings[about] = finding
     return [
-        findings[about]
-        if len(names) == 1
-        else replace(findings[about], text=f"{', '.join(names)}: {about}")
-        for about, names in joints.items()
+        replace(found, text=f"{', '.join(some)}: {about}")
+        if len(some := joints[about]) > 1
+        else found
+        for about, found in findings.items()
     ]
 
 
 def joint_findings(
-    recording: Recording, j: int, noise_rad: float, step_rad: float, sheet: Joint | None
+    recording: Recording, data: MeasuredJoint, robot: Robot | None
 ) -> Iterator[RecordingFinding]:
-    """Findings about joint number ``j``, including what its load does not allow to identify.
-
-    ``noise_rad`` is the standard deviation of its noise, ``step_rad`` its quantization step, 0 if
-    there is none.
-    """
-    powered = recording.powered(j)
-    if powered < 2:
+    """Findings about a joint, including what its load does not allow to identify."""
+    t, command, position = data.t, data.command, data.position
+    if t.size < 2:
         return
-    t, command = recording.t[:powered], recording.command[:powered, j]
-    position = recording.position[:powered, j]
-    data = _PoweredJoint(recording.joints[j], t, command, position, noise_rad, step_rad)
+    sheet = robot.joint(data.joint) if robot else None
     load = recording.loads.get(data.joint)
     finite = np.isfinite(position)
     if not finite.any():
@@ -133,8 +126,8 @@ def joint_findings(
     yield from readings
     if any(finding.severity == "error" for finding in readings):
         return  # nothing else is known of its motion
-    span, least = float(np.ptp(command)), max(2 * step_rad, 9 * noise_rad)
-    if span <= max(2 * step_rad, 1e-4):
+    span, least = float(np.ptp(command)), max(2 * data.step_rad, 9 * data.noise_rad)
+    if span <= max(2 * data.step_rad, 1e-4):
         yield data.finding(" is never commanded to move: nothing can be fitted to it.")
     elif float(np.ptp(position[finite])) <= min(least, 0.5 * span):
         yield data.warning(f" does not move, although its command spans {span:.3g} rad.")
@@ -144,8 +137,8 @@ def joint_findings(
     yield from _excitation(data)
     if sheet is not None:
         yield from _data_sheet(data, sheet)
-    if powered < recording.t.size:
-        yield data.finding(f"'s torque is off from {recording.t[powered]:.4g} s on.")
+    if t.size < recording.t.size:
+        yield data.finding(f"'s torque is off from {recording.t[t.size]:.4g} s on.")
     if recording.kind != "servo":
         return
     if load is None:
@@ -157,7 +150,7 @@ def joint_findings(
         )
 
 
-def _readings(data: _PoweredJoint) -> Iterator[RecordingFinding]:
+def _readings(data: MeasuredJoint) -> Iterator[RecordingFinding]:
     """Readings that are wrong in themselves, whatever the joint does."""
     after, jumps = wraps(data.position)
     if after.size:
@@ -203,7 +196,7 @@ def _times(count: int) -> str:
 
 
 def _motion(
-    data: _PoweredJoint,
+    data: MeasuredJoint,
     finite: Mask,
     *,
     gravity: bool,
@@ -254,17 +247,15 @@ def _motion(
 def _correlations(t: Array, command: Array, position: Array, longest_s: float) -> Array:
     """Correlations of the command with the position at lags of up to ``longest_s``, shape (L,)."""
     largest = max(1, int(longest_s / np.median(np.diff(t)))) if t.size > 2 else 0
-    lags = range(min(largest, t.size - 3) + 1)
-    return np.array([_correlation(command[: t.size - k], position[k:]) for k in lags])
+    found = np.zeros(max(min(largest, t.size - 3) + 1, 0))
+    for k in range(found.size):
+        a, b = (x - x.mean() for x in (command[: t.size - k], position[k:]))
+        size = np.sqrt(np.sum(a**2) * np.sum(b**2))
+        found[k] = np.sum(a * b) / size if size > 0 else 0.0
+    return found
 
 
-def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
-    return float(np.sum(a * b)) / size if size > 0 else 0.0
-
-
-def _start(data: _PoweredJoint, finite: Mask) -> Iterator[RecordingFinding]:
+def _start(data: MeasuredJoint, finite: Mask) -> Iterator[RecordingFinding]:
     changed = np.flatnonzero(data.command != data.command[0])
     still = int(changed[0]) + 1 if changed.size else data.t.size  # the change itself comes later
     early = np.flatnonzero(finite[:still] & (data.t[:still] <= data.t[0] + 0.5))
@@ -284,7 +275,7 @@ def _start(data: _PoweredJoint, finite: Mask) -> Iterator[RecordingFinding]:
 
 
 def _excitation(
-    data: _PoweredJoint, *, fewest_moves: int = 4, slowest_hz: float = 0.2
+    data: MeasuredJoint, *, fewest_moves: int = 4, slowest_hz: float = 0.2
 ) -> Iterator[RecordingFinding]:
     count = moves(data.t, data.command)
     if not count:
@@ -306,7 +297,7 @@ def _excitation(
 
 
 def _data_sheet(
-    data: _PoweredJoint, sheet: Joint, *, beyond_rad: float = 0.1
+    data: MeasuredJoint, sheet: Joint, *, beyond_rad: float = 0.1
 ) -> Iterator[RecordingFinding]:
     if sheet.states("limits_rad"):
         low, high = sheet.limits_rad

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from sim2real.arm.description import Arm, arm_content, arm_from
@@ -122,31 +123,17 @@ def with_inertia(effects: Sequence[FittedEffect], added: float) -> tuple[FittedE
 
 
 def write_model(model: Model, path: str | os.PathLike[str]) -> None:
-    """Write ``MODEL.json``; an infinite end of an interval is written as null.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
+    """Write ``MODEL.json``; an infinite end of an interval is written as null."""
     content = {"schema": SCHEMA, _ROTOR_IN_LOAD: False, **vars(model)}
     content["joints"] = {name: _joint_content(joint) for name, joint in model.joints.items()}
     content["effects"] = [vars(effect) for effect in model.effects]
-    if model.firmware_p_gain is None:
-        del content["firmware_p_gain"]
-    if model.arm is None:
-        del content["arm"]
-    else:
-        content["arm"] = arm_content(model.arm)
-    write_json(path, content)
+    content["arm"] = model.arm and arm_content(model.arm)
+    stated = {k: x for k, x in content.items() if x is not None}
+    write_json(path, stated)
 
 
 def read_model(path: str | os.PathLike[str]) -> Model:
-    """Read ``MODEL.json``.
-
-    Files of earlier versions are read with the same motion: see ``docs/reference/files.md``.
-
-    Raises:
-        InputError: If the file or one of its fields does not conform to the format.
-    """
+    """Read ``MODEL.json``, of earlier versions as well (``docs/reference/files.md``)."""
     top = Fields(path, "", read_json(path, SCHEMA))
     joints, fit = top.table("joints"), top.table("fit")
     servos = {name: _read_joint(joints.table(name)) for name in joints.labels()}
@@ -230,18 +217,16 @@ def _read_body(fields: Fields) -> Mapping[str, Any]:
     _read_effects(fields)
     if fields.content.get("posterior") is not None:
         posterior = fields.table("posterior")
-        names = posterior.content.get("names")
+        names, rows = (posterior.content.get(name) for name in ("names", "covariance"))
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise posterior.error("names", "a list of names")
-        size, rows = len(names), posterior.content.get("covariance")
+        size = len(names)
         posterior.numbers("mean", f"{size} numbers", size)
         expected = f"{size} rows of {size} numbers"
         if not isinstance(rows, list) or len(rows) != size:
             raise posterior.error("covariance", expected)
-        for row in rows:
-            Fields(fields.file, posterior.where, {"covariance": row}).numbers(
-                "covariance", expected, size
-            )
+        for row in (Fields(fields.file, posterior.where, {"covariance": row}) for row in rows):
+            row.numbers("covariance", expected, size)
     return fields.content
 
 
@@ -256,10 +241,8 @@ def _read_interval(fields: Fields, name: str) -> tuple[float, float]:
 
 
 def _read_figures(fields: Fields) -> dict[str, float | None]:
-    return {
-        name: None if value is None else fields.number(name, infinite=True)
-        for name, value in fields.content.items()
-    }
+    number = partial(fields.number, infinite=True)
+    return {name: None if x is None else number(name) for name, x in fields.content.items()}
 
 
 def _read_effects(fields: Fields) -> tuple[FittedEffect, ...]:

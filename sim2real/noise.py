@@ -79,13 +79,8 @@ def noise_floor(t: Array, command: Array, position: Array) -> float:
     I. Kollár, "Quantization Noise", Cambridge University Press, 2008). Without such segments,
     ``difference_noise`` is used.
 
-    Args:
-        t: Times in s, shape (T,), increasing.
-        command: Set-points in rad, shape (T,); NaN where there is none.
-        position: Measured angles in rad, shape (T,); NaN where a sample is missing.
-
-    Returns:
-        The standard deviation in rad, at least ``step / sqrt(12)``; 0.0 if it cannot be estimated.
+    Times in s, set-points and angles in rad, NaN where missing, are of shape (T,). The result is at
+    least ``step / sqrt(12)``; 0.0 if it cannot be estimated.
     """
     step = quantization_step(position)
     measured = np.isfinite(position)

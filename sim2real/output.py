@@ -7,6 +7,7 @@ A result that is a link is written to the file behind the link. A result that is
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import hashlib
 import json
@@ -30,22 +31,14 @@ _MOST_PRINTED_BYTES = 2**20
 
 
 class Results:
-    """The files of one call of the command line: what it reads, and results that were kept.
-
-    Attributes:
-        inputs: Input files by device and number, which no result may replace.
-        folders: Folders of results that were checked before the computation.
-        kept: One sentence for each result that could not be written to its place.
-        moved: Where these are instead; None for one that was printed or lost.
-        written: Number of results in their places.
-    """
+    """The files of one call of the command line: what it reads, and results that were kept."""
 
     def __init__(self) -> None:
-        self.inputs: dict[tuple[int, int], str] = {}
-        self.folders: set[Path] = set()
-        self.kept: list[str] = []
-        self.moved: dict[Path, Path | None] = {}
-        self.written = 0
+        self.inputs: dict[tuple[int, int], str] = {}  # by device and number: not to be replaced
+        self.folders: set[Path] = set()  # of results, checked before the computation
+        self.kept: list[str] = []  # a sentence for each result that could not be written
+        self.moved: dict[Path, Path | None] = {}  # where these are; None if printed or lost
+        self.written = 0  # number of results in their places
         self._folder: Path | None = None
 
     def protect(self, path: str | os.PathLike[str]) -> None:
@@ -79,10 +72,9 @@ _results: Results | None = None
 
 @contextlib.contextmanager
 def results() -> Iterator[Results]:
-    """Context of one call of the command line.
+    """Context of one call of the command line, in which no finished computation is lost.
 
-    Inside it, a result that can't be written after its folder was checked is kept elsewhere, so
-    that no finished computation is lost, and the computation goes on.
+    A result that can't be written after its folder was checked is kept elsewhere.
     """
     global _results
     before, _results = _results, Results()
@@ -104,12 +96,7 @@ def protect(path: str | os.PathLike[str]) -> None:
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
-    """Check, before any computation, that a result can be written to ``path``.
-
-    Raises:
-        InputError: If ``path`` is a folder, a disk, a socket or an input of the command, or its
-            folder cannot be created or written.
-    """
+    """Raise InputError, before any computation, unless a result can be written to ``path``."""
     _place(path)
     if _results is not None:
         _results.folders.add(Path(path).parent)
@@ -117,11 +104,7 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def check_not_read(place: Path, target: Path | None = None) -> None:
-    """Check that ``place`` is no input of this call of the command line, by any name or link.
-
-    Raises:
-        InputError: If it is one; its name in the message is ``target``.
-    """
+    """Raise InputError if ``place`` (in the message ``target``) is an input of this command."""
     with contextlib.suppress(OSError):
         found = place.stat()
         read = None if _results is None else _results.inputs.get((found.st_dev, found.st_ino))
@@ -130,27 +113,24 @@ def check_not_read(place: Path, target: Path | None = None) -> None:
             raise InputError(target or place, "", f"{read}, which the command reads", expected)
 
 
-def is_standard_output(path: str | os.PathLike[str] | None) -> bool:
+def is_standard_output(path: str | os.PathLike[str]) -> bool:
     """Whether ``path`` is the standard output of this process."""
-    try:
-        return path is not None and _descriptor(_followed(Path(path))) == 1
-    except OSError:
-        return False
+    with contextlib.suppress(OSError):
+        return _descriptor(_followed(Path(path))) == 1
+    return False
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
     """Whether ``path`` is a device or a pipe, next to which no other file can be written."""
-    try:
+    with contextlib.suppress(OSError):
         return _streams(_followed(Path(path)))
-    except OSError:
-        return False
+    return False
 
 
 def beside(out: Path, name: str) -> Path:
-    """A further file of the result ``out``: ``name`` in its folder.
+    """A further file of the result ``out``: ``name`` in its folder, ``/`` (of ROS) as ``%2F``.
 
-    A ``/`` in the name, as in the names of joints of ROS, is written as ``%2F``. If ``out`` is a
-    device or a pipe, this is the null device.
+    If ``out`` is a device or a pipe, this is the null device.
     """
     return Path(os.devnull) if is_stream(out) else out.with_name(name.replace("/", "%2F"))
 
@@ -158,10 +138,8 @@ def beside(out: Path, name: str) -> Path:
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
     """Write ``content`` to a temporary file in the same folder, sync it and rename it to ``path``.
 
-    A new file has the permissions that the umask leaves, an existing one keeps its own.
-
-    Raises:
-        InputError: If it cannot be written, unless that is handled by the command (``results``).
+    A new file has the permissions that the umask leaves, an existing one keeps its own. What cannot
+    be written is an InputError, unless the command keeps it elsewhere (``results``).
     """
     target = Path(path)
     data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
@@ -201,19 +179,10 @@ def _place(path: str | os.PathLike[str]) -> Path:
         while not folder.exists() and folder != folder.parent:
             folder = folder.parent
     except OSError as error:  # a name too long, a loop of links, a folder that can't be searched
-        found = "a working directory that was removed" if _homeless(target) else error.strerror
-        raise InputError(target, "", str(found), "the name of a file to write") from None
+        raise InputError(target, "", str(error.strerror), "the name of a file to write") from None
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise InputError(target, "", f"{folder}, which can't be written", "a folder to write in")
     return place
-
-
-def _homeless(target: Path) -> bool:
-    """Whether a path is relative to a working directory that no longer exists."""
-    try:
-        return not target.is_absolute() and not os.getcwd()
-    except OSError:
-        return True
 
 
 def _followed(target: Path, most_links: int = 40) -> Path:
@@ -282,22 +251,26 @@ def _replace(place: Path, data: bytes) -> None:
 
 
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
-    """Write ``content`` as indented JSON, with numbers converted by ``finite_json``.
-
-    Infinite ends of intervals must be ``None``, which is written as null.
-    """
+    """Write ``content`` as indented JSON, with numbers converted by ``finite_json``."""
     return write_whole(path, json.dumps(finite_json(content), indent=2, allow_nan=False) + "\n")
 
 
 def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
-    """``value`` with infinities as ``"inf"`` or ``"-inf"`` and NaN as null, which JSON lacks."""
+    """``value`` as JSON: dataclasses as objects, arrays as lists, other objects as text.
+
+    Infinities are ``"inf"`` or ``"-inf"`` and NaN is null, which JSON lacks.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: finite_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {key: finite_json(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
+        return {str(key): finite_json(entry) for key, entry in value.items()}
+    if hasattr(value, "tolist"):
+        return finite_json(value.tolist())
+    if isinstance(value, list | tuple | set):
         return [finite_json(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(float(value))
-    return value
+        return None if math.isnan(value) else str(value)
+    return value if isinstance(value, bool | int | float | str | None) else str(value)
 
 
 def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:

@@ -12,10 +12,10 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.clock import check_sampling
-from sim2real.errors import InputError, RecordingFinding
+from sim2real.errors import InputError
 from sim2real.findings import joint_rows, merged, recording_findings
 from sim2real.readings import lead_s, wrong_readings
-from sim2real.recording import PER_INERTIA, Recording
+from sim2real.recording import Recording
 from sim2real.robot import Joint, Robot, match_joints
 
 _QUANTILE = 0.99
@@ -33,9 +33,6 @@ def admitted(
     that is fitted to the recordings shows the warnings: models, diagnoses, calibrations, ranges.
     Without the robot units of angles and loads are not checked.
 
-    Returns:
-        The recordings, and the warnings, one sentence each.
-
     Raises:
         InputError: If a recording can only be a mistake (``validate_recording``), or a finding
             about it is an error and no other joint of it moves.
@@ -44,13 +41,10 @@ def admitted(
     for recording in recordings:
         validate_recording(recording, robot)
         rows = [*joint_rows(recording, robot)]
-        wrong: dict[str, RecordingFinding] = {}
-        for joint, finding in rows:
-            if finding.severity == "error":
-                wrong.setdefault(joint, finding)
+        wrong = {joint: found for joint, found in reversed(rows) if found.severity == "error"}
         others = [j for j in recording.joints if j not in wrong and recording.moves(j)]
         if wrong and (not others or recording.kind != "servo"):
-            first = next(iter(wrong.values()))
+            first = wrong[next(joint for joint, found in rows if found.severity == "error")]
             raise InputError(recording.file, first.where, first.found, first.expected)
         kept.append(recording.without(wrong))
         for finding in (*recording_findings(recording), *merged(rows)):
@@ -64,10 +58,8 @@ def admitted(
 def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
     """Reject a recording whose times, commands or measured angles can only be a mistake.
 
-    Raises:
-        InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, a
-            column is both command and position, a joint moves before its command, or angles, speeds
-            or torques are many times those that the robot's file states.
+    A column is both command and position, a joint moves before its command, or angles, speeds or
+    torques are many times those that the robot's file states.
     """
     validate_commands(recording, robot)
     for j, joint in enumerate(recording.joints):
@@ -88,10 +80,6 @@ def validate_commands(
 
     A command is at most ``range_ratio`` half ranges from the middle of the joint's range: degrees
     read as radians are 57 times too large.
-
-    Raises:
-        InputError: If the robot lacks a joint, the sampling period is not that of a servo bus, or a
-            command is far beyond the joint's limits.
     """
     check_sampling(recording.file, recording.t)
     if robot is None:
@@ -119,8 +107,9 @@ def _check_columns(recording: Recording, j: int) -> None:
     joint, powered = recording.joints[j], recording.powered(j)
     if powered < 2:
         return
-    t, command = recording.t[:powered], recording.command[:powered, j]
-    position = recording.position[:powered, j]
+    t, command, position = (
+        x[:powered] for x in (recording.t, recording.command[:, j], recording.position[:, j])
+    )
     measured = np.isfinite(position)
     sent = command[measured]
     if sent.size > 1 and np.ptp(sent) > 0 and np.array_equal(sent, position[measured]):
@@ -141,21 +130,17 @@ def _check_columns(recording: Recording, j: int) -> None:
         )
 
 
-def _check_speed(
-    file: str, joint: Joint, t: Array, angle: Array, *, window_s: float = 0.1, ratio: float = 4.0
-) -> None:
+def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: float = 4.0) -> None:
     """Reject angles that change much faster than the servo can turn, such as degrees.
 
-    A speed over a window is compared with the data sheet's, which servos exceed by 50 % at a
-    higher voltage.
+    A speed over 0.1 s is compared with the data sheet's, which servos exceed by 50 % at a higher
+    voltage.
     """
-    if not joint.servo.states("no_load_speed_rad_s"):
-        return
-    window = max(window_s, 2 * float(np.median(np.diff(t))))
+    window = max(0.1, 2 * float(np.median(np.diff(t))))
     early = t <= t[-1] - window
-    change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
-    if change.size < _FEWEST_SAMPLES:
+    if not joint.servo.states("no_load_speed_rad_s") or early.sum() < _FEWEST_SAMPLES:
         return
+    change = np.abs(np.interp(t[early] + window, t, angle) - angle[early])
     stated, speed = joint.servo.no_load_speed_rad_s, np.quantile(change, _QUANTILE) / window
     if speed > ratio * stated:
         raise InputError(
@@ -168,25 +153,16 @@ def _check_speed(
 
 
 def _check_torque(
-    recording: Recording,
-    joint: Joint,
-    t: Array,
-    angle: Array,
-    *,
-    window_s: float = 0.06,
-    ratio: float = 6.0,
+    recording: Recording, joint: Joint, t: Array, angle: Array, *, ratio: float = 6.0
 ) -> None:
     """Reject a load whose measured acceleration needs far more torque than the servo has.
 
-    The second difference over a window is a weighted mean of the acceleration, so it never exceeds
+    The second difference over 0.06 s is a weighted mean of the acceleration, so it never exceeds
     the maximum; a part may be due to the weight of a pendulum.
     """
-    load = recording.loads.get(joint.name, PER_INERTIA)
-    if load is PER_INERTIA or not joint.servo.states("max_torque_Nm"):
-        return
-    window = max(window_s, 2 * float(np.median(np.diff(t))))
+    load, window = recording.loads.get(joint.name), max(0.06, 2 * float(np.median(np.diff(t))))
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
-    if middle.size < _FEWEST_SAMPLES:
+    if load is None or not joint.servo.states("max_torque_Nm") or middle.size < _FEWEST_SAMPLES:
         return
     before, mid, after = (np.interp(middle + shift, t, angle) for shift in (-window, 0.0, window))
     acceleration = np.abs(after - 2 * mid + before) / window**2

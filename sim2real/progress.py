@@ -21,11 +21,7 @@ Progress = Callable[[float], None]
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """Show a bar on a terminal and nothing elsewhere.
-
-    Yields:
-        A function to call with the completed share, from 0 to 1.
-    """
+    """Show a bar on a terminal and nothing elsewhere; yields what to call."""
     from tqdm import tqdm
 
     with tqdm(total=100, desc=title, unit="%", disable=None) as bar:
@@ -39,20 +35,7 @@ def shared(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result
     """
     if len(items) < MANY:
         return [work(item) for item in items]
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        with _deaf_to_interrupts():
-            results = pool.map(work, items, chunksize=4)
-        return list(results)
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Context in which processes start that leave Ctrl-C to this one, which then ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    interrupts = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process, which ends them
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(None, spawn, signal.signal, interrupts) as pool:
+        return list(pool.map(work, items, chunksize=4))

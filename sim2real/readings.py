@@ -98,17 +98,11 @@ def stale_share(
 
 @dataclass(frozen=True)
 class Departure:
-    """Where an angle does not follow its command.
+    """Where an angle does not follow its command."""
 
-    Attributes:
-        windows_s: Start and end of every interval in s, in order of time.
-        largest_rad: Largest sustained distance of the angle from its command.
-        held_rad: Angle at which it stays meanwhile; None if it moves.
-    """
-
-    windows_s: tuple[tuple[float, float], ...]
-    largest_rad: float
-    held_rad: float | None
+    windows_s: tuple[tuple[float, float], ...]  # start and end of each, in order of time
+    largest_rad: float  # largest sustained distance of the angle from its command
+    held_rad: float | None  # angle at which it stays meanwhile; None if it moves
 
 
 def departure(

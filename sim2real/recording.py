@@ -6,7 +6,6 @@ import os
 import shlex
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from dataclasses import fields as dataclass_fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,7 @@ import pandas as pd
 
 from sim2real import csv_columns
 from sim2real.arrays import Array
-from sim2real.clock import (
-    LONGEST_COMMAND_PERIOD_S,
-    check_sampling,
-    missing_samples,
-    timing,
-)
+from sim2real.clock import LONGEST_COMMAND_PERIOD_S, check_sampling, missing_samples, timing
 from sim2real.display import NotebookDisplay
 from sim2real.errors import InputError
 from sim2real.output import beside, write_json, write_whole
@@ -35,17 +29,11 @@ FIELDS = ("schema", "kind", "joints", "loads", "medium", "source")
 
 @dataclass(frozen=True)
 class Load:
-    """Load on the output shaft of a bench servo: inertia, and a pendulum if there is one.
+    """Load on the output shaft of a bench servo: inertia, and a pendulum if there is one."""
 
-    Attributes:
-        inertia_kgm2: Moment of inertia about the shaft, pendulum included.
-        pendulum_mass_kg: Mass of a point hanging straight down at position 0.
-        pendulum_length_m: Distance of that mass from the shaft.
-    """
-
-    inertia_kgm2: float
-    pendulum_mass_kg: float = 0.0
-    pendulum_length_m: float = 0.0
+    inertia_kgm2: float  # about the shaft, pendulum included
+    pendulum_mass_kg: float = 0.0  # mass of a point hanging straight down at position 0
+    pendulum_length_m: float = 0.0  # distance of that mass from the shaft
 
     @property
     def gravity_Nm(self) -> float:
@@ -59,19 +47,12 @@ PER_INERTIA = Load(inertia_kgm2=1.0)
 
 @dataclass(frozen=True)
 class VaryingLoad:
-    """A load that the other joints of an arm cause, at evenly spaced times, linear between them.
+    """A load that the other joints of an arm cause, at evenly spaced times, linear between them."""
 
-    Attributes:
-        start_s: Time of the first value, on the clock of the recording.
-        step_s: Time between values.
-        inertia_kgm2: Inertia about the shaft, shape (K,), K at least 2.
-        torque_Nm: Torque on the shaft, gravity included, shape (K,).
-    """
-
-    start_s: float
-    step_s: float
-    inertia_kgm2: Array
-    torque_Nm: Array
+    start_s: float  # time of the first value, on the clock of the recording
+    step_s: float  # time between values
+    inertia_kgm2: Array  # about the shaft, shape (K,), K at least 2
+    torque_Nm: Array  # on the shaft, gravity included, shape (K,)
 
     @cached_property
     def mean_inertia_kgm2(self) -> float:
@@ -81,39 +62,24 @@ class VaryingLoad:
 
 @dataclass(frozen=True)
 class Recording(NotebookDisplay):
-    """One recording.
+    """One recording."""
 
-    Attributes:
-        name: File name without extension.
-        kind: ``"servo"`` (a bench) or ``"pool"`` (the robot swims).
-        joints: Names of the J joints.
-        t: Times in s, shape (T,), increasing, with jitter and gaps as recorded.
-        command: Set-points in rad, shape (T, J). NaN only after the last command of a joint, where
-            its torque is off, or everywhere if commands were not recorded (pool only).
-        position: Measured angles in rad, shape (T, J); NaN where a sample is missing.
-        loads: Known loads by joint name.
-        medium: ``"air"`` or ``"water"``.
-        source: Origin of the recording.
-        columns: All other columns by their full name, each of shape (T,).
-        metadata: All other fields of the JSON file.
-        path: The CSV file, if it was read from one.
-        varying_loads: Loads that vary with time by joint, computed from the robot
-            (``sim2real.arm``) and not part of the file.
-    """
-
-    name: str
-    kind: str
-    joints: tuple[str, ...]
-    t: Array
+    name: str  # file name without extension
+    kind: str  # ``"servo"`` (a bench) or ``"pool"`` (the robot swims)
+    joints: tuple[str, ...]  # names of the J joints
+    t: Array  # times in s, shape (T,), increasing, with jitter and gaps as recorded
     command: Array
-    position: Array
-    loads: Mapping[str, Load] = field(default_factory=dict)
-    medium: str = "air"
+    """Set-points in rad, shape (T, J). NaN only after the last command of a joint, where its torque
+    is off, or everywhere if commands were not recorded (pool only)."""
+    position: Array  # measured angles in rad, shape (T, J); NaN where a sample is missing
+    loads: Mapping[str, Load] = field(default_factory=dict)  # known loads by joint name
+    medium: str = "air"  # or ``"water"``
     source: str = ""
-    columns: Mapping[str, Array] = field(default_factory=dict)
-    metadata: Mapping[str, Any] = field(default_factory=dict)
-    path: Path | None = None
+    columns: Mapping[str, Array] = field(default_factory=dict)  # all others by name, shape (T,)
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # other fields of the JSON file
+    path: Path | None = None  # the CSV file, if it was read from one
     varying_loads: Mapping[str, VaryingLoad] = field(default_factory=dict)
+    """Loads that vary with time, by joint, from the robot (``sim2real.arm``); not in the file."""
 
     @property
     def file(self) -> str:
@@ -206,11 +172,7 @@ class Recording(NotebookDisplay):
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read and validate ``NAME.csv`` and ``NAME.json`` in the same folder.
-
-    Raises:
-        InputError: If a file cannot be read, or a row or field does not conform to the format.
-    """
+    """Read and validate ``NAME.csv`` and ``NAME.json`` in the same folder."""
     csv = Path(path)
     sidecar = csv.with_suffix(".json")
     if os.path.isdir(csv):  # perhaps of a ROS bag
@@ -220,7 +182,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         raise InputError(sidecar, "", "no such file", expected)
     table = csv_columns.read_table(csv)
     top = Fields(sidecar, "", read_json(sidecar, SCHEMA))
-    top.refuse_misspelt(FIELDS)
+    top.refuse_unknown(FIELDS, misspelt=True)
     kind = top.text("kind")
     if kind not in ("servo", "pool"):
         raise top.error("kind", "'servo' or 'pool'")
@@ -229,8 +191,6 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     check_sampling(csv, t)
     recorded = kind == "servo" or any(f"{j}.command_rad" in table for j in joints)
     none = np.full((t.size, len(joints)), np.nan)
-    command = csv_columns.commands(csv, table, joints) if recorded else none
-    position = csv_columns.angles(csv, table, joints, "position_rad")
     used = {"t_s"} | {f"{j}.{c}" for j in joints for c in ("command_rad", "position_rad")}
     others = [str(name) for name in table.columns if name not in used]
     return Recording(
@@ -238,13 +198,13 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         kind,
         joints,
         t,
-        command,
-        position,
+        csv_columns.commands(csv, table, joints) if recorded else none,
+        csv_columns.angles(csv, table, joints, "position_rad"),
         loads=_loads(top, joints),
         medium=top.text("medium", "air"),
         source=top.text("source", ""),
         columns={name: csv_columns.column(csv, table, name) for name in others},
-        metadata=_metadata(top),
+        metadata={k: x for k, x in top.content.items() if k not in FIELDS},
         path=csv,
     )
 
@@ -259,11 +219,7 @@ def _import_first(log: Path) -> str:
 def read_commands(path: str | os.PathLike[str]) -> Recording:
     """Read the commands of a CSV file as a bench recording whose positions are NaN.
 
-    Measured columns are ignored, and no JSON file is needed; of one that exists, loads and context
-    apply.
-
-    Raises:
-        InputError: If times or commands do not conform to the format.
+    Measured columns are ignored. No JSON file is needed; if there is one, its loads apply.
     """
     csv = Path(path)
     table = csv_columns.read_table(csv)
@@ -284,7 +240,7 @@ def read_commands(path: str | os.PathLike[str]) -> Recording:
         command,
         np.full_like(command, np.nan),
         loads=_loads(top, joints),
-        metadata=_metadata(top),
+        metadata={k: x for k, x in top.content.items() if k not in FIELDS},
         path=csv,
     )
 
@@ -295,9 +251,6 @@ def write_recording(
     """Write ``NAME.csv`` and ``NAME.json``, from which ``read_recording`` restores the recording.
 
     If not ``measured``, measured angles are left out, and ``read_commands`` reads it.
-
-    Raises:
-        InputError: If the folder cannot be written, or the name of a joint has control characters.
     """
     csv = Path(path)
     for joint in recording.joints:
@@ -311,11 +264,8 @@ def write_recording(
     table |= recording.columns
     sidecar = {
         "schema": SCHEMA,
-        "kind": recording.kind,
-        "joints": list(recording.joints),
+        **{name: getattr(recording, name) for name in ("kind", "joints", "medium", "source")},
         "loads": {name: vars(load) for name, load in recording.loads.items()},
-        "medium": recording.medium,
-        "source": recording.source,
         **recording.metadata,
     }
     write_whole(csv, pd.DataFrame(table).round(9).to_csv(index=False))
@@ -341,13 +291,9 @@ def _loads(top: Fields, joints: tuple[str, ...]) -> dict[str, Load]:
     return loads
 
 
-def _metadata(top: Fields) -> dict[str, Any]:
-    return {name: value for name, value in top.content.items() if name not in FIELDS}
-
-
 def read_load(fields: Fields) -> Load:
     """Read a load from its table; the pendulum is optional."""
-    fields.refuse_misspelt(field.name for field in dataclass_fields(Load))
+    fields.refuse_unknown(Load.__annotations__, misspelt=True)
     return Load(
         inertia_kgm2=fields.number("inertia_kgm2", above=0),
         pendulum_mass_kg=fields.number("pendulum_mass_kg", 0.0, low=0),

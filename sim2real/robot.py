@@ -10,7 +10,6 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
@@ -73,6 +72,11 @@ class Sheet:
 
     name: str
 
+    @classmethod
+    def keys(cls) -> list[str]:
+        """Keys of its table in the file."""
+        return [name for name in cls.__annotations__ if name != "where"]
+
     def states(self, *names: str) -> bool:
         """Whether all of these values are stated."""
         return all(vars(self)[name] is not None for name in names)
@@ -95,9 +99,7 @@ class Sheet:
 class Link(Sheet):
     """One rigid link in SI units; ``com_m`` is measured from its front end.
 
-    ``mass_sd_kg`` and ``length_sd_m`` are standard deviations of the measured mass and length.
     ``mass_kg``, ``com_m`` and ``inertia_kgm2`` include the ``appendages``, the hull does not.
-    Using a mass, length, width or height that was not stated raises an InputError.
     """
 
     name: str
@@ -116,7 +118,7 @@ class Link(Sheet):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Servo(Sheet):
-    """Data sheet of a servo. Using a value that was not stated raises an InputError."""
+    """Data sheet of a servo."""
 
     name: str
     max_torque_Nm: Stated[float] = Stated()
@@ -166,11 +168,7 @@ class Robot(NotebookDisplay):
 
 
 def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
-    """Check that the robot has all joints of the recordings, and that no recording is repeated.
-
-    Raises:
-        InputError: If a joint is missing or a recording is repeated.
-    """
+    """Raise InputError if the robot lacks a joint of a recording, or a recording is repeated."""
     files: set[str] = set()
     for recording in recordings:
         match_joints(recording, robot)
@@ -180,11 +178,7 @@ def match_recordings(recordings: Sequence[Recording], robot: Robot) -> None:
 
 
 def match_joints(recording: Recording, robot: Robot) -> None:
-    """Check that the robot has all joints of the recording.
-
-    Raises:
-        InputError: If a joint is missing.
-    """
+    """Raise InputError if the robot lacks a joint of the recording."""
     for joint in recording.joints:
         if robot.joint(joint) is None:
             names = ", ".join(defined.name for defined in robot.joints)
@@ -199,16 +193,11 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     """
     top = Fields(path, "", read_toml(path))
     top.refuse_unknown(("name", "links", "joints", "servos", "arm"))
-    servos = {
-        name: _servo(name, Fields(path, f"servos.{name}", content))
-        for name, content in top.table("servos").content.items()
-    }
+    sheets = top.table("servos")
+    servos = {name: _servo(name, sheets.table(name)) for name in sheets.labels()}
     joints = tuple(_joint(fields, servos) for fields in top.tables("joints"))
     unknown = (Link(f"link{k}", where=(str(path), f"links[{k}]")) for k in range(len(joints) + 1))
-    top.table("servos").labels()
-    links = (
-        tuple(_link(fields) for fields in top.tables("links")) if "links" in top else (*unknown,)
-    )
+    links = tuple(map(_link, top.tables("links"))) if "links" in top else tuple(unknown)
     if len(links) != len(joints) + 1:
         found = f"{len(links)} links and {len(joints)} joints"
         raise InputError(path, "links", found, "one link more than joints")
@@ -219,24 +208,17 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
     return Robot(top.label("name", "robot"), links, joints, Path(path), arm)
 
 
-def _keys(sheet: type) -> list[str]:
-    """Keys of a table of the file: the fields of the corresponding dataclass."""
-    return [field.name for field in dataclass_fields(sheet) if field.name != "where"]
-
-
 def _servo(name: str, fields: Fields) -> Servo:
-    known = [key for key in _keys(Servo) if key != "name"]
     if "type" in fields:  # of earlier versions
-        known.append("type")
         warnings.warn(f"{fields.file}: {fields.path('type')} is ignored", stacklevel=2)
-    fields.refuse_unknown(known)
+    fields.refuse_unknown([*Servo.keys()[1:], *(["type"] if "type" in fields else [])])
     number, where = fields.optional_number, (str(fields.file), fields.where)
     torque, speed = (number(key, above=0) for key in ("max_torque_Nm", "no_load_speed_rad_s"))
     return Servo(name, torque, speed, number("position_step_rad", low=0), where)
 
 
 def _link(fields: Fields) -> Link:
-    fields.refuse_unknown(_keys(Link))
+    fields.refuse_unknown(Link.keys())
     tables = fields.tables("appendages") if "appendages" in fields else []
     number = fields.optional_number
     length, com = number("length_m", above=0), number("com_m", low=0)
@@ -258,20 +240,19 @@ def _link(fields: Fields) -> Link:
 
 
 def _joint(fields: Fields, servos: dict[str, Servo]) -> Joint:
-    fields.refuse_unknown(_keys(Joint))
+    fields.refuse_unknown(Joint.keys())
     servo = fields.text("servo")
     if servo not in servos:
         raise fields.error("servo", f"one of the [servos.*] tables ({', '.join(servos) or 'none'})")
-    place = (str(fields.file), fields.where)
-    if "limits_rad" not in fields:
-        return Joint(fields.label("name"), servos[servo], where=place)
-    low, high = fields.numbers("limits_rad", LIMITS, 2)
-    if low >= high:
-        raise fields.error("limits_rad", LIMITS)
-    if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
-        expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
-        raise fields.error("limits_rad", expected)
-    return Joint(fields.label("name"), servos[servo], (low, high), place)
+    limits = None
+    if "limits_rad" in fields:
+        low, high = limits = tuple(fields.numbers("limits_rad", LIMITS, 2))
+        if low >= high:
+            raise fields.error("limits_rad", LIMITS)
+        if max(abs(low), abs(high)) > LARGEST_ANGLE_RAD:
+            expected = f"two angles in rad within {LARGEST_ANGLE_RAD:.1f} (are they degrees?)"
+            raise fields.error("limits_rad", expected)
+    return Joint(fields.label("name"), servos[servo], limits, (str(fields.file), fields.where))
 
 
 @dataclass(frozen=True)
@@ -296,19 +277,6 @@ class Density(NotebookDisplay):
         """Lower and upper ends of 90 % intervals, shape (2, L); None where ``sd`` is."""
         return None if self.sd is None else self.value + Z90 * np.outer([-1, 1], self.sd)
 
-    def __str__(self) -> str:
-        """Mass, length and normalised density of each link."""
-        width = max(len("link"), *(len(name) for name in self.links))
-        lines = [f"{'link':<{width}}  mass, kg  length, m  density   90 % interval"]
-        rows = zip(self.links, self.mass_kg, self.length_m, self.value, strict=True)
-        for k, (name, mass, length, value) in enumerate(rows):
-            lines.append(f"{name:<{width}}  {mass:8.3f}  {length:9.3f}  {value:7.3f}")
-            if self.interval is not None:
-                lines[-1] += "   {:.3f} to {:.3f}".format(*self.interval[:, k])
-        if self.interval is None:
-            lines.append("  ! mass_sd_kg and length_sd_m of the links would give intervals")
-        return "\n".join(lines)
-
     def plot(self) -> Figure:
         """Bar chart of the normalised density of each link."""
         figure: Figure = from_report("ranges.density_figure")(self)
@@ -323,13 +291,12 @@ def normalised_density(robot: Robot) -> Density:
 
         d log rho_i = dm_i / m_i - dl_i / l_i + sum(dl) / sum(l) - sum(dm) / sum(m).
     """
-    mass, length = (np.array([getattr(x, n) for x in robot.links]) for n in ("mass_kg", "length_m"))
+    names = ("mass_kg", "length_m", "mass_sd_kg", "length_sd_m")
+    mass, length, *errors = (np.array([getattr(x, n) for x in robot.links]) for n in names)
     value = mass / length * length.sum() / mass.sum()
-    stated = [s for x in robot.links for s in (x.mass_sd_kg, x.length_sd_m) if s is not None]
     sd = None
-    if stated:
-        mass_sd = np.array([x.mass_sd_kg or 0.0 for x in robot.links])
-        length_sd = np.array([x.length_sd_m or 0.0 for x in robot.links])
+    if any(x is not None for error in errors for x in error):
+        mass_sd, length_sd = (np.nan_to_num(error.astype(float)) for error in errors)
         by_mass = np.diag(1 / mass) - 1 / mass.sum()
         by_length = 1 / length.sum() - np.diag(1 / length)
         sd = value * np.hypot(

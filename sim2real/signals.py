@@ -30,19 +30,12 @@ class Shape:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Set-points for several joints.
+    """Set-points for several joints."""
 
-    Attributes:
-        joints: Names of the J joints.
-        t: Times in s, shape (T,), evenly spaced.
-        command: Set-points in rad, shape (T, J).
-        notes: How limits changed the requested signal, one sentence each.
-    """
-
-    joints: tuple[str, ...]
-    t: Array
-    command: Array
-    notes: tuple[str, ...] = ()
+    joints: tuple[str, ...]  # names of the J joints
+    t: Array  # times in s, shape (T,), evenly spaced
+    command: Array  # set-points in rad, shape (T, J)
+    notes: tuple[str, ...] = ()  # how limits changed the requested signal, one sentence each
 
     @property
     def largest_rate(self) -> Array:
@@ -109,9 +102,6 @@ def excitation(
         rng: Random number generator.
         amplitude_rad: Largest deviation from the centre; by default three quarters of the range.
         shape: Frequencies.
-
-    Raises:
-        InputError: If the duration or a frequency is out of range.
     """
     shape = shape or Shape()
     _check_shape(name, shape, seconds, rate_hz)
@@ -135,11 +125,7 @@ def excitation(
 
 
 def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: float) -> Excitation:
-    """The commands of a CSV file, each held until the next, after a rest at the first.
-
-    Raises:
-        InputError: If the file lacks a joint or switches its torque off.
-    """
+    """The commands of a CSV file, each held until the next, after a rest at the first."""
     recording = read_commands(path)
     since = recording.t - recording.t[0] + REST_S
     t = np.arange(int(since[-1] * rate_hz + 1e-6) + 1) / rate_hz

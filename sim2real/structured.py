@@ -11,6 +11,7 @@ import math
 import os
 import re
 import stat
+import sys
 import tomllib
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,11 +38,7 @@ _MISSPELT = 0.8
 
 
 def check_size(path: Path, largest: int, advice: str = "") -> None:
-    """Check, without reading it, that ``path`` is a regular file of at most ``largest`` bytes.
-
-    Raises:
-        InputError: If it is missing, a folder, a pipe, a device, inaccessible or too large.
-    """
+    """Raise InputError, without reading, unless ``path`` is a regular file of ``largest`` bytes."""
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -53,18 +50,13 @@ def check_size(path: Path, largest: int, advice: str = "") -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = "a pipe" if stat.S_ISFIFO(found.st_mode) else "a device or a socket"
         raise InputError(path, "", kind, "a file")
-    size = found.st_size
-    if size > largest:
+    if found.st_size > largest:
         expected = f"at most {largest // 2**20} MiB{advice}"
-        raise InputError(path, "", f"{size // 2**20} MiB", expected)
+        raise InputError(path, "", f"{found.st_size // 2**20} MiB", expected)
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Read the text of a small file.
-
-    Raises:
-        InputError: If it is missing, a folder, unreadable, too large or not UTF-8.
-    """
+    """Read the text of a small file in UTF-8."""
     file = Path(path)
     check_size(file, LARGEST_FILE_BYTES)
     try:
@@ -76,11 +68,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[str, Any]:
-    """Read a JSON object, and check its ``schema`` field if ``schema`` is given.
-
-    Raises:
-        InputError: If it does not parse, is not an object or has a different schema.
-    """
+    """Read a JSON object, and check its ``schema`` field if ``schema`` is given."""
     text = read_text(path)
     try:
         content = json.loads(text)
@@ -101,11 +89,7 @@ def read_json(path: str | os.PathLike[str], schema: str | None = None) -> dict[s
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a TOML document.
-
-    Raises:
-        InputError: If it does not parse, or has dotted keys of more than 16 parts.
-    """
+    """Read a TOML document without dotted keys of more than 16 parts."""
     text = read_text(path)
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -119,11 +103,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_label(file: str | os.PathLike[str], where: str, label: str) -> str:
-    """Check that a name, as of a joint, has no control characters or line breaks; return it.
-
-    Raises:
-        InputError: If it has.
-    """
+    """Raise InputError if a name, as of a joint, has control characters; return it."""
     if not label.isprintable():
         expected = "a name without control characters and line breaks"
         raise InputError(file, where, shown(label), expected)
@@ -142,15 +122,8 @@ def read_members(
 ) -> Iterator[tuple[str, bytes]]:
     """Names and contents of the members of a zip archive, one after the other.
 
-    Args:
-        path: The archive.
-        expected: What it should be, for errors.
-        what: What it then does not contain, for errors.
-        largest: Largest number of bytes of all members together, checked before any is unpacked.
-
-    Raises:
-        InputError: If it is no regular file, no archive, damaged or too large, or if two members
-            have the same name.
+    ``expected`` is what the archive should be, and ``what`` is then missing, for errors. The bytes
+    of all members together, at most ``largest``, are checked before any is unpacked.
     """
     file = Path(path)
     if file.is_dir() or not file.exists():
@@ -182,10 +155,7 @@ def read_arrays(
     what: str = "arrays",
     largest: int = _LARGEST_ARCHIVE_BYTES,
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file by name: real numbers, truth values or text.
-
-    Arguments and errors are those of ``read_members``; a member that is no such array is an error.
-    """
+    """The arrays of an ``.npz`` file by name: real numbers, truth values or text."""
     import numpy as np
 
     arrays = {}
@@ -204,11 +174,7 @@ def finite_number(value: object) -> float | None:
     """``value`` as a float; None unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    try:
-        number = float(value)
-    except OverflowError:  # an integer beyond the range of a float
-        return None
-    return number if math.isfinite(number) else None
+    return float(value) if abs(value) <= sys.float_info.max else None
 
 
 def number_or_infinity(value: object) -> float | None:
@@ -241,29 +207,19 @@ class Fields:
         found = shown(self.content[name]) if name in self.content else "nothing"
         return InputError(self.file, self.path(name), found, expected)
 
-    def refuse_unknown(self, known: Iterable[str]) -> None:
-        """Check that the table has no fields other than the known ones.
+    def refuse_unknown(self, known: Iterable[str], *, misspelt: bool = False) -> None:
+        """Raise InputError if the table has fields other than the known ones.
 
-        Raises:
-            InputError: If it has one; the message names the most similar known field.
-        """
-        names = list(known)
-        for name in self.content:
-            if name not in names:
-                raise InputError(self.file, self.path(name), "an unknown key", one_of(name, names))
-
-    def refuse_misspelt(self, known: Iterable[str]) -> None:
-        """Check that no unknown field looks like a misspelling of a missing known field.
-
-        Raises:
-            InputError: If one does.
+        With ``misspelt`` only if one looks like a misspelling of a known one that is missing.
         """
         names = list(known)
         missing = [name for name in names if name not in self.content]
-        for name in self.content:
-            close = None if name in names else nearest(name, missing, _MISSPELT)
-            if close:
-                expected = f"{close} (did you mean that?)"
+        for name in (name for name in self.content if name not in names):
+            expected = one_of(name, names)
+            if misspelt:
+                close = nearest(name, missing, _MISSPELT)
+                expected = f"{close} (did you mean that?)" if close else ""
+            if expected:
                 raise InputError(self.file, self.path(name), "an unknown key", expected)
 
     def number(
@@ -282,11 +238,8 @@ class Fields:
         """
         if name not in self.content and default is not None:
             return default
-        expected = "a number"
-        if math.isfinite(above):
-            expected += f" above {above:g}"
-        elif math.isfinite(low):
-            expected += f" of at least {low:g}"
+        least = f" of at least {low:g}" if math.isfinite(low) else ""
+        expected = "a number" + (f" above {above:g}" if math.isfinite(above) else least)
         convert = number_or_infinity if infinite else finite_number
         value = convert(self.content.get(name))
         if value is None or value < low or value <= above:
@@ -308,10 +261,9 @@ class Fields:
     ) -> list[float]:
         """Read a list of finite numbers, ``>= low``; ``expected`` describes it in the error."""
         value = self.content.get(name)
-        found = [finite_number(entry) for entry in value] if isinstance(value, list) else []
-        numbers = [number for number in found if number is not None and number >= low]
-        whole = isinstance(value, list) and len(numbers) == len(value)
-        if not whole or size not in (None, len(numbers)):
+        entries = value if isinstance(value, list) else [None]
+        numbers = [x for x in map(finite_number, entries) if x is not None and x >= low]
+        if len(numbers) != len(entries) or size not in (None, len(numbers)):
             raise self.error(name, expected)
         return numbers
 

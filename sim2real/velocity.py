@@ -24,9 +24,6 @@ def body_velocity(t: Array, pose: Array, *, window_s: float = 0.22) -> Array:
 
     Returns:
         Surge and sway in m/s, yaw rate in rad/s, shape (..., T, 3).
-
-    Raises:
-        ValueError: If there are fewer than five poses.
     """
     period = float(np.median(np.diff(t)))
     odd = 2 * max(1, round(window_s / period / 2)) + 1

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from sim2real.errors import InputError, check_effort, check_whole, shown
+from sim2real.errors import InputError, check_positive, check_whole, shown
 
 if TYPE_CHECKING:
     from sim2real.model import Model
@@ -73,7 +73,7 @@ def identify(
     from sim2real.arm.identify_arm import identify_arm
     from sim2real.identification.identify import identify as identify_servos
 
-    check_effort("identify", effort)
+    check_positive("identify", "effort", effort)
     description, listed = robot_of(robot), recordings_to_fit(recordings)
     settings: dict[str, Any] = {
         "held_out": held_out,
@@ -195,13 +195,12 @@ def ranges(
         completed[joint] = count
         bar.update(sum(completed.values()) - bar.n)
 
-    def file(joint: str) -> Path | None:
-        return None if chains is None else chain_file(Path(chains), joint)
-
-    total = steps * len(fitted.joints)
+    sampling = Sampling(steps, walkers, seed, held_out, progress=advance)
+    if chains is not None:
+        out = Path(chains)
+        sampling = replace(sampling, file=lambda joint: chain_file(out, joint))
+    recorded, total = with_arm_loads(loaded, description, fitted), steps * len(fitted.joints)
     with tqdm(desc="ranges", total=total, unit="step", disable=None) as bar:
-        sampling = Sampling(steps, walkers, seed, held_out, file=file, progress=advance)
-        recorded = with_arm_loads(loaded, description, fitted)
         gathered = gather(recorded, description, fitted, sampling)
     origin = provenance([*loaded, description, model], seed)
     return replace(gathered, ranges=replace(gathered.ranges, provenance=origin))
@@ -242,12 +241,9 @@ def servos() -> ServoLibrary:
 
 
 def recordings_of(recordings: Recorded, *, or_commands: bool = False) -> list[Recording]:
-    """The recordings, read where files are given.
+    """The recordings, at least one, read where files are given.
 
     With ``or_commands``, a CSV without JSON is a table of commands.
-
-    Raises:
-        InputError: If there is none, or a file is not a recording.
     """
     from sim2real.recording import Recording, read_commands, read_recording
 
@@ -272,11 +268,7 @@ def recordings_of(recordings: Recorded, *, or_commands: bool = False) -> list[Re
 
 
 def recordings_to_fit(recordings: Recorded) -> list[Recording]:
-    """The recordings, read where files are given, with a warning of those that are simulated.
-
-    Raises:
-        InputError: If there is none, or a file is not a recording.
-    """
+    """The recordings, read where files are given, with a warning of those that are simulated."""
     listed = recordings_of(recordings)
     simulated = [recording.file for recording in listed if recording.is_simulated]
     if simulated:
@@ -288,11 +280,7 @@ def recordings_to_fit(recordings: Recorded) -> list[Recording]:
 
 
 def robot_of(robot: Robot | File) -> Robot:
-    """The robot, read where a file is given.
-
-    Raises:
-        InputError: If it is neither, or the file is not a robot.
-    """
+    """The robot, read where a file is given."""
     from sim2real.robot import Robot, read_robot
 
     _check_type("robot", robot, Robot, "a robot or its robot.toml")
@@ -300,11 +288,7 @@ def robot_of(robot: Robot | File) -> Robot:
 
 
 def model_of(model: Model | File) -> Model:
-    """The model, read where a file is given.
-
-    Raises:
-        InputError: If it is neither, or the file is not a model.
-    """
+    """The model, read where a file is given."""
     from sim2real.model import Model, read_model
 
     _check_type("model", model, Model, "a model or its MODEL.json")

@@ -12,13 +12,10 @@ UNKNOWN = "0+unknown"
 
 
 def read_version(folder: Path = Path(__file__).parents[1]) -> str:
-    """The version.
+    """The version of the package in a folder.
 
     A checkout comes before the installed metadata: an editable install keeps the metadata of the
     day it was made, and ``PYTHONPATH`` may select a checkout other than the installed one.
-
-    Args:
-        folder: The folder that holds the package ``sim2real``.
     """
     project = folder / "pyproject.toml"
     if project.is_file():

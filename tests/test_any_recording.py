@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from simulated import INERTIA, KD, KP, LATENCY, recording, robot
 
 import sim2real as s2r
-from sim2real.commands.streams import plain
 from sim2real.diagnose.result import write_diagnosis
 from sim2real.errors import InputError
 from sim2real.model import JointModel, Model, read_model, write_model
+from sim2real.output import finite_json
 from sim2real.ranges.entry import write_ranges
 from sim2real.recording import Load, Recording
 from sim2real.robot import Link, Robot
@@ -186,7 +186,7 @@ def test_any_recording(verb: str, tmp_path: Path) -> None:
         except InputError as error:
             assert "\n" not in str(error)
             return
-        json.dumps(plain(result), allow_nan=False)
+        json.dumps(finite_json(result), allow_nan=False)
         for written in tmp_path.glob("*.json"):
             json.loads(written.read_text(), parse_constant=pytest.fail)
 

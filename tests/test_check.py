@@ -169,11 +169,6 @@ def test_lag_is_no_wrong_sign(frequency: float, lag: float) -> None:
         assert "against" not in said(check(recording(command, position)))
 
 
-@pytest.mark.usefixtures("without_fits")
-def test_data_sheet_needs_a_robot() -> None:
-    assert said(check(recording(2 * SQUARE))) == ""
-
-
 def test_joint_that_the_robot_lacks() -> None:
     strange = replace(recording(), joints=("j9",), loads={})
     for look in (match_joints, check):
@@ -184,13 +179,6 @@ def test_joint_that_the_robot_lacks() -> None:
         assert caught.value.expected == "one of j1, j2, j3"
         assert caught.value.file == "bench.csv"
     match_joints(recording(), robot("j0", "j1"))
-
-
-@pytest.mark.parametrize("samples", [2, 3, 4, 20])
-def test_very_short_recordings(samples: int) -> None:
-    t = T[:samples]
-    for command in (0 * t, np.where(np.arange(samples) < 1, 0.0, 0.5), t):
-        str(check(recording(command, t=t), robot("j1")))
 
 
 @pytest.mark.usefixtures("without_fits")
@@ -223,18 +211,6 @@ def test_real_servos(realdata) -> None:
         assert ("very slowly" in said(checked)) == ("up_and_down" in csv.name)
         assert "against" not in said(checked)
         assert "limits" not in said(checked)
-
-
-def test_real_backlash_stand(realdata) -> None:
-    folder = realdata / "sts3215_backlash"
-    for csv in sorted(folder.glob("*.csv")):
-        recorded = read_recording(csv)
-        checked = check(recorded, read_robot(folder / recorded.metadata["robot"]))
-        assert all(
-            "has no stated load" in said(replace(checked, joints=(j,))) for j in checked.joints
-        )
-        assert "At 9.9 Hz" in said(checked)
-        assert "against" not in said(checked)
 
 
 @pytest.mark.usefixtures("without_fits")

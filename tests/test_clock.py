@@ -53,10 +53,6 @@ def test_an_odd_clock(t: np.ndarray, words: str) -> None:
     assert words in " ".join(clock_findings(t))
 
 
-def test_a_set_point_and_an_angle_may_have_rows_of_their_own() -> None:
-    check_sampling("log.csv", np.sort(np.concatenate([T, T + 5e-6])))
-
-
 @pytest.mark.parametrize("jitter_s", [1e-4, 1e-3])
 def test_jitter_and_gaps_are_told_apart(jitter_s: float) -> None:
     rng = np.random.default_rng(0)

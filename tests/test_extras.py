@@ -119,10 +119,3 @@ def test_help_of_every_command_without_docstrings():
     done = python(EVERY_HELP, PYTHONOPTIMIZE="2", PYTHONDONTWRITEBYTECODE="1")
     assert done.returncode == 0, done.stderr[-2000:]
     assert "all recordings of one joint are fitted together" in " ".join(done.stdout.split())
-
-
-def test_a_command_runs_without_docstrings(bench):
-    more = {"PYTHONOPTIMIZE": "2", "PYTHONDONTWRITEBYTECODE": "1"}
-    done = python("import sys\n" + RUN, *call("identify", bench, "o.json"), "--no-plots", **more)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert (done.stderr, "RMSE" in done.stdout) == ("", True)

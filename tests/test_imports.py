@@ -179,11 +179,8 @@ def test_light_modules_import_nothing_heavy() -> None:
     ("file", "source", "why"),
     [
         ("sim2real/fit.py", "import sim", "sim2real/fit.py:1 imports sim from the floor above"),
-        ("sim2real/fit.py", "from rl.env import Env", "imports rl.env from the floor above"),
         ("sim2real/fit.py", "def f():\n    import rl", "sim2real/fit.py:2 imports rl from"),
-        ("sim2real/a/b.py", "if True:\n    import rl", "sim2real/a/b.py:2 imports rl from"),
         ("sim2real/a/b.py", "from ...rl import env", "imports rl from the floor above"),
-        ("sim/water.py", "from rl import task", "imports rl from the floor above"),
         (
             "sim/water.py",
             "import importlib\nimportlib.import_module('rl.env')",
@@ -194,18 +191,9 @@ def test_light_modules_import_nothing_heavy() -> None:
             "import sim.fluid",
             "imports sim.fluid from the floor above",
         ),
-        ("sim2real/__init__.py", "from sim import verbs", "imports sim from the floor above"),
         ("sim2real/cli.py", "class A:\n    import rl", "imports rl from the floor above"),
         ("sim2real/cli.py", "try:\n    import numpy as np\nfinally:\n    pass", "before it is"),
-        ("sim2real/__init__.py", "from scipy.stats import chi2", "imports scipy before it is"),
         ("sim/water.py", "import emcee", "imports emcee, allowed in sim2real/ only"),
-        (
-            "rl/env.py",
-            "def f():\n    import warp as wp",
-            "imports warp, allowed in sim2real/servo/",
-        ),
-        ("sim2real/fit.py", "import torch", "imports torch, allowed in rl/ only"),
-        ("sim2real/fit.py", "import serial", "allowed in sim2real/hardware/ only"),
         ("sim2real/fit.py", "import datasets.make", "imports datasets, allowed in no package"),
     ],
 )
@@ -222,14 +210,9 @@ def test_an_offence_is_found(tmp_path: Path, file: str, source: str, why: str) -
     ("file", "source"),
     [
         ("rl/env.py", "import sim.fluid, sim2real\nimport torch, gymnasium, numpy"),
-        (
-            "sim/water.py",
-            "import warp\nfrom sim2real.robot import Robot\nfrom . import units",
-        ),
         ("sim2real/servo/batch.py", "import emcee, warp, numpy, scipy, pandas, simulate_me"),
         ("sim2real/cli.py", "def train():\n    from rl import train\n    import numpy.linalg"),
         ("sim2real/__init__.py", "def __getattr__(name):\n    import sim.verbs"),
-        ("sim2real/hardware/bus.py", "import serial, cv2"),
         ("sim2real/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rl"),
     ],
 )

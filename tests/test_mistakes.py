@@ -80,17 +80,6 @@ def test_commands_whose_times_are_not_in_seconds(tmp_path: Path, unit: float) ->
     assert read_commands(path).t.size == 3
 
 
-@pytest.mark.parametrize("frequency_hz", [0.2, 0.7, 1.0, 2.0, 3.0])
-@pytest.mark.parametrize("latency_s", [0.02, 0.08, 0.15])
-def test_smooth_commands_are_followed(frequency_hz: float, latency_s: float) -> None:
-    t = 0.02 * np.arange(600)
-    rng = np.random.default_rng(0)
-    phase = 2 * np.pi * frequency_hz * np.maximum(t - 0.5, 0.0)
-    late = 2 * np.pi * frequency_hz * np.maximum(t - 0.5 - latency_s, 0.0)
-    command, position = 0.5 * np.sin(phase), 0.5 * np.sin(late) + rng.normal(0, 0.002, t.size)
-    assert lead_s(t, command, position) is None
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_lead_is_measured(seed: int) -> None:
     bench = recording(seed, seconds=8.0)
@@ -139,14 +128,6 @@ def test_arguments(call: Callable[[], object], parts: tuple[str, ...]) -> None:
     message(call, *parts)
 
 
-def test_a_lone_effect_is_a_list_of_one() -> None:
-    alone, listed = (
-        s2r.identify(GOOD, BENCH, effects=e) for e in ("coulomb_friction", ["coulomb_friction"])
-    )
-    assert alone.joints["j1"].effects == listed.joints["j1"].effects
-    assert alone.joints["j1"].effects[0].effect == "coulomb_friction"
-
-
 def test_no_data_sheet_means_the_linear_law() -> None:
     for stated in ({}, {"max_torque_Nm": 1.67}):
         bare = with_sheet(**stated)
@@ -182,3 +163,14 @@ def test_infinite_numbers_in_json(tmp_path: Path) -> None:
     write_json(path, {"a": [np.inf, -np.inf, float("nan")], "b": {"c": (np.float64(np.inf), 1.5)}})
     found = json.loads(path.read_text(), parse_constant=pytest.fail)
     assert found == {"a": ["inf", "-inf", None], "b": {"c": ["inf", 1.5]}}
+
+
+@pytest.mark.parametrize("frequency_hz", [0.2, 0.7, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("latency_s", [0.02, 0.08, 0.15])
+def test_smooth_commands_are_followed(frequency_hz: float, latency_s: float) -> None:
+    t = 0.02 * np.arange(600)
+    rng = np.random.default_rng(0)
+    phase = 2 * np.pi * frequency_hz * np.maximum(t - 0.5, 0.0)
+    late = 2 * np.pi * frequency_hz * np.maximum(t - 0.5 - latency_s, 0.0)
+    command, position = 0.5 * np.sin(phase), 0.5 * np.sin(late) + rng.normal(0, 0.002, t.size)
+    assert lead_s(t, command, position) is None

@@ -64,18 +64,6 @@ def test_infinite_ends_are_null(tmp_path: Path) -> None:
     assert read_model(tmp_path / "model.json").joints["j1"].interval == interval
 
 
-def test_per_inertia_is_said_only_where_it_holds(tmp_path: Path) -> None:
-    joints = {
-        "j1": JointModel(1100.0, 30.0, 0.068, 1.0, per_inertia=True),
-        "j2": JointModel(2.2, 0.06, 0.068, 0.002),
-    }
-    write_model(Model(joints), tmp_path / "model.json")
-    written = json.loads((tmp_path / "model.json").read_text())["joints"]
-    assert written["j1"]["per_inertia"] is True
-    assert "per_inertia" not in written["j2"]
-    assert read_model(tmp_path / "model.json").joints == joints
-
-
 def test_a_model_by_hand_may_be_short(tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     joint = {"kp_Nm_per_rad": 2, "kd_Nms_per_rad": 0, "latency_s": 0, "inertia_kgm2": 1}
@@ -116,13 +104,3 @@ def test_a_file_whose_load_includes_the_rotor_moves_as_it_did(tmp_path: Path, ef
     np.testing.assert_allclose(after, before, atol=1e-12)
     write_model(read_model(path), path)
     assert read_model(path).joints["j1"] == read
-
-
-def test_a_file_without_a_rotor_in_its_gear_train_is_read_as_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "model.json"
-    joint = {"kp_Nm_per_rad": 2, "kd_Nms_per_rad": 0, "latency_s": 0, "inertia_kgm2": 1}
-    effects = [{"effect": "unmodelled_inertia", "parameters": {"inertia_kgm2": 0.001}}]
-    content = {"schema": "sim2real.model/1", "joints": {"j1": joint | {"effects": effects}}}
-    path.write_text(json.dumps(content))
-    (read,) = read_model(path).joints.values()
-    assert read.effects == (FittedEffect("unmodelled_inertia", {"inertia_kgm2": 0.001}),)

@@ -69,11 +69,6 @@ def test_no_step_without_two_close_levels(position: list[float]) -> None:
     assert quantization_step(np.array(position)) == 0
 
 
-def test_resting_exactly_is_no_quantization() -> None:
-    t = np.arange(0, 4, 0.01)
-    assert quantization_step(np.where(t < 1, 0, 0.3 * np.sin(t - 1))) == 0
-
-
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("ratio", [0, 0.1, 0.5, 1, 2])
 @pytest.mark.parametrize("step", STEPS[:2])
@@ -119,13 +114,6 @@ def test_never_below_the_quantization_error() -> None:
     assert noise_floor(t, ramp, ramp) == pytest.approx(0.001 / np.sqrt(12), rel=0.01)
 
 
-def test_commands_missing() -> None:
-    rng = np.random.default_rng(3)
-    t = times(rng)
-    position = np.sin(t) + rng.normal(0, 0.01, t.size)
-    assert noise_floor(t, np.full(t.size, np.nan), position) == pytest.approx(0.01, rel=0.15)
-
-
 @pytest.mark.parametrize("samples", [0, 1, 2, 5, 6, 9])
 def test_too_few_samples_say_little(samples: int) -> None:
     t = np.arange(samples) / 50
@@ -150,9 +138,13 @@ def test_steps_of_real_servos(realdata, folder: str) -> None:
             assert step / 4 < noise < 2 * step, csv.name
 
 
-def test_noise_of_a_tracked_fish(realdata) -> None:
-    recording = read_recording(realdata / "fishsim" / "f0_75.csv")
-    assert quantization_step(recording.position[:, 0]) == 0
-    for j, stated in enumerate(("j1.position_rad", "j2.position_rad")):
-        noise = noise_floor(recording.t, recording.command[:, j], recording.position[:, j])
-        assert noise == pytest.approx(recording.metadata["noise_sd"][stated], rel=0.15)
+def test_commands_missing() -> None:
+    rng = np.random.default_rng(3)
+    t = times(rng)
+    position = np.sin(t) + rng.normal(0, 0.01, t.size)
+    assert noise_floor(t, np.full(t.size, np.nan), position) == pytest.approx(0.01, rel=0.15)
+
+
+def test_resting_exactly_is_no_quantization() -> None:
+    t = np.arange(0, 4, 0.01)
+    assert quantization_step(np.where(t < 1, 0, 0.3 * np.sin(t - 1))) == 0

@@ -54,14 +54,6 @@ def test_the_version_of_an_installed_package_is_that_of_its_metadata(tmp_path, m
     assert read_version(tmp_path) == "7.1"
 
 
-def test_a_copied_folder_without_metadata_has_a_version_too(tmp_path, monkeypatch):
-    def lacking(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr("sim2real.version.version", lacking)
-    assert read_version(tmp_path) == UNKNOWN
-
-
 def test_the_version_is_read_only_when_it_is_asked_for():
     program = (
         "import sys, sim2real\nfrom sim2real.cli import parser\nparser(only=[])\n"
@@ -111,3 +103,11 @@ def test_a_release_has_a_section_of_the_changelog_as_its_text():
     assert run.returncode == 0 and run.stdout.strip()
     section = changelog.partition(f"## [{number}]")[2].partition("\n")[2].partition("\n## [")[0]
     assert run.stdout.strip() == section.strip()
+
+
+def test_a_copied_folder_without_metadata_has_a_version_too(tmp_path, monkeypatch):
+    def lacking(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("sim2real.version.version", lacking)
+    assert read_version(tmp_path) == UNKNOWN

@@ -119,30 +119,6 @@ def test_fields_of_a_recording(tmp_path: Path) -> None:
     assert [recording.powered(j) for j in (0, 1)] == [2, 4]
 
 
-def test_part_of_a_recording(tmp_path: Path) -> None:
-    recording = example(tmp_path)
-    part = recording.between(1, 3)
-    np.testing.assert_array_equal(part.t, [0.02, 0.05])
-    np.testing.assert_array_equal(part.command, recording.command[1:3])
-    np.testing.assert_array_equal(part.position, recording.position[1:3])
-    np.testing.assert_array_equal(part.columns["supply_V"], [7.3, np.nan])
-    assert (part.loads, part.joints) == (recording.loads, recording.joints)
-    whole = recording.between(0, 4)
-    np.testing.assert_array_equal(whole.position, recording.position)
-
-
-def test_pool_without_commands(tmp_path: Path) -> None:
-    path = tmp_path / "swim.csv"
-    path.write_text("t_s,j1.position_rad,body.x_m\n0,0.1,0\n0.02,0.2,0.01\n")
-    sidecar = {"schema": "sim2real.recording/1", "kind": "pool", "joints": ["j1"]}
-    path.with_suffix(".json").write_text(json.dumps(sidecar | {"medium": "water"}))
-    recording = read_recording(path)
-    assert np.isnan(recording.command).all()
-    assert recording.command.shape == (2, 1)
-    assert recording.powered(0) == 0
-    assert (recording.medium, recording.loads) == ("water", {})
-
-
 def test_commands_alone(tmp_path: Path) -> None:
     path = tmp_path / "commands.csv"
     path.write_text("t_s,j1.command_rad,remark,j1.position_rad\n0,0.1,slow,\n0.02,0.2,fast,\n")
@@ -163,13 +139,3 @@ def test_line_endings_and_byte_order_mark(tmp_path: Path) -> None:
     for written in ("\ufeff" + text, text.replace("\n", "\r\n"), text + "\n\n"):
         path.write_bytes(written.encode())
         np.testing.assert_array_equal(read_recording(path).position, expected.position)
-
-
-def test_real_recordings_survive_a_round_trip(realdata: Path, tmp_path: Path) -> None:
-    for csv in sorted(realdata.glob("*_*/*.csv")):
-        recording = read_recording(csv)
-        write_recording(recording, tmp_path / csv.name)
-        back = read_recording(tmp_path / csv.name)
-        np.testing.assert_array_equal(back.position, recording.position)
-        np.testing.assert_array_equal(back.command, recording.command)
-        assert back.metadata == recording.metadata

@@ -101,12 +101,6 @@ def test_kp_is_in_proportion_to_the_firmware_gain(tmp_path):
         assert error < 2 * simulated.NOISE
 
 
-@pytest.mark.parametrize("gain", ["high", 0, -3.0, [1]])
-def test_gains_that_are_none(gain):
-    with pytest.raises(InputError, match="firmware_p_gain"):
-        identify([replace(GOOD, metadata={"firmware_p_gain": gain})], ROBOT)
-
-
 def test_an_alias_above_half_the_sampling_rate_is_searched_again(monkeypatch):
     """Smooth motions at 30 Hz: a servo that rings at 26 Hz is an optimum, too."""
     t = np.arange(0, 20, 1 / 30)
@@ -234,3 +228,9 @@ def test_missing_rows_are_no_irregular_timing(monkeypatch):
     found = s2r.diagnose(recordings, ROBOT)
     assert found.effects == ()
     assert ["samples are missing one at a time" in text for text in found.warnings] == [True] * 2
+
+
+@pytest.mark.parametrize("gain", ["high", 0, -3.0, [1]])
+def test_gains_that_are_none(gain):
+    with pytest.raises(InputError, match="firmware_p_gain"):
+        identify([replace(GOOD, metadata={"firmware_p_gain": gain})], ROBOT)

@@ -71,14 +71,6 @@ def test_fields_of_a_robot(tmp_path: Path) -> None:
     assert robot.joint("j3") is None
 
 
-def test_real_robots(realdata: Path) -> None:
-    files = sorted(realdata.glob("*/robot*.toml"))
-    assert files
-    for path in files:
-        robot = read_robot(path)
-        assert len(robot.links) == len(robot.joints) + 1
-
-
 BENCH = """
 [[joints]]
 name = "j1"

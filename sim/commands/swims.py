@@ -79,11 +79,11 @@ def design(options: argparse.Namespace) -> int:
     if options.no_page:
         return 0
     with if_installed("page"):
-        from sim2real.report.design_plot import section_of
+        from sim2real.report.design_plot import design_section, rivals_section
         from sim2real.report.page import write_page
 
         page = beside(out, f"{out.stem}.html")
-        section = section_of(found)
+        section = rivals_section(found) if isinstance(found, RivalDesign) else design_section(found)
         title = f"The next recording of {robot_of(options.robot).name}"
         write_page(page, title, "The most informative commands", [section], found.provenance)
         print(f"page: {page}")

@@ -43,9 +43,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             servos = _found(link, ids)
             print(table(servos))
-            text = None
-            if options.robot is None:
-                text = robot_text(options.bus, servos, options.reach)
+            text = None if options.robot else robot_text(options.bus, servos, options.reach)
             if given is None:
                 given = [_asked(servo_id) for servo_id in ids]
             if text is not None:
@@ -112,10 +110,8 @@ def _write_page(
 
         shown = replay(model, [recording])
         fits = [(one.recording, one.joint, one.predicted, one.held_out) for one in shown]
-        sections = [
-            identification_section(model, fits),
-            recordings_section([recording], [check(recording, robot, seed=options.seed)]),
-        ]
+        checked = check(recording, robot, seed=options.seed)
+        sections = [identification_section(model, fits), recordings_section([recording], [checked])]
         page = options.out / "index.html"
         write_page(page, robot.name, f"{options.bus} servos", sections, model.provenance)
         print(f"\npage: {page}")
@@ -125,11 +121,8 @@ def _found(link: Connection, ids: Sequence[int]) -> list[Found]:
     servos, _ = scan(link.bus, ids, PATIENCE_S)
     missing = sorted(set(ids) - {servo.servo_id for servo in servos})
     if missing:
-        listed = ", ".join(str(k) for k in missing)
-        raise Stopped(
-            f"no reply from servo {listed} ({link.bus.name}, {link.bus.baud} baud): check supply, "
-            "--ids, --bus and --baud"
-        )
+        asked = f"servo {', '.join(map(str, missing))} ({link.bus.name}, {link.bus.baud} baud)"
+        raise Stopped(f"no reply from {asked}: check supply, --ids, --bus and --baud")
     return servos
 
 
@@ -162,12 +155,10 @@ def _given_loads(
 def _asked(servo_id: int) -> Weight | None:
     """The load, asked for on the terminal; None if it is unknown."""
     mass = _answer(f"mass of the load on servo {servo_id}, kg (empty: unknown): ")
-    if mass is None:
-        return None
-    arm = None
-    while arm is None:
-        arm = _answer("distance of its centre from the shaft, m: ")
-    return Weight(mass, arm)
+    while mass is not None:
+        if arm := _answer("distance of its centre from the shaft, m: "):
+            return Weight(mass, arm)
+    return None
 
 
 def _answer(question: str) -> float | None:
@@ -186,7 +177,7 @@ def _answer(question: str) -> float | None:
 
 
 def _positive(option: str, text: str | None, count: int) -> list[float]:
-    if text is None:
-        raise InputError(option, "", "nothing", f"{count} numbers above 0")
     expected = f"{count} numbers above 0, one for each servo"
+    if text is None:
+        raise InputError(option, "", "nothing", expected)
     return numbers(option, text, float, expected, count=count, positive=True)

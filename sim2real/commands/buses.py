@@ -64,12 +64,9 @@ def scan(options: argparse.Namespace) -> int:
             if baud != kind.baud_rates[0] and options.baud is None:
                 print(f"They answer at {baud} baud{_RESET if options.bus == 'lx' else _PASS}.")
             return 0
-    tried = ", ".join(str(baud) for baud in rates)
-    print(
-        f"sim2real scan: no servo answers on {options.port} ({options.bus}, {tried} baud): "
-        "check supply, --bus, --baud and --ids",
-        file=sys.stderr,
-    )
+    tried = f"{options.port} ({options.bus}, {', '.join(map(str, rates))} baud)"
+    advice = "check supply, --bus, --baud and --ids"
+    print(f"sim2real scan: no servo answers on {tried}: {advice}", file=sys.stderr)
     return 1
 
 
@@ -101,24 +98,14 @@ def virtual_servo(options: argparse.Namespace) -> int:
         raise InputError("--baud", "", f"{baud}", "a rate above 0, such as 1000000")
     make = _maker(options)
     now = time.monotonic()
-    health = {
-        "supply_V": options.supply,
-        "temperature_C": options.temperature,
-        "heating_C_per_s": options.heating,
-    }
+    names = {"supply_V": "supply", "temperature_C": "temperature", "heating_C_per_s": "heating"}
+    health = {name: getattr(options, option) for name, option in names.items()}
     laws = zip(ids, _laws(options, len(ids)), strict=True)
     servos = [make(servo_id, law, now, **health) for servo_id, law in laws]
     rng = np.random.default_rng(options.seed)
-    bus = VirtualBus(
-        servos,
-        kind.protocol,
-        rng,
-        noise=options.noise,
-        loss=0.0 if options.udp else options.loss,
-        echo=options.echo,
-        baud=baud,
-        fast=options.fast,
-    )
+    wire = {name: getattr(options, name) for name in ("noise", "echo", "fast")}
+    loss = 0.0 if options.udp else options.loss
+    bus = VirtualBus(servos, kind.protocol, rng, loss=loss, baud=baud, **wire)
 
     def announce(port: str) -> None:
         print(f"port: {port}", flush=True)

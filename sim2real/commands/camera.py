@@ -52,11 +52,9 @@ def track_video(options: argparse.Namespace) -> int:
     write_recording(replace(recording, name=out.stem, source=source), out)
     picture = beside(out, f"{out.stem}.png")
     save_png(track_figure(seen, camera.corners_m), picture)
+    surge, yaw = speed[:, 0].mean(), np.abs(speed[:, 2]).max()
     print(f"seen in {int(seen.seen.sum())} of {seen.t.size} frames")
-    print(
-        f"mean surge {speed[:, 0].mean():.3f} m/s, largest yaw rate "
-        f"{np.abs(speed[:, 2]).max():.2f} rad/s"
-    )
+    print(f"mean surge {surge:.3f} m/s, largest yaw rate {yaw:.2f} rad/s")
     print(f"recording: {out}\npicture: {picture}")
     return 0
 
@@ -78,11 +76,7 @@ def _poses_only(seen: Track, joints: Sequence[str]) -> Recording:
 
 
 def _with_servos(seen: Track, servo: Recording, options: argparse.Namespace) -> Recording:
-    """The servo recording with the body's columns, on a common clock.
-
-    Raises:
-        InputError: If the clocks cannot be synchronised.
-    """
+    """The servo recording with the body's columns, on a common clock."""
     try:
         if options.sync == "correlate":
             start, share = correlated(seen, servo)

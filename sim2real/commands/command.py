@@ -7,7 +7,7 @@ import ast
 import inspect
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from textwrap import dedent
 from typing import Any, NamedTuple, TypeVar
@@ -17,14 +17,12 @@ from sim2real.errors import InputError
 N = TypeVar("N", int, float)
 Verb = Callable[..., Any]
 
-_COMMON = ("seed",)
-"""Arguments that every command has (``sim2real.cli``)."""
 _FILES = {"Recorded": "RECORDING", "Robot": "TOML", "Model": "MODEL", "File": "FILE"}
 _NUMBERS: dict[str, type] = {"int": int, "float": float}
 _PATHS = ("FILE", "FOLDER", "CSV", "TOML", "MODEL", "PNG", "RECORDING", "PICTURE")
 _TYPES: dict[str, type] = {"N": int, "X": float, **dict.fromkeys(_PATHS, Path)}
 """Type of an option by the name of its value; text by default."""
-_LINE = re.compile(r"(?P<name>\S+?)(?: (?P<value>\S+?)(?P<count>[?+]|\*\d)?)?(?P<needed>!?)"
+_LINE = re.compile(r"(?P<name>\S+?)(?: (?P<value>\S+?)(?P<count>[?+&]|\*\d)?)?(?P<needed>!?)"
                    r"(?: = (?P<default>\S+))?: (?P<help>.*)")  # fmt: skip
 
 
@@ -43,23 +41,15 @@ _EXECUTOR = """
 
 
 class Command(NamedTuple):
-    """One command.
+    """One command."""
 
-    Attributes:
-        name: Name on the command line.
-        module: Imported when it runs; its ``run(options)``, or the function after a colon, returns
-            the exit status, and may set ``options.result``, which ``--json`` prints if no JSON
-            file is written.
-        add: Adds its options to a parser.
-        example: An example call.
-        resumes: Whether the same call resumes after an interrupt.
-    """
-
-    name: str
+    name: str  # on the command line
     module: str
-    add: Callable[[argparse.ArgumentParser], None]
-    example: str
-    resumes: bool = False
+    """Imported when it runs; its ``run(options)``, or the function after a colon, returns the exit
+    status, and may set ``options.result``, which ``--json`` prints if no JSON file is written."""
+    add: Callable[[argparse.ArgumentParser], None]  # adds its options to a parser
+    example: str  # an example call
+    resumes: bool = False  # whether the same call resumes after an interrupt
 
 
 def command(
@@ -80,7 +70,12 @@ def command(
             else:
                 add_verb(parser, some, leave_out=leave_out)
 
-    return Command(name, module, add, example, resumes)
+    return Command(name, module, add, f"sim2real {name} {example}", resumes)
+
+
+def commands(table: Mapping[str, tuple[str, Sequence[str | Verb], str]]) -> tuple[Command, ...]:
+    """Commands by name, each with its module, options and those of an example."""
+    return tuple(command(name, *described) for name, described in table.items())
 
 
 def add_options(command: argparse.ArgumentParser, text: str) -> None:
@@ -88,8 +83,8 @@ def add_options(command: argparse.ArgumentParser, text: str) -> None:
 
     ``VALUE`` says the type (``FILE``, ``N`` or ``X`` for whole and other numbers, ``a|b`` for
     choices); without one the option is a flag. ``VALUE!`` is required, ``VALUE+`` takes one or
-    more, ``VALUE*4`` four, ``VALUE?`` an optional argument. A name without dashes is an argument.
-    Indented lines continue the one above.
+    more, ``VALUE*4`` four, ``VALUE?`` an optional argument, ``VALUE&`` may be given repeatedly. A
+    name without dashes is an argument. Indented lines continue the one above.
     """
     for line in re.sub(r"\n +", " ", text.strip()).splitlines():
         found = _LINE.fullmatch(line)
@@ -101,7 +96,10 @@ def add_options(command: argparse.ArgumentParser, text: str) -> None:
         kind, default = _TYPES.get(value, str), found["default"]
         options: dict[str, Any] = {"help": found["help"], "type": kind}
         options |= {"choices": value.split("|")} if "|" in value else {"metavar": value}
-        options |= {"nargs": int(count[1:]) if count[0] == "*" else count} if count else {}
+        if count == "&":
+            options["action"] = "append"
+        elif count:
+            options["nargs"] = int(count[1:]) if count[0] == "*" else count
         options |= {"required": True} if found["needed"] else {}
         if default is not None:
             options["default"] = [*map(kind, default.split(","))] if count else kind(default)
@@ -116,20 +114,14 @@ def add_verb(
     positional: Collection[str] = ("recordings",),
     leave_out: Collection[str] = (),
 ) -> None:
-    """Add an option for each argument of a verb.
+    """Add an option for each argument of a verb that the parser lacks and that is not left out.
 
-    The annotation determines the type of an option, the default whether it is required, and the
-    entry under ``Args`` of the docstring is its help.
-
-    Args:
-        command: The parser to add to.
-        verb: A function whose annotations are strings (``from __future__ import annotations``).
-        positional: Arguments without an option name.
-        leave_out: Arguments that the command sets itself.
+    The annotation, a string, determines the type of an option, the default whether it is required,
+    and the entry under ``Args`` of the docstring is its help. ``positional`` have no option name.
     """
-    described = described_arguments(verb)
+    described, there = described_arguments(verb), {action.dest for action in command._actions}
     for name, parameter in inspect.signature(verb).parameters.items():
-        if name in _COMMON or name in leave_out:
+        if name in there or name in leave_out:
             continue
         options = _options(str(parameter.annotation), parameter.default)
         options["help"] = _help(described[name], parameter.default)
@@ -149,8 +141,7 @@ def arguments_of(verb: Verb, options: argparse.Namespace, **other: Any) -> dict[
 
 def described_arguments(verb: Verb) -> dict[str, str]:
     """The text of each argument in a docstring in Google's style, on one line."""
-    text = inspect.getdoc(verb) or _docstring(verb)
-    _, _, block = text.partition("Args:\n")
+    _, _, block = (inspect.getdoc(verb) or _docstring(verb)).partition("Args:\n")
     block = re.split(r"\n\n?\S", block, maxsplit=1)[0]
     entries = re.split(r"^ {4}(\w+): ", block, flags=re.M)[1:]
     return {
@@ -190,43 +181,10 @@ def _help(text: str, default: object) -> str:
     return (lowered + (f" (default {shown})" if stated else "")).replace("%", "%%")
 
 
-def add_file(
-    command: argparse.ArgumentParser, name: str, metavar: str, text: str, *, required: bool = False
-) -> None:
-    """Add a file or folder: an option, or a positional argument where its name has no dashes."""
-    command.add_argument(name, type=Path, metavar=metavar, help=text).required |= required
-
-
-def add_number(
-    command: argparse.ArgumentParser, name: str, metavar: str, text: str, default: float
-) -> None:
-    """Add a number, of the type of its default, which the help states."""
-    text += f" (default {default:g})"
-    command.add_argument(name, type=type(default), default=default, metavar=metavar, help=text)
-
-
-def add_flag(command: argparse.ArgumentParser, name: str, text: str) -> None:
-    """Add an option without a value."""
-    command.add_argument(name, action="store_true", help=text)
-
-
-def add_former(command: argparse.ArgumentParser, name: str, stands_for: str) -> None:
-    """Add a former name of an option, which still works and is not shown in help."""
-    command.add_argument(
-        name, dest=stands_for, type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS
-    )
-
-
 def add_executor(
     command: argparse.ArgumentParser, *, default: str | None = None, otherwise: str = ""
 ) -> None:
-    """Add ``--executor``, ``--jobs``, ``--address`` and ``--retries``.
-
-    Args:
-        command: The parser to add to.
-        default: The executor without the option; None for no jobs.
-        otherwise: What happens without the option.
-    """
+    """Add ``--executor`` (None: no jobs, but ``otherwise``), ``--jobs`` and so on."""
     add_options(command, _EXECUTOR.format(otherwise or default))
     command.set_defaults(executor=default)
 
@@ -251,18 +209,9 @@ def numbers(
     count: int | None = None,
     positive: bool = False,
 ) -> list[N]:
-    """Finite numbers in a text, commas between.
+    """Finite numbers, commas between, of type ``kind``; InputError unless as ``expected``.
 
-    Args:
-        option: Name of the option, for the message.
-        text: The text.
-        kind: ``int`` or ``float``.
-        expected: What was expected, for the message.
-        count: How many there must be; None for any number.
-        positive: Whether all must be above 0.
-
-    Raises:
-        InputError: If they are not as expected.
+    There must be ``count`` of them, or any number if that is None, all above 0 if ``positive``.
     """
     try:
         found = [kind(part) for part in text.split(",")]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sim2real.errors import InputError, library
 from sim2real.output import Results, check_not_read, check_writable, is_stream
@@ -23,12 +24,9 @@ _VIEWS = {"rerun": (".rrd", "rerun"), "mcap": (".mcap", "mcap.writer")}
 
 
 def check_files(options: argparse.Namespace, files: Results) -> None:
-    """Declare all files that a command reads, and check that it writes none of them.
+    """Declare all files that a command reads, none endless, and check that it writes none of them.
 
     A recording or table ``NAME.csv`` is read and written with its ``NAME.json``.
-
-    Raises:
-        InputError: If an input is a pipe or a device, or an output is an input or is named twice.
     """
     writes = [name for name in WRITTEN if name not in _READ.get(options.command, ())]
     for name, value in vars(options).items():
@@ -43,9 +41,10 @@ def check_files(options: argparse.Namespace, files: Results) -> None:
         for path in _paths(getattr(options, name, None)):
             check_not_read(path)
         if isinstance(out := getattr(options, name, None), Path) and not is_stream(out):
-            if (place := _real(out)) in named:
-                raise InputError(out, f"--{name}", "a file that is named twice", "another file")
-            named.add(place)
+            with contextlib.suppress(FileNotFoundError):  # of a working directory that is gone
+                if (place := os.path.realpath(out)) in named:
+                    raise InputError(out, f"--{name}", "a file that is named twice", "another file")
+                named.add(place)
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -58,21 +57,23 @@ def _paths(value: object) -> Iterator[Path]:
                 yield path.with_suffix(".json")
 
 
-def _real(path: Path) -> str:
-    """The path behind links; as it is where the working directory was removed."""
-    try:
-        return os.path.realpath(path)
-    except OSError:
-        return str(path)
+def check_written(options: argparse.Namespace) -> None:
+    """Raise InputError, before any computation, unless ``--out`` and ``--plot`` can be written."""
+    for path in (options.out, options.plot):
+        if path is not None:
+            check_writable(path)
+
+
+def save_plot(result: Any, path: Path | None) -> None:  # noqa: ANN401 - with a method plot
+    """Write the plot of a result, if a file for it is named."""
+    if path is not None:
+        from sim2real.report.drawing import save_png
+
+        save_png(result.plot(), path)
 
 
 def check_views(options: argparse.Namespace) -> None:
-    """Check, before any computation, that the files for viewers that are asked for can be written.
-
-    Raises:
-        InputError: If a name has another ending, a folder cannot be written, or a library is
-            missing.
-    """
+    """Raise InputError, before any computation, unless files for viewers can be written."""
     for name, (ending, module) in _VIEWS.items():
         path = getattr(options, name)
         if path is None:

@@ -59,11 +59,7 @@ _UNKNOWN_LOAD = (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import one log; print a summary, and a remark on joints with unknown loads.
-
-    Raises:
-        InputError: If the log or an argument is not as expected, or does not apply to such a log.
-    """
+    """Import one log; print a summary, and a remark on joints with unknown loads."""
     source, out = Path(args.source), check_writable(args.out)
     if source.suffix == ".json" and source.is_file() and is_bam_parameters(read_json(source)):
         _refuse_others(source, "BAM's parameters", args)
@@ -153,18 +149,11 @@ def _summary(recording: Recording) -> str:
     loaded = [joint for joint in recording.joints if joint in recording.loads]
     loads = f"load known on {', '.join(loaded)}" if loaded else "loads unknown"
     parts = [f"{recording.t.size} rows in {recording.duration_s:.2f} s"]
-    parts += [
-        f"joints {', '.join(recording.joints)}",
-        f"{recording.rate_hz:.3g} samples a second",
-        loads,
-    ]
-    if "format" in recording.metadata:
-        parts.append(str(recording.metadata["format"]))
-    if "left_out" in recording.metadata:
-        omitted = recording.metadata["left_out"]
-        parts.append(
-            f"{omitted['rows']} rows omitted from {omitted['from_s']:g} s: {omitted['why']}"
-        )
+    parts.append(f"joints {', '.join(recording.joints)}")
+    parts += [f"{recording.rate_hz:.3g} samples a second", loads]
+    parts += [str(recording.metadata["format"])] if "format" in recording.metadata else []
+    if (out := recording.metadata.get("left_out")) is not None:
+        parts.append(f"{out['rows']} rows omitted from {out['from_s']:g} s: {out['why']}")
     return "; ".join(parts)
 
 
@@ -178,10 +167,11 @@ def robot(options: argparse.Namespace) -> int:
     try:
         tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        expected = "names without control characters"
-        raise InputError(
-            options.source, "", f"names that TOML can't hold ({error})", expected
-        ) from None
+        found, expected = (
+            f"names that TOML can't hold ({error})",
+            "names without control characters",
+        )
+        raise InputError(options.source, "", found, expected) from None
     write_whole(out, text)
     options.result = {"file": str(out), "not_in_it": lines}
     print(out)

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
-
 from sim2real import verbs
-from sim2real.commands.command import (
-    VIEWS,
-    Command,
-    add_former,
-    add_options,
-    add_verb,
-    command,
-)
+from sim2real.commands.command import VIEWS, command, commands
 
 _RUNS, _EXPORTS = "sim2real.commands.recordings", "sim2real.commands.exports"
+_IMPORTS = "sim2real.commands.import_logs"
 
 
 _CHECK = """
@@ -71,6 +63,7 @@ model MODEL?: add: identified servo (MODEL.json)
 --date DAY: add: day of the recordings (2026-01-31)
 """
 _DENSITY = """
+robot TOML: the robot, with masses and lengths of its links (robot.toml)
 --model MODEL: model to add the densities to (MODEL.json)
 --out MODEL: model to write (MODEL.json)
 --plot PNG: plot of the mass distribution to write
@@ -80,6 +73,7 @@ source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder)
     (.csv, .tsv), or BAM's parameters of a servo (.json)
 --out CSV!: recording to write (of parameters: model)
 --state-topic TOPIC: bag: measured joint states
+--command-topic TOPIC&: bag: commanded positions; once, or once for each joint
 --joints JOINT+: bag, dataset: joints, in order
 --units UNIT+: dataset, table: unit of the angles: rad, deg, turns, counts, range_m100_100 or
     range_0_100; JOINT=UNIT for one joint, JOINT.command=UNIT or JOINT.position=UNIT for one of
@@ -97,93 +91,63 @@ source FILE: a BAM log (.json), a ROS 1 or 2 bag, a LeRobot dataset (its folder)
 """
 
 
-def _density(parser: argparse.ArgumentParser) -> None:
-    add_verb(parser, verbs.density, positional=("robot",))
-    add_options(parser, _DENSITY)
-    add_former(parser, "--png", "plot")
-
-
-def _import(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, _IMPORT)
-    text = "bag: commanded positions; once, or once for each joint"
-    parser.add_argument("--command-topic", metavar="TOPIC", action="append", help=text)
-
-
-COMMANDS = (
-    command(
-        "example",
-        f"{_RUNS}:example",
-        ["--out FOLDER = example: folder to write"],
-        "sim2real example --out example",
-    ),
-    command(
-        "check",
-        f"{_RUNS}:check",
-        [_CHECK],
-        "sim2real check steps.csv sine.csv --robot robot.toml",
-    ),
-    command(
-        "identify",
-        f"{_RUNS}:identify",
-        [verbs.identify, _IDENTIFY, VIEWS],
-        "sim2real identify steps.csv sine.csv square.csv --robot robot.toml --out model.json",
-    ),
-    Command(
-        "density",
-        f"{_RUNS}:density",
-        _density,
-        "sim2real density robot.toml --model model.json --out weighed.json",
-    ),
+COMMANDS = commands(
+    {
+        "example": (
+            f"{_RUNS}:example",
+            ["--out FOLDER = example: folder to write"],
+            "--out example",
+        ),
+        "check": (f"{_RUNS}:check", [_CHECK], "steps.csv sine.csv --robot robot.toml"),
+        "identify": (
+            f"{_RUNS}:identify",
+            [verbs.identify, _IDENTIFY, VIEWS],
+            "steps.csv sine.csv square.csv --robot robot.toml --out model.json",
+        ),
+        "density": (
+            f"{_RUNS}:density",
+            [_DENSITY, verbs.density],
+            "robot.toml --model model.json --out weighed.json",
+        ),
+        "predict": (
+            f"{_RUNS}:predict",
+            [_PREDICT, VIEWS],
+            "model.json chirp.csv --out predicted.csv",
+        ),
+        "completion": (
+            f"{_RUNS}:completion",
+            ["shell bash|zsh|tcsh: shell to write the script for"],
+            "bash > ~/.local/share/bash-completion/completions/sim2real",
+        ),
+        "import": (
+            _IMPORTS,
+            [_IMPORT],
+            "run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
+        ),
+        "robot": (f"{_IMPORTS}:robot", [_ROBOT], "from-urdf arm.urdf --out robot.toml"),
+        "export-servo": (
+            f"{_EXPORTS}:export_servo",
+            [_EXPORT_SERVO],
+            "diagnosis.enriched.json --to mujoco --out servos.xml --recordings steps.csv chirp.csv",
+        ),
+        "export-ranges": (
+            f"{_EXPORTS}:export_ranges",
+            [_EXPORT_RANGES],
+            "ranges.json --to isaaclab --out randomization.py",
+        ),
+        "servos": (
+            "sim2real.commands.servos",
+            [_SERVOS],
+            "xl330_gain800 --joints pan tilt --out model.json",
+        ),
+    }
+) + (
     command(
         "ranges",
         f"{_RUNS}:ranges",
         [verbs.ranges, _RANGES],
-        "sim2real ranges steps.csv square.csv --robot robot.toml --model model.json "
-        "--out ranges.json",
+        "steps.csv square.csv --robot robot.toml --model model.json --out ranges.json",
         resumes=True,
         leave_out=("chains",),
-    ),
-    command(
-        "predict",
-        f"{_RUNS}:predict",
-        [_PREDICT, VIEWS],
-        "sim2real predict model.json chirp.csv --out predicted.csv",
-    ),
-    command(
-        "completion",
-        f"{_RUNS}:completion",
-        ["shell bash|zsh|tcsh: shell to write the script for"],
-        "sim2real completion bash > ~/.local/share/bash-completion/completions/sim2real",
-    ),
-    Command(
-        "import",
-        "sim2real.commands.import_logs",
-        _import,
-        "sim2real import run.bag --state-topic /joint_states --command-topic /goal --out run.csv",
-    ),
-    command(
-        "robot",
-        "sim2real.commands.import_logs:robot",
-        [_ROBOT],
-        "sim2real robot from-urdf arm.urdf --out robot.toml",
-    ),
-    command(
-        "export-servo",
-        f"{_EXPORTS}:export_servo",
-        [_EXPORT_SERVO],
-        "sim2real export-servo diagnosis.enriched.json --to mujoco --out servos.xml "
-        "--recordings steps.csv chirp.csv",
-    ),
-    command(
-        "export-ranges",
-        f"{_EXPORTS}:export_ranges",
-        [_EXPORT_RANGES],
-        "sim2real export-ranges ranges.json --to isaaclab --out randomization.py",
-    ),
-    command(
-        "servos",
-        "sim2real.commands.servos",
-        [_SERVOS],
-        "sim2real servos xl330_gain800 --joints pan tilt --out model.json",
     ),
 )

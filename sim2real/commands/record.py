@@ -70,30 +70,14 @@ def run(options: argparse.Namespace) -> int:
 def sidecar(
     signal: Excitation, planned: dict[str, Any], *, name: str, **more: object
 ) -> dict[str, object]:
-    """The JSON of a recording of a signal.
-
-    Args:
-        signal: The signal.
-        planned: Loads, and what else is stated of a designed recording.
-        name: Name of the signal.
-        more: Medium, source and provenance.
-    """
-    return {
-        "schema": SCHEMA,
-        "kind": "servo",
-        "joints": list(signal.joints),
-        "signal": {"name": name, "notes": list(signal.notes)},
-        **planned,
-        **more,
-    }
+    """The JSON of a recording of a signal; ``planned`` has the loads, ``more`` the medium."""
+    played = {"name": name, "notes": list(signal.notes)}
+    head = {"schema": SCHEMA, "kind": "servo", "joints": list(signal.joints), "signal": played}
+    return head | planned | more
 
 
 def check_temperature(limit_C: float) -> None:
-    """Check a limit of temperature.
-
-    Raises:
-        InputError: If servos would switch themselves off below it.
-    """
+    """Raise InputError if servos would switch themselves off below this limit."""
     if not 0 < limit_C <= HOTTEST_POSSIBLE_C:
         expected = f"at most {HOTTEST_POSSIBLE_C:g} C"
         raise InputError("--max-temperature", "", f"{limit_C:g} C", expected)
@@ -141,9 +125,9 @@ def _joints(robot: Robot, names: Sequence[str] | None) -> list[Joint]:
 
 
 def _wiring(options: argparse.Namespace, robot: Robot) -> Wiring:
-    for option, value in (("--port", options.port), ("--ids", options.ids)):
-        if value is None:
-            raise InputError(option, "", "nothing", "it, unless with --dry-run")
+    for name in ("port", "ids"):
+        if getattr(options, name) is None:
+            raise InputError(f"--{name}", "", "nothing", "it, unless with --dry-run")
     check_temperature(options.max_temperature)
     whole = "whole numbers, as 1,2,3"
     wiring = Wiring(

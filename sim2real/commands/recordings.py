@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from sim2real import verbs
 from sim2real.commands.command import arguments_of
-from sim2real.commands.files import check_views, write_views
+from sim2real.commands.files import check_views, check_written, save_plot, write_views
 from sim2real.errors import InputError, if_installed, library
 from sim2real.model import Model, read_model, write_model
 from sim2real.output import beside, check_writable, is_stream
@@ -57,9 +57,8 @@ def identify(options: argparse.Namespace) -> int:
     check_writable(options.out)
     check_views(options)
     robot, recordings = read_robot(options.robot), verbs.recordings_of(options.recordings)
-    model = verbs.identify(
-        **arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
-    )
+    given = arguments_of(verbs.identify, options, recordings=recordings, robot=robot)
+    model = verbs.identify(**given)
     write_model(model, options.out)
     print(model)
     replays = cache(lambda: replay(model, recordings, options.held_out))
@@ -82,9 +81,7 @@ def _plot(model: Model, replays: Callable[[], Sequence[Replay]], out: Path) -> N
 
     for joint, shown in most_held_out(replays()).items():
         noise = model.fit[f"{joint}.position_rad"].get("noise")
-        figure = fit_figure(
-            shown.recording, joint, shown.predicted, heldout=shown.held_out, noise_rad=noise
-        )
+        figure = fit_figure(shown.recording, joint, shown.predicted, shown.held_out, noise)
         save_png(figure, beside(out, f"{out.stem}.{joint}.png"))
 
 
@@ -121,9 +118,7 @@ def _predicted(file: Path, prediction: Prediction) -> Scene:
 
 def density(options: argparse.Namespace) -> int:
     """Print the table; write the model and the plot if requested."""
-    for path in (options.out, options.plot):
-        if path is not None:
-            check_writable(path)
+    check_written(options)
     if (options.model is None) != (options.out is None):
         missing, partner = ("--out", "--model") if options.out is None else ("--model", "--out")
         raise InputError(missing, "", "nothing", f"a file, to go with {partner}")
@@ -132,10 +127,7 @@ def density(options: argparse.Namespace) -> int:
         write_model(with_density(read_model(options.model), found), options.out)
     options.result = found
     print(found)
-    if options.plot is not None:
-        from sim2real.report.drawing import save_png
-
-        save_png(found.plot(), options.plot)
+    save_plot(found, options.plot)
     return 0
 
 
@@ -156,10 +148,11 @@ def ranges(options: argparse.Namespace) -> int:
         return 0
     with if_installed("page"):
         from sim2real.report.page import write_page
-        from sim2real.report.ranges import posterior_sections, ranges_section
+        from sim2real.report.ranges import posterior_section, ranges_section
 
         page = beside(out, f"{out.stem}.html")
-        sections = [ranges_section(gathered), *posterior_sections(gathered)]
+        sections = [ranges_section(gathered)]
+        sections += [posterior_section(gathered, joint) for joint in gathered.posteriors]
         title = f"Randomization ranges of {read_robot(options.robot).name}"
         subtitle = f"{len(gathered.ranges.entries)} parameters, each from data"
         write_page(page, title, subtitle, sections, gathered.ranges.provenance)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from sim2real import verbs
+from sim2real.commands.files import check_written, save_plot
 from sim2real.errors import InputError
 from sim2real.model import read_model, write_model
 from sim2real.output import check_writable
@@ -16,15 +17,12 @@ _OF_ADD = ("joint", "as", "type", "source", "licence", "date")
 
 def run(options: argparse.Namespace) -> int:
     """List the servos of the library, write the model of one, or prepare an entry."""
-    for path in (options.out, options.plot):
-        if path is not None:
-            check_writable(path)
+    check_written(options)
     if options.name == ADD:
         return _add(options)
     for option in _OF_ADD:
         if getattr(options, option) is not None:
-            shown = option
-            raise InputError(f"--{shown}", "", options.name or "no servo", "servos add MODEL")
+            raise InputError(f"--{option}", "", options.name or "no servo", "servos add MODEL")
     if options.model is not None:
         raise InputError("servos", "", f"{options.name} {options.model}", "servos add MODEL")
     return _list(options) if options.name is None else _one(options)
@@ -38,7 +36,7 @@ def _list(options: argparse.Namespace) -> int:
     library = verbs.servos()
     options.result = library
     print(library)
-    _plot(library, options.plot)
+    save_plot(library, options.plot)
     return 0
 
 
@@ -54,7 +52,7 @@ def _one(options: argparse.Namespace) -> int:
     else:
         print(entry)
     options.result = entry if options.out is None else None
-    _plot(entry, options.plot)
+    save_plot(entry, options.plot)
     return 0
 
 
@@ -65,15 +63,9 @@ def _add(options: argparse.Namespace) -> int:
 
     if options.model is None:
         raise InputError("servos add", "MODEL", "nothing", "an identified servo (MODEL.json)")
-    about = {
-        "name": vars(options)["as"],
-        "type": options.type,
-        "source": options.source,
-        "licence": options.licence,
-        "date": options.date,
-        "supply_V": options.supply,
-        "firmware_gain": options.firmware_gain,
-    }
+    given = vars(options)
+    about = {name: given[name] for name in ("type", "source", "licence", "date", "firmware_gain")}
+    about |= {"name": given["as"], "supply_V": options.supply}
     entry = prepared(read_model(options.model), about, joint=options.joint, file=options.model)
     library = verbs.servos()
     if entry.name in library.names:
@@ -85,13 +77,5 @@ def _add(options: argparse.Namespace) -> int:
     print(f"{out}: put it into sim2real/servo_library/entries; its row:")
     print(markdown_row(entry))
     options.result = {"file": str(out), "row": markdown_row(entry)}
-    _plot(entry, options.plot)
+    save_plot(entry, options.plot)
     return 0
-
-
-def _plot(shown: object, path: Path | None) -> None:
-    if path is None:
-        return
-    from sim2real.report.drawing import save_png
-
-    save_png(shown.plot(), path)  # type: ignore[attr-defined]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import dataclasses
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,10 +19,8 @@ Run = Callable[[argparse.Namespace], int]
 class Lenient:
     """A text stream whose first failure is kept as ``error``; all later text is dropped.
 
-    Characters that the encoding lacks are written as escapes.
-
-    Args:
-        stream: The stream; None if it was closed before the program started.
+    Characters that the encoding lacks are written as escapes. ``stream`` is None if it was closed
+    before the program started.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -98,20 +95,5 @@ def run_as_json(run: Run, options: argparse.Namespace) -> int:
         if out.suffix == ".json" and place is not None:
             result = json.loads(place.read_text(encoding="utf-8"))
     if status == 0 or result is not None:  # such as the findings of a refused recording
-        print(json.dumps(plain(result), allow_nan=False))
+        print(json.dumps(finite_json(result), allow_nan=False))
     return status
-
-
-def plain(value: Any) -> Any:  # noqa: ANN401 - any value, any JSON
-    """A value as JSON: dataclasses as objects, arrays as lists, numbers finite or null."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple | set):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return finite_json(value)
-    return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sim2real.effects import named
 from sim2real.effects.effect import Effect
-from sim2real.errors import InputError, check_choice, check_level, check_whole, names_of
+from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
 from sim2real.identification.motor_choice import choose_motor, fitted_again
 from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
@@ -101,7 +101,7 @@ def identify(
     if law is not None:
         check_choice("identify", "law", law, ("pd", "motor"))
     check_whole("identify", "seed", seed)
-    check_level("identify", interval)
+    check_positive("identify", "interval", interval, 1.0, "between 0 and 1")
     extra = [named(effect) for effect in names_of("identify", "effects", effects)]
     _check_inputs(recordings, robot, held_out)
     recordings, warnings = admitted(at_one_gain(recordings), robot)

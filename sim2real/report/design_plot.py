@@ -37,13 +37,6 @@ _PART_S = 0.5
 _LISTED = 10
 
 
-def section_of(design: Design | RivalDesign) -> Section:
-    """The section of a page."""
-    if isinstance(design, RivalDesign):
-        return rivals_section(design)
-    return design_section(design)
-
-
 def design_section(design: Design, *, plots: bool = True) -> Section:
     """Expected half-width of the interval of each parameter, and the commands, by joint."""
     blocks: list[Block] = []
@@ -85,15 +78,13 @@ def _panels(t: Array, name: str, joint: JointDesign) -> list[Panel]:
     motion = {COMMAND: joint.found.command, "expected": angle[0, 0]}
     parts = max(round(float(t[-1]) / _PART_S), 1)
     ends = np.linspace(0.0, float(t[-1]), parts + 1)[1:]
-    names = [readable_name(parameter) for parameter in joint.prior.names]
+    names = map(readable_name, joint.prior.names)
     widths = dict(zip(names, 100 * joint.over_time(parts).T, strict=True))
+    position = SignalGroup((name, "position"), "rad", t, motion)
+    interval = SignalGroup((name, "interval"), "%", ends, widths)
     return [
-        Panel(SignalGroup((name, "position"), "rad", t, motion), "command and motion, rad"),
-        Panel(
-            SignalGroup((name, "interval"), "%", ends, widths),
-            "half-width of the 90 % interval, %",
-            log=True,
-        ),
+        Panel(position, "command and motion, rad"),
+        Panel(interval, "half-width of the 90 % interval, %", log=True),
     ]
 
 

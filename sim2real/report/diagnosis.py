@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -29,7 +30,7 @@ _LEAD = (
     "differ by more than noise, each effect of the catalogue is fitted. Probabilities are meant to "
     "be calibrated: of ten effects named at 90\u00a0%, nine should be present."
 )
-_VERDICTS = {
+_VERDICTS: dict[str, tuple[Literal["good", "warn", "info"], str]] = {
     "consistent": ("good", "The plain servo explains these recordings: no mismatch that matters."),
     "unchanged": ("good", "Nothing has changed since the references were recorded."),
     "explained": ("good", "The named effects account for the mismatch."),
@@ -91,7 +92,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """Text, tables and figures of a diagnosis."""
     kind, sentence = _VERDICTS[diagnosis.verdict]
     remains = [_remains(diagnosis, mismatch) for mismatch in diagnosis.mismatch]
-    blocks: list[Block] = [_note(kind, " ".join(filter(None, [sentence, *remains])))]
+    blocks: list[Block] = [Note(kind, " ".join(filter(None, [sentence, *remains])))]
     blocks += [Note("warn", sentence) for sentence in diagnosis.warnings]
     if diagnosis.unfinished:
         blocks.append(Note("warn", diagnosis.search_ended))
@@ -105,7 +106,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
         text = "What recordings were designed to separate, and what they have separated."
         blocks.append(Text(text, heading="Expected and found"))
         blocks += [
-            _note("good" if (pair.found or 0.0) >= SEPARATED else "info", str(pair))
+            Note("good" if (pair.found or 0.0) >= SEPARATED else "info", str(pair))
             for pair in diagnosis.separations
         ]
     blocks += [*_next(diagnosis), *_limits(diagnosis)]
@@ -117,15 +118,10 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
     return Section("Diagnosis", _LEAD, blocks)
 
 
-def _note(kind: str, text: str) -> Note:
-    return Note("warn" if kind == "warn" else "good" if kind == "good" else "info", text)
-
-
 def _per_inertia(diagnosis: Diagnosis, component: str) -> bool:
     """Whether the torques of a component are per unit of inertia."""
     joints = diagnosis.model.joints
-    selected = [joints[component]] if component in joints else list(joints.values())
-    return any(joint.per_inertia for joint in selected)
+    return any(joints[n].per_inertia for n in ([component] if component in joints else joints))
 
 
 def _remains(diagnosis: Diagnosis, mismatch: Mismatch) -> str:
@@ -179,8 +175,8 @@ def _where(diagnosis: Diagnosis, mismatch: Mismatch) -> list[Block]:
 
 def _residuals(mismatch: Mismatch, joint: str, evidence: Sequence[JointSeries]) -> Block:
     enriched = any(not np.array_equal(series.baseline, series.enriched) for series in evidence)
-    shown = sorted(evidence, key=lambda x: -float(np.nanmean((x.position - x.baseline) ** 2)))
-    shown = shown[:_STRIPS]
+    largest = lambda x: -float(np.nanmean((x.position - x.baseline) ** 2))  # noqa: E731
+    shown = sorted(evidence, key=largest)[:_STRIPS]
     details = ", of the plain servo and with the named effects" if enriched else ""
     if len(shown) < len(evidence):
         details += f", in the {len(shown)} of {len(evidence)} recordings with the largest errors"
@@ -203,13 +199,13 @@ def _sound(diagnosis: Diagnosis) -> list[Block]:
         fit = diagnosis.baseline_fit.get(f"{joint}.position_rad", {})
         rmse = fit.get("train") if (heldout := fit.get("heldout")) is None else heldout
         if rmse is not None:
-            noise = fit.get("noise")
-            with_noise = "" if noise is None else f", with {milliradians(noise)} of noise"
-            errors.append(f"{joint} has an error of {milliradians(rmse)}{with_noise}")
+            noise = (
+                "" if (sd := fit.get("noise")) is None else f", with {milliradians(sd)} of noise"
+            )
+            errors.append(f"{joint} has an error of {milliradians(rmse)}{noise}")
     follow = "follow" if len(sound) > 1 else "follows"
-    sentence = f"{listed(sound)} {follow} the plain servo down to the noise"
-    text = ": ".join(filter(None, [sentence, "; ".join(errors)]))
-    return [*warnings, Note("good", f"{text}.")]
+    text = f"{listed(sound)} {follow} the plain servo down to the noise"
+    return [*warnings, Note("good", ": ".join(filter(None, [text, "; ".join(errors)])) + ".")]
 
 
 def _what(diagnosis: Diagnosis) -> list[Block]:
@@ -236,11 +232,9 @@ def _written(diagnosis: Diagnosis) -> list[str]:
     """Sentence on effects of the written model, chosen for prediction, that are not named."""
     named = {name for effect in diagnosis.effects for name in (effect.group or (effect.effect,))}
     fitted = {e.effect for joint in diagnosis.model.joints.values() for e in joint.effects}
-    kinds = [plain(name) for name in sorted(fitted - named)]
-    return [
-        f"The written model was selected for prediction and also contains {listed(kinds)}; this "
-        "does not imply that they are present."
-    ] * bool(kinds)
+    kinds = listed([plain(name) for name in sorted(fitted - named)])
+    text = f"The written model was selected for prediction and also contains {kinds}; this does not"
+    return [f"{text} imply that they are present."] if kinds else []
 
 
 def _ladders(diagnosis: Diagnosis) -> list[Block]:

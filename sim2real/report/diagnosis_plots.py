@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,70 +25,34 @@ _INSIDE = 99.5
 _ROW, _TITLE = 38.0, 36.0
 
 
-@dataclass(frozen=True)
-class Bar:
-    """One bar.
-
-    Attributes:
-        label: Label, above it.
-        value: Length.
-        text: Number next to it.
-        strong: Whether it is highlighted.
-    """
-
-    label: str
-    value: float
-    text: str
-    strong: bool = False
-
-
-def bar_figure(panels: Mapping[str, Sequence[Bar]], label: str, *, full: float = 0.0) -> Figure:
-    """Plot horizontal bars with labels above them, in panels below each other.
-
-    A bar with an infinite value ends at the right edge.
-
-    Args:
-        panels: The bars by title of the panel.
-        label: Text for screen readers.
-        full: Minimum length of the axis.
-    """
-    every = [bar.value for panel in panels.values() for bar in panel if math.isfinite(bar.value)]
-    reach = max([full, *every]) or 1.0
-    counts = [len(panel) for panel in panels.values()]
+def bar_figure(rows: Sequence[tuple[float, str, bool]]) -> Figure:
+    """Plot probabilities as bars with labels above them, some of them highlighted."""
     with house_style():
-        figure = new_figure(_ROW * sum(counts) + _TITLE * len(counts), printable(label))
-        grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0]
-        for axes, (title, bars) in zip(grid, panels.items(), strict=True):
-            for row, bar in enumerate(bars):
-                value = max(bar.value, 0.0) if math.isfinite(bar.value) else reach
-                colour, ink = (ACCENT, INK) if bar.strong else (FAINT, MUTED)
-                axes.barh(row + 0.7, value, height=0.22, color=colour)
-                axes.text(0, row + 0.5, printable(bar.label), color=ink)
-                axes.text(
-                    value + 0.01 * reach, row + 0.7, bar.text, color=INK, size=10, va="center"
-                )
-            axes.set(xlim=(0, 1.2 * reach), ylim=(len(bars), 0), xticks=[], yticks=[])
-            axes.spines["bottom"].set_visible(False)
-            axes.set_title(printable(title), color=INK)
+        figure = new_figure(_ROW * len(rows) + _TITLE, "probability of each candidate")
+        axes = figure.subplots()
+        for row, (share, label, strong) in enumerate(rows):
+            colour, ink = (ACCENT, INK) if strong else (FAINT, MUTED)
+            axes.barh(row + 0.7, share, height=0.22, color=colour)
+            axes.text(0, row + 0.5, printable(label), color=ink)
+            text = sure(share) if share else ""
+            axes.text(share + 0.01, row + 0.7, text, color=INK, size=10, va="center")
+        axes.set(xlim=(0, 1.2), ylim=(len(rows), 0), xticks=[], yticks=[], title=" ")
+        axes.spines["bottom"].set_visible(False)
     return figure
 
 
 def candidate_figure(diagnosis: Diagnosis) -> Figure:
     """Probability of each candidate; only the verdict if there is none."""
-    bars = [
-        Bar(_label(effect), effect.probability, sure(effect.probability), strong=True)
-        for effect in sorted(diagnosis.effects, key=lambda effect: -effect.probability)
-    ]
-    others = [(r.probability, f"{r.component}: {plain(r.effect)}") for r in diagnosis.rivals]
+    named = [(effect.probability, _label(effect), True) for effect in diagnosis.effects]
+    others = [(r.probability, f"{r.component}: {plain(r.effect)}", False) for r in diagnosis.rivals]
     differing = {mismatch.component for mismatch in diagnosis.mismatch}
     others += [
-        (probability, f"{joint}: an effect that is not in the catalogue")
+        (probability, f"{joint}: an effect that is not in the catalogue", False)
         for joint, probability in diagnosis.unknown.items()
         if joint in differing and probability > _NOT_LISTED
     ]
-    bars += [Bar(label, p, sure(p)) for p, label in sorted(others, key=lambda row: -row[0])]
-    bars = bars or [Bar(diagnosis.verdict.replace("_", " "), 0.0, "")]
-    return bar_figure({"": bars}, "probability of each candidate", full=1.0)
+    rows = [row for some in (named, others) for row in sorted(some, key=lambda row: -row[0])]
+    return bar_figure(rows or [(0.0, diagnosis.verdict.replace("_", " "), False)])
 
 
 def _label(effect: NamedEffect) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
 
 from sim2real.output import write_whole
@@ -25,21 +25,11 @@ _NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
-    """Write ``figure`` to ``path`` at 150 dots per inch, atomically.
-
-    Raises:
-        InputError: If the folder cannot be created or written.
-    """
+    """Write ``figure`` to ``path`` at 150 dots per inch."""
     stream = io.BytesIO()
+    look: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": MARGIN_INCHES}
     with _unchanged(figure), house_style():
-        figure.savefig(
-            stream,
-            format="png",
-            dpi=PNG_DPI,
-            bbox_inches="tight",
-            pad_inches=MARGIN_INCHES,
-            metadata={"Software": None},
-        )
+        figure.savefig(stream, format="png", dpi=PNG_DPI, metadata={"Software": None}, **look)
     return write_whole(path, stream.getvalue())
 
 

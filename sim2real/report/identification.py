@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim2real.arrays import Array, Mask
-from sim2real.inference.normal import LEVEL
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
 from sim2real.report.page import Block, Note, Section, Table, Text
@@ -49,26 +48,21 @@ _SETTLED = 0.005
 def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
     """Text, tables and plots of an identification.
 
-    Args:
-        model: The fitted simulator.
-        fits: For each plot the recording, the joint, its predicted position in rad, shape (T,),
-            and a mask of held-out samples, shape (T,).
+    ``fits`` has for each plot the recording, the joint, its predicted position in rad, shape (T,),
+    and a mask of held-out samples, shape (T,).
     """
     blocks = model_blocks(model)
     for name, joint in model.joints.items():
         figures = model.fit.get(f"{name}.position_rad", {})
-        sentences = [describe_response(name, joint)]
+        text, noise = describe_response(name, joint), figures.get("noise")
         if joint.effects:
-            sentences.append("This does not include the effects of the model.")
-        noise = figures.get("noise")
+            text += " This does not include the effects of the model."
         error = figures.get("train") if (held := figures.get("heldout")) is None else held
         if error is not None and noise:
-            sentences.append(f"The error is {error / noise:.1f} times the noise.")
-        blocks.append(Text(" ".join(sentences), heading=name))
+            text += f" The error is {error / noise:.1f} times the noise."
+        blocks.append(Text(text, heading=name))
         for recording, _, predicted, heldout in (fit for fit in fits if fit[1] == name):
-            panels, close_up = fit_panels(
-                recording, name, predicted, heldout=heldout, noise_rad=noise
-            )
+            panels, close_up = fit_panels(recording, name, predicted, heldout, noise)
             label = f"{name} in {recording.name}"
             caption = f"{label}, and the residual below.{_SHADED if panels[0].shaded_s else ''}"
             blocks.append(series_block(panels, label, caption, close_up=close_up))
@@ -78,8 +72,7 @@ def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
 def model_blocks(model: Model) -> list[Block]:
     """Parameters, errors, correlations and effects of a model, and its notes."""
     rows = [(name, q) for name, joint in model.joints.items() for q in quantities(joint)]
-    level = getattr(model, "interval_level", LEVEL)
-    blocks: list[Block] = [quantity_table(rows, level=level)] if rows else []
+    blocks: list[Block] = [quantity_table(rows, level=model.interval_level)] if rows else []
     errors = [
         (
             printable(signal.removesuffix(".position_rad")),
@@ -106,15 +99,8 @@ def _error(signal: str, value: float | None) -> str:
 
 def _residual(figures: Mapping[str, float | None]) -> str:
     """Whether the residual is white, the share of outliers, the error without effects."""
-    time, lag, outliers, plain = (
-        figures.get(name)
-        for name in (
-            "correlation_time_s",
-            "whiteness",
-            "robust_outliers",
-            "heldout_without_effects",
-        )
-    )
+    names = ("correlation_time_s", "whiteness", "robust_outliers", "heldout_without_effects")
+    time, lag, outliers, plain = map(figures.get, names)
     texts = []
     if lag is not None and abs(lag) < _WHITE:
         texts.append("white")

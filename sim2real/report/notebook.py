@@ -31,11 +31,7 @@ from sim2real.servo_library.catalogue import ServoEntry, ServoLibrary
 
 
 def result_html(result: object) -> str:
-    """A result as an HTML fragment for a notebook.
-
-    Raises:
-        ModuleNotFoundError: If Jinja is not installed.
-    """
+    """A result as an HTML fragment for a notebook; it needs Jinja."""
     return render_fragment([result_section(result)])
 
 
@@ -46,11 +42,7 @@ def result_text(result: object) -> str:
 
 @singledispatch
 def result_section(result: object) -> Section:
-    """Tables and notes of a result.
-
-    Raises:
-        TypeError: If no function is registered for the type of the result.
-    """
+    """Tables and notes of a result of a type for which a function is registered."""
     raise TypeError(f"no section for a {type(result).__name__}")
 
 
@@ -77,13 +69,9 @@ def _servo(entry: ServoEntry) -> Section:
 
 @result_section.register
 def _diagnosis(diagnosis: Diagnosis) -> Section:
-    notes = [Note("info", effect.statement) for effect in diagnosis.effects]
-    notes += [Note("info", str(mismatch)) for mismatch in diagnosis.mismatch]
-    if diagnosis.next_experiment is not None:
-        notes.append(Note("info", f"Next: {diagnosis.next_experiment.statement}"))
-    notes = [Note("info", printable(note.text)) for note in notes]
-    verdict = f"Verdict: {diagnosis.verdict.replace('_', ' ')}."
-    return Section("Diagnosis", verdict, [*effect_tables(diagnosis), *notes])
+    verdict, *lines = (printable(line.strip()) for line in str(diagnosis).splitlines())
+    notes = [Note("info", line) for line in lines]
+    return Section("Diagnosis", verdict.capitalize(), [*effect_tables(diagnosis), *notes])
 
 
 @result_section.register

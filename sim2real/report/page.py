@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _FOLDER = Path(__file__).parent
-_HASH_LETTERS = 12
+_SHOWN = 12
 _NUMBER = re.compile(r"[<>≥≤±]?\s?[+\-−]?(\d[\d.,]*(e[+\-]?\d+)?|∞)(?![\w\-:])")
 _DASHES = ("", "-", "–", "−")
 _PART = re.compile(r"(?<=[_/.])(?=[A-Za-z])")
@@ -46,10 +46,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header.
-
-    Text after a line break in a cell, such as an interval or a unit, is set smaller below it.
-    """
+    """Rows of text under a header; what follows a line break in a cell is set smaller below it."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -75,31 +72,19 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: an ``<svg>`` element of ``sim2real.report.drawing.svg``, inserted unchanged.
-
-    Attributes:
-        svg: The figure.
-        caption: Caption.
-        live: The same as JSON to be drawn by uPlot and zoomed into, where scripts run.
-    """
+    """A figure: an ``<svg>`` element of ``sim2real.report.drawing.svg``, inserted unchanged."""
 
     svg: str
     caption: str = ""
-    live: str = ""
+    live: str = ""  # the same as JSON to be drawn by uPlot and zoomed into, where scripts run
 
 
 @dataclass(frozen=True)
 class Film:
-    """A short film, as a GIF embedded in the page.
+    """A short film, as a GIF embedded in the page."""
 
-    Attributes:
-        gif: Content of the file.
-        alt: Alternative text.
-        caption: Caption.
-    """
-
-    gif: bytes
-    alt: str
+    gif: bytes  # content of the file
+    alt: str  # alternative text
     caption: str = ""
 
     @property
@@ -127,19 +112,7 @@ def write_page(
     sections: Sequence[Section],
     provenance: Mapping[str, Any],
 ) -> Path:
-    """Write a report atomically.
-
-    Args:
-        path: The HTML file to write.
-        title: Subject of the report, such as a robot or a recording.
-        subtitle: One line below it.
-        sections: Sections.
-        provenance: Result of ``sim2real.output.provenance``, for the footer.
-
-    Raises:
-        InputError: If the file cannot be written.
-        MissingLibrary: If Jinja is not installed.
-    """
+    """Write a report; ``provenance`` (of ``sim2real.output``) is for the footer."""
     return write_whole(path, render_page(title, subtitle, sections, provenance))
 
 
@@ -165,11 +138,7 @@ def render_page(
 
 
 def render_fragment(sections: Sequence[Section]) -> str:
-    """Sections as HTML for another page, such as a notebook, including their style.
-
-    Raises:
-        MissingLibrary: If Jinja is not installed.
-    """
+    """Sections as HTML for another page, such as a notebook, including their style."""
     template = _template()
     blocks = template.blocks["sections"](template.new_context({"sections": sections, "script": ""}))
     style = _texts("notebook.css")
@@ -203,20 +172,14 @@ def _template() -> Template:
 
 def _origin(provenance: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
     """Label and lines of every non-empty part of the footer."""
-    seed = provenance.get("seed")
-    parts = [
-        ("command", [str(provenance.get("command", ""))]),
-        ("seed", ["" if seed is None else str(seed)]),
-        ("versions", [", ".join(f"{k} {v}" for k, v in provenance.get("versions", {}).items())]),
-        (
-            "inputs (SHA-256)",
-            [
-                f"{Path(path).name}  {str(digest)[:_HASH_LETTERS]}"
-                for path, digest in provenance.get("inputs", {}).items()
-            ],
-        ),
-    ]
-    return [(label, lines) for label, lines in parts if any(lines)]
+    seed, inputs = provenance.get("seed"), provenance.get("inputs", {})
+    parts = {
+        "command": [str(provenance.get("command", ""))],
+        "seed": ["" if seed is None else str(seed)],
+        "versions": [", ".join(f"{k} {v}" for k, v in provenance.get("versions", {}).items())],
+        "inputs (SHA-256)": [f"{Path(k).name}  {str(v)[:_SHOWN]}" for k, v in inputs.items()],
+    }
+    return [(label, lines) for label, lines in parts.items() if any(lines)]
 
 
 def _is_number(cell: str, *, alone: bool = False) -> bool:

@@ -14,30 +14,14 @@ from sim2real.units import readable_name, unit_of
 
 @dataclass(frozen=True)
 class Quantity:
-    """One value with its interval, in the unit of the display.
+    """One value with its interval, in the unit of the display."""
 
-    Attributes:
-        name: Its name, such as ``"kp"``.
-        unit: Unit, such as ``"N m/rad"``.
-        value: The estimate.
-        interval: Interval, with an infinite end where the data do not constrain the value;
-            None if it was not estimated.
-        origin: Origin of a value without an interval.
-    """
-
-    name: str
-    unit: str
+    name: str  # such as ``"kp"``
+    unit: str  # such as ``"N m/rad"``
     value: float
     interval: tuple[float, float] | None = None
-    origin: str = ""
-
-    @property
-    def unbounded(self) -> str:
-        """``"unbounded"``, ``"unbounded above"``, ``"unbounded below"`` or an empty string."""
-        below, above = (math.isinf(end) for end in self.interval or (0.0, 0.0))
-        if below and above:
-            return "unbounded"
-        return "unbounded above" if above else "unbounded below" if below else ""
+    """With an infinite end where the data do not constrain the value; None if not estimated."""
+    origin: str = ""  # of a value without an interval
 
     @property
     def texts(self) -> tuple[str, str, str]:
@@ -56,17 +40,15 @@ class Quantity:
         _, low, high = self.texts
         if self.interval is None:
             return ""
-        open_ended = {
-            "unbounded": "no bound",
-            "unbounded above": f"above {low}",
-            "unbounded below": f"below {high}",
-        }
-        return open_ended.get(self.unbounded, f"{low} to {high}")
+        below, above = map(math.isinf, self.interval)
+        if below or above:
+            return "no bound" if below and above else f"above {low}" if above else f"below {high}"
+        return f"{low} to {high}"
 
     @property
     def remark(self) -> str:
         """Half the width of the interval in percent of the value, or where the value is from."""
-        if self.interval is None or self.unbounded or not self.value:
+        if self.interval is None or any(map(math.isinf, self.interval)) or not self.value:
             return self.origin
         percent = 50 * (self.interval[1] - self.interval[0]) / abs(self.value)
         if percent >= 1000:
@@ -81,14 +63,7 @@ def quantity_table(
     *,
     level: float = LEVEL,
 ) -> Table:
-    """A table of quantities, each with the name of the joint or the effect that it belongs to.
-
-    Args:
-        rows: Name and quantity.
-        place: Title of the column of names.
-        caption: Caption of the table.
-        level: Probability of the intervals.
-    """
+    """A table of quantities, each with the name of what it belongs to, such as a joint."""
     cells = [
         (printable(where), printable(q.name), q.texts[0], q.unit, q.between, q.remark)
         for where, q in rows

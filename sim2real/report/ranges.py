@@ -110,12 +110,8 @@ def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
     return quantity_table(rows, caption="Medians and 90 % intervals.")
 
 
-def posterior_sections(gathered: Gathered) -> list[Section]:
-    """Chain, corner plot and predictive check of each joint with a posterior."""
-    return [_posterior_section(gathered, joint) for joint in gathered.posteriors]
-
-
-def _posterior_section(gathered: Gathered, joint: str) -> Section:
+def posterior_section(gathered: Gathered, joint: str) -> Section:
+    """Chain, corner plot and predictive check of a joint with a posterior."""
     posterior = gathered.posteriors[joint]
     mixing = posterior.convergence
     lead = _CHAIN.format(
@@ -181,10 +177,7 @@ def density_section(density: Density) -> Section:
 
 
 def density_figure(density: Density) -> Drawing:
-    """Plot each link as a bar with its length as width and its normalised density as height.
-
-    The area of a bar is the link's share of the mass. Whiskers are 90 % intervals.
-    """
+    """Plot each link as a bar, as wide as it is long, whose area is its share of the mass."""
     start = np.cumsum(density.length_m) - density.length_m
     middle = start + density.length_m / 2
     with house_style():
@@ -222,12 +215,7 @@ def latency_figure(latencies: Latencies, drawn: Spread) -> Drawing:
 
 
 def corner_figure(posterior: ServoPosterior, joint: str) -> Drawing:
-    """Plot histograms on the diagonal and, below it, regions that contain 50, 80 and 95 %.
-
-    Args:
-        posterior: The posterior.
-        joint: Name of the joint, for screen readers.
-    """
+    """Plot histograms on the diagonal and, below it, regions that contain 50, 80 and 95 %."""
     F = len(posterior.names)
     units = [prior.unit for prior in posterior.parameters]
     scale = np.array([1e3 if unit == "s" else 1.0 for unit in units])

@@ -73,19 +73,13 @@ def check_section(check: Check) -> Section:
 
 
 def recordings_section(recordings: Sequence[Recording], checks: Sequence[Check]) -> Section:
-    """Results of ``check``, and the clock of the first recording.
-
-    Args:
-        recordings: The recordings.
-        checks: The check of each, in the same order.
-    """
+    """The check of each recording, and the clock of the first."""
     caption = _TIMING.format(recording=recordings[0].name)
     blocks: list[Block] = [series_block([timing_panel(recordings[0])], "clock", caption)]
     for number, section in enumerate(map(check_section, checks)):
-        if number == 0 or any(finding for finding in checks[number].all_findings):
-            blocks += [Text(section.lead, heading=checks[number].recording), *section.blocks]
-        else:
-            blocks.append(Text(section.lead, heading=checks[number].recording))
+        blocks.append(Text(section.lead, heading=checks[number].recording))
+        if number == 0 or checks[number].all_findings:
+            blocks += section.blocks
     return Section("Recordings", _LEAD, blocks)
 
 

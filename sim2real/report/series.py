@@ -42,21 +42,13 @@ _CLOSE_S, _LEAD_S = 1.5, 0.2
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot of a group of signals.
-
-    Attributes:
-        group: The signals.
-        title: Title of the plot, with the unit.
-        shaded_s: Intervals of time that are shaded.
-        band: Half-width of a band about 0; None without a band.
-        log: Whether the axis is logarithmic.
-    """
+    """One plot of a group of signals."""
 
     group: SignalGroup
-    title: str
-    shaded_s: Sequence[tuple[float, float]] = ()
-    band: float | None = None
-    log: bool = False
+    title: str  # with the unit
+    shaded_s: Sequence[tuple[float, float]] = ()  # intervals of time
+    band: float | None = None  # half-width of a band about 0
+    log: bool = False  # whether the axis is logarithmic
 
     @property
     def curves(self) -> tuple[Array, list[tuple[str, str, Array]]]:
@@ -72,11 +64,7 @@ def series_block(
 ) -> Figure:
     """Panels one below the other as a block of a page, those of one recording zoomed together.
 
-    Args:
-        panels: The panels.
-        label: Text for screen readers.
-        caption: Caption.
-        close_up: Further panels where the plot cannot be zoomed into.
+    ``label`` is text for screen readers; ``close_up`` is shown where nothing can be zoomed into.
     """
     t_and_curves = [(panel, *panel.curves) for panel in panels if panel.group.signals]
     content = [
@@ -135,27 +123,14 @@ def fit_panels(
     recording: Recording,
     joint: str,
     predicted: Array,
-    *,
     heldout: Mask | None = None,
     noise_rad: float | None = None,
 ) -> tuple[list[Panel], list[Panel]]:
     """Panels of the prediction of one joint, and a close-up of 1.5 s at the largest movement.
 
-    Args:
-        recording: The recording.
-        joint: Name of the joint.
-        predicted: Predicted position in rad, shape (T,).
-        heldout: Mask of held-out samples, shape (T,), which are shaded.
-        noise_rad: Standard deviation of the measurement noise, shown with the residual.
-
-    Raises:
-        ValueError: If the joint was not recorded or a series has another shape.
+    The predicted position (T,) in rad is shown with the residual, the held-out samples, a mask
+    (T,), are shaded, and ``noise_rad`` is the standard deviation of the measurement noise.
     """
-    if joint not in recording.joints:
-        raise ValueError(f"{recording.name}: no joint {joint!r}")
-    for name, series in (("predicted", predicted), ("heldout", heldout)):
-        if series is not None and series.shape != recording.t.shape:
-            raise ValueError(f"{name}: shape {series.shape}, expected {recording.t.shape}")
     position, *residual = fit_groups(recording, joint, predicted)
     t, shaded = recording.t, [] if heldout is None else segments(heldout)
     spans = [(float(t[first]), float(t[last])) for first, last in shaded]
@@ -174,12 +149,11 @@ def fit_figure(
     recording: Recording,
     joint: str,
     predicted: Array,
-    *,
     heldout: Mask | None = None,
     noise_rad: float | None = None,
 ) -> Drawing:
     """Plot the prediction of one joint of a recording; arguments as for ``fit_panels``."""
-    panels, close_up = fit_panels(recording, joint, predicted, heldout=heldout, noise_rad=noise_rad)
+    panels, close_up = fit_panels(recording, joint, predicted, heldout, noise_rad)
     return series_figure([*panels, *close_up], f"{joint} in {recording.name}")
 
 
@@ -203,9 +177,8 @@ def in_mrad(group: SignalGroup) -> SignalGroup:
 def gaps(t: Array) -> Index:
     """Indices of samples more than three median intervals after the previous one."""
     interval = np.diff(t)
-    if not interval.size:
-        return np.empty(0, dtype=np.intp)
-    return np.flatnonzero(interval > GAP_INTERVALS * np.median(interval)) + 1
+    usual = np.median(interval) if interval.size else 0.0
+    return np.flatnonzero(interval > GAP_INTERVALS * usual) + 1
 
 
 def drawable(t: Array, values: Array) -> tuple[Array, Array]:

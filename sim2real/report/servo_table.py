@@ -45,24 +45,19 @@ def servos_section(entries: Sequence[ServoEntry]) -> Section:
 
 def markdown_row(entry: ServoEntry) -> str:
     """The row of a servo in a Markdown table, with its licence and source."""
-    return (
-        "| " + " | ".join(printable(x) for x in (*cells(entry), entry.licence, entry.source)) + " |"
-    )
+    row = (*cells(entry), entry.licence, entry.source)
+    return f"| {' | '.join(map(printable, row))} |"
 
 
 def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
-    """Stall torque and no-load speed of each servo, the ends of its torque-speed line.
+    """Stall torque and no-load speed of servos with a known torque-speed line.
 
-    Servos whose line is not known, or only per unit of inertia, are left out. Servos that were
-    identified here are marked.
+    Servos that were identified here are marked.
     """
-    lines = [
-        entry
-        for entry in entries
-        if not entry.joint.per_inertia and entry.joint.motor.get("no_load_speed_rad_s")
-    ]
+    speed = "no_load_speed_rad_s"
+    lines = [x for x in entries if not x.joint.per_inertia and x.joint.motor.get(speed)]
     torques = [stall_torque(entry.joint.motor) for entry in lines]
-    speeds = [entry.joint.motor["no_load_speed_rad_s"] for entry in lines]
+    speeds = [entry.joint.motor[speed] for entry in lines]
     colors = [ACCENT if entry.origin == "identified" else INK for entry in lines]
     with house_style():
         title = "Stall torque and no-load speed of each servo"

@@ -30,8 +30,7 @@ SET_BY_THE_COMMAND = {"ranges": {"chains"}}
 
 def options_of(command: str) -> dict[str, argparse.Action]:
     (several,) = (a for a in parser()._actions if a.dest == "command")
-    actions = several.choices[command]._actions  # a former name is not shown in help
-    return {a.dest: a for a in actions if a.help != argparse.SUPPRESS}
+    return {action.dest: action for action in several.choices[command]._actions}
 
 
 @pytest.mark.parametrize("name", VERBS)

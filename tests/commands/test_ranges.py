@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -127,9 +126,8 @@ def test_an_interrupt_is_one_line(command, tmp_path):
 
 def test_processes_leave_interrupts_to_the_first():
     """Which ends them: each would print a traceback of its own."""
-    blocked = shared(partial(signal.pthread_sigmask, signal.SIG_BLOCK), [()] * MANY)
-    assert all(signal.SIGINT in signals for signals in blocked)
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert set(shared(signal.getsignal, [signal.SIGINT] * MANY)) == {signal.SIG_IGN}
+    assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
 
 
 def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
@@ -157,15 +155,11 @@ def test_names_with_slashes_and_markup(tmp_path, monkeypatch):
     "damage",
     [
         lambda a: a.pop("random_keys"),
-        lambda a: a.pop("origin.centre"),
         lambda a: a.update(coordinates=a["coordinates"][..., :1]),
         lambda a: a.update(coordinates=a["coordinates"] * np.nan),
-        lambda a: a.update(coordinates=a["coordinates"].astype(str)),
         lambda a: a.update(log_density=a["log_density"][:-1]),
-        lambda a: a.update(accepted=a["accepted"][:-1]),
         lambda a: a.update(random_keys=a["random_keys"][:5]),
         lambda a: a.update(random_numbers=np.full(3, np.nan)),
-        lambda a: a.update({"origin.factor": np.zeros(2)}),
         lambda a: a.update({"origin.noise": np.zeros(3)}),
     ],
 )
@@ -188,9 +182,3 @@ def test_a_chain_of_something_else_is_refused(command, written, tmp_path, capsys
     write_chain(chain, chain_file(out, "j1"))
     assert main(command(out, "--no-page", "--seed", "5")) == 2
     assert "remove the file" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("option", ["--steps", "--walkers"])
-def test_numbers_that_mean_nothing(command, tmp_path, capsys, option):
-    assert main(command(tmp_path / "ranges.json", option, "0")) == 2
-    assert option.strip("-") in capsys.readouterr().err

@@ -100,8 +100,8 @@ def test_a_picture_and_a_video_of_the_swim(files):
 def test_pictures_that_cannot_be_written_are_refused_before_anything_is_read(files, capsys):
     folder = files.folder
     (folder / "model.json").unlink()
-    refused(capsys, files("--picture", str(folder / "end.jpg")), "a name that ends in .png")
+    refused(capsys, files("--plot", str(folder / "end.jpg")), "a name that ends in .png")
     refused(capsys, files("--video", str(folder / "swim.mov")), "ends in .mp4 or .avi or .gif")
     refused(capsys, files("--video", str(folder / "robot.toml" / "swim.mp4")), "robot.toml")
     end = str(folder / "end.png")
-    refused(capsys, files("--picture", end, "--out", end), "named twice")
+    refused(capsys, files("--plot", end, "--out", end), "named twice")

@@ -213,12 +213,6 @@ def test_what_the_plain_fit_had_been_hiding():
     assert row[2].startswith("0 %\n") and row[3] == "+14 %\n58 to 66 ms"
 
 
-def test_parameters_that_stay_need_no_table():
-    still = replace(NAMED, baseline_shift={"kp_Nm_per_rad": 0.001, "latency_s": 0.0})
-    _, blocks = said(replace(EXPLAINED, effects=(still,)))
-    assert not [b for b in blocks if isinstance(b, Table) and b.header[0] == "servo"]
-
-
 def test_joints_without_mismatch_get_one_sentence():
     text, blocks = explained()
     errors = "j1 has an error of 1.6 mrad, with 1.5 mrad of noise"
@@ -226,15 +220,6 @@ def test_joints_without_mismatch_get_one_sentence():
     assert [b.heading for b in blocks if isinstance(b, Text) and b.heading.startswith("Where")] == [
         "Where j2 differs"
     ]
-
-
-def test_consistent_joints_are_told_with_error_and_noise():
-    errors = fits(**dict.fromkeys(CONSISTENT.model.joints, 0.0016))
-    text, _ = said(replace(CONSISTENT, baseline_fit=errors))
-    assert "j1, j2 and j3 follow the plain servo down to the noise" in text
-    assert text.count("has an error of 1.6 mrad, with 1.5 mrad of noise") == 3
-    train = {"j3.position_rad": {"train": 0.0015, "heldout": None}}
-    assert "noise: j3 has an error of 1.5 mrad." in said(replace(CONSISTENT, baseline_fit=train))[0]
 
 
 def test_an_error_far_above_the_noise_is_no_good_news():
@@ -307,20 +292,6 @@ def test_empty_parts_do_no_harm(whole):
     for some in ((), (unmeasured,), (resting,)):
         render_page("a", "", [diagnosis_section(replace(empty, evidence=some))], {})
     diagnosis_section(replace(empty, mismatch=(), effects=()))
-
-
-def test_an_effect_that_joints_share_shifts_the_first():
-    shared = replace(NAMED, component="supply")
-    _, blocks = said(replace(EXPLAINED, effects=(shared,)))
-    assert [row[0] for row in table(blocks, "servo").rows] == ["j2"]
-
-
-def test_only_joints_with_a_finding_show_what_it_is_worth():
-    other = replace(MISMATCH, signal="j1.position_rad", component="j1")
-    _, blocks = said(EXPLAINED)
-    assert table(blocks, "error of").rows == [("j2", "4.7 mrad", "1.7 mrad", "1.5 mrad")]
-    _, blocks = said(replace(EXPLAINED, mismatch=(MISMATCH, other)))
-    assert [row[2] for row in table(blocks, "error of").rows] == ["–", "1.7 mrad"]
 
 
 @pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])

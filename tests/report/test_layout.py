@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rl.experiments.ablation_report import OUTCOME, return_figure
-from sim2real.report.diagnosis_plots import Bar, bar_figure
+from sim2real.report.diagnosis_plots import bar_figure
 from sim2real.report.identification import parameter_figure
 from sim2real.report.ranges import density_figure, latency_figure
 from sim2real.report.series import fit_figure
@@ -41,7 +41,7 @@ FIGURES = {
     "latency": lambda bench: latency_figure(
         LATENCIES, SimpleNamespace(centre=0.07, half_width=0.02)
     ),
-    "bars": lambda bench: bar_figure({"j1": [Bar("j1: one of backlash or play", 1.0, "98 %")]}, ""),
+    "bars": lambda bench: bar_figure([(0.98, "j1: one of backlash or play", True)]),
     "returns": lambda bench: _returns(),
 }
 

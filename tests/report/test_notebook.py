@@ -140,13 +140,6 @@ def test_a_notebook_shows_a_table_with_the_numbers_and_no_markup_of_files(kind, 
         assert EVIL in page.text
 
 
-def test_what_a_diagnosis_says_is_shown(results):
-    diagnosis, _ = results["diagnosis"]
-    page = Fragment(diagnosis._repr_html_())
-    assert "Verdict: unexplained" in page.text
-    assert "RMSE 5.00 mrad, noise 1.00 mrad" in page.text
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_text_has_the_cells_of_the_notebook(kind, results):
     """But a diagnosis and what a swim says are written otherwise."""
@@ -163,10 +156,6 @@ def test_errors_and_notes_of_a_fit_are_shown(results):
     page = Fragment(fitted._repr_html_())
     assert page.cells[-4:] == ["4.1 mrad", "-", "-", ""]
     assert EVIL in page.text.split("RMSE")[-1]
-
-
-def test_an_empty_model_is_shown():
-    assert "Model" in Fragment(Model({})._repr_html_()).text
 
 
 def test_without_jinja_a_notebook_shows_the_text(results, monkeypatch):
@@ -195,16 +184,3 @@ def test_a_recording_prints_the_span_of_each_joint(recording):
     assert "0.000 to 0.000 rad" in j2 and j2.endswith(" 7")
     blind = replace(recording, position=np.full_like(recording.position, np.nan))
     assert re.search(r"none +500$", str(blind))
-
-
-@pytest.mark.parametrize("samples", [0, 1, 2])
-def test_a_part_too_short_to_have_a_rate_prints(recording, samples):
-    part = recording.between(0, samples)
-    assert f"{samples} samples" in repr(part) and f"{samples} samples" in str(part)
-    assert Fragment(part._repr_html_()).cells
-
-
-def test_a_check_prints_clock_and_joints(recording):
-    text = str(check(recording))
-    assert text.startswith("Check of steps: servo, 9.98 s, 2 joints; clock: 50 Hz")
-    assert not text.endswith("\n")

@@ -26,7 +26,6 @@ from sim2real.report.page import (
     Text,
     render_fragment,
     render_page,
-    write_page,
 )
 from sim2real.report.quantity import change_text
 from sim2real.report.series import fit_panels, series_block
@@ -187,18 +186,6 @@ def test_hostile_joint_names_are_escaped(bench):
     Page(html)
 
 
-def test_same_input_same_page(bench, section):
-    again = identification_section(bench.model, bench.fits)
-    assert again == section
-    assert sum(bool(getattr(block, "live", "")) for block in section.blocks) == 3
-
-
-def test_page_is_written_whole(tmp_path):
-    path = write_page(tmp_path / "out" / "report.html", "t", "", [], {})
-    assert Page(path.read_text(encoding="utf-8")).tags[0] == "html"
-    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
-
-
 def test_number_columns_are_right_aligned():
     table = Table(("name", "value", "none"), [("a", "1.5\nsmall", ""), ("b", "−2", "")])
     assert table.numeric == (False, True, False)
@@ -233,10 +220,6 @@ def test_units_are_those_of_each_joint():
     assert [row[3] for row in parameters.rows if row[1] == "kp"] == ["N m/rad", "1/s²"]
     assert effects.text == "b: backlash (gap_rad 0.03)"
     assert "does not include the effects" in section.blocks[-1].paragraph
-
-
-def test_section_of_an_empty_model():
-    Page(render_page("a", "", [identification_section(Model({}), [])], {}))
 
 
 @pytest.mark.parametrize("kd", [0.01, 0.06, 0.119, 2 * math.sqrt(2.0 * 0.002), 0.2, 5.0])
@@ -274,36 +257,11 @@ def test_a_first_column_of_names_is_text_even_if_they_begin_with_a_digit():
     assert Table(("", "j1"), units).numeric == (False, True)
 
 
-def page_css():
-    return render_page("t", "", [], {}).partition("<style>")[2].partition("</style>")[0]
-
-
-def test_what_is_wide_scrolls_inside_its_own_box():
-    blocks = [Table(("a",), [("1",)]), Figure("<svg></svg>")]
-    page = render_page("t", "", [Section("s", "", blocks)], {})
-    assert re.search(r'<div class="scroll">\s*<table', page)
-    assert page.count('<div class="scroll"><svg>') == 1
-    css = page_css()
-    assert re.search(r"\.scroll \{\s*overflow-x: auto", css)
-    assert re.search(r"\.drawing svg \{[^}]*width: 100%", css)
-
-
 def test_long_names_may_break_and_units_and_numbers_do_not():
     cells = ("command_latency_s", "0.0676 rad/s", "a<b/c.d_longer", "98.4 %")
     page = render_page("t", "", [Section("s", "", [Table(("",) * 4, [cells])])], {})
     assert "command_<wbr>latency_<wbr>s" in page and "0.0676 rad/s" in page
     assert "a&lt;b/<wbr>c.<wbr>d_<wbr>longer" in page and "98.4\N{NO-BREAK SPACE}%" in page
-
-
-def test_motors_of_different_kinds_share_a_table(bench):
-    one = bench.model.joints["j1"]
-    other = replace(one, motor={"stall_torque_Nm": 1.6, "loop_period_s": 0.01})
-    rows = identification_section(Model({"a": one, "b": other}), []).blocks[0].rows
-    motor = [row for row in rows if row[1] in ("stall torque", "loop period")]
-    assert [row[:4] for row in motor] == [
-        ("b", "stall torque", "1.6", "N m"),
-        ("b", "loop period", "0.01", "s"),
-    ]
 
 
 def test_a_change_is_never_minus_nothing():

@@ -9,11 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from sim2real.errors import InputError
 from sim2real.model import JointModel, Model
 from sim2real.recording import Recording
-from sim2real.report.diagnosis_plots import Bar, bar_figure
-from sim2real.report.drawing import save_png, svg
+from sim2real.report.drawing import svg
 from sim2real.report.identification import parameter_figure
 from sim2real.report.series import (
     Panel,
@@ -100,13 +98,6 @@ def test_fit_figure_of_little(bench):
     assert "<svg" in svg(timing_figure(recording))
 
 
-def test_fit_figure_refuses_what_does_not_belong(bench):
-    with pytest.raises(ValueError, match="no joint 'tail'"):
-        fit_figure(bench.recording, "tail", bench.predicted[:, 0])
-    with pytest.raises(ValueError, match="predicted: shape"):
-        fit_figure(bench.recording, "j1", bench.predicted)
-
-
 def test_parameter_figure_has_a_panel_a_parameter(bench):
     panels = parameter_figure(bench.model).axes
     assert [axes.get_title(loc="left").split(",")[0] for axes in panels] == ["kp", "kd", "latency"]
@@ -168,14 +159,6 @@ def test_names_and_numbers_are_text():
     ElementTree.fromstring(text)
 
 
-def test_png_is_written_whole(bench, tmp_path):
-    path = save_png(timing_figure(bench.recording), tmp_path / "new" / "timing.png")
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert [p.name for p in path.parent.iterdir()] == ["timing.png"]
-    with pytest.raises(InputError):
-        save_png(timing_figure(bench.recording), tmp_path)
-
-
 def test_long_series_keep_their_extremes_and_gaps():
     rng = np.random.default_rng(0)
     t = np.arange(200_000) * 0.01
@@ -205,10 +188,3 @@ def test_largest_move_is_found_where_it_was_measured():
     lost = np.where((t > 4.5) & (t < 7), np.nan, command)
     start = largest_move(t, {"command": command, "measured": lost})
     assert start < 12 < start + 0.3
-
-
-def test_bars_without_a_finite_value_end_at_the_edge():
-    bars = [Bar("noise", 1.0, "1.0 mrad"), Bar("diverged", float("inf"), "∞")]
-    (axes,) = bar_figure({"j1": bars}, "errors").axes
-    assert axes.get_xlim() == (0.0, 1.2)
-    assert [patch.get_width() for patch in axes.patches] == [1.0, 1.0]
