@@ -8,7 +8,6 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.control_loop import undetected_loop
-from sim2real.identification.play import play_between_pulls
 from sim2real.identification.problem import Fit
 from sim2real.identification.search import errors_of
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
@@ -53,21 +52,6 @@ def on_gains(recordings: Sequence[Recording]) -> tuple[str, ...]:
     unknown = ", ".join(name for name, gain in gains.items() if gain is None)
     if unknown:
         notes.append(f"{unknown}: no firmware_p_gain is stated, and {known[0]:g} was assumed")
-    return tuple(notes)
-
-
-def on_play(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Notes on the play of joints that other servos pull to either side."""
-    notes = []
-    for recording in recordings:
-        for joint in recording.joints:
-            play = play_between_pulls(recording, joint)
-            if play is not None:
-                notes.append(
-                    f"{joint} in {recording.name} rests {1e3 * play.unloaded_rad:.1f} mrad apart "
-                    f"after pulls to either side (play with dead band and friction), and "
-                    f"{1e3 * play.loaded_rad:.1f} mrad while pulled (deflection included)"
-                )
     return tuple(notes)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from sim2real.arrays import Array
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.priors import MotorPrior, motor_prior
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.identification.search import continued, fit, shortlist
+from sim2real.identification.search import fit, shortlist
 from sim2real.identification.servo_problem import FLAT_COLUMNS, LINE_COLUMNS
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
@@ -124,24 +123,6 @@ def _fit_continuous(
     starts = np.tile(full.row, (len(_SOFT_STARTS_S), 1))
     starts[:, [COLUMNS.index(name) for name in SOFT]] = _SOFT_STARTS_S
     return _better(chosen, fit_motor(fitted, plain, prior, (*names, *SOFT), rng, starts))
-
-
-def fitted_again(motor: Fit, traces: Sequence[Trace], plain: Fit, rng: np.random.Generator) -> Fit:
-    """The motor fitted to more recordings, with the same limit and losses.
-
-    Args:
-        motor: The fit.
-        traces: The recordings.
-        plain: The fit of the servo without a motor, whose gains are kept if they are not fitted.
-        rng: Generator for starts.
-    """
-    if BASE[0] not in motor.names:
-        return continued(motor, traces, row=plain.row)
-    if set(LOSSES).isdisjoint(motor.names):
-        return continued(motor, traces)
-    candidates = _candidates(motor.parameters, plain, rng, 512, motor.row)
-    problem = replace(motor.problem, traces=traces)
-    return continued(motor, traces, further=shortlist(problem, candidates, 6), rng=rng)
 
 
 def fit_limit(

@@ -212,34 +212,15 @@ def robust_order(
     return np.argsort(means)
 
 
-def continued(
-    best: Fit,
-    traces: Sequence[Trace],
-    *,
-    row: Array | None = None,
-    further: Array | None = None,
-    rng: np.random.Generator | None = None,
-    effort: float = 1.0,
-) -> Fit:
+def continued(best: Fit, traces: Sequence[Trace], *, effort: float = 1.0) -> Fit:
     """Fit the same parameters to more recordings of the joint, from all minima of a fit.
 
-    Args:
-        best: The fit.
-        traces: The recordings.
-        row: Values of the parameters that are not fitted, shape (P,); by default as before.
-        further: Further servos from which to start, shape (S, P).
-        rng: As of ``fit``.
-        effort: Multiple of the largest number of evaluations.
+    ``effort`` multiplies the largest number of evaluations.
     """
     problem = replace(best.problem, traces=traces)
     rows = best.problem.rows(np.vstack([best.x[None], best.others[:5]]))
-    if row is not None:
-        problem = replace(problem, row=row)
-    if further is not None:
-        rows = np.vstack([rows, further])
-    sizes = (10 if further is None else 20, 10, 40)
-    first, later, last = (round(effort * size) for size in sizes)
-    return fit(problem, rows, rounds=3, first=first, later=later, last=last, rng=rng)
+    first, later, last = (round(effort * size) for size in (10, 10, 40))
+    return fit(problem, rows, rounds=3, first=first, later=later, last=last)
 
 
 def point_fit(problem: ServoProblem, row: Array) -> Fit:
