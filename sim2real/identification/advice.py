@@ -65,13 +65,9 @@ def on_fit(
 ) -> list[str]:
     """Notes on parameters without influence, undetermined ones, bounds, convergence and misfit.
 
-    Args:
-        best: The fit.
-        spread: Its uncertainty.
-        ends: Intervals of the fitted parameters, by name.
-        without_influence: Columns that were not fitted.
-        figures: Errors of the fit, as of ``Model.fit``.
-        warned: Whether there are warnings about the recordings, which may explain a misfit.
+    ``ends`` are the intervals of the fitted parameters, by name, ``without_influence`` the columns
+    that were not fitted, ``figures`` as of ``Model.fit``; ``warned``: whether there are warnings
+    about the recordings, which may explain a misfit.
     """
     notes = [
         f"{readable_name(name)} has no influence on these recordings; "
@@ -218,11 +214,8 @@ def on_optima(
 ) -> list[str]:
     """A note on the other optimum that differs most, if one fits the recordings as well.
 
-    Args:
-        names: Columns of the F fitted parameters.
-        values: Their values, shape (F,).
-        half_width: Half-widths of their intervals, shape (F,).
-        optima: Values at other optima with the same loss, each of shape (F,).
+    Of F columns, their values (F,), half-widths of their intervals (F,) and values at other optima
+    with the same loss, each of shape (F,).
     """
     apart = [np.abs(other - values) > half_width for other in optima]
     if not any(differs.any() for differs in apart):

@@ -159,12 +159,10 @@ class MotorPrior:
     def flat(self, kd: float, *, damping_share: tuple[float, float] = (0.6, 0.6)) -> MotorPrior:
         """The prior of the same motor, if its current is limited at any speed and not its voltage.
 
-        Damping acts beyond the limit, at least a share of it: the stall torque over the no-load
-        speed. The no-load speed of the data sheet is then no limit.
-
-        Args:
-            kd: Damping of the linear servo in N m s/rad, about which the bounds lie.
-            damping_share: Median of that share, and the standard deviation of its logarithm.
+        Damping acts beyond the limit, at least a share of it, with this median and standard
+        deviation of its logarithm: the stall torque over the no-load speed. The no-load speed of
+        the data sheet is then no limit; its bounds lie about the damping ``kd`` of the linear servo
+        in N m s/rad.
         """
         middle = float(np.exp(self[LINE[0]].nominal)) / kd / damping_share[0]
         flat = self.changed(

@@ -146,9 +146,7 @@ class ServoProblem:
     def substeps(self, rows: Array, *, rough: bool = False) -> Array:
         """Longest sub-step in s of each of the servos (B, P), (B,); infinite for exact solutions.
 
-        Args:
-            rows: The servos.
-            rough: Whether for derivatives, or far from a minimum (``rollout.coarse_substep``).
+        ``rough``: for derivatives, or far from a minimum (``rollout.coarse_substep``).
         """
         exact = self.exact and self.simulator.is_linear(rows)
         fine = self.simulator.substeps(rows, exact=exact)
