@@ -13,6 +13,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError, library
+from sim2real.inference.normal import LEVEL
 from sim2real.output import write_whole
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
@@ -115,8 +116,10 @@ def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator)
     )
 
 
-def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
-    """Write ``posterior.npz``: ``names``, ``units`` and ``sample`` (float32); without pickle.
+def write_sample(
+    sample: JointSample, path: str | os.PathLike[str], interval_level: float = LEVEL
+) -> None:
+    """Write ``posterior.npz``: ``names``, ``units``, ``sample`` (float32), ``interval_level``.
 
     Raises:
         InputError: If the folder can't be written.
@@ -128,6 +131,7 @@ def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
         names=np.array(sample.names),
         units=np.array(sample.units),
         sample=sample.values.astype(np.float32),
+        interval_level=np.array(interval_level),
     )
     write_whole(path, stream.getvalue())
 

@@ -22,6 +22,7 @@ from sim2real.identification.priors import (
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
+from sim2real.inference.normal import LEVEL
 from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
@@ -59,6 +60,7 @@ class ServoPosterior:
         chain: The chain, with all steps.
         undetermined: Parameters of effects that the recordings do not determine, which are held at
             the model's values.
+        level: Probability of its intervals.
     """
 
     problem: ServoProblem
@@ -68,6 +70,7 @@ class ServoPosterior:
     noise_sd: float
     chain: Chain
     undetermined: tuple[str, ...] = ()
+    level: float = LEVEL
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -78,6 +81,11 @@ class ServoPosterior:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return self.problem.names
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """Probabilities of the lower end, the median and the upper end of intervals."""
+        return 0.5 - self.level / 2, 0.5, 0.5 + self.level / 2
 
     def quantiles(self, *shares: float) -> Array:
         """Quantiles of each parameter, shape (len(shares), F)."""
@@ -101,13 +109,9 @@ def servo_problem(
 ) -> ServoProblem:
     """All parameters that the fit of a model determined, with the bounds and priors of the fit.
 
-    Args:
-        traces: Recordings of the joint.
-        joint: Its model.
-        servo: Its data sheet, for the prior of a motor; without one, the motor is as in the model.
-        held: Parameters to hold at the model's values. So are those of effects that are random for
-            given parameters, which are set to 0: a rollout without them has approximately their
-            mean response, and the deviation from it is noise.
+    Without the data sheet of its servo, a motor is as in the model, as are parameters that are
+    ``held``. Those of effects that are random for given parameters are set to 0: a rollout without
+    them has approximately their mean response, and the deviation from it is noise.
     """
     with_loads = [loaded(trace, joint) for trace in traces]
     row = joint_row(joint, with_loads[0].load)
@@ -140,6 +144,7 @@ def sample_servo(
     steps: int = STEPS,
     walkers: int = WALKERS,
     file: Path | None = None,
+    level: float = LEVEL,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> ServoPosterior:
     """Sample all parameters that the fit of a model determined.
@@ -157,6 +162,7 @@ def sample_servo(
         steps: Total steps of each walker, including those in ``file``.
         walkers: Number of walkers, at least twice the number of parameters.
         file: File of the chain, which is continued if it exists; None keeps it in memory.
+        level: Probability of the intervals.
         progress: Called with the number of completed steps.
 
     Returns:
@@ -194,6 +200,7 @@ def sample_servo(
         noise_sd=float(noise[0]),
         chain=chain,
         undetermined=held,
+        level=level,
     )
 
 
