@@ -125,11 +125,7 @@ def _gravity(fields: Fields) -> tuple[float, float, float]:
 
 
 def _dynamics_only(text: str) -> str:
-    """A URDF without what does not change its dynamics.
-
-    Hinges without limits get wide ones. Links get a prefix: a link and a joint of one name are
-    valid in a URDF, and ambiguous in Pinocchio.
-    """
+    """A URDF without what does not change its dynamics."""
     source = ElementTree.fromstring(text)
     robot = Element("robot", {"name": source.get("name", "arm")})
     for element in source:

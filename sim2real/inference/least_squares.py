@@ -90,20 +90,11 @@ def minimise(
     """Minimise N problems by damped steps, with one joint evaluation per round.
 
     Source: Marquardt, SIAM Journal on Applied Mathematics 11 (1963) 431-441; a parameter whose step
-    would leave its bounds is held at the bound.
-
-    Args:
-        expand: The problems.
-        start: Starting points, in units, shape (N, F).
-        low: Smallest values, likewise.
-        high: Largest values, likewise.
-        free: Mask of the places that hold a parameter, shape (N, F); all by default.
-        evaluations: Largest number of evaluations of each problem.
-        settled: Expected gain below which a search ends.
-        hopeless: Selects problems to stop, called every ``look_every`` evaluations.
-        losses: Losses of points (M, F) of the problems ``index`` (M,), if they are cheaper than
-            expansions; only points with a smaller loss are then expanded.
-        look_every: Evaluations between calls of ``hopeless``.
+    would leave its bounds is held at the bound. ``start``, ``low`` and ``high`` are in units, shape
+    (N, F); ``free`` marks the places that hold a parameter. A search ends after ``evaluations``, or
+    where the expected gain is below ``settled``; ``hopeless`` selects problems to stop every
+    ``look_every`` evaluations. ``losses`` returns those of points (M, F) of the problems ``index``
+    (M,), if they are cheaper than expansions; only points with a smaller loss are then expanded.
     """
     N = start.shape[0]
     free = np.ones(start.shape, dtype=bool) if free is None else free
@@ -207,16 +198,9 @@ def cannot_win(
 ) -> Mask:
     """Searches that approach the minimum of a better one, or cannot reach the best loss.
 
-    For the argument ``hopeless`` of ``minimise``.
-
-    Args:
-        active: Indices of the M active ones of S searches.
-        points: Current points of all searches, in natural units, shape (S, F).
-        losses: Their losses, shape (S,).
-        promised: Decrease of the loss expected from the next step of each active search, (M,).
-        same: Distance in units below which two searches approach the same minimum.
-        behind: Largest difference to the best loss at which a search continues.
-        optimism: Assumed remaining decrease of a loss as a multiple of ``promised``.
+    For the argument ``hopeless`` of ``minimise``: of S searches the M ``active`` ones, current
+    points (S, F) in natural units, losses (S,), and the decrease ``promised`` by the next step
+    (M,), of which a multiple, ``optimism``, is assumed to remain.
     """
     rank = np.empty(losses.size, dtype=np.intp)
     rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
@@ -250,10 +234,8 @@ def central(
 def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
     """Expansion of half a sum of squares, or of half a soft L1 loss.
 
-    Args:
-        error: Residuals, shape (n,), in standard deviations or another unit of the loss.
-        slope: Their derivatives, shape (n, F).
-        scale: Size above which residuals are down-weighted; infinite for the sum of squares.
+    Residuals (n,) are in standard deviations or another unit of the loss, their derivatives of
+    shape (n, F); ``scale`` is the size above which residuals are down-weighted.
     """
     ratio = 1 + (error / scale) ** 2
     loss = 0.5 * robust_loss(error, scale)

@@ -63,14 +63,9 @@ class Posteriors(NotebookDisplay):
         """ArviZ's ``InferenceData``: variables ``J.PARAMETER``, one chain per walker.
 
         Units are attributes of the variables. The last draws of each joint are used, as many as the
-        shortest chain has.
-
-        Raises:
-            MissingLibrary: If the extra ``arviz`` is not installed.
-            ValueError: If the joints were sampled with different numbers of walkers.
+        shortest chain has. Needs the extra ``arviz``, and the same number of walkers in all joints.
         """
         arviz = library("arviz", "to_arviz")
-
         columns, units = {}, {}
         for joint, servo in self.joints.items():
             values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
@@ -88,11 +83,7 @@ class Posteriors(NotebookDisplay):
         return data
 
     def plot(self, joint: str | None = None) -> Figure:
-        """Marginals of one joint (the first by default), and of every pair of parameters.
-
-        Raises:
-            InputError: If that joint was not sampled.
-        """
+        """Marginals of one joint (the first by default), and of every pair of parameters."""
         name = next(iter(self.joints), "") if joint is None else joint
         if name not in self.joints:
             raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
@@ -119,11 +110,7 @@ def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator)
 def write_sample(
     sample: JointSample, path: str | os.PathLike[str], interval_level: float = LEVEL
 ) -> None:
-    """Write ``posterior.npz``: ``names``, ``units``, ``sample`` (float32), ``interval_level``.
-
-    Raises:
-        InputError: If the folder can't be written.
-    """
+    """Write ``posterior.npz``: ``names``, ``units``, ``sample`` (float32), ``interval_level``."""
     stream = io.BytesIO()
     np.savez_compressed(
         stream,
@@ -137,11 +124,7 @@ def write_sample(
 
 
 def read_sample(path: str | os.PathLike[str]) -> JointSample:
-    """Read ``posterior.npz``.
-
-    Raises:
-        InputError: If it is not such a file.
-    """
+    """Read ``posterior.npz``; InputError if it is not such a file."""
     content = read_arrays(path, "a posterior.npz", what="sample")
     for name in ("format", "names", "units", "sample"):
         if name not in content:

@@ -61,13 +61,7 @@ def predictive_check(
     The parameters are drawn from the normal distribution of a fit without the recording; noise is
     added to every prediction, with the root mean square of the residual of that fit. Source:
     Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807.
-
-    Args:
-        posterior: The posterior from all recordings.
-        joint: Its model.
-        fitted: Traces to fit.
-        held_out: A trace whose ``used`` samples are not fitted.
-        rng: Generator for draws and noise.
+    ``posterior`` is that of all recordings; of ``held_out`` the ``used`` samples are not fitted.
     """
     trace = loaded(held_out, joint)
     without = replace(posterior.problem, traces=[loaded(one, joint) for one in fitted])

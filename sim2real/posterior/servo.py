@@ -154,16 +154,9 @@ def sample_servo(
     likelihood, which makes their intervals those of ``identify`` (curvature adjustment: Ribatet,
     Cooley and Davison, Statistica Sinica 22 (2012) 813-845).
 
-    Args:
-        traces: Recordings of the joint.
-        joint: Its model, from which the search for the optimum starts.
-        servo: Its data sheet, for the prior of a motor.
-        seed: Seed of the chain.
-        steps: Total steps of each walker, including those in ``file``.
-        walkers: Number of walkers, at least twice the number of parameters.
-        file: File of the chain, which is continued if it exists; None keeps it in memory.
-        level: Probability of the intervals.
-        progress: Called with the number of completed steps.
+    The search for the optimum starts from the model. ``steps`` are those of each of the
+    ``walkers``, including those in ``file``, a chain that is continued if it exists; ``level`` is
+    the probability of the intervals.
 
     Returns:
         The sample; ``convergence.reached`` is true if the chain is long enough.
@@ -251,28 +244,27 @@ def _factors(best: Fit) -> tuple[Array, Array]:
 
 def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Chain:
     """The chain in ``file``, or a new one from the optimum."""
-    fingerprint = _fingerprint(best.problem, seed, walkers)
+    problem = best.problem
+    fingerprint = _fingerprint(problem, seed, walkers)
     if file is not None:
         clear_leftovers(file)
     if file is not None and file.exists():
         chain = read_chain(file)
+        expected = "that of this call; remove the file to start again"
         if chain.fingerprint != fingerprint:
             found = "the chain of other recordings, another model, version or seed"
-            raise InputError(file, "", found, "that of this call; remove the file to start again")
+            raise InputError(file, "", found, expected)
         for name in _ORIGIN:
             if name not in chain.origin:
-                expected = "it, in a chain; remove the file to start again"
                 raise InputError(file, f"origin.{name}", "nothing", expected)
         return chain
-    noise = np.array([best.scale_rad, best.inflation])
     factor, spread = _factors(best)
+    noise = np.array([best.scale_rad, best.inflation])
     origin = dict(zip(_ORIGIN, (best.x, factor, spread, noise), strict=True))
     chain = new_chain(walkers, best.x.size, seed, origin, fingerprint)
-    x = _folded(best.problem, best.x + chain.origin["start"] @ factor.T)
-    inside = np.clip(x, *best.problem.box) - best.x
-    return replace(
-        chain, origin={**chain.origin, "start": np.asarray(np.linalg.solve(factor, inside.T).T)}
-    )
+    x = _folded(problem, best.x + chain.origin["start"] @ factor.T)
+    inside = np.linalg.solve(factor, (np.clip(x, *problem.box) - best.x).T).T
+    return replace(chain, origin={**chain.origin, "start": np.asarray(inside)})
 
 
 def _fingerprint(problem: ServoProblem, seed: int, walkers: int) -> str:

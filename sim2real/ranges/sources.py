@@ -114,8 +114,8 @@ def body_ranges(model: Model) -> list[Range]:
     for name, value in values(model).items():
         low, high, source = value, value, "the model's body: its value; it gives no interval"
         if name in intervals:
-            low, high = (finite_number(end) for end in intervals[name])
-            low, high = (value if end is None else end for end in (low, high))
+            ends = [finite_number(end) for end in intervals[name]]
+            low, high = (value if end is None else end for end in ends)
             source = "the model's body: its 90 % interval"
         effect, *_, parameter = name.split(".")
         unit = next(p.unit for p in body_effect(effect).parameters if p.name == parameter)
