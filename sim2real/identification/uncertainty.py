@@ -26,21 +26,14 @@ GAINS = BASE[:2]
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the F free parameters of a fit, as searched, in units.
+    """Uncertainty of the F free parameters of a fit, as searched, in units."""
 
-    Attributes:
-        covariance: Shape (F, F); 0 for directions that are not determined.
-        half_width: Half-widths of intervals, without regard to open directions, shape (F,).
-        open_directions: Indices of the parameters of each direction that is not determined.
-        inflation: Largest ratio of the variance to that for independent residuals.
-        level: Probability of the intervals.
-    """
-
-    covariance: Array
-    half_width: Array
+    covariance: Array  # shape (F, F); 0 for directions that are not determined
+    half_width: Array  # half-widths of intervals, without regard to open directions, shape (F,)
+    # indices of the parameters of each direction that is not determined
     open_directions: tuple[tuple[int, ...], ...]
-    inflation: float
-    level: float
+    inflation: float  # largest ratio of the variance to that for independent residuals
+    level: float  # probability of the intervals
 
     @property
     def sd(self) -> Array:

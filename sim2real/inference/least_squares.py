@@ -26,19 +26,12 @@ _LARGEST_STEP = 3.0
 
 @dataclass(frozen=True)
 class Expansion:
-    """Second-order expansion of minus the log-posterior of N problems, each about one point.
+    """Second-order expansion of minus the log-posterior of N problems, each about one point."""
 
-    Attributes:
-        loss: Value up to a constant, shape (N,); infinite where the simulation diverges.
-        slope: First derivatives, shape (N, F).
-        curvature: Second derivatives in the Gauss-Newton approximation, shape (N, F, F).
-        aside: Other results at the points by name, arrays of shape (N, ...).
-    """
-
-    loss: Array
-    slope: Array
-    curvature: Array
-    aside: dict[str, Array]
+    loss: Array  # value up to a constant, shape (N,); infinite where the simulation diverges
+    slope: Array  # first derivatives, shape (N, F)
+    curvature: Array  # second derivatives in the Gauss-Newton approximation, shape (N, F, F)
+    aside: dict[str, Array]  # other results at the points by name, arrays of shape (N, ...)
 
     def replace(self, rows: Index, new: Expansion, chosen: Mask | slice = slice(None)) -> None:
         """Replace the rows (M,), in place, by the M chosen rows of another expansion."""
@@ -61,17 +54,11 @@ that each active one expects of an undamped step (M,), to a mask of those to sto
 
 @dataclass(frozen=True)
 class Minimum:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        x: The best points in units, shape (N, F).
-        expansion: Expansion about them.
-        converged: Whether no further step was expected to be significant, shape (N,).
-    """
-
-    x: Array
-    expansion: Expansion
-    converged: Mask
+    x: Array  # the best points in units, shape (N, F)
+    expansion: Expansion  # expansion about them
+    converged: Mask  # whether no further step was expected to be significant, shape (N,)
 
 
 def minimise(

@@ -64,15 +64,10 @@ def column(parameters: Sequence[Parameter], field: str) -> Array:
 
 @dataclass(frozen=True)
 class Gaussian:
-    """A normal distribution of F parameters, as a prior or as the result of a fit.
+    """A normal distribution of F parameters, as a prior or as the result of a fit."""
 
-    Attributes:
-        mean: Shape (F,).
-        covariance: Shape (F, F).
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # shape (F,)
+    covariance: Array  # shape (F, F)
 
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> Gaussian:

@@ -39,23 +39,15 @@ def chain_file(out: Path, joint: str) -> Path | None:
 
 @dataclass(frozen=True)
 class Chain:
-    """An ensemble of walkers after N steps.
+    """An ensemble of walkers after N steps."""
 
-    Attributes:
-        coordinates: Standardised coordinates, shape (N, W, F).
-        log_density: Log-posterior at these, shape (N, W).
-        accepted: Number of accepted moves of each walker, shape (W,).
-        random: State of the random number generator, from ``RandomState.get_state``.
-        origin: Constant arrays by name that define the coordinates, and the initial walkers.
-        fingerprint: Hash of the problem; a chain is continued only for the same problem.
-    """
-
-    coordinates: Array
-    log_density: Array
-    accepted: NDArray[np.int64]
-    random: tuple[Any, ...]
+    coordinates: Array  # standardised coordinates, shape (N, W, F)
+    log_density: Array  # log-posterior at these, shape (N, W)
+    accepted: NDArray[np.int64]  # number of accepted moves of each walker, shape (W,)
+    random: tuple[Any, ...]  # state of the random number generator, from ``RandomState.get_state``
+    # constant arrays by name that define the coordinates, and the initial walkers
     origin: Mapping[str, Array]
-    fingerprint: str
+    fingerprint: str  # hash of the problem; a chain is continued only for the same problem
 
     @property
     def steps(self) -> int:
@@ -262,17 +254,11 @@ def independent(
 
 @dataclass(frozen=True)
 class Convergence:
-    """How well a chain has mixed.
+    """How well a chain has mixed."""
 
-    Attributes:
-        times: Integrated autocorrelation time of each parameter in steps, shape (F,).
-        steps: Number of completed steps.
-        accepted: Share of the moves that were accepted, all walkers together.
-    """
-
-    times: Array
-    steps: int
-    accepted: float
+    times: Array  # integrated autocorrelation time of each parameter in steps, shape (F,)
+    steps: int  # number of completed steps
+    accepted: float  # share of the moves that were accepted, all walkers together
 
     @property
     def spans(self) -> float:

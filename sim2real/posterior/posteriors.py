@@ -28,17 +28,11 @@ MOST_DRAWS = 4000
 
 @dataclass(frozen=True)
 class JointSample:
-    """Draws of all parameters of a robot's servos.
+    """Draws of all parameters of a robot's servos."""
 
-    Attributes:
-        names: ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER`` and so on, P of them.
-        units: Their units, SI.
-        values: The draws, shape (N, P), one per row.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
+    names: tuple[str, ...]  # ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER`` and so on, P of them
+    units: tuple[str, ...]  # their units, SI
+    values: Array  # the draws, shape (N, P), one per row
 
 
 @dataclass(frozen=True)

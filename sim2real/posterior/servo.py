@@ -49,28 +49,18 @@ _ORIGIN = ("centre", "factor", "spread", "noise")
 
 @dataclass(frozen=True)
 class ServoPosterior:
-    """A sample of the posterior of one servo.
+    """A sample of the posterior of one servo."""
 
-    Attributes:
-        problem: The recordings, and the F sampled parameters with their priors.
-        values: The sample, shape (N, F), ordered by step and then by walker.
-        convergence: How well the chain has mixed.
-        optimum: Values at the optimum, shape (F,).
-        noise_sd: Robust standard deviation of the residual at the optimum in rad.
-        chain: The chain, with all steps.
-        undetermined: Parameters of effects that the recordings do not determine, which are held at
-            the model's values.
-        level: Probability of its intervals.
-    """
-
-    problem: ServoProblem
-    values: Array
-    convergence: Convergence
-    optimum: Array
-    noise_sd: float
-    chain: Chain
+    problem: ServoProblem  # the recordings, and the F sampled parameters with their priors
+    values: Array  # the sample, shape (N, F), ordered by step and then by walker
+    convergence: Convergence  # how well the chain has mixed
+    optimum: Array  # values at the optimum, shape (F,)
+    noise_sd: float  # robust standard deviation of the residual at the optimum in rad
+    chain: Chain  # the chain, with all steps
+    # parameters of effects that the recordings do not determine, which are held at the model's
+    # values
     undetermined: tuple[str, ...] = ()
-    level: float = LEVEL
+    level: float = LEVEL  # probability of its intervals
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -79,24 +79,15 @@ class Gathered(NotebookDisplay):
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of the posterior sampling.
+    """Settings of the posterior sampling."""
 
-    Attributes:
-        steps, walkers: Steps and walkers of each chain.
-        seed: Seed of the random numbers.
-        held_out: Name of the recording to check a fit to the others on; by default the last.
-        file: Function from a joint to the file of its chain; None keeps the chain in memory.
-        progress: Called with a joint and the number of completed steps.
-        level: Probability of the intervals of the posteriors.
-    """
-
-    steps: int = STEPS
+    steps: int = STEPS  # of each chain
     walkers: int = WALKERS
     seed: int = 0
-    held_out: str | None = None
-    file: Callable[[str], Path | None] = lambda joint: None
-    progress: Callable[[str, int], None] = lambda joint, steps: None
-    level: float = LEVEL
+    held_out: str | None = None  # recording to check a fit to the others on; by default the last
+    file: Callable[[str], Path | None] = lambda joint: None  # of a joint's chain; None: in memory
+    progress: Callable[[str, int], None] = lambda joint, steps: None  # steps are completed ones
+    level: float = LEVEL  # probability of the intervals of the posteriors
 
 
 def gather(

@@ -64,17 +64,11 @@ def episode_latencies(
 
 @dataclass(frozen=True)
 class Spread:
-    """Estimate of the uniform distribution of latencies.
+    """Estimate of the uniform distribution of latencies."""
 
-    Attributes:
-        centre: Centre in s.
-        half_width: Half-width in s.
-        half_width_90: 90 % interval of the half-width in s.
-    """
-
-    centre: float
-    half_width: float
-    half_width_90: tuple[float, float]
+    centre: float  # centre in s
+    half_width: float  # half-width in s
+    half_width_90: tuple[float, float]  # 90 % interval of the half-width in s
 
 
 def spread(seconds: Array, sd: Array, *, smallest_s: float = 1e-4) -> Spread:
@@ -107,23 +101,15 @@ def _quantiles(grid: Array, weight: Array, shares: Sequence[float]) -> list[floa
 
 @dataclass(frozen=True)
 class Latencies:
-    """Latency of the commands of each episode.
+    """Latency of the commands of each episode."""
 
-    Attributes:
-        episodes: Description of each episode: a recording, or a window of one.
-        seconds: Latency that all joints share in s, shape (E,).
-        sd: Its standard deviations in s, shape (E,).
-        offset: Deviation of each joint in s, and its standard deviation.
-        windows: Whether episodes are windows.
-        dropped: Number of fits that were too uncertain to be used.
-    """
-
-    episodes: Sequence[str]
-    seconds: Array
-    sd: Array
+    episodes: Sequence[str]  # description of each episode: a recording, or a window of one
+    seconds: Array  # latency that all joints share in s, shape (E,)
+    sd: Array  # its standard deviations in s, shape (E,)
+    # deviation of each joint in s, and its standard deviation
     offset: Mapping[str, tuple[float, float]]
-    windows: bool
-    dropped: int
+    windows: bool  # whether episodes are windows
+    dropped: int  # number of fits that were too uncertain to be used
 
 
 def latencies(

@@ -40,43 +40,29 @@ _BYTES = {"cpu": 200e6, "cuda": 16e9}
 
 @dataclass(frozen=True)
 class Problems:
-    """Servos to simulate on all recordings of one joint each, with perturbed variants of each.
+    """Servos to simulate on all recordings of one joint each, with perturbed variants of each."""
 
-    Attributes:
-        joint: Index of the joint in the batch, shape (N,).
-        theta: Parameters of each servo and then of its variants, shape (N, V, P); loads are taken
-            from the recordings.
-        scale: Factor on the difference of each variant from its servo, shape (N, V); 0 for an
-            absent variant.
-    """
-
-    joint: Integers
+    joint: Integers  # index of the joint in the batch, shape (N,)
+    # parameters of each servo and then of its variants, shape (N, V, P); loads are taken from the
+    # recordings
     theta: Array
+    # factor on the difference of each variant from its servo, shape (N, V); 0 for an absent variant
     scale: Array
 
 
 @dataclass(frozen=True)
 class Normal:
-    """Whitened normal equations.
+    """Whitened normal equations."""
 
-    Attributes:
-        gram: Inner products of the residual (index 0) and the differences of the first variants
-            with the differences of all, per block of the recordings, shape (N, blocks, deep, V), in
-            rad2.
-        square: Inner product of each with itself, over all blocks, shape (N, V).
-        count: Number of samples whose innovations count, shape (N,).
-        autoregression: Coefficients of the noise model, shape (N, lags).
-        residual: Simulated minus measured angles before whitening, shape (N, R, T); None unless
-            requested.
-        whitened: Innovations of the residual, likewise.
-    """
-
+    # inner products of the residual (index 0) and the differences of the first variants with the
+    # differences of all, per block of the recordings, shape (N, blocks, deep, V), in rad2
     gram: Array
-    square: Array
-    count: Array
-    autoregression: Array
+    square: Array  # inner product of each with itself, over all blocks, shape (N, V)
+    count: Array  # number of samples whose innovations count, shape (N,)
+    autoregression: Array  # coefficients of the noise model, shape (N, lags)
+    # simulated minus measured angles before whitening, shape (N, R, T); None unless requested
     residual: Array | None = None
-    whitened: Array | None = None
+    whitened: Array | None = None  # innovations of the residual, likewise
 
 
 class Batch:

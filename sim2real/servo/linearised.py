@@ -70,17 +70,11 @@ def _length(step: float, samples: int) -> int:
 
 @dataclass(frozen=True)
 class Residual:
-    """Residual of the fit of a servo, for one joint in one recording.
-
-    Attributes:
-        trace: The recording.
-        residual: Simulated minus measured angle in rad, shape (T,); arbitrary where not used.
-        kp, kd, latency_s: Fitted gains in N m/rad and N m s/rad, and latency.
-    """
+    """Residual of the fit of a servo, for one joint in one recording."""
 
     trace: Trace
-    residual: Array
-    kp: float
+    residual: Array  # simulated minus measured angle in rad, shape (T,); arbitrary where not used
+    kp: float  # fitted gains in N m/rad and N m s/rad, and latency
     kd: float
     latency_s: float
 

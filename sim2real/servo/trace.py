@@ -20,52 +20,34 @@ FINEST_NOISE_RAD = 1e-6
 
 @dataclass(frozen=True)
 class ReportedDrive:
-    """Controller that the reported drive shows: ``drive = gain (u(t - latency) - q - lead v)``.
+    """Controller that the reported drive shows: ``drive = gain (u(t - latency) - q - lead v)``."""
 
-    Attributes:
-        per_rad: Gain, as a share of the full drive per radian.
-        latency_s: Latency of the set-point u, s.
-        lead_s: Derivative time of the controller, s; 0 for a proportional controller.
-        period_s: Sampling period: a sample's columns may be read at times this far apart.
-    """
-
-    per_rad: float
-    latency_s: float
-    lead_s: float
-    period_s: float
+    per_rad: float  # gain, as a share of the full drive per radian
+    latency_s: float  # latency of the set-point u, s
+    lead_s: float  # derivative time of the controller, s; 0 for a proportional controller
+    period_s: float  # sampling period: a sample's columns may be read at times this far apart
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Commands and measured angles of one joint, while its torque was on.
+    """Commands and measured angles of one joint, while its torque was on."""
 
-    Attributes:
-        name: Name of the recording.
-        file: File of the recording, unique among recordings.
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        position: Measured angles in rad, shape (T,), NaN where missing.
-        load: The stated load, or ``PER_INERTIA``; of a load that varies, its mean inertia.
-        used: Mask of the samples that the fit may use, shape (T,).
-        drive: Controller that the reported drive shows; None if the servo does not report it.
-        supply_ratio: Supply voltage, relative to that of the other recordings.
-        gain_ratio: Proportional gain of the firmware, relative to that of the other recordings.
-        sample_delay_s: Time from ``t`` to the sampling of the angles, by which set-points take
-            effect earlier relative to the angles.
-        varying: Load that varies with time, as on an arm; None if it is constant.
-    """
-
-    name: str
-    file: str
-    t: Array
-    command: Array
-    position: Array
-    load: Load
-    used: Mask
+    name: str  # name of the recording
+    file: str  # file of the recording, unique among recordings
+    t: Array  # times in s, shape (T,)
+    command: Array  # set-points in rad, shape (T,)
+    position: Array  # measured angles in rad, shape (T,), NaN where missing
+    load: Load  # the stated load, or ``PER_INERTIA``; of a load that varies, its mean inertia
+    used: Mask  # mask of the samples that the fit may use, shape (T,)
+    # controller that the reported drive shows; None if the servo does not report it
     drive: ReportedDrive | None = None
-    supply_ratio: float = 1.0
+    supply_ratio: float = 1.0  # supply voltage, relative to that of the other recordings
+    # proportional gain of the firmware, relative to that of the other recordings
     gain_ratio: float = 1.0
+    # time from ``t`` to the sampling of the angles, by which set-points take effect earlier
+    # relative to the angles
     sample_delay_s: float = 0.0
+    # load that varies with time, as on an arm; None if it is constant
     varying: VaryingLoad | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
