@@ -1,8 +1,7 @@
 """Levenberg-Marquardt minimisation of many bounded problems at once.
 
 A problem provides loss, gradient and curvature at given points (``Expansion``), for any number of
-problems in one call. ``expansion`` computes these from residuals and their derivatives, optionally
-with a loss that is robust to outliers.
+problems in one call.
 """
 
 from __future__ import annotations
@@ -197,49 +196,6 @@ def cannot_win(
     return np.asarray(follows | (reachable > losses.min() + behind))
 
 
-def central(
-    simulate: Callable[[Array], Array], x: Array, size: Array, low: Array, high: Array
-) -> tuple[Array, Array]:
-    """Simulated values at a point (F,) and their derivatives by central differences, in one batch.
-
-    ``simulate`` goes from points (M, F) to rows (M, n). Steps of ``size`` (F,) are shortened at the
-    bounds.
-
-    Returns:
-        The row (n,) and its derivatives (n, F), 0 where a neighbouring point has no finite value.
-    """
-    F = x.size
-    ahead, back = np.minimum(x + size, high), np.maximum(x - size, low)
-    diagonal = np.eye(F, dtype=bool)
-    points = np.concatenate([x[None], np.where(diagonal, ahead, x), np.where(diagonal, back, x)])
-    rows = simulate(points)
-    with np.errstate(over="ignore", invalid="ignore"):
-        slope = (rows[1 : F + 1] - rows[F + 1 :]) / (ahead - back)[:, None]
-    return rows[0], np.where(np.isfinite(slope), slope, 0.0).T
-
-
-def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
-    """Expansion of half a sum of squares, or of half a soft L1 loss.
-
-    Residuals (n,) are in standard deviations or another unit of the loss, their derivatives of
-    shape (n, F); ``scale`` is the size above which residuals are down-weighted.
-    """
-    ratio = 1 + (error / scale) ** 2
-    loss = 0.5 * robust_loss(error, scale)
-    bent = (slope / ratio[:, None] ** 1.5).T @ slope
-    steep = (error / np.sqrt(ratio)) @ slope
-    return Expansion(np.array([loss]), steep[None], bent[None], {})
-
-
-def stacked(expansions: Sequence[Expansion]) -> Expansion:
-    """Concatenate expansions to one of N problems, without ``aside``."""
-    loss, slope, curvature = (
-        np.concatenate([getattr(e, name) for e in expansions])
-        for name in ("loss", "slope", "curvature")
-    )
-    return Expansion(loss, slope, curvature, {})
-
-
 def rms(errors: Sequence[Array]) -> float:
     """Root mean square over all arrays; 0 where there is no sample, infinite where it overflows."""
     count = sum(error.size for error in errors)
@@ -249,8 +205,6 @@ def rms(errors: Sequence[Array]) -> float:
 
 def robust_loss(error: Array, scale: float) -> Array:
     """Soft L1 loss of residuals (..., n), nearly their sum of squares if none exceeds ``scale``."""
-    if np.isinf(scale):
-        return np.asarray(np.sum(error**2, axis=-1))
     return np.asarray(np.sum(np.sqrt(1 + (error / scale) ** 2) - 1, axis=-1)) * 2 * scale**2
 
 
