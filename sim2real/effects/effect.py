@@ -117,12 +117,7 @@ class Effect:
         return self.name == other.name or bool(self.family) and self.family == other.family and near
 
     def statement(self, values: Mapping[str, float], *, per_inertia: bool = False) -> str:
-        """The finding as a clause.
-
-        Args:
-            values: Values of its parameters by name, SI.
-            per_inertia: Whether torques are per unit of inertia, because the load is not known.
-        """
+        """The finding as a clause, from its parameters by name, SI, ``per_inertia`` or not."""
         template = self.says if isinstance(self.says, str) else self.says(values)
         sizes = {
             name: readable(name, abs(x), per_inertia=per_inertia) for name, x in values.items()

@@ -68,19 +68,11 @@ class Normal:
 class Batch:
     """Recordings of joints, on a device, ready for problems of any number.
 
-    Args:
-        joints: The traces of each joint.
-        device: Warp device.
-        threads: CPU threads.
-        bounded: Whether the noise is that of a sensor, whose slow drift is bounded; otherwise it is
-            unbounded, to include errors that no model explains.
-        white: Whether the noise is always assumed to be white.
-        period: Time between samples in s, which determines the number of lags of the noise model;
-            the median by default.
-
-    Attributes:
-        substeps: Sub-steps simulated so far for each joint, shape (J,): a machine-independent
-            measure of work. A sample and the arrival of a set-point count as one sub-step each.
+    The noise is that of a sensor, whose slow drift is ``bounded``; otherwise it is unbounded, to
+    include errors that no model explains, or always ``white``. ``period``, the median time between
+    samples in s, determines the number of lags of the noise model. ``substeps`` has those simulated
+    so far for each joint, shape (J,): a machine-independent measure of work, to which a sample and
+    the arrival of a set-point count one each.
     """
 
     def __init__(
@@ -131,16 +123,12 @@ class Batch:
     ) -> Normal:
         """Simulate the problems, whiten residuals and differences, and form inner products.
 
-        Args:
-            problems: What to simulate.
-            blocks: Number of blocks into which each recording is divided.
-            deep: Compute inner products with the first ``deep`` variants only (and of each variant
-                with itself); by default with all of them.
-            autoregression: Noise model of each problem, shape (N, lags); by default fitted by least
-                squares to the residual of each problem.
-            keep: Whether to return residuals and innovations as well.
-            rough: Whether the servos are also simulated with the longer sub-steps of differences
-                (``rollout.coarse_substep``), as for the choice of starting points.
+        Of ``blocks`` of each recording; with the first ``deep`` variants only, and of each variant
+        with itself, by default with all of them. The ``autoregression`` of each problem (N, lags)
+        is by default fitted by least squares to its residual. With ``keep``, residuals and
+        innovations are returned as well; with ``rough``, the servos are also simulated with the
+        longer sub-steps of differences (``rollout.coarse_substep``), as for the choice of starting
+        points.
         """
         N, V, _ = problems.theta.shape
         self._count_substeps(problems, rough=rough)

@@ -88,12 +88,9 @@ _MODEL = 9
 class EventFilter:
     """Channels, ready to be filtered under any model of arrivals.
 
-    Slot k begins when set-point k would be in force at its usual latency.
-
-    Args:
-        groups: Channels that share their events; those of one group have the same set-point times.
-        alike: Difference of two deviations, in standard deviations of the noise, below which they
-            are the same.
+    Slot k begins when set-point k would be in force at its usual latency. Channels of one group
+    have the same set-point times and share their events. Two deviations are the same that differ by
+    less than ``alike`` standard deviations of the noise.
     """
 
     def __init__(self, groups: Sequence[Sequence[Channel]], alike: float = 0.1) -> None:
@@ -162,18 +159,12 @@ class EventFilter:
     def expected(
         self, active: Sequence[Integers], arrivals: Arrivals, span_s: float = 0.1
     ) -> list[Deviation]:
-        """Deviations along one history of each group, smoothed with a fixed lag.
+        """Deviations of each channel along one history of each group, smoothed with a fixed lag.
 
         Moore, Automatica 9 (1973) 163-173: the state holds the deviations of the last samples, so
-        that the filter also estimates those that lie behind, by ``span_s``.
-
-        Args:
-            active: Set-point in force in each slot, for each group.
-            arrivals: Model, of which the delays count; losses are those of the history.
-            span_s: Time by which the estimate lags behind the samples that it knows.
-
-        Returns:
-            Those of each channel, group by group.
+        that the filter also estimates those that lie behind, by ``span_s``. ``active``: the
+        set-point in force in each slot, for each group; of the arrivals the delays count, losses
+        are those of the history.
         """
         p, channels = self.order, [channel for group in self.groups for channel in group]
         period = float(np.median(np.concatenate([np.diff(channel.t) for channel in channels])))
@@ -211,11 +202,7 @@ def _slots(channel: Channel) -> int:
 
 
 def _timeline(channel: Channel) -> tuple[Array, Array, Index]:
-    """Propagation to each sample, that to the end of each slot, and each slot's first sample.
-
-    Rows are those of ``propagator``. A sample is reached from the one before or from the beginning
-    of its slot, whichever is later.
-    """
+    """Rows of ``propagator`` to each sample and the end of each slot, and its first sample."""
     t = channel.t
     begins = t + channel.latency_s
     begins[0] = t[0]

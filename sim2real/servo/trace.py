@@ -94,11 +94,7 @@ class Trace:
 
 
 def trace(recording: Recording, joint: str) -> Trace:
-    """The trace of ``joint`` in ``recording``, without samples with the torque off.
-
-    Raises:
-        InputError: If the context that the recording states is of another form.
-    """
+    """The trace of ``joint`` in ``recording``, without samples with the torque off."""
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
@@ -136,22 +132,13 @@ def reported_drive(
 ) -> ReportedDrive | None:
     """The controller, if the reported load is the drive.
 
-    The load counts as the drive, as a share of the full drive, if it is between -1 and 1 and
-    proportional to the control error until it saturates; a measured torque or current is not.
-    Gain, latency and derivative time then follow by least squares from the samples below the limit,
+    The load (T,) counts as the drive, as a share of the full drive, if it is between -1 and 1 (up
+    to ``rounding``) and proportional to the control error until it is ``saturated``, but for a
+    share ``unexplained`` of its power; a measured torque or current is not. Gain, latency and
+    derivative time then follow by least squares from at least ``fewest`` samples below the limit,
     to first order in the latency. The prior of both times is 0 with a sampling period as standard
-    deviation, which decides where one frequency alone cannot tell them from the gain.
-
-    Args:
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        position: Measured angles in rad, shape (T,), NaN where missing.
-        load: Reported load, shape (T,), NaN where missing.
-        sample_delay_s: Time from ``t`` to the sampling of angles and loads, s.
-        fewest: Smallest number of samples.
-        saturated: Drive from which it counts as saturated.
-        rounding: Excess over the full drive that counts as rounding.
-        unexplained: Largest share of the drive's power that the error does not explain.
+    deviation, which decides where one frequency alone cannot tell them from the gain. Angles and
+    loads are sampled ``sample_delay_s`` after ``t``; NaN where missing.
     """
     error = command - position
     valid = np.isfinite(error) & np.isfinite(load)
@@ -180,11 +167,7 @@ def reported_drive(
 
 
 def context_of(recording: Recording) -> dict[str, float]:
-    """The context that a recording states: ``supply_ratio``, ``gain_ratio``, ``sample_delay_s``.
-
-    Raises:
-        InputError: If the context that the recording states is of another form.
-    """
+    """``supply_ratio``, ``gain_ratio``, ``sample_delay_s`` of a recording, or an InputError."""
     context = Fields(recording.file, "", recording.metadata).table("context")
     ratios = {name: context.number(name, 1.0, above=0.0) for name in ("supply_ratio", "gain_ratio")}
     return {**ratios, "sample_delay_s": context.number("sample_delay_s", 0.0, low=0.0)}
@@ -193,15 +176,10 @@ def context_of(recording: Recording) -> dict[str, float]:
 def at_one_gain(recordings: Sequence[Recording], gain: float | None = None) -> list[Recording]:
     """Recordings whose context states the firmware's gain relative to a common one.
 
-    kp is in proportion to the gain of the firmware, ``firmware_p_gain`` of a recording. Recordings
-    that state no gain, or already have a ``gain_ratio``, are left as they are.
-
-    Args:
-        recordings: The recordings.
-        gain: The common gain; by default that of the first recording that states one.
-
-    Raises:
-        InputError: If a gain is not a positive number, or a context of another form.
+    kp is in proportion to the gain of the firmware, ``firmware_p_gain`` of a recording; the common
+    one is by default that of the first recording that states one. Recordings that state no gain, or
+    already have a ``gain_ratio``, are left as they are. InputError if a gain is not a positive
+    number.
     """
     gains = [firmware_gain(recording) for recording in recordings]
     common = gain or next((stated for stated in gains if stated is not None), None)
