@@ -190,7 +190,8 @@ def _fits(
     motor: Fit | None = None
     if servo is not None and not without_influence:
         losses = not effects or data[0].varying is None
-        motor = choose_motor(data, plain, servo, noise, rng, losses=losses)
+        fewer = None if before is None else before.motor
+        motor = choose_motor(data, plain, servo, noise, rng, losses=losses, before=fewer)
     base = best = motor if motor is not None and BASE[0] in motor.names else plain
     if effects:
         again = None if before is None else continued(before.best, data, effort=options.effort)

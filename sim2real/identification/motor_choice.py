@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from sim2real.arrays import Array
 from sim2real.identification.control_loop import fit_sampled_loop
 from sim2real.identification.priors import MotorPrior, motor_prior
 from sim2real.identification.problem import Fit, ServoProblem, plain_row
-from sim2real.identification.search import fit, shortlist
+from sim2real.identification.search import continued, fit, shortlist
 from sim2real.identification.servo_problem import FLAT_COLUMNS, LINE_COLUMNS
 from sim2real.inference.correlated_noise import whiteness
 from sim2real.inference.least_squares import rms
@@ -23,6 +24,7 @@ from sim2real.servo.parameters import (
     CURRENT_LIMIT,
     INERTIA_LEFT_OUT,
     LINE,
+    LOOP,
     LOSSES,
     ROTOR,
     SOFT,
@@ -43,6 +45,7 @@ def choose_motor(
     rng: np.random.Generator,
     *,
     losses: bool = True,
+    before: Fit | None = None,
     white: float = 0.1,
     error_before_loop: float = 15.0,
     error_with_loop: float = 1.5,
@@ -57,17 +60,25 @@ def choose_motor(
     ``error_with_loop`` times the noise and counts as ``loop_parameters``, the best of a thousand
     periods and phases.
 
-    ``noise`` is the standard deviation of the sensor's noise in rad. Without ``losses``, as where
-    effects are fitted instead, the motor's line and rotor are fitted. A residual whose lag-1
-    autocorrelation is below ``white`` counts as white.
+    Parts of a fit to fewer recordings, ``before``, are kept, and a limit, rotor and losses are
+    added that further recordings show. ``noise`` is the standard deviation of
+    the sensor's noise in rad. Without ``losses``, as where effects are fitted instead, the motor's
+    line and rotor are fitted. A residual whose lag-1 autocorrelation is below ``white`` counts as
+    white.
     """
+    if before is not None and LOOP[0] in before.names:
+        return continued(before, fitted)
     prior = motor_prior(servo, fitted)
     linear = fitted[0].varying is None  # on an arm the motor's rotor is needed
     if linear and rms([plain.error]) < EXPLAINED * noise:
         return fit_limit(fitted, plain, prior, LINE, rng, noise=noise)
     if not losses:
         return fit_motor(fitted, plain, prior, (*BASE[:3], *LINE, ROTOR), rng)
-    chosen = _fit_continuous(fitted, plain, prior, noise, rng)
+    if before is not None and BASE[0] not in before.names:
+        before = None
+    chosen = _fit_continuous(fitted, plain, prior, noise, rng, before)
+    if before is not None:
+        return chosen
     ratio = rms([chosen.error]) / noise
     explained = ratio < EXPLAINED and whiteness(chosen.residuals) < white
     looped = None if explained or ratio > error_before_loop else fit_sampled_loop(chosen, prior)
@@ -82,6 +93,7 @@ def _fit_continuous(
     prior: MotorPrior,
     noise: float,
     rng: np.random.Generator,
+    before: Fit | None = None,
     *,
     least_gain: float = 2.0,
 ) -> Fit:
@@ -89,26 +101,33 @@ def _fit_continuous(
     names: tuple[str, ...] = (*BASE[:3], *LINE)
     if shows_inertia(fitted):
         names = (*names, ROTOR)
-    first = fit_limit(fitted, plain, prior, names, rng, noise=noise)
+    if before is None:
+        first = fit_limit(fitted, plain, prior, names, rng, noise=noise)
+    else:
+        names, starts = (*names, *before.names), before.minima
+        if before.law == "current_limited":
+            prior = prior.flat(float(plain.row[1]))
+        if not set(LOSSES).isdisjoint(names):
+            drawn = _candidates(prior.of(names), plain, rng, 512, before.row)
+            problem = replace(before.problem, traces=fitted, parameters=prior.of(names))
+            starts = np.vstack([starts, shortlist(problem, drawn, 6)])
+        first = fit_motor(fitted, plain, prior, names, rng, starts)
     if rms([first.error]) < EXPLAINED * noise:
         return first
-    if first.law == "current_limited":
+    if before is None and first.law == "current_limited":
         prior = prior.flat(float(plain.row[1]))
-    names = (*first.names, *LOSSES)
-    starts = _candidates(prior.of(names), plain, rng, 512, first.row)
-    problem = ServoProblem(fitted, plain_row(0.0, 0.0, 0.0), prior.of(names), prior.ties)
-    full = fit(
-        problem,
-        shortlist(problem, starts, 12),
-        first=40,
-        later=25,
-        behind=200.0,
-        least_gain=least_gain,
-        rng=rng,
-    )
+    names, full = (*first.names, *LOSSES), first
+    if set(LOSSES).isdisjoint(first.names):
+        starts = _candidates(prior.of(names), plain, rng, 512, first.row)
+        problem = ServoProblem(fitted, plain_row(0.0, 0.0, 0.0), prior.of(names), prior.ties)
+        starts = shortlist(problem, starts, 12)
+        full = fit(
+            problem, starts, first=40, later=25, behind=200.0, least_gain=least_gain, rng=rng
+        )
+        if _gain(first, full) < 2 * least_gain:
+            return _better(first, full)  # and so without friction that could be gradual
     chosen = _better(first, full)
-    without = _gain(first, full) < 2 * least_gain  # and so without friction that could be gradual
-    if without or rms([chosen.error]) < EXPLAINED * noise:
+    if rms([chosen.error]) < EXPLAINED * noise or before is not None:
         return chosen
     starts = np.tile(full.row, (len(_SOFT_STARTS_S), 1))
     starts[:, [COLUMNS.index(name) for name in SOFT]] = _SOFT_STARTS_S

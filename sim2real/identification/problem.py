@@ -261,6 +261,11 @@ class Fit:
         return row
 
     @property
+    def minima(self) -> Array:
+        """The servo and those at the best other minima, six at most, shape (M, P)."""
+        return self.problem.rows(np.vstack([self.x[None], self.others[:5]]))
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The F fitted parameters."""
         return self.problem.parameters

@@ -200,9 +200,8 @@ def continued(best: Fit, traces: Sequence[Trace], *, effort: float = 1.0) -> Fit
     ``effort`` multiplies the largest number of evaluations.
     """
     problem = replace(best.problem, traces=traces)
-    rows = best.problem.rows(np.vstack([best.x[None], best.others[:5]]))
     first, later, last = (round(effort * size) for size in (10, 10, 40))
-    return fit(problem, rows, rounds=3, first=first, later=later, last=last)
+    return fit(problem, best.minima, rounds=3, first=first, later=later, last=last)
 
 
 def point_fit(problem: ServoProblem, row: Array) -> Fit:
