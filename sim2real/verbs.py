@@ -108,6 +108,7 @@ def posterior(
     held_out: str | None = None,
     steps: int = 2000,
     walkers: int = 32,
+    interval: float = 0.9,
     seed: int = 0,
 ) -> Posteriors:
     """Sample the posterior of each servo's gains, latency and effects.
@@ -119,6 +120,7 @@ def posterior(
         held_out: Name of the recording to check a fit to the others on; by default the last.
         steps: Steps of each chain.
         walkers: Walkers of each chain.
+        interval: Probability of the intervals of the posterior.
         seed: Seed of the chains.
 
     Raises:
@@ -133,7 +135,7 @@ def posterior(
     from sim2real.ranges.gather import Sampling, sample_joints
     from sim2real.servo.trace import at_one_gain
 
-    _check_sampling("posterior", steps, walkers, seed)
+    _check_sampling("posterior", steps, walkers, seed, interval)
     loaded, description = recordings_to_fit(recordings), robot_of(robot)
     loaded, sentences = admitted(loaded, description)
     for sentence in sentences:
@@ -141,7 +143,7 @@ def posterior(
     fitted = model_of(model)
     bench = [recording for recording in loaded if recording.kind == "servo"]
     bench = at_one_gain(bench, fitted.firmware_p_gain)
-    sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
+    sampling = Sampling(steps, walkers, seed, held_out, level=interval)
     loaded = with_arm_loads(bench, description, fitted)
     return Posteriors(*sample_joints(loaded, description, fitted, sampling), seed)
 
@@ -155,6 +157,7 @@ def ranges(
     steps: int = 2000,
     walkers: int = 32,
     chains: File | None = None,
+    interval: float = 0.9,
     seed: int = 0,
 ) -> Gathered:
     """Generate randomization ranges, each from data.
@@ -168,6 +171,7 @@ def ranges(
         walkers: Walkers of each chain.
         chains: Path next to which the chains are kept, in files STEM.chain.JOINT.npz, so that an
             interrupted call continues where it stopped.
+        interval: Probability of the intervals of the posterior, which are the ranges.
         seed: Seed of the chains.
 
     Returns:
@@ -187,7 +191,7 @@ def ranges(
     from sim2real.posterior.chain import chain_file
     from sim2real.ranges.gather import Sampling, gather
 
-    _check_sampling("ranges", steps, walkers, seed)
+    _check_sampling("ranges", steps, walkers, seed, interval)
     loaded, description, fitted = recordings_to_fit(recordings), robot_of(robot), model_of(model)
     completed: dict[str, int] = {}
 
@@ -195,7 +199,7 @@ def ranges(
         completed[joint] = count
         bar.update(sum(completed.values()) - bar.n)
 
-    sampling = Sampling(steps, walkers, seed, held_out, progress=advance)
+    sampling = Sampling(steps, walkers, seed, held_out, progress=advance, level=interval)
     if chains is not None:
         out = Path(chains)
         sampling = replace(sampling, file=lambda joint: chain_file(out, joint))
@@ -301,6 +305,7 @@ def _check_type(argument: str, value: object, kind: type, expected: str) -> None
         raise InputError(argument, "", shown(value), expected)
 
 
-def _check_sampling(verb: str, steps: int, walkers: int, seed: int) -> None:
+def _check_sampling(verb: str, steps: int, walkers: int, seed: int, interval: float) -> None:
+    check_positive(verb, "interval", interval, 1.0, "between 0 and 1")
     for name, value, least in (("steps", steps, 1), ("walkers", walkers, 2), ("seed", seed, 0)):
         check_whole(verb, name, value, least)

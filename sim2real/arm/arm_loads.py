@@ -71,11 +71,8 @@ def with_arm_loads(
 ) -> list[Recording]:
     """The recordings, with loads that vary with time if the robot is an arm.
 
-    Args:
-        recordings: Recordings of the arm's joints, moving together.
-        robot: The robot.
-        model: Fitted servos, whose prediction supplies the fast part of the motion; without it
-            the motion is that of smoothed measured angles.
+    The prediction of fitted servos supplies the fast part of the motion; without a model the motion
+    is that of smoothed measured angles.
 
     Raises:
         InputError: If a recording states loads besides the URDF, or the URDF is not usable.
@@ -110,14 +107,8 @@ def predicted_arm(
 ) -> tuple[ArmMotion, dict[str, Array]]:
     """Motion and measured angles of an arm that a model predicts from commands alone.
 
-    Joints that are not in the model follow their command; without a command they stay at the
-    URDF's zero.
-
-    Args:
-        multibody: Dynamics of the arm.
-        joints: Its fitted servos.
-        t: Times in s, shape (T,).
-        command: Set-points in rad by joint, each of shape (T,).
+    Joints that are not in the model follow their command; without a command they stay at the URDF's
+    zero. Times (T,) are in s, set-points of joints (T,) in rad.
 
     Returns:
         The motion of all joints, and the angles in rad of the commanded ones, each of shape (T,).
@@ -154,11 +145,7 @@ def measured_motion(recording: Recording, arm: Arm, *, cutoff_hz: float = 10.0) 
 def _corrected(
     predicted: ArmMotion, recording: Recording, names: Sequence[str], *, cutoff_hz: float = 4.0
 ) -> ArmMotion:
-    """A predicted motion, corrected by its slow error against the measured angles.
-
-    The prediction supplies the accelerations of fast motion, which differences of sampled and noisy
-    angles do not resolve.
-    """
+    """A prediction, whose fast motion samples do not resolve, less its slow error."""
     t, error = predicted.t, np.zeros_like(predicted.angle)
     for j, name in enumerate(names):
         if name in recording.joints:
@@ -187,20 +174,7 @@ def _coupled(
     iterations: int = 80,
     threads: int = 2,
 ) -> tuple[ArmMotion, Array]:
-    """Simulate an arm with parameters (P,) of each servo from rest on its first commands (T, J).
-
-    Without parameters a joint follows its command.
-
-    With play, the flanks of one joint's gears hit one another a little earlier or later in every
-    iteration. The others then see its motion without frequencies above a cut-off, which is raised
-    as long as the iteration converges.
-
-    Returns:
-        The motion of the shafts, and the measured angles in rad at ``t``, shape (T, J).
-
-    Raises:
-        InputError: If the iteration does not converge, with play that of the lowest cut-off.
-    """
+    """Motion of the shafts, and measured angles (T, J), from rest on the first commands (T, J)."""
     fine = _grid(t)
     times = np.unique(np.concatenate([t, fine]))
     held = command[np.searchsorted(t, times, side="right") - 1]
@@ -288,9 +262,9 @@ def _relaxation(
 ) -> float:
     """Weight of a new iterate that makes the iteration converge fastest.
 
-    The iteration is Jacobi's on the mass matrix, with the inertia of each rotor on its diagonal. It
-    is optimal for 2 / (smallest + largest eigenvalue) of the matrix scaled to a unit diagonal, over
-    some poses. Saad, Iterative Methods for Sparse Linear Systems (SIAM, 2003), Sec. 4.2.1.
+    Jacobi's on the mass matrix with rotors: 2 / (smallest + largest eigenvalue) of the matrix
+    scaled to a unit diagonal. Saad, Iterative Methods for Sparse Linear Systems (SIAM, 2003), Sec.
+    4.2.1.
     """
     some = angle[:: max(1, len(angle) // poses)]
     mass = multibody.mass_matrix(some)

@@ -19,36 +19,23 @@ _PARTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", 
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A recorded joint of an arm: URDF angle = direction (recorded angle - zero_rad).
+    """A recorded joint of an arm: URDF angle = direction (recorded angle - zero_rad)."""
 
-    Attributes:
-        name: Name in recordings.
-        urdf_joint: Name in the URDF.
-        direction: 1 or -1.
-        zero_rad: Recorded angle where the URDF's angle is 0.
-    """
-
-    name: str
-    urdf_joint: str
-    direction: float = 1.0
-    zero_rad: float = 0.0
+    name: str  # name in recordings
+    urdf_joint: str  # name in the URDF
+    direction: float = 1.0  # 1 or -1
+    zero_rad: float = 0.0  # recorded angle where the URDF's angle is 0
 
 
 @dataclass(frozen=True)
 class Arm:
-    """Rigid bodies that joints move.
+    """Rigid bodies that joints move."""
 
-    Attributes:
-        urdf: Text of the URDF, reduced to inertias and joints.
-        joints: The joints that may be recorded; others of the URDF stay at 0.
-        gravity_m_s2: Acceleration of gravity in the frame of the base.
-        file: Origin of the URDF, for messages.
-    """
-
-    urdf: str
-    joints: tuple[ArmJoint, ...]
+    urdf: str  # text of the URDF, reduced to inertias and joints
+    joints: tuple[ArmJoint, ...]  # the joints that may be recorded; others of the URDF stay at 0
+    # acceleration of gravity in the frame of the base
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-    file: str = "urdf"
+    file: str = "urdf"  # origin of the URDF, for messages
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,11 +112,7 @@ def _gravity(fields: Fields) -> tuple[float, float, float]:
 
 
 def _dynamics_only(text: str) -> str:
-    """A URDF without what does not change its dynamics.
-
-    Hinges without limits get wide ones. Links get a prefix: a link and a joint of one name are
-    valid in a URDF, and ambiguous in Pinocchio.
-    """
+    """A URDF without what does not change its dynamics."""
     source = ElementTree.fromstring(text)
     robot = Element("robot", {"name": source.get("name", "arm")})
     for element in source:

@@ -29,16 +29,11 @@ def identify_arm(
 
     Each servo is fitted alone, under a known load: its inertia and torque follow from the URDF and
     the motion of all joints. In the first round that motion is the smoothed measured one, in later
-    rounds what the fitted arm does, corrected by its slow error (``arm_loads``).
+    rounds what the fitted arm does, corrected by its slow error (``arm_loads``). ``progress`` is
+    called in every round; ``options`` and errors are those of ``identify``.
 
-    ``progress`` is called in every round; ``options`` are those of ``identify``.
-
-    Returns:
-        The model. The held-out errors are those of a coupled simulation, which uses no measured
-        angle; ``heldout_given_load`` is the error of each servo under its known load.
-
-    Raises:
-        InputError: As ``identify``; also if the URDF is not usable.
+    The held-out errors of the model are those of a coupled simulation, which uses no measured
+    angle; ``heldout_given_load`` is the error of each servo under its known load.
     """
     assert robot.arm is not None
     model: Model | None = None

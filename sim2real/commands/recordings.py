@@ -141,7 +141,7 @@ def ranges(options: argparse.Namespace) -> int:
     if gathered.posteriors and not is_stream(out):
         gathered = replace(gathered, ranges=replace(gathered.ranges, posterior=POSTERIOR))
         sample = joint_sample(gathered.posteriors, np.random.default_rng(options.seed))
-        write_sample(sample, out.with_name(POSTERIOR))
+        write_sample(sample, out.with_name(POSTERIOR), gathered.ranges.interval_level)
     write_ranges(gathered.ranges, out)
     print(gathered)
     if options.no_page:

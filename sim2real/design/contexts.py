@@ -38,11 +38,7 @@ AS_IT_IS = Context()
 
 
 def read_contexts(path: str | os.PathLike[str]) -> tuple[Context, ...]:
-    """The contexts of a ``contexts.toml``.
-
-    Raises:
-        InputError: If a field is unknown or of another form, or a context changes nothing.
-    """
+    """The contexts of a ``contexts.toml``; InputError if one is not valid."""
     top = Fields(path, "", read_toml(path))
     top.refuse_unknown(["contexts"])
     contexts = tuple(_context(entry) for entry in top.tables("contexts"))

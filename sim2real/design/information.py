@@ -77,15 +77,10 @@ def prior_of(
     draws: int = 8,
     seed: int = 0,
 ) -> ServoPrior:
-    """The prior of one joint: its fitted model, or its data sheet where there is none.
+    """The prior of one joint, which ``limits`` name, by D ``draws`` of servos.
 
-    Args:
-        robot: The robot.
-        model: Its fitted servos.
-        limits: Limits of the commands, which name the joint.
-        load: The load on the shaft; by default that of the model, or an unknown one.
-        draws: Number D of servos.
-        seed: Seed of the draws.
+    From its fitted model, or its data sheet where there is none; the load is by default that of the
+    model, or an unknown one.
     """
     joint = robot.joint(limits.joint)
     assert joint is not None
@@ -248,8 +243,8 @@ class Information:
     def statistics(self, commands: Array, parts: int) -> Array:
         """What the scores depend on, for equal parts of commands (N, T), shape (N, parts, K).
 
-        Those of a command are the sum of those of its parts. A servo forgets in a fraction of a
-        second, so that the parts of different commands, joined, have about the sum of theirs.
+        Those of a command are the sum of those of its parts: a servo forgets in a fraction of a
+        second.
         """
         angle, slopes = self.sensitivities(commands)
         load, (number, phase) = self.prior.load, self._waves

@@ -132,11 +132,7 @@ def limits_of(robot: Robot, joint: str | None = None) -> CommandLimits:
 
 
 def check_seconds(seconds: float, limits: CommandLimits, *, least_motion_s: float = 1.0) -> None:
-    """Check that a recording is long enough to move, and to come to rest.
-
-    Raises:
-        InputError: If it is too short, or longer than a day.
-    """
+    """Raise an InputError unless a recording is long enough to move, and at most a day."""
     returning = limits.reach_rad / limits.rate_rad_s
     shortest = 2 * (limits.rest_s + returning) + least_motion_s
     if not shortest <= seconds <= 86_400:

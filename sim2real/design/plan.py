@@ -101,7 +101,7 @@ class Design(NotebookDisplay):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def recording(self, name: str = "next") -> Recording:
-        """The commands as a recording without measured angles; ``metadata`` has what they promise.
+        """The commands as a recording without measured angles.
 
         ``metadata["design"]`` states for each joint the expected 90 % intervals.
         """
@@ -154,17 +154,10 @@ def design(
 ) -> Design:
     """Commands that determine the servos best, within the limits of the robot.
 
-    A joint moves where its servo can hold the load, see ``limits.holding``.
-
-    Args:
-        robot: The robot.
-        model: Its fitted servos; None for what the data sheets say.
-        seconds: Duration of the recording, s.
-        loads: Load of each joint; by default that of the model.
-        seed: Seed of the search.
-        drawn: Number of random commands that are compared.
-        rounds: Number of batches of variations of the best.
-        progress: Called with the share that is done.
+    A joint moves where its servo can hold the load, see ``limits.holding``. Without a model servos
+    are as their data sheets say; loads by joint are by default those of the model. In a recording
+    of ``seconds``, ``drawn`` random commands are compared and the best varied in ``rounds``;
+    ``progress`` is called with the share that is done.
 
     Raises:
         InputError: If limits contradict each other, the duration is too short, or a servo can hold
@@ -195,11 +188,7 @@ def design(
 def stated_loads(
     robot: Robot, model: Model | None, inertia: Sequence[str] | None, pendulum: Sequence[str] | None
 ) -> dict[str, Load]:
-    """Loads by joint from ``J=KGM2`` and ``J=KG,M``, see ``importers.options.loads_of``.
-
-    Raises:
-        InputError: If an option is malformed, or the robot has no joint of the model.
-    """
+    """Loads by joint from ``J=KGM2`` and ``J=KG,M``, see ``importers.options.loads_of``."""
     joints = _designed_joints(robot, model)
     if not joints:
         found = f"the joints {', '.join(model.joints) if model else ''}"

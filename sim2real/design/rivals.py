@@ -33,13 +33,8 @@ from sim2real.servo.parameters import COLUMNS, FIRST_EFFECT_COLUMN
 class RivalObjective:
     """What commands tell of the sets of effects that are open on one joint.
 
-    Args:
-        rivals: The sets.
-        context: What changes besides the commands.
-        rms_torque_Nm: Largest root mean square of the torque; what exceeds it is penalised.
-
-    Attributes:
-        probability: Probabilities of the M sets, shape (M,).
+    ``context``: what changes besides the commands; a root mean square of the torque beyond
+    ``rms_torque_Nm`` is penalised. ``probability`` has those of the M sets, shape (M,).
     """
 
     def __init__(
@@ -234,8 +229,7 @@ def distances(products: Array, M: int, evidence: Callable[[Array], Array] = np.a
 def remaining_entropy(probability: Array, distances: Array) -> Array:
     """Upper bound of the entropy over M sets after a recording, in nats, shape (N,).
 
-    From probabilities (M,) before it and Bhattacharyya distances (N, M, M) of their predictions;
-    infinite where one is NaN.
+    From probabilities (M,) before it and distances (N, M, M); infinite where one is NaN.
     """
     with np.errstate(invalid="ignore"):
         overlap = np.exp(-distances) @ probability

@@ -151,21 +151,12 @@ def best(
 ) -> SearchResult:
     """The command with the highest score among random ones, assemblies of their parts, variations.
 
-    Args:
-        objective: A function of commands (N, T), or (N, T, J) of several joints, in rad that
-            returns their scores (N,); -inf excludes a command. If it depends on sums over time,
-            ``statistics`` returns these for equal parts of commands, shape (N, parts, K), and
-            ``scores`` the scores of sums (N, K); then parts are exchanged.
-        limits: Limits of the commands.
-        seconds: Duration, s.
-        rng: Random number generator.
-        draw: Draws commands.
-        drawn: Number of random commands of the first stage.
-        rounds: Number of batches of variations.
-        batch: Number of commands that are evaluated together.
-        assemblies: Number of the best commands whose parts are exchanged.
-        start: Commands (M, T) that are evaluated in addition to the random ones.
-        progress: Called with the share that is done.
+    The ``objective`` goes from commands (N, T), or (N, T, J) of several joints, in rad to their
+    scores (N,); -inf excludes a command. If it depends on sums over time, ``statistics`` returns
+    these for equal parts of commands, shape (N, parts, K), and ``scores`` the scores of sums (N,
+    K); then parts of the best ``assemblies`` commands are exchanged. ``drawn`` random commands are
+    compared with ``start`` (M, T), ``batch`` at a time, and the best varied in ``rounds`` of that
+    many; ``progress`` is called with the share that is done.
     """
     pool = draw(rng, drawn, limits, seconds)
     if start is not None:

@@ -183,17 +183,10 @@ def design_for_rivals(
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
 
-    Random commands are drawn and scored in every context; the best are varied in the best context.
-    All joints move at once, each with commands of its own.
-
-    Args:
-        rivals: The sets that are open, by joint.
-        robot: The robot, for the limits of its commands.
-        request: Duration, seed, and which sets count.
-        contexts: Contexts that are to be had besides the bench as it is.
-        samples: Number of set-points that are simulated for a joint, over all commands: a third of
-            them for random commands, in all contexts, the rest for variations of the best.
-        change_gain: Entropy in nats that a change of context must save to be asked for.
+    Random commands are drawn and scored in every context besides the bench as it is; the best are
+    varied in the best context. All joints move at once, each with commands of its own. Of the
+    ``samples`` set-points that are simulated for a joint, a third are for random commands. A change
+    of context is asked for if it saves an entropy of ``change_gain`` nats.
 
     Raises:
         InputError: If no joint has several sets that are probable, the robot lacks one of these

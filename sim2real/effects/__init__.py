@@ -73,20 +73,12 @@ SIGNATURE: int = 0x7FFFFFFF & zlib.crc32(
 
 
 def named(name: str, where: str = "effects") -> Effect:
-    """The effect of servos with this identifier.
-
-    Raises:
-        InputError: If there is none; ``where`` is the place in the message.
-    """
+    """The effect of servos with this identifier, or an InputError about ``where``."""
     return find(CATALOGUE, name, where)
 
 
 def find(effects: Iterable[AnyEffect], name: str, where: str) -> AnyEffect:
-    """The one of these effects with this identifier.
-
-    Raises:
-        InputError: If there is none; ``where`` is the place in the message.
-    """
+    """The one of these effects with this identifier, or an InputError about ``where``."""
     by_name = {effect.name: effect for effect in effects}
     if name not in by_name:
         raise InputError(where, "effects", repr(name), f"one of {', '.join(by_name)}")

@@ -71,51 +71,37 @@ class Effect:
     """Physics that the plain PD servo omits.
 
     An effect is absent while all its parameters are 0.
-
-    Attributes:
-        name: Its fixed identifier.
-        plain: Description for use in a sentence.
-        says: The finding as a clause, with names of parameters in braces, which are replaced by
-            magnitudes with units. If the words depend on the values (the sign of a parameter, the
-            larger of two), a function from the values to this clause.
-        site: Where its term acts.
-        term: The term, a Warp function (see ``Site``).
-        parameters: Its parameters, in the order of their columns.
-        component: The component that it belongs to.
-        memory: Number of memory cells that it needs.
-        order: Effects at one site act in ascending order, those of equal order by name.
-        family: Effects of one family describe the same mechanism (see ``excludes``).
-        also: Further terms of the effect, each with its site.
-        steady: Whether its term at the sensor has no state and is evaluated at samples only.
-        fitted: Whether its parameters can be fitted; not if it is random for each set-point, or
-            determined directly from the recorded numbers.
-        everywhere: Whether all servos have a small amount of it, which is then no finding.
-        never_named: Whether it is always part of the plain servo and never a finding.
-        either_sign: Whether it may decrease as well as increase between recordings.
-        load: Column of the plain servo, from the stated load, that it corrects.
-        ascending: Names of two of its parameters of which the second is never below the first.
-        mimics: Effects of a single joint that this effect of the supply or the link resembles; with
-            it, they are no finding.
     """
 
-    name: str
-    plain: str
+    name: str  # its fixed identifier
+    plain: str  # description for use in a sentence
+    # the finding as a clause, with names of parameters in braces, which are replaced by magnitudes
+    # with units. If the words depend on the values (the sign of a parameter, the larger of two), a
+    # function from the values to this clause
     says: str | Callable[[Mapping[str, float]], str]
-    site: Site
-    term: Any
-    parameters: tuple[Parameter, ...]
-    component: Literal["joint", "supply", "link"] = "joint"
-    memory: int = 0
-    order: int = 0
-    family: str = ""
-    also: tuple[tuple[Site, Any], ...] = ()
+    site: Site  # where its term acts
+    term: Any  # the term, a Warp function (see ``Site``)
+    parameters: tuple[Parameter, ...]  # its parameters, in the order of their columns
+    component: Literal["joint", "supply", "link"] = "joint"  # the component that it belongs to
+    memory: int = 0  # number of memory cells that it needs
+    order: int = 0  # effects at one site act in ascending order, those of equal order by name
+    family: str = ""  # effects of one family describe the same mechanism (see ``excludes``)
+    also: tuple[tuple[Site, Any], ...] = ()  # further terms of the effect, each with its site
+    # whether its term at the sensor has no state and is evaluated at samples only
     steady: bool = False
+    # whether its parameters can be fitted; not if it is random for each set-point, or determined
+    # directly from the recorded numbers
     fitted: bool = True
+    # whether all servos have a small amount of it, which is then no finding
     everywhere: bool = False
-    never_named: bool = False
-    either_sign: bool = False
+    never_named: bool = False  # whether it is always part of the plain servo and never a finding
+    either_sign: bool = False  # whether it may decrease as well as increase between recordings
+    # column of the plain servo, from the stated load, that it corrects
     load: Literal["", "gravity_Nm", "inertia_kgm2"] = ""
+    # names of two of its parameters of which the second is never below the first
     ascending: tuple[()] | tuple[str, str] = ()
+    # effects of a single joint that this effect of the supply or the link resembles; with it, they
+    # are no finding
     mimics: tuple[str, ...] = ()
 
     def excludes(self, other: Effect) -> bool:
@@ -131,12 +117,7 @@ class Effect:
         return self.name == other.name or bool(self.family) and self.family == other.family and near
 
     def statement(self, values: Mapping[str, float], *, per_inertia: bool = False) -> str:
-        """The finding as a clause.
-
-        Args:
-            values: Values of its parameters by name, SI.
-            per_inertia: Whether torques are per unit of inertia, because the load is not known.
-        """
+        """The finding as a clause, from its parameters by name, SI, ``per_inertia`` or not."""
         template = self.says if isinstance(self.says, str) else self.says(values)
         sizes = {
             name: readable(name, abs(x), per_inertia=per_inertia) for name, x in values.items()

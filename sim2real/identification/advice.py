@@ -8,7 +8,6 @@ import numpy as np
 
 from sim2real.arrays import Array
 from sim2real.identification.control_loop import undetected_loop
-from sim2real.identification.play import play_between_pulls
 from sim2real.identification.problem import Fit
 from sim2real.identification.search import errors_of
 from sim2real.identification.uncertainty import Uncertainty, uncertainty
@@ -56,21 +55,6 @@ def on_gains(recordings: Sequence[Recording]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def on_play(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Notes on the play of joints that other servos pull to either side."""
-    notes = []
-    for recording in recordings:
-        for joint in recording.joints:
-            play = play_between_pulls(recording, joint)
-            if play is not None:
-                notes.append(
-                    f"{joint} in {recording.name} rests {1e3 * play.unloaded_rad:.1f} mrad apart "
-                    f"after pulls to either side (play with dead band and friction), and "
-                    f"{1e3 * play.loaded_rad:.1f} mrad while pulled (deflection included)"
-                )
-    return tuple(notes)
-
-
 def on_fit(
     best: Fit,
     spread: Uncertainty,
@@ -81,13 +65,9 @@ def on_fit(
 ) -> list[str]:
     """Notes on parameters without influence, undetermined ones, bounds, convergence and misfit.
 
-    Args:
-        best: The fit.
-        spread: Its uncertainty.
-        ends: Intervals of the fitted parameters, by name.
-        without_influence: Columns that were not fitted.
-        figures: Errors of the fit, as of ``Model.fit``.
-        warned: Whether there are warnings about the recordings, which may explain a misfit.
+    ``ends`` are the intervals of the fitted parameters, by name, ``without_influence`` the columns
+    that were not fitted, ``figures`` as of ``Model.fit``; ``warned``: whether there are warnings
+    about the recordings, which may explain a misfit.
     """
     notes = [
         f"{readable_name(name)} has no influence on these recordings; "
@@ -234,11 +214,8 @@ def on_optima(
 ) -> list[str]:
     """A note on the other optimum that differs most, if one fits the recordings as well.
 
-    Args:
-        names: Columns of the F fitted parameters.
-        values: Their values, shape (F,).
-        half_width: Half-widths of their intervals, shape (F,).
-        optima: Values at other optima with the same loss, each of shape (F,).
+    Of F columns, their values (F,), half-widths of their intervals (F,) and values at other optima
+    with the same loss, each of shape (F,).
     """
     apart = [np.abs(other - values) > half_width for other in optima]
     if not any(differs.any() for differs in apart):

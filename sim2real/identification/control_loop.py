@@ -36,21 +36,11 @@ def fit_sampled_loop(
     best: int = 2,
     rounds: int = 3,
 ) -> Fit | None:
-    """Fit a sampled loop, without a test of its significance.
+    """Fit a sampled loop, without a test of its significance; None with too few large steps.
 
-    The latency of a fit without a loop includes the mean wait for the next sample. All recordings
-    are assumed to start at the same phase.
-
-    Args:
-        motor: A fit without a loop.
-        prior: Prior of its parameters.
-        fewest: Smallest number of large steps of the command in all recordings.
-        first_steps: Largest number of steps of the search in the first fits.
-        best: Number of the best phases, from which later fits start.
-        rounds: Rounds of phases and fits.
-
-    Returns:
-        The best fit; None if there are too few steps.
+    The latency of the ``motor`` without a loop includes the mean wait for the next sample. All
+    recordings are assumed to start at the same phase. After a search of ``first_steps`` for each
+    period, the ``best`` phases are searched on, in ``rounds``.
     """
     sent, delay, spread = _arrivals(motor)
     if sent.size < fewest:
@@ -112,11 +102,7 @@ def undetected_loop(motor: Fit, *, synchronous: float = 0.95) -> tuple[float, fl
 def _arrivals(
     motor: Fit, *, most_steps: int = 60, least_step: float = 0.1, delay_sd_s: float = 0.004
 ) -> tuple[Array, Array, Array]:
-    """Times of large steps of the command, their delays and standard deviations, in s, (K,).
-
-    Of each recording these are ``most_steps`` at most, none smaller than a share ``least_step`` of
-    the largest. The prior standard deviation of a delay about the mean is ``delay_sd_s``.
-    """
+    """Times of large steps of the command, their delays and standard deviations, in s, (K,)."""
     times, delays, spreads = [], [], []
     scale = motor.scale_rad
     by_trace = motor.residuals, motor.problem.by_trace(motor.slopes)
@@ -190,10 +176,7 @@ def _rates(times: Array, spread: Array, *, count: int = 6) -> Array:
 def _starts(
     motor: Fit, period_s: float, sent: Array, delay: Array, spread: Array, *, count: int = 16
 ) -> Array:
-    """Servos with a loop of this period, one for each of some latencies, (count, P).
-
-    The phase is that of the arrivals; latencies are up to a period below the median delay.
-    """
+    """Servos (count, P) with a loop of this period and the arrivals' phase, of some latencies."""
     weight = np.exp(-2 * (np.pi * spread / period_s) ** 2)
     turn = np.angle((weight * np.exp(2j * np.pi * (sent + delay) / period_s)).sum())
     rows = np.tile(motor.row, (count, 1))

@@ -22,11 +22,6 @@ def expected_precision(recording: Recording, joint: str, *, seed: int = 0) -> tu
 
     From the Fisher information of an approximate PD servo: half-widths of 90 % intervals if the
     joint is a PD servo and the noise is independent.
-
-    Args:
-        recording: The recording.
-        joint: The joint.
-        seed: Seed of the search for an approximate servo.
     """
     moving = traces([recording], joint)
     if not moving:

@@ -45,7 +45,7 @@ def first_guess(
         fastest_rad_s: Largest natural frequency of the candidates in rad/s.
         guesses: Number of servos in the first round.
         elite: Number of the best servos, about which further ones are drawn.
-        spreads: Standard deviations of further ones in each round, as shares of the ranges.
+        spreads: Standard deviations of variations in each round, as shares of the ranges.
         rival_error: Largest error of a rival, relative to the smallest error.
         rival_distance: Smallest difference of a rival's gain, as a share of the range.
         most_rivals: Largest number of rivals.
@@ -94,15 +94,10 @@ def _guess_errors(points: Array, trace: Trace, rotor_kgm2: float) -> Array:
 
 
 def servos_at(points: Array, inertia: float | Array) -> Array:
-    """Gains and latencies of servos at points of the unit cube.
+    """Gains and latencies (kp, kd and latency in SI units) of servos at points of the unit cube.
 
-    Args:
-        points: Points of shape (N, 3): frequency and damping ratio (logarithmic) and latency, as
-            shares of the ranges of a first guess.
-        inertia: Inertia of the load in kg m2, a number or shape (..., 1).
-
-    Returns:
-        kp, kd and latency in SI units, shape (..., N, 3).
+    Points (N, 3) are frequency and damping ratio (logarithmic) and latency, as shares of the ranges
+    of a first guess; the inertia of the load is in kg m2, a number or (..., 1). Shape (..., N, 3).
     """
     ranges = np.array([np.log(FREQUENCY_RAD_S), np.log(DAMPING_RATIO), LATENCY_S])
     values = ranges[:, 0] + points * np.diff(ranges, axis=1).T

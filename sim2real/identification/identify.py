@@ -13,7 +13,7 @@ from sim2real.effects import named
 from sim2real.effects.effect import Effect
 from sim2real.errors import InputError, check_choice, check_positive, check_whole, names_of
 from sim2real.identification import advice
-from sim2real.identification.motor_choice import choose_motor, fitted_again
+from sim2real.identification.motor_choice import choose_motor
 from sim2real.identification.plain_fit import fit_effects, fit_plain, with_inertia
 from sim2real.identification.priors import MOTOR_SHEET, gains
 from sim2real.identification.problem import Fit
@@ -50,15 +50,6 @@ _SIDE_BY_SIDE = 2
 """Number of joints fitted concurrently, to keep the processor busy between rollouts."""
 
 
-@dataclass(frozen=True)
-class JointFit:
-    """Result of the fit of one joint."""
-
-    model: JointModel
-    figures: dict[str, float | None]
-    held_out: str
-
-
 def identify(
     recordings: Sequence[Recording],
     robot: Robot,
@@ -72,27 +63,14 @@ def identify(
     seed: int = 0,
     progress: Callable[[Sequence[str]], Sequence[str]] = lambda joints: joints,
 ) -> Model:
-    """Identify the gains and the latency of every servo that moves.
+    """Identify the gains and the latency of every servo that moves: ``sim2real.verbs.identify``.
 
-    Args:
-        recordings: Recordings of the servos; all of one joint are fitted together.
-        robot: The robot that was recorded.
-        held_out: Name of the recording to score on; the last one by default, or the last quarter
-            of a single recording.
-        effects: Names of effects, or one name, to fit together with the gains of every joint.
-        law: ``"motor"``: a motor with the limit of its torque that the recordings show (the line of
-            its data sheet, a flat limit, or both; ``motor_choice.fit_limit``), and with gear
-            friction if they show it; ``"pd"``: the linear servo. By default the motor, or the
-            linear servo if ``effects`` are given or the data sheet states no torque or no speed,
-            with a note in the latter case.
-        effort: Multiple of the largest number of evaluations of a search.
-        interval: Probability of the intervals.
-        refit: Whether the model, once it is scored on held-out data, is fitted to them as well.
-        seed: Seed of the search for a starting point.
-        progress: Function that wraps the sequence of joints, to show progress.
-
-    Returns:
-        The model, with intervals, errors on fitted and held-out data, and notes.
+    ``law``: ``"motor"``, with the limit of its torque that the recordings show (``fit_limit``) and
+    with gear friction if they show it; ``"pd"``, the linear servo. By default the motor, or the
+    linear servo if ``effects`` are given or the data sheet states no torque or no speed, with a
+    note in the latter case. ``effort`` multiplies the largest number of evaluations. With ``refit``
+    the model, once it is scored on held-out data, is chosen and fitted again on all recordings.
+    ``progress`` wraps the sequence of joints.
 
     Raises:
         InputError: If no joint moves, a recording and the robot do not agree, or a law or an effect
@@ -111,17 +89,16 @@ def identify(
         place = f"{recorded[0]}.position_rad"
         found, expected = "no motion", "commands and angles that change"
         raise InputError(recordings[0].file, place, found, expected)
-    options = _Options(interval, refit, bool(warnings))
-    servos = {joint: _servo(robot, joint, law or ("pd" if extra else None)) for joint in moving}
+    options = _Options(tuple(extra), effort, interval, refit, bool(warnings))
 
-    def identify_joint(joint: str) -> JointFit:
+    def identify_joint(joint: str) -> tuple[JointModel, dict[str, float | None], str]:
         data = traces(recordings, joint)
+        servo = _servo(robot, joint, law or ("pd" if extra else None))
         check_samples(split(data, held_out)[0], joint)
         notes = []
-        if law is None and not extra and servos[joint] is None:
+        if law is None and not extra and servo is None:
             notes = advice.on_data_sheet(robot, joint, MOTOR_SHEET)
-        fitter = _JointSettings(servos[joint], extra, effort, seed + moving.index(joint))
-        return _identify_joint(data, held_out, fitter, notes, options)
+        return _identify_joint(data, held_out, servo, seed + moving.index(joint), notes, options)
 
     with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
         running = {joint: pool.submit(identify_joint, joint) for joint in moving}
@@ -129,28 +106,21 @@ def identify(
     inputs = [r.path for r in recordings if r.path] + ([robot.path] if robot.path else [])
     origin = provenance(inputs, seed)
     return Model(
-        joints={joint: result.model for joint, result in results.items()},
-        fit={f"{joint}.position_rad": result.figures for joint, result in results.items()},
+        joints={joint: model for joint, (model, _, _) in results.items()},
+        fit={f"{joint}.position_rad": figures for joint, (_, figures, _) in results.items()},
         notes=warnings
         + advice.on_recordings(recordings, [j for j in recorded if j not in moving])
-        + advice.on_gains(recordings)
-        + advice.on_play(recordings),
-        provenance=origin | {"held_out": {j: result.held_out for j, result in results.items()}},
+        + advice.on_gains(recordings),
+        provenance=origin | {"held_out": {j: held for j, (_, _, held) in results.items()}},
         firmware_p_gain=next(filter(None, map(firmware_gain, recordings)), None),
         interval_level=interval,
     )
 
 
 def fitted_joint(data: list[Trace], servo: Servo | None, seed: int = 0) -> JointModel:
-    """The model of one joint from all its recordings, without intervals and notes.
-
-    Args:
-        data: The recordings.
-        servo: Its data sheet.
-        seed: Seed of the search.
-    """
+    """The model of one joint from all its recordings, without intervals and notes."""
     sheet = servo if servo is not None and servo.states(*MOTOR_SHEET) else None
-    found = _JointSettings(sheet, [], 1.0, seed).fit(data)
+    found = _fits(data, sheet, _Options(), seed)
     return _joint_model(found.best, {}, None, data[0].load, (), found.motor)
 
 
@@ -186,69 +156,66 @@ def _check_inputs(recordings: Sequence[Recording], robot: Robot, held_out: str |
 class _Options:
     """Settings of ``identify`` that are the same for all joints, and whether there are warnings."""
 
-    interval: float
-    refit: bool
-    warned: bool
+    effects: tuple[Effect, ...] = ()
+    effort: float = 1.0
+    interval: float = LEVEL
+    refit: bool = True
+    warned: bool = False
 
 
 @dataclass(frozen=True)
-class _JointSettings:
-    """What is fitted to one joint."""
-
-    servo: Servo | None
-    effects: list[Effect]
-    effort: float
-    seed: int
-
-    def fit(self, fitted: list[Trace]) -> _JointFits:
-        """The fits to some recordings."""
-        rng, noise = np.random.default_rng(self.seed), sensor_noise(fitted)
-        plain, without_influence = fit_plain(fitted, noise, rng, self.servo, self.effort)
-        motor: Fit | None = None
-        if self.servo is not None and not without_influence:
-            losses = not self.effects or fitted[0].varying is None
-            motor = choose_motor(fitted, plain, self.servo, noise, rng, losses=losses)
-        base = motor if motor is not None and BASE[0] in motor.names else plain
-        best = fit_effects(fitted, base, self.effects, rng) if self.effects else base
-        return _JointFits(plain, motor, base, best, without_influence)
-
-
-@dataclass(frozen=True)
-class _JointFits:
+class _Fits:
     """Fits of one joint: the linear servo, a motor, without effects (one of the two) and with."""
 
     plain: Fit
+    without_influence: list[str]
     motor: Fit | None
     base: Fit
     best: Fit
-    without_influence: list[str]
 
-    def again(self, traces: list[Trace], rng: np.random.Generator, effort: float) -> _JointFits:
-        """The same fits to more recordings."""
-        if self.motor is not None and self.best is self.motor:
-            best = fitted_again(self.motor, traces, self.plain, rng)
-            return replace(self, motor=best, best=best)
-        best, motor = continued(self.best, traces, effort=effort), self.motor
-        if motor is not None:
-            motor = fitted_again(motor, traces, best, rng)
-        return replace(self, motor=motor, best=best)
+
+def _fits(
+    data: list[Trace],
+    servo: Servo | None,
+    options: _Options,
+    seed: int,
+    before: _Fits | None = None,
+) -> _Fits:
+    """Choose what is fitted to one joint, from the fits to a part of the data if there are some."""
+    rng, noise, effects = np.random.default_rng(seed), sensor_noise(data), options.effects
+    if before is None or before.without_influence:
+        plain, without_influence = fit_plain(data, noise, rng, servo, options.effort)
+    else:
+        plain, without_influence = continued(before.plain, data, effort=options.effort), []
+    motor: Fit | None = None
+    if servo is not None and not without_influence:
+        losses = not effects or data[0].varying is None
+        fewer = None if before is None else before.motor
+        motor = choose_motor(data, plain, servo, noise, rng, losses=losses, before=fewer)
+    base = best = motor if motor is not None and BASE[0] in motor.names else plain
+    if effects:
+        again = None if before is None else continued(before.best, data, effort=options.effort)
+        best = again or fit_effects(data, base, effects, rng)
+    return _Fits(plain, without_influence, motor, base, best)
 
 
 def _identify_joint(
     data: list[Trace],
     held_out: str | None,
-    joint: _JointSettings,
+    servo: Servo | None,
+    seed: int,
     notes: list[str],
     options: _Options,
-) -> JointFit:
+) -> tuple[JointModel, dict[str, float | None], str]:
+    """The model of one joint, its errors and what was held out for them."""
     fitted, scored, held_out_name = split(data, held_out)
-    load, servo = data[0].load, joint.servo
-    found = joint.fit(fitted)
+    load = data[0].load
+    found = _fits(fitted, servo, options, seed)
     figures: dict[str, float | None] = {"heldout": _heldout(found.best, scored)}
-    if joint.effects:
+    if options.effects:
         figures["heldout_without_effects"] = _heldout(found.base, scored)
         figures["train_without_effects"] = rms([found.base.error])
-        if not shows_inertia(data) and any(e.name == "unmodelled_inertia" for e in joint.effects):
+        if not shows_inertia(data) and any(e.name == "unmodelled_inertia" for e in options.effects):
             notes.append(
                 "unmodelled_inertia is not identifiable: it needs a pendulum or two known loads"
             )
@@ -256,11 +223,11 @@ def _identify_joint(
     if found.best is found.plain and known:
         notes += advice.on_inertia(found.best, with_inertia(found.best), scored, load)
     if scored and options.refit:  # now that it has been scored
-        found = found.again(data, np.random.default_rng(joint.seed), joint.effort)
+        found = _fits(data, servo, options, seed, found)
     best, motor = found.best, found.motor
     spread = uncertainty(best, level=options.interval)
     ends = intervals(best, spread)
-    if not joint.effects:
+    if not options.effects:
         half_width = spread.half_width * best.problem.unit
         half_width = np.where(best.problem.log, best.values * np.expm1(half_width), half_width)
         others = as_good(best, spread)
@@ -269,8 +236,7 @@ def _identify_joint(
         motor_spread = spread if motor is best else uncertainty(motor, level=options.interval)
         notes += advice.on_motor(motor, motor_spread, servo)
         ends = intervals(motor, motor_spread) | ends
-        wait = 0.5 * float(motor.row[COLUMNS.index(LOOP[0])])
-        latency = float(best.row[2])
+        wait, latency = 0.5 * float(motor.row[COLUMNS.index(LOOP[0])]), float(best.row[2])
         if wait > 0:
             ends["latency_s"] = (max(latency - wait, 0.0), latency + wait)
         ends |= beyond_data_sheet(motor, ends, servo)
@@ -282,7 +248,7 @@ def _identify_joint(
     figures = _figures(best, sensor_noise(data)) | figures
     notes += advice.on_fit(best, spread, ends, found.without_influence, figures, options.warned)
     model = _joint_model(best, ends, spread, load, tuple(notes), motor)
-    return JointFit(model, figures, held_out_name)
+    return model, figures, held_out_name
 
 
 def _heldout(best: Fit, scored: Sequence[Trace]) -> float | None:

@@ -24,6 +24,7 @@ from sim2real.servo.parameters import (
     CURRENT_LIMIT,
     INERTIA_LEFT_OUT,
     LINE,
+    LOOP,
     LOSSES,
     ROTOR,
     SOFT,
@@ -44,6 +45,7 @@ def choose_motor(
     rng: np.random.Generator,
     *,
     losses: bool = True,
+    before: Fit | None = None,
     white: float = 0.1,
     error_before_loop: float = 15.0,
     error_with_loop: float = 1.5,
@@ -53,28 +55,30 @@ def choose_motor(
 
     Where the linear servo explains them, its gains are kept and only the limit is fitted. Losses
     are included if they decrease the loss by clearly more than twice their number (Akaike's
-    criterion). The same applies to gradual friction and a sampled loop if a residual remains.
+    criterion). The same applies to gradual friction and, where the residual is at most
+    ``error_before_loop`` times the noise, to a sampled loop, which leaves at most
+    ``error_with_loop`` times the noise and counts as ``loop_parameters``, the best of a thousand
+    periods and phases.
 
-    Args:
-        fitted: The joint's recordings.
-        plain: The fit of the linear servo.
-        servo: Its data sheet.
-        noise: Standard deviation of its sensor noise in rad.
-        rng: Generator for starts.
-        losses: Whether losses may be included; without them, as where effects are fitted instead,
-            the motor's line and rotor are fitted.
-        white: Lag-1 autocorrelation below which a residual counts as white.
-        error_before_loop: Largest residual over noise for which a sampled loop is searched.
-        error_with_loop: Largest residual over noise with a loop.
-        loop_parameters: Effective parameters of a loop, the best of a thousand periods and phases.
+    Parts of a fit to fewer recordings, ``before``, are kept, and a limit, rotor and losses are
+    added that further recordings show. ``noise`` is the standard deviation of
+    the sensor's noise in rad. Without ``losses``, as where effects are fitted instead, the motor's
+    line and rotor are fitted. A residual whose lag-1 autocorrelation is below ``white`` counts as
+    white.
     """
+    if before is not None and LOOP[0] in before.names:
+        return continued(before, fitted)
     prior = motor_prior(servo, fitted)
     linear = fitted[0].varying is None  # on an arm the motor's rotor is needed
     if linear and rms([plain.error]) < EXPLAINED * noise:
         return fit_limit(fitted, plain, prior, LINE, rng, noise=noise)
     if not losses:
         return fit_motor(fitted, plain, prior, (*BASE[:3], *LINE, ROTOR), rng)
-    chosen = _fit_continuous(fitted, plain, prior, noise, rng)
+    if before is not None and BASE[0] not in before.names:
+        before = None
+    chosen = _fit_continuous(fitted, plain, prior, noise, rng, before)
+    if before is not None:
+        return chosen
     ratio = rms([chosen.error]) / noise
     explained = ratio < EXPLAINED and whiteness(chosen.residuals) < white
     looped = None if explained or ratio > error_before_loop else fit_sampled_loop(chosen, prior)
@@ -89,59 +93,45 @@ def _fit_continuous(
     prior: MotorPrior,
     noise: float,
     rng: np.random.Generator,
+    before: Fit | None = None,
     *,
     least_gain: float = 2.0,
 ) -> Fit:
-    """Fit a motor with a continuous controller.
-
-    Losses are not searched further where the first steps of all searches decrease half the loss by
-    less than ``least_gain``, a fifth of what they need to be chosen; nor is gradual friction then.
-    """
+    """Fit a motor with a continuous controller, without losses that cannot be chosen."""
     names: tuple[str, ...] = (*BASE[:3], *LINE)
     if shows_inertia(fitted):
         names = (*names, ROTOR)
-    first = fit_limit(fitted, plain, prior, names, rng, noise=noise)
+    if before is None:
+        first = fit_limit(fitted, plain, prior, names, rng, noise=noise)
+    else:
+        names, starts = (*names, *before.names), before.minima
+        if before.law == "current_limited":
+            prior = prior.flat(float(plain.row[1]))
+        if not set(LOSSES).isdisjoint(names):
+            drawn = _candidates(prior.of(names), plain, rng, 512, before.row)
+            problem = replace(before.problem, traces=fitted, parameters=prior.of(names))
+            starts = np.vstack([starts, shortlist(problem, drawn, 6)])
+        first = fit_motor(fitted, plain, prior, names, rng, starts)
     if rms([first.error]) < EXPLAINED * noise:
         return first
-    if first.law == "current_limited":
+    if before is None and first.law == "current_limited":
         prior = prior.flat(float(plain.row[1]))
-    names = (*first.names, *LOSSES)
-    starts = _candidates(prior.of(names), plain, rng, 512, first.row)
-    problem = ServoProblem(fitted, plain_row(0.0, 0.0, 0.0), prior.of(names), prior.ties)
-    full = fit(
-        problem,
-        shortlist(problem, starts, 12),
-        first=40,
-        later=25,
-        behind=200.0,
-        least_gain=least_gain,
-        rng=rng,
-    )
+    names, full = (*first.names, *LOSSES), first
+    if set(LOSSES).isdisjoint(first.names):
+        starts = _candidates(prior.of(names), plain, rng, 512, first.row)
+        problem = ServoProblem(fitted, plain_row(0.0, 0.0, 0.0), prior.of(names), prior.ties)
+        starts = shortlist(problem, starts, 12)
+        full = fit(
+            problem, starts, first=40, later=25, behind=200.0, least_gain=least_gain, rng=rng
+        )
+        if _gain(first, full) < 2 * least_gain:
+            return _better(first, full)  # and so without friction that could be gradual
     chosen = _better(first, full)
-    without = _gain(first, full) < 2 * least_gain  # and so without friction that could be gradual
-    if without or rms([chosen.error]) < EXPLAINED * noise:
+    if rms([chosen.error]) < EXPLAINED * noise or before is not None:
         return chosen
     starts = np.tile(full.row, (len(_SOFT_STARTS_S), 1))
     starts[:, [COLUMNS.index(name) for name in SOFT]] = _SOFT_STARTS_S
     return _better(chosen, fit_motor(fitted, plain, prior, (*names, *SOFT), rng, starts))
-
-
-def fitted_again(motor: Fit, traces: Sequence[Trace], plain: Fit, rng: np.random.Generator) -> Fit:
-    """The motor fitted to more recordings, with the same limit and losses.
-
-    Args:
-        motor: The fit.
-        traces: The recordings.
-        plain: The fit of the servo without a motor, whose gains are kept if they are not fitted.
-        rng: Generator for starts.
-    """
-    if BASE[0] not in motor.names:
-        return continued(motor, traces, row=plain.row)
-    if set(LOSSES).isdisjoint(motor.names):
-        return continued(motor, traces)
-    candidates = _candidates(motor.parameters, plain, rng, 512, motor.row)
-    problem = replace(motor.problem, traces=traces)
-    return continued(motor, traces, further=shortlist(problem, candidates, 6), rng=rng)
 
 
 def fit_limit(
@@ -160,21 +150,13 @@ def fit_limit(
     A drive limited in voltage has the torque-speed line of its data sheet. One limited in current
     has a flat limit, whatever the speed, and its damping acts in addition: the same law, in which
     the no-load speed follows from the damping instead of the data sheet (``MotorPrior.flat``). Both
-    at once are a line and a current limit below its stall torque. The flat limit is tried where a
-    line contradicts the no-load speed of the data sheet, both where one limit leaves a residual;
-    the larger evidence decides. A limit of which only the prior tells is none.
+    at once are a line and a current limit below its stall torque. The flat limit is tried where the
+    no-load speed is ``plausible_sd`` standard deviations of its prior beyond the data sheet, both
+    where one limit leaves a residual, from ``current_limits`` as shares of the stall torque; the
+    larger evidence decides. A limit of which only the prior tells is none.
 
-    Args:
-        traces: The joint's recordings.
-        plain: The fit of the linear servo.
-        prior: Prior of the parameters, with the line of the data sheet.
-        names: Columns to fit, those of the line among them; the gains are those of the linear
-            servo if they are not.
-        rng: Generator for the candidates.
-        noise: Standard deviation of the sensor's noise in rad.
-        plausible_sd: Deviation of the no-load speed from the data sheet, in standard deviations of
-            its prior, up to which no flat limit is tried.
-        current_limits: Current limits from which fits start, as shares of the stall torque.
+    ``names`` are the columns to fit, those of the line among them; the gains are those of the
+    linear servo if they are not. ``noise`` is the sensor's standard deviation in rad.
     """
     line = fit_motor(traces, plain, prior, names, rng)
     if prior.ties.drive is not None or traces[0].load is PER_INERTIA:
@@ -209,17 +191,10 @@ def fit_motor(
     candidates: int = 64,
     searches: int = 4,
 ) -> Fit:
-    """Fit the columns ``names`` of a motor; other parameters have no effect.
+    """Fit the columns ``names`` of a motor; gains that are not among them are those of ``plain``.
 
-    Args:
-        traces: The joint's recordings.
-        plain: The fit of the linear servo, whose gains are kept if they are not fitted.
-        prior: Prior of the parameters.
-        names: Columns to fit.
-        rng: Generator for the candidates.
-        starts: Servos from which to start, shape (S, P); by default candidates from the prior.
-        candidates: Number of servos drawn from the prior.
-        searches: Number of the best candidates, from which searches start.
+    Searches start from the servos ``starts`` (S, P), by default from the best ``searches`` of
+    ``candidates`` drawn from the prior.
     """
     row = plain_row(0.0, 0.0, 0.0)
     if BASE[0] not in names:
@@ -239,10 +214,7 @@ def _candidates(
     count: int,
     first: Array | None = None,
 ) -> Array:
-    """Servos (count, P) drawn from the prior; the first is ``first``, or the linear servo.
-
-    Half of them have the gains of the linear servo.
-    """
+    """Servos (count, P) drawn from the prior, half with linear gains; the first is ``first``."""
     rows = np.tile(plain_row(0.0, 0.0, 0.0), (count, 1))
     half = count // 2
     by_name = {p.name: p for p in parameters}

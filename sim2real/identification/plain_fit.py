@@ -22,7 +22,7 @@ from sim2real.identification.priors import (
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit, point_fit
 from sim2real.inference.least_squares import OUTLIER_SD, robust_loss
-from sim2real.inference.parameters import kronecker
+from sim2real.inference.parameters import Parameter, column, kronecker
 from sim2real.robot import Servo
 from sim2real.servo.linearised import fastest_visible_rad_s, ringing_rad_s
 from sim2real.servo.parameters import BASE, COLUMNS, INERTIA_LEFT_OUT
@@ -41,14 +41,8 @@ def fit_plain(
 ) -> tuple[Fit, list[str]]:
     """The best fit of gains and latency, and parameters without visible influence.
 
-    These change simulated angles by less than the noise and are not fitted.
-
-    Args:
-        fitted: The joint's recordings.
-        noise: Standard deviation of its sensor noise in rad.
-        rng: Generator for the scan.
-        servo: Its data sheet, from which the rotor of an arm's joint starts.
-        effort: Multiple of the largest number of evaluations.
+    These change simulated angles by less than the ``noise``, the sensor's standard deviation in
+    rad, and are not fitted. The rotor of an arm's joint starts from the data sheet.
 
     Raises:
         InputError: If no parameter changes the angles visibly.
@@ -76,14 +70,7 @@ def best_of(
     names: Sequence[str] = BASE[:3],
     effort: float = 1.0,
 ) -> Fit:
-    """The best fit of gains and latency from some servos (S, P).
-
-    Args:
-        fitted: The joint's recordings.
-        starts: The servos.
-        names: Those of ``plain_parameters`` to fit.
-        effort: Multiple of the largest number of evaluations.
-    """
+    """The best fit of gains and latency (``names`` of ``plain_parameters``) from servos (S, P)."""
     free = tuple(p for p in plain_parameters(fitted, starts[0]) if p.name in names)
     first, later, last = (round(effort * n) for n in (40, 20, 60))
     return fit(ServoProblem(fitted, starts[0], free), starts, first=first, later=later, last=last)
@@ -107,39 +94,20 @@ def refitted(traces: Sequence[Trace], row: Array, effects: Sequence[Effect] = ()
 
 
 def fit_effects(
-    traces: Sequence[Trace],
-    plain: Fit,
-    effects: Sequence[Effect],
-    rng: np.random.Generator,
-    *,
-    finalists: int = 3,
+    traces: Sequence[Trace], plain: Fit, effects: Sequence[Effect], rng: np.random.Generator
 ) -> Fit:
     """Fit gains, latency and the parameters of effects to all traces at once.
 
     The loss has several minima where effects act on contact or at a limit, and the plain fit
     absorbs part of them. So fits start from the best points of a scan over all parameters.
-
-    Args:
-        traces: The joint's recordings.
-        plain: The fit of the plain servo.
-        effects: The effects to add.
-        rng: Generator for the scan.
-        finalists: Number of short fits that are continued.
     """
-
-    def fitted(row: Array, rounds: int, evaluations: int) -> Fit:
-        own = plain_parameters(traces, row)
-        free = (*own, *of_effects(effects, row, plain.inertia, _known(traces)))
-        problem = ServoProblem(traces, row, free)
-        return fit(problem, row[None], rounds=rounds, first=evaluations, last=rounds * evaluations)
-
-    def loss(candidate: Fit) -> float:
-        return candidate.loss(plain.scale_rad)
-
-    starts = _starts(traces, plain, effects, rng)
-    short = sorted((fitted(row, 1, 12) for row in starts), key=loss)
-    longer = [fitted(start.row, 1, 40) for start in short[:finalists]]
-    return fitted(min(longer, key=loss).row, 4, 40)
+    # on an arm the load is what the rotor is not
+    known = () if traces[0].varying is None else ("rotor_inertia_kgm2",)
+    added = of_effects(effects, plain.row, plain.inertia, known)
+    own = plain_parameters(traces, plain.row)
+    problem = ServoProblem(traces, plain.row, (*own, *added))
+    starts = _starts(problem, plain, added, rng)
+    return fit(problem, starts, first=40, later=40, last=160, behind=300.0)
 
 
 def _assumed_rotor(fitted: Sequence[Trace], servo: Servo | None) -> float:
@@ -149,56 +117,36 @@ def _assumed_rotor(fitted: Sequence[Trace], servo: Servo | None) -> float:
     return fitted[0].load.inertia_kgm2 if servo is None else nominal_rotor(servo)
 
 
-def _known(traces: Sequence[Trace]) -> tuple[str, ...]:
-    """Parameters of effects that are not fitted: on an arm the load is what the rotor is not."""
-    return () if traces[0].varying is None else ("rotor_inertia_kgm2",)
-
-
 def _starts(
-    traces: Sequence[Trace],
+    problem: ServoProblem,
     plain: Fit,
-    effects: Sequence[Effect],
+    added: Sequence[Parameter],
     rng: np.random.Generator,
     *,
     grid_points: int = 256,
     scan_points: int = 768,
-    frequency_rad_s: tuple[float, float] = (10.0, 60.0),
-    damping_ratio: tuple[float, float] = (0.25, 1.5),
-    latency: tuple[float, float] = (0.85, 1.05),
+    low: tuple[float, float, float] = (10.0, 0.25, 0.85),
+    high: tuple[float, float, float] = (60.0, 1.5, 1.05),
     apart: float = 0.5,
     most: int = 12,
 ) -> Array:
-    """Rows (N, P) with the smallest losses of a grid and a scan, each apart from the others.
-
-    Every fourth value of a parameter in the scan is that without the effect.
-    """
-    added = of_effects(effects, plain.row, plain.inertia, _known(traces))
-    columns = [COLUMNS.index(p.name) for p in added]
-    choices = [[min(max(s * p.nominal, p.low), p.high) for s in STRENGTHS] for p in added]
-    full_grid = len(STRENGTHS) ** len(choices) <= grid_points
-    grid = list(itertools.product(*choices)) if full_grid else list(zip(*choices, strict=True))
-    rows = np.tile(plain.row, (len(grid) + scan_points, 1))
-    rows[: len(grid), columns] = grid
-    sizes = np.tile([p.nominal for p in added], (len(rows), 1))
-    points = kronecker(scan_points, len(added) + 3, rng)
-    for row, size, point in zip(rows[len(grid) :], sizes[len(grid) :], points, strict=True):
-        frequency, ratio = (
-            low * (high / low) ** share
-            for (low, high), share in zip((frequency_rad_s, damping_ratio), point, strict=False)
-        )
-        row[0] = plain.inertia * frequency**2
-        row[1] = 2 * ratio * plain.inertia * frequency
-        row[2] *= latency[0] + (latency[1] - latency[0]) * point[2]
-        own = of_effects(effects, row, plain.inertia, _known(traces))
-        for k, (p, share) in enumerate(zip(own, point[3:], strict=True)):
-            strength = STRENGTHS[0] * (STRENGTHS[-1] / STRENGTHS[0]) ** (share * 4 / 3)
-            value = np.clip(strength * p.nominal, p.low, p.high)
-            absent = max(p.low, 0.0)
-            row[columns[k]], size[k] = absent if share > 0.75 else value, p.nominal
-    scanned = ServoProblem(traces, plain.row, (*plain.parameters, *added))
-    residuals = scanned.row_residuals(rows)
-    losses = robust_loss(residuals / plain.scale_rad, OUTLIER_SD)
-    places = np.log(0.1 + np.abs(rows[:, columns]) / sizes)
+    """Servos (N, P) with the smallest losses of a grid and a scan, each apart from the others."""
+    columns, typical = [COLUMNS.index(p.name) for p in added], column(added, "nominal")
+    full_grid = len(STRENGTHS) ** len(added) <= grid_points
+    alike = [(strength,) * len(added) for strength in STRENGTHS]
+    grid = list(itertools.product(STRENGTHS, repeat=len(added))) if full_grid else alike
+    points = kronecker(scan_points, 3 + len(added), rng)
+    frequency, ratio, latency = (np.array(low) * (np.divide(high, low) ** points[:, :3])).T
+    share, span = points[:, 3:], STRENGTHS[-1] / STRENGTHS[0]
+    scan = np.where(share > 0.75, 0.0, STRENGTHS[0] * span ** (share * 4 / 3))  # 0: absent
+    strengths = np.vstack([grid, scan])
+    rows = np.tile(plain.row, (len(strengths), 1))
+    gains = plain.inertia * np.stack([frequency**2, 2 * ratio * frequency], axis=1)
+    rows[len(grid) :, :3] = np.column_stack([gains, latency * plain.row[2]])
+    values = np.clip(strengths * typical, column(added, "low"), column(added, "high"))
+    rows[:, columns] = np.where(strengths > 0, values, np.maximum(column(added, "low"), 0.0))
+    losses = robust_loss(problem.row_residuals(rows) / plain.scale_rad, OUTLIER_SD)
+    places = np.log(0.1 + np.abs(rows[:, columns]) / typical)
     chosen: list[int] = []
     for k in np.argsort(losses):
         distance = np.abs(places[chosen] - places[k]).max(axis=1)

@@ -98,21 +98,18 @@ def of_effects(
 
 @dataclass(frozen=True)
 class Ties:
-    """Relations between the gains and the torque limit of a motor that its prior states.
+    """Relations between the gains and the torque limit of a motor that its prior states."""
 
-    Attributes:
-        drive: Controller that the reported drive shows; None if the servo does not report it.
-        reported_sd: Standard deviation of the logarithm of the gain that the reported drive shows,
-            and of that of the damping.
-        back_emf_sd: Scale of the logarithm of the damping about that by the back-EMF, with long
-            tails, as the controller may add damping.
-        damping_share: Median of the share of the damping that a limit of the current leaves, and
-            the standard deviation of its logarithm; None for a torque-speed line.
-    """
-
+    # controller that the reported drive shows; None if the servo does not report it
     drive: ReportedDrive | None = None
+    # standard deviation of the logarithm of the gain that the reported drive shows, and of that of
+    # the damping
     reported_sd: float = 0.01
+    # scale of the logarithm of the damping about that by the back-EMF, with long tails, as the
+    # controller may add damping
     back_emf_sd: float = 0.3
+    # median of the share of the damping that a limit of the current leaves, and the standard
+    # deviation of its logarithm; None for a torque-speed line
     damping_share: tuple[float, float] | None = None
 
     def terms(self, rows: Array) -> Array:
@@ -138,15 +135,11 @@ class Ties:
 
 @dataclass(frozen=True)
 class MotorPrior:
-    """Prior of all parameters of a motor.
+    """Prior of all parameters of a motor."""
 
-    Attributes:
-        parameters: Prior of each column of the law (``servo.parameters``), gains and latency first.
-        ties: Relations between them.
-    """
-
+    # prior of each column of the law (``servo.parameters``), gains and latency first
     parameters: tuple[Parameter, ...]
-    ties: Ties = field(default_factory=Ties)
+    ties: Ties = field(default_factory=Ties)  # relations between them
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter with this name."""
@@ -159,12 +152,10 @@ class MotorPrior:
     def flat(self, kd: float, *, damping_share: tuple[float, float] = (0.6, 0.6)) -> MotorPrior:
         """The prior of the same motor, if its current is limited at any speed and not its voltage.
 
-        Damping acts beyond the limit, at least a share of it: the stall torque over the no-load
-        speed. The no-load speed of the data sheet is then no limit.
-
-        Args:
-            kd: Damping of the linear servo in N m s/rad, about which the bounds lie.
-            damping_share: Median of that share, and the standard deviation of its logarithm.
+        Damping acts beyond the limit, at least a share of it, with this median and standard
+        deviation of its logarithm: the stall torque over the no-load speed. The no-load speed of
+        the data sheet is then no limit; its bounds lie about the damping ``kd`` of the linear servo
+        in N m s/rad.
         """
         middle = float(np.exp(self[LINE[0]].nominal)) / kd / damping_share[0]
         flat = self.changed(

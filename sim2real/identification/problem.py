@@ -36,18 +36,12 @@ class ServoProblem:
     """Recordings of a servo, and which of its parameters are fitted.
 
     Points ``x`` (B, F) are the free parameters, or their logarithms (``Parameter.log``), in units.
-
-    Attributes:
-        traces: The recordings of one joint.
-        row: Values of the other parameters, shape (P,); loads are the recordings'.
-        parameters: The F free parameters, with the names of their columns.
-        ties: Relations between gains and torque limit in the prior, for a motor.
     """
 
-    traces: Sequence[Trace]
-    row: Array
-    parameters: tuple[Parameter, ...]
-    ties: Ties | None = None
+    traces: Sequence[Trace]  # the recordings of one joint
+    row: Array  # values of the other parameters, shape (P,); loads are the recordings'
+    parameters: tuple[Parameter, ...]  # the F free parameters, with the names of their columns
+    ties: Ties | None = None  # relations between gains and torque limit in the prior, for a motor
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -146,9 +140,7 @@ class ServoProblem:
     def substeps(self, rows: Array, *, rough: bool = False) -> Array:
         """Longest sub-step in s of each of the servos (B, P), (B,); infinite for exact solutions.
 
-        Args:
-            rows: The servos.
-            rough: Whether for derivatives, or far from a minimum (``rollout.coarse_substep``).
+        ``rough``: for derivatives, or far from a minimum (``rollout.coarse_substep``).
         """
         exact = self.exact and self.simulator.is_linear(rows)
         fine = self.simulator.substeps(rows, exact=exact)
@@ -250,35 +242,28 @@ def _products(first: Array, second: Array) -> Array:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted servo.
+    """A fitted servo."""
 
-    Attributes:
-        problem: The problem.
-        x: The optimum, shape (F,).
-        error: Simulated minus measured angles at the used samples in rad, shape (n,).
-        slopes: Their derivatives by ``x``, shape (n, F).
-        scale_rad: Robust standard deviation of the residual.
-        inflation: Number of its samples per independent sample.
-        converged: Whether the search ended at a minimum.
-        others: Other minima, best first, shape (M, F).
-        behind: Their losses less that of the optimum, shape (M,).
-    """
-
-    problem: ServoProblem
-    x: Array
-    error: Array
-    slopes: Array
-    scale_rad: float
-    inflation: float
-    converged: bool
-    others: Array
-    behind: Array
+    problem: ServoProblem  # the problem
+    x: Array  # the optimum, shape (F,)
+    error: Array  # simulated minus measured angles at the used samples in rad, shape (n,)
+    slopes: Array  # their derivatives by ``x``, shape (n, F)
+    scale_rad: float  # robust standard deviation of the residual
+    inflation: float  # number of its samples per independent sample
+    converged: bool  # whether the search ended at a minimum
+    others: Array  # other minima, best first, shape (M, F)
+    behind: Array  # their losses less that of the optimum, shape (M,)
 
     @cached_property
     def row(self) -> Array:
         """All parameters of the servo, shape (P,)."""
         row: Array = self.problem.rows(self.x[None])[0]
         return row
+
+    @property
+    def minima(self) -> Array:
+        """The servo and those at the best other minima, six at most, shape (M, P)."""
+        return self.problem.rows(np.vstack([self.x[None], self.others[:5]]))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

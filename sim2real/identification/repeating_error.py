@@ -1,4 +1,4 @@
-"""Errors that repeat with the angle: what they add to the uncertainty of a fit.
+"""What errors that repeat with the angle add to the uncertainty of a fit.
 
 Cogging, friction that varies with the angle and a nonlinear sensor make the same error
 at every pass of an angle. However often the joint passes, such errors do not average out.
@@ -30,18 +30,14 @@ def repeating_error(
 
     The residual contains an error of the measured angle and a torque that act through the closed
     loop of gains, inertia and gravity, both random functions of the simulated angle: Fourier series
-    over the visited range with independent coefficients. Each has one prior variance for slow and
-    one for fine waves; the four are estimated from the residual by ``variance_components``. A wave
-    that the residual shows counts with its own power, as cogging is a single wave, and one that the
-    fit has absorbed with the variance of its kind. Phases are arbitrary: the cosine and the sine of
-    a wave share its power.
+    over the visited range with independent coefficients. Each has one prior variance for slow waves
+    (eccentric sensors, gravity: up to ``slow_per_rad`` cycles per radian) and one for fine ones (up
+    to 79 a turn, cogging behind gears); the four are estimated from the residual by
+    ``variance_components``. A wave that the residual shows counts with its own power, as cogging is
+    a single wave, and one that the fit has absorbed with the variance of its kind. Phases are
+    arbitrary: the cosine and the sine of a wave share its power.
 
-    Args:
-        best: The fit.
-        prior: Precision of the prior by ``x``, times the variance of a residual, shape (F, F).
-        slow_per_rad: Cycles per radian up to which waves are slow: eccentric sensors, gravity.
-        finest_per_rad: Cycles per radian of the finest wave: 79 a turn, cogging behind gears.
-        most_waves: Largest number of waves, for joints that visit many radians.
+    ``prior`` (F, F) is the precision of the prior by ``x``, times the variance of a residual.
 
     Returns:
         The covariance of each kind of error, shape (C, F, F), and the effective number of
@@ -91,12 +87,8 @@ def variance_components(
     (MacKay, Neural Computation 4 (1992) 415-447): a variance is the sum of squared coefficients
     over their effective number.
 
-    Args:
-        error: Residual, shape (n,).
-        slopes: Its derivatives by the fitted parameters, shape (n, F).
-        prior: Precision of their prior times the variance of a residual, shape (F, F).
-        groups: Functions of each group at the samples, shapes (n, m).
-        rounds: Number of steps.
+    Of a residual (n,), its derivatives by the fitted parameters (n, F), the precision of their
+    prior times the variance of a residual (F, F), and functions of each group (n, m).
 
     Returns:
         Expected squares of the coefficients of each group given the residual, shapes (m,): their

@@ -31,25 +31,26 @@ def fit(
     rng: np.random.Generator | None = None,
     most: int = 8,
 ) -> Fit:
-    """Fit the free parameters of a servo from several starts.
+    """Fit the free parameters of a servo from several starts (S, P).
 
     Levenberg-Marquardt searches run simultaneously; those that approach the minimum of a better one
-    or fall far behind end. The likelihood counts correlated residuals as fewer samples, so that
-    misfit does not outweigh the prior; the scale of the residual is estimated again between rounds.
+    or fall ``behind`` it in log-likelihood end. The likelihood counts correlated residuals as fewer
+    samples, so that misfit does not outweigh the prior; the scale of the residual is estimated
+    again between rounds.
 
     Args:
         problem: The problem.
-        starts: Servos from which searches start, shape (S, P).
+        starts: Servos from which searches start.
         rounds: Largest number of rounds.
         first: Largest number of evaluations of a search in the first round, with long sub-steps.
         later: The same in later rounds.
         last: The same of the best search alone, in the end.
-        behind: Largest difference of log-likelihood to the best search at which one continues.
+        behind: See above.
         least_gain: Decrease of half the loss, from the first start, without which a few steps of
             all searches are enough.
-        rng: Generator for the neighbours by which minima are ordered (``robust_order``) where a
-            servo may stick or just not; None for the order of their losses.
-        most: Largest number of minima to order so.
+        rng: Generator for the neighbours by which ``most`` minima are ordered (``robust_order``)
+            where a servo may stick or just not; None for the order of their losses.
+        most: See ``rng``.
     """
     x = problem.searched(starts)
     error = problem.residuals(x)
@@ -96,19 +97,11 @@ def search(
     patience: int = 8,
     settled: float = 1e-3,
 ) -> tuple[Array, Array, float, bool]:
-    """Search from points (S, F) with a given scale and inflation of the residual (``noise``).
+    """Search from points (S, F), for a scale of the residual in rad and its inflation (``noise``).
 
-    Args:
-        problem: The problem.
-        x: The points.
-        noise: Scale of the residual in rad, and samples per independent sample.
-        evaluations: Largest number of evaluations of each search.
-        rough: Whether residuals, too, have the longer sub-steps of derivatives.
-        behind: As of ``fit``.
-        least_gain: Decrease of half the loss from the first start without which all searches end
-            after ``patience`` evaluations.
-        patience: See ``least_gain``.
-        settled: Expected decrease of half the loss below which a search ends.
+    As of ``fit``, up to ``patience`` evaluations without ``least_gain``; residuals, too, have the
+    longer sub-steps of derivatives if ``rough``. A search ends where it expects a decrease of half
+    the loss below ``settled``.
 
     Returns:
         The points in ascending order of their losses, the losses (S,), the decrease of half the
@@ -162,10 +155,7 @@ def _distinct(x: Array, *, same: float = 0.1) -> Index:
 
 
 def shortlist(problem: ServoProblem, starts: Array, count: int) -> Array:
-    """The first of some servos (S, P) and those with the smallest errors, ``count`` in all.
-
-    The errors are those in the window with most motion.
-    """
+    """The first of servos (S, P) and those with the smallest errors, ``count`` in all."""
     window = max((trace.window() for trace in problem.traces), key=Trace.activity)
     windowed = replace(problem, traces=[window])
     size = np.mean(np.abs(windowed.residuals(windowed.searched(starts), rough=True)), axis=1)
@@ -184,19 +174,11 @@ def robust_order(
 ) -> Index:
     """Indices of minima (M, F) by the mean loss of their neighbours, smallest first.
 
-    Neighbours differ in rotor inertia and losses by a small share of the prior's width. A narrow
-    minimum owes its small loss to a coincidence, for instance of the moment at which the shaft
-    sticks, and predicts other motions badly; so the expected loss of uncertain parameters is what
-    counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied Mechanics and
-    Engineering 196 (2007) 3190-3218, sec. 2.2).
-
-    Args:
-        problem: The problem.
-        x: The minima.
-        noise: Scale of the residual in rad, and samples per independent sample.
-        rng: Generator for the neighbours.
-        neighbours: Number of neighbours of a minimum.
-        distance: Their standard deviation relative to the prior's.
+    Neighbours differ in rotor inertia and losses by ``distance``, a share of the prior's standard
+    deviation. A narrow minimum owes its small loss to a coincidence, for instance of the moment at
+    which the shaft sticks, and predicts other motions badly; so the expected loss of uncertain
+    parameters is what counts (robust optimisation: Beyer and Sendhoff, Computer Methods in Applied
+    Mechanics and Engineering 196 (2007) 3190-3218, sec. 2.2). ``noise`` as of ``search``.
     """
     varied = [k for k, name in enumerate(problem.names) if name in (ROTOR, *LOSSES)]
     sd = column(problem.parameters, "prior_sd")[varied] / problem.unit[varied]
@@ -212,34 +194,14 @@ def robust_order(
     return np.argsort(means)
 
 
-def continued(
-    best: Fit,
-    traces: Sequence[Trace],
-    *,
-    row: Array | None = None,
-    further: Array | None = None,
-    rng: np.random.Generator | None = None,
-    effort: float = 1.0,
-) -> Fit:
+def continued(best: Fit, traces: Sequence[Trace], *, effort: float = 1.0) -> Fit:
     """Fit the same parameters to more recordings of the joint, from all minima of a fit.
 
-    Args:
-        best: The fit.
-        traces: The recordings.
-        row: Values of the parameters that are not fitted, shape (P,); by default as before.
-        further: Further servos from which to start, shape (S, P).
-        rng: As of ``fit``.
-        effort: Multiple of the largest number of evaluations.
+    ``effort`` multiplies the largest number of evaluations.
     """
     problem = replace(best.problem, traces=traces)
-    rows = best.problem.rows(np.vstack([best.x[None], best.others[:5]]))
-    if row is not None:
-        problem = replace(problem, row=row)
-    if further is not None:
-        rows = np.vstack([rows, further])
-    sizes = (10 if further is None else 20, 10, 40)
-    first, later, last = (round(effort * size) for size in sizes)
-    return fit(problem, rows, rounds=3, first=first, later=later, last=last, rng=rng)
+    first, later, last = (round(effort * size) for size in (10, 10, 40))
+    return fit(problem, best.minima, rounds=3, first=first, later=later, last=last)
 
 
 def point_fit(problem: ServoProblem, row: Array) -> Fit:

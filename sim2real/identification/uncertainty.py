@@ -1,7 +1,4 @@
-"""Uncertainty of a fit with correlated residuals, and intervals of its parameters.
-
-Ends of intervals are infinite where the recordings set no bound.
-"""
+"""Uncertainty of a fit with correlated residuals, and intervals of its parameters."""
 
 from __future__ import annotations
 
@@ -29,21 +26,14 @@ GAINS = BASE[:2]
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the F free parameters of a fit, as searched, in units.
+    """Uncertainty of the F free parameters of a fit, as searched, in units."""
 
-    Attributes:
-        covariance: Shape (F, F); 0 for directions that are not determined.
-        half_width: Half-widths of intervals, without regard to open directions, shape (F,).
-        open_directions: Indices of the parameters of each direction that is not determined.
-        inflation: Largest ratio of the variance to that for independent residuals.
-        level: Probability of the intervals.
-    """
-
-    covariance: Array
-    half_width: Array
+    covariance: Array  # shape (F, F); 0 for directions that are not determined
+    half_width: Array  # half-widths of intervals, without regard to open directions, shape (F,)
+    # indices of the parameters of each direction that is not determined
     open_directions: tuple[tuple[int, ...], ...]
-    inflation: float
-    level: float
+    inflation: float  # largest ratio of the variance to that for independent residuals
+    level: float  # probability of the intervals
 
     @property
     def sd(self) -> Array:
@@ -70,16 +60,12 @@ def uncertainty(
     The covariance is inv(H) S inv(H): H the curvature of the loss, S the long-run covariance of its
     gradient (Bartlett weights: Newey and West, Econometrica 55 (1987) 703-708). It is never taken
     smaller than the covariance for independent residuals. Errors that repeat with the angle add to
-    S (``repeating_error``). Intervals use Student's t with the effective number of samples and, of
-    repeating errors, of coefficients, combined for each parameter (Satterthwaite, Biometrics
-    Bulletin 2 (1946) 110-114). The prior counts as an additional measurement. A direction is open
-    if its standard deviation exceeds a unit, a factor of e, or twice that of the prior.
-
-    Args:
-        best: The fit.
-        level: Probability of the intervals.
-        repeating: Whether to include errors that repeat with the angle.
-        part: Share of an open direction from which a parameter counts as part of it.
+    S (``repeating_error``) if ``repeating``. Intervals use Student's t with the effective number of
+    samples and, of repeating errors, of coefficients, combined for each parameter (Satterthwaite,
+    Biometrics Bulletin 2 (1946) 110-114). The prior counts as an additional measurement. A
+    direction is open if its standard deviation exceeds a unit, a factor of e, or twice that of the
+    prior; a parameter with at least ``part`` of it is part of it. ``level``: probability of the
+    intervals.
     """
     problem, F = best.problem, best.x.size
     prior_sd = column(problem.parameters, "prior_sd") / problem.unit
@@ -159,15 +145,10 @@ def intervals(
 ) -> dict[str, tuple[float, float]]:
     """Intervals of the fitted parameters, by name, with their prior if they have one.
 
-    Symmetric as searched; of a servo without a motor by profile likelihood, where that is wide or
-    another minimum outside fits the recordings as well. An upper end is infinite if the recordings
-    do not determine it; ends are within the bounds and include all minima that fit equally well.
-
-    Args:
-        best: The fit.
-        spread: Its uncertainty.
-        largest_symmetric: Relative half-width of a gain, or half-width in units, above which
-            symmetric ends are not used.
+    Symmetric as searched; of a servo without a motor by profile likelihood, where that is wide (a
+    relative half-width of a gain, or half-width in units, above ``largest_symmetric``) or another
+    minimum outside fits the recordings as well. An upper end is infinite if the recordings do not
+    determine it; ends are within the bounds and include all minima that fit equally well.
     """
     problem, (low, high) = best.problem, best.problem.box
     plain = problem.ties is None and all("." not in name for name in problem.names)
@@ -202,13 +183,8 @@ def beyond_data_sheet(
     """Wider intervals of the gains where the stall torque is implausible for the data sheet.
 
     The load sets the scale of both. If a stated load is wrong, the gains are as wrong as the stall
-    torque, and their intervals extend to the values that belong to that of the data sheet.
-
-    Args:
-        motor: The fit.
-        ends: Intervals of the gains, by name.
-        servo: The data sheet.
-        implausible_sd: Deviation of the stall torque from it, in standard deviations of its prior.
+    torque, and their intervals extend to the values that belong to that of the data sheet: where it
+    is ``implausible_sd`` standard deviations of its prior away.
     """
     if LINE[0] not in motor.names or motor.problem.traces[0].load is PER_INERTIA:
         return {}
@@ -237,12 +213,7 @@ def _limit(spread: Uncertainty) -> float:
 def _profiled(
     best: Fit, k: int, first: float, spread: Uncertainty, *, steps: int = 24, bisections: int = 3
 ) -> float:
-    """End of the interval of one parameter, or its bound if the recordings do not determine it.
-
-    Profile likelihood: the parameter is moved by increasing steps, starting with ``first``, and the
-    others are refitted, until twice the decrease of the log-likelihood exceeds its quantile; then
-    the end is bisected.
-    """
+    """End of the profile likelihood's interval of one parameter, or its bound without one."""
     problem, x = best.problem, float(best.x[k])
     limit = problem.box[1][k] if first > 0 else problem.box[0][k]
     others = tuple(p for n, p in enumerate(problem.parameters) if n != k)

@@ -23,8 +23,6 @@ _FIXED_B = (
     (0.98, 2.3263, 4.1618, 0.5368, -0.9060),
 )
 """Probability of an interval, and the coefficients of its critical value as a polynomial of b."""
-_WINDOW_TIMES = 5.0
-"""Autocorrelation times over which autocorrelations are summed (Sokal)."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +84,10 @@ def lag_products(residual: Array, counts: Mask, order: int) -> Array:
 
 
 def autoregression(products: Array, least_gain: float = 0.0) -> Array:
-    """Least-squares autoregression coefficients (N, p) of N residuals.
+    """Least-squares autoregression (N, p) of N residuals, by lag products (N, p + 1, p + 1).
 
-    Args:
-        products: Lag products of each, shape (N, p + 1, p + 1).
-        least_gain: Smallest gain of the whitening filter at frequency 0, which is 1 minus the sum
-            of the coefficients; no limit if it is 0 or less.
+    ``least_gain``: smallest gain of the whitening filter at frequency 0, which is 1 minus the sum
+    of the coefficients; no limit if it is 0 or less.
     """
     past, present = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     size = np.einsum("nii->n", past) / past.shape[1]
@@ -115,29 +111,14 @@ def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
 def autocorrelation_times(series: Array) -> Array:
     """Integrated autocorrelation times in samples, at least 1; undefined ones are the length.
 
-    As in emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window. Of a
+    By emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window. Of a
     series (T,) or (T, walkers, F), shape (F,).
     """
-    series = np.asarray(series)
-    walkers = series.reshape(len(series), -1, series.shape[2] if series.ndim == 3 else 1)
-    times = np.empty(walkers.shape[2])
+    from emcee.autocorr import integrated_time  # type: ignore[import-untyped]
+
     with np.errstate(invalid="ignore", divide="ignore"):
-        for f in range(times.size):
-            cumulative = 2.0 * np.cumsum(_autocorrelation(walkers[:, :, f])) - 1.0
-            inside = np.arange(cumulative.size) < _WINDOW_TIMES * cumulative
-            times[f] = cumulative[np.argmin(inside) if inside.any() else -1]
+        times = integrated_time(series, tol=0)
     return np.where(np.isfinite(times), np.maximum(times, 1.0), len(series))
-
-
-def _autocorrelation(walkers: Array) -> Array:
-    """Mean autocorrelation of some series (T, walkers), 1 without a lag, shape (T,)."""
-    length = 2 ** int(np.ceil(np.log2(len(walkers))) + 1)
-    total: Array = np.zeros(len(walkers))
-    for series in walkers.T:
-        spectrum = np.fft.fft(series - np.mean(series), n=length)
-        products = np.fft.ifft(spectrum * np.conjugate(spectrum))[: len(walkers)].real
-        total += products / products[0]
-    return np.asarray(total / walkers.shape[1])
 
 
 def correlation_samples(error: Array) -> float:

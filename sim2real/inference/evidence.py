@@ -16,15 +16,9 @@ def profile_loglikelihood(error2: Array, count: Array) -> Array:
 def occam_factor(information: Array, prior_sd: float, nuisance: int = 0) -> Array:
     """Penalty of the evidence for free parameters, shape (N,).
 
-    1/2 log det(1 + prior variance x information), with the information after elimination of the
-    nuisance parameters. Source: MacKay, Information Theory, Inference, and Learning Algorithms
-    (Cambridge, 2003), ch. 28.
-
-    Args:
-        information: Second derivatives of minus the log-likelihood, in natural units, shape
-            (N, F, F).
-        prior_sd: Prior standard deviation of each parameter in natural units.
-        nuisance: Number of leading parameters that all models share, which are not penalised.
+    1/2 log det(1 + prior variance x information), with the information (N, F, F) in natural units
+    after elimination of the leading ``nuisance`` parameters, which all models share. Source:
+    MacKay, Information Theory, Inference, and Learning Algorithms (Cambridge, 2003), ch. 28.
     """
     base, normal = information[:, :nuisance, :nuisance], information[:, nuisance:, nuisance:]
     if not normal.shape[1]:

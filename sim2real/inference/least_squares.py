@@ -1,8 +1,7 @@
 """Levenberg-Marquardt minimisation of many bounded problems at once.
 
 A problem provides loss, gradient and curvature at given points (``Expansion``), for any number of
-problems in one call. ``expansion`` computes these from residuals and their derivatives, optionally
-with a loss that is robust to outliers.
+problems in one call.
 """
 
 from __future__ import annotations
@@ -26,19 +25,12 @@ _LARGEST_STEP = 3.0
 
 @dataclass(frozen=True)
 class Expansion:
-    """Second-order expansion of minus the log-posterior of N problems, each about one point.
+    """Second-order expansion of minus the log-posterior of N problems, each about one point."""
 
-    Attributes:
-        loss: Value up to a constant, shape (N,); infinite where the simulation diverges.
-        slope: First derivatives, shape (N, F).
-        curvature: Second derivatives in the Gauss-Newton approximation, shape (N, F, F).
-        aside: Other results at the points by name, arrays of shape (N, ...).
-    """
-
-    loss: Array
-    slope: Array
-    curvature: Array
-    aside: dict[str, Array]
+    loss: Array  # value up to a constant, shape (N,); infinite where the simulation diverges
+    slope: Array  # first derivatives, shape (N, F)
+    curvature: Array  # second derivatives in the Gauss-Newton approximation, shape (N, F, F)
+    aside: dict[str, Array]  # other results at the points by name, arrays of shape (N, ...)
 
     def replace(self, rows: Index, new: Expansion, chosen: Mask | slice = slice(None)) -> None:
         """Replace the rows (M,), in place, by the M chosen rows of another expansion."""
@@ -61,17 +53,11 @@ that each active one expects of an undamped step (M,), to a mask of those to sto
 
 @dataclass(frozen=True)
 class Minimum:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        x: The best points in units, shape (N, F).
-        expansion: Expansion about them.
-        converged: Whether no further step was expected to be significant, shape (N,).
-    """
-
-    x: Array
-    expansion: Expansion
-    converged: Mask
+    x: Array  # the best points in units, shape (N, F)
+    expansion: Expansion  # expansion about them
+    converged: Mask  # whether no further step was expected to be significant, shape (N,)
 
 
 def minimise(
@@ -90,20 +76,11 @@ def minimise(
     """Minimise N problems by damped steps, with one joint evaluation per round.
 
     Source: Marquardt, SIAM Journal on Applied Mathematics 11 (1963) 431-441; a parameter whose step
-    would leave its bounds is held at the bound.
-
-    Args:
-        expand: The problems.
-        start: Starting points, in units, shape (N, F).
-        low: Smallest values, likewise.
-        high: Largest values, likewise.
-        free: Mask of the places that hold a parameter, shape (N, F); all by default.
-        evaluations: Largest number of evaluations of each problem.
-        settled: Expected gain below which a search ends.
-        hopeless: Selects problems to stop, called every ``look_every`` evaluations.
-        losses: Losses of points (M, F) of the problems ``index`` (M,), if they are cheaper than
-            expansions; only points with a smaller loss are then expanded.
-        look_every: Evaluations between calls of ``hopeless``.
+    would leave its bounds is held at the bound. ``start``, ``low`` and ``high`` are in units, shape
+    (N, F); ``free`` marks the places that hold a parameter. A search ends after ``evaluations``, or
+    where the expected gain is below ``settled``; ``hopeless`` selects problems to stop every
+    ``look_every`` evaluations. ``losses`` returns those of points (M, F) of the problems ``index``
+    (M,), if they are cheaper than expansions; only points with a smaller loss are then expanded.
     """
     N = start.shape[0]
     free = np.ones(start.shape, dtype=bool) if free is None else free
@@ -207,16 +184,9 @@ def cannot_win(
 ) -> Mask:
     """Searches that approach the minimum of a better one, or cannot reach the best loss.
 
-    For the argument ``hopeless`` of ``minimise``.
-
-    Args:
-        active: Indices of the M active ones of S searches.
-        points: Current points of all searches, in natural units, shape (S, F).
-        losses: Their losses, shape (S,).
-        promised: Decrease of the loss expected from the next step of each active search, (M,).
-        same: Distance in units below which two searches approach the same minimum.
-        behind: Largest difference to the best loss at which a search continues.
-        optimism: Assumed remaining decrease of a loss as a multiple of ``promised``.
+    For the argument ``hopeless`` of ``minimise``: of S searches the M ``active`` ones, current
+    points (S, F) in natural units, losses (S,), and the decrease ``promised`` by the next step
+    (M,), of which a multiple, ``optimism``, is assumed to remain.
     """
     rank = np.empty(losses.size, dtype=np.intp)
     rank[np.argsort(losses, kind="stable")] = np.arange(losses.size)
@@ -224,51 +194,6 @@ def cannot_win(
     follows = (near & (rank < rank[active, None])).any(axis=1)
     reachable = losses[active] - optimism * np.maximum(promised, 0.5)
     return np.asarray(follows | (reachable > losses.min() + behind))
-
-
-def central(
-    simulate: Callable[[Array], Array], x: Array, size: Array, low: Array, high: Array
-) -> tuple[Array, Array]:
-    """Simulated values at a point (F,) and their derivatives by central differences, in one batch.
-
-    ``simulate`` goes from points (M, F) to rows (M, n). Steps of ``size`` (F,) are shortened at the
-    bounds.
-
-    Returns:
-        The row (n,) and its derivatives (n, F), 0 where a neighbouring point has no finite value.
-    """
-    F = x.size
-    ahead, back = np.minimum(x + size, high), np.maximum(x - size, low)
-    diagonal = np.eye(F, dtype=bool)
-    points = np.concatenate([x[None], np.where(diagonal, ahead, x), np.where(diagonal, back, x)])
-    rows = simulate(points)
-    with np.errstate(over="ignore", invalid="ignore"):
-        slope = (rows[1 : F + 1] - rows[F + 1 :]) / (ahead - back)[:, None]
-    return rows[0], np.where(np.isfinite(slope), slope, 0.0).T
-
-
-def expansion(error: Array, slope: Array, scale: float = np.inf) -> Expansion:
-    """Expansion of half a sum of squares, or of half a soft L1 loss.
-
-    Args:
-        error: Residuals, shape (n,), in standard deviations or another unit of the loss.
-        slope: Their derivatives, shape (n, F).
-        scale: Size above which residuals are down-weighted; infinite for the sum of squares.
-    """
-    ratio = 1 + (error / scale) ** 2
-    loss = 0.5 * robust_loss(error, scale)
-    bent = (slope / ratio[:, None] ** 1.5).T @ slope
-    steep = (error / np.sqrt(ratio)) @ slope
-    return Expansion(np.array([loss]), steep[None], bent[None], {})
-
-
-def stacked(expansions: Sequence[Expansion]) -> Expansion:
-    """Concatenate expansions to one of N problems, without ``aside``."""
-    loss, slope, curvature = (
-        np.concatenate([getattr(e, name) for e in expansions])
-        for name in ("loss", "slope", "curvature")
-    )
-    return Expansion(loss, slope, curvature, {})
 
 
 def rms(errors: Sequence[Array]) -> float:
@@ -280,8 +205,6 @@ def rms(errors: Sequence[Array]) -> float:
 
 def robust_loss(error: Array, scale: float) -> Array:
     """Soft L1 loss of residuals (..., n), nearly their sum of squares if none exceeds ``scale``."""
-    if np.isinf(scale):
-        return np.asarray(np.sum(error**2, axis=-1))
     return np.asarray(np.sum(np.sqrt(1 + (error / scale) ** 2) - 1, axis=-1)) * 2 * scale**2
 
 

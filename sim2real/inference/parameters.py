@@ -62,29 +62,6 @@ def column(parameters: Sequence[Parameter], field: str) -> Array:
     return np.array([getattr(p, field) for p in parameters], dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Gaussian:
-    """A normal distribution of F parameters, as a prior or as the result of a fit.
-
-    Attributes:
-        mean: Shape (F,).
-        covariance: Shape (F, F).
-    """
-
-    mean: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, parameters: Sequence[Parameter]) -> Gaussian:
-        """The independent priors that the parameters state."""
-        return cls(column(parameters, "nominal"), np.diag(column(parameters, "prior_sd") ** 2))
-
-    @property
-    def root(self) -> Array:
-        """A matrix W (F, F) with W.T @ W the inverse of the covariance."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
-
-
 def kronecker(count: int, dimensions: int, rng: np.random.Generator) -> Array:
     """The first N points of a randomly shifted Kronecker sequence in the unit cube, shape (N, D).
 

@@ -94,19 +94,13 @@ class Problem(Protocol[Fit, Start]):
 
 @dataclass(frozen=True)
 class Breadth:
-    """Breadth of the search.
+    """Breadth of the search."""
 
-    Attributes:
-        most: Largest number of candidates in a set, without the base.
-        added: Number of additions tried for each set after the first round; None for all.
-        rivals: Number of sets of the best size that are extended.
-        within: Largest difference of their evidence to the best one.
-    """
-
-    most: int = 4
+    most: int = 4  # largest number of candidates in a set, without the base
+    # number of additions tried for each set after the first round; None for all
     added: int | None = 6
-    rivals: int = 3
-    within: float = 12.0
+    rivals: int = 3  # number of sets of the best size that are extended
+    within: float = 12.0  # largest difference of their evidence to the best one
 
 
 def select(

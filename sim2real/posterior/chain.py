@@ -6,6 +6,7 @@ import io
 import math
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from glob import escape
@@ -38,23 +39,15 @@ def chain_file(out: Path, joint: str) -> Path | None:
 
 @dataclass(frozen=True)
 class Chain:
-    """An ensemble of walkers after N steps.
+    """An ensemble of walkers after N steps."""
 
-    Attributes:
-        coordinates: Standardised coordinates, shape (N, W, F).
-        log_density: Log-posterior at these, shape (N, W).
-        accepted: Number of accepted moves of each walker, shape (W,).
-        random: State of the random number generator, from ``RandomState.get_state``.
-        origin: Constant arrays by name that define the coordinates, and the initial walkers.
-        fingerprint: Hash of the problem; a chain is continued only for the same problem.
-    """
-
-    coordinates: Array
-    log_density: Array
-    accepted: NDArray[np.int64]
-    random: tuple[Any, ...]
+    coordinates: Array  # standardised coordinates, shape (N, W, F)
+    log_density: Array  # log-posterior at these, shape (N, W)
+    accepted: NDArray[np.int64]  # number of accepted moves of each walker, shape (W,)
+    random: tuple[Any, ...]  # state of the random number generator, from ``RandomState.get_state``
+    # constant arrays by name that define the coordinates, and the initial walkers
     origin: Mapping[str, Array]
-    fingerprint: str
+    fingerprint: str  # hash of the problem; a chain is continued only for the same problem
 
     @property
     def steps(self) -> int:
@@ -65,21 +58,15 @@ class Chain:
 def new_chain(
     walkers: int, free: int, seed: int, origin: Mapping[str, Array], fingerprint: str
 ) -> Chain:
-    """A chain without steps.
+    """A chain without steps, whose walkers start from a standard normal distribution.
 
-    Its walkers start from a standard normal distribution, which is the Laplace approximation in
-    standardised coordinates.
+    That is the Laplace approximation in standardised coordinates.
     """
     random = np.random.RandomState(seed)  # noqa: NPY002 - the generator that emcee requires
-    start = random.normal(size=(walkers, free))
-    return Chain(
-        coordinates=np.empty((0, walkers, free)),
-        log_density=np.empty((0, walkers)),
-        accepted=np.zeros(walkers, dtype=np.int64),
-        random=tuple(random.get_state(legacy=True)),
-        origin={**origin, "start": start},
-        fingerprint=fingerprint,
-    )
+    origin = {**origin, "start": random.normal(size=(walkers, free))}
+    none, state = np.empty((0, walkers, free)), tuple(random.get_state(legacy=True))
+    accepted = np.zeros(walkers, dtype=np.int64)
+    return Chain(none, none[:, :, 0], accepted, state, origin, fingerprint)
 
 
 def run_chain(
@@ -92,17 +79,11 @@ def run_chain(
     smallest_block: int = 100,
     block_share: float = 0.1,
 ) -> Chain:
-    """Continue a chain to ``steps`` steps, writing it to ``file`` after every block.
+    """Continue a chain to ``steps`` steps in all, writing it to ``file`` after every block.
 
-    Args:
-        chain: The chain to continue.
-        log_density: Log-posterior of standardised coordinates (B, F), shape (B,).
-        steps: Total number of steps.
-        file: File of the chain; None keeps it in memory only.
-        progress: Called with the number of completed steps after every block.
-        smallest_block: Smallest number of steps in a block.
-        block_share: Length of a block as a share of the previous steps: the total cost of writing
-            grows only in proportion to the length of the chain.
+    ``log_density`` is that of standardised coordinates (B, F), shape (B,). A block is a share of
+    the previous steps, so that the total cost of writing grows only in proportion to the length of
+    the chain; after each, ``progress`` is called with the number of completed steps.
 
     Raises:
         InputError: If the file can't be written.
@@ -112,25 +93,19 @@ def run_chain(
     W, F = chain.coordinates.shape[1:]
     sampler = EnsembleSampler(W, F, log_density, moves=moves(F), vectorize=True)
     sampler.log_prob_fn = log_density  # the wrapper of emcee prints a traceback of every interrupt
-    accepted = chain.accepted.copy()
+    start, density = chain.origin["start"], None
     if chain.steps:
-        state = State(chain.coordinates[-1], chain.log_density[-1], random_state=chain.random)
-    else:
-        state = State(chain.origin["start"], random_state=chain.random)
+        start, density = chain.coordinates[-1], chain.log_density[-1]
+    state = State(start, density, random_state=chain.random)
     while chain.steps < steps:
         block = min(max(smallest_block, int(block_share * chain.steps)), steps - chain.steps)
-        coordinates, log_posterior = np.empty((block, W, F)), np.empty((block, W))
-        before = state.coords.copy()
-        samples = sampler.sample(state, iterations=block, store=False)
-        for k, state in enumerate(interruptible(samples)):
-            coordinates[k], log_posterior[k] = state.coords, state.log_prob
-            accepted += np.any(state.coords != before, axis=1)
-            before = state.coords.copy()
+        sampler.reset()
+        state = deque(interruptible(sampler.sample(state, iterations=block)), maxlen=1).pop()
         chain = replace(
             chain,
-            coordinates=np.concatenate([chain.coordinates, coordinates]),
-            log_density=np.concatenate([chain.log_density, log_posterior]),
-            accepted=accepted.copy(),
+            coordinates=np.concatenate([chain.coordinates, sampler.get_chain()]),
+            log_density=np.concatenate([chain.log_density, sampler.get_log_prob()]),
+            accepted=chain.accepted + sampler.backend.accepted.astype(np.int64),
             random=state.random_state,
         )
         if file is not None:
@@ -163,11 +138,7 @@ def interruptible(items: Iterable[Any]) -> Iterator[Any]:
 
 
 def write_chain(chain: Chain, file: Path) -> None:
-    """Write a chain atomically, without pickle.
-
-    Raises:
-        InputError: If the file can't be written.
-    """
+    """Write a chain whole, without pickle; InputError if the file can't be written."""
     kind, keys, *numbers = chain.random
     if kind != "MT19937":
         raise ValueError(f"random number generator {kind}, expected MT19937")
@@ -195,11 +166,7 @@ def clear_leftovers(file: Path) -> None:
 
 
 def read_chain(file: Path) -> Chain:
-    """Read a chain.
-
-    Raises:
-        InputError: If the file is not a chain, or is damaged.
-    """
+    """Read a chain; InputError if the file is not one, or is damaged."""
     arrays = read_arrays(file, "a chain, or no such file", what="chain")
     try:
         if str(arrays["format"]) != FORMAT:
@@ -225,11 +192,7 @@ def read_chain(file: Path) -> Chain:
 
 
 def _check(chain: Chain) -> None:
-    """Check that the arrays of a chain fit together, are finite and can be continued.
-
-    Raises:
-        ValueError: If not.
-    """
+    """Raise a ValueError unless a chain's arrays fit together, are finite and can be continued."""
     W, F = chain.origin["start"].shape
     N = len(chain.coordinates)
     log_density = chain.log_density[chain.log_density != -np.inf]  # of walkers outside the prior
@@ -291,17 +254,11 @@ def independent(
 
 @dataclass(frozen=True)
 class Convergence:
-    """How well a chain has mixed.
+    """How well a chain has mixed."""
 
-    Attributes:
-        times: Integrated autocorrelation time of each parameter in steps, shape (F,).
-        steps: Number of completed steps.
-        accepted: Share of the moves that were accepted, all walkers together.
-    """
-
-    times: Array
-    steps: int
-    accepted: float
+    times: Array  # integrated autocorrelation time of each parameter in steps, shape (F,)
+    steps: int  # number of completed steps
+    accepted: float  # share of the moves that were accepted, all walkers together
 
     @property
     def spans(self) -> float:
@@ -340,20 +297,15 @@ class Convergence:
 
 def convergence(chain: Chain) -> Convergence:
     """Measure how well a chain has mixed."""
-    times = autocorrelation_times(chain.coordinates)
     tries = max(chain.steps * chain.accepted.size, 1)
+    times = autocorrelation_times(chain.coordinates)
     return Convergence(times, chain.steps, float(chain.accepted.sum() / tries))
 
 
 def require(
     convergence: Convergence, what: str, names: tuple[str, ...], *, multiple: int = 500
 ) -> None:
-    """Check that a chain is long enough.
-
-    Raises:
-        InputError: If it spans less than 50 autocorrelation times, with the number of steps needed
-            (a multiple of ``multiple``).
-    """
+    """Raise an InputError with a number of steps, unless a chain is long enough."""
     if convergence.reached:
         return
     steps = math.ceil(convergence.needed / multiple) * multiple

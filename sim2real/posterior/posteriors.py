@@ -13,6 +13,7 @@ import numpy as np
 from sim2real.arrays import Array
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError, library
+from sim2real.inference.normal import LEVEL
 from sim2real.output import write_whole
 from sim2real.posterior.predictive_check import PredictiveCheck
 from sim2real.posterior.servo import ServoPosterior
@@ -27,17 +28,11 @@ MOST_DRAWS = 4000
 
 @dataclass(frozen=True)
 class JointSample:
-    """Draws of all parameters of a robot's servos.
+    """Draws of all parameters of a robot's servos."""
 
-    Attributes:
-        names: ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER`` and so on, P of them.
-        units: Their units, SI.
-        values: The draws, shape (N, P), one per row.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
+    names: tuple[str, ...]  # ``J.kp_Nm_per_rad``, ``J.EFFECT.PARAMETER`` and so on, P of them
+    units: tuple[str, ...]  # their units, SI
+    values: Array  # the draws, shape (N, P), one per row
 
 
 @dataclass(frozen=True)
@@ -62,14 +57,9 @@ class Posteriors(NotebookDisplay):
         """ArviZ's ``InferenceData``: variables ``J.PARAMETER``, one chain per walker.
 
         Units are attributes of the variables. The last draws of each joint are used, as many as the
-        shortest chain has.
-
-        Raises:
-            MissingLibrary: If the extra ``arviz`` is not installed.
-            ValueError: If the joints were sampled with different numbers of walkers.
+        shortest chain has. Needs the extra ``arviz``, and the same number of walkers in all joints.
         """
         arviz = library("arviz", "to_arviz")
-
         columns, units = {}, {}
         for joint, servo in self.joints.items():
             values = servo.values.reshape(-1, servo.chain.accepted.size, len(servo.names))
@@ -87,11 +77,7 @@ class Posteriors(NotebookDisplay):
         return data
 
     def plot(self, joint: str | None = None) -> Figure:
-        """Marginals of one joint (the first by default), and of every pair of parameters.
-
-        Raises:
-            InputError: If that joint was not sampled.
-        """
+        """Marginals of one joint (the first by default), and of every pair of parameters."""
         name = next(iter(self.joints), "") if joint is None else joint
         if name not in self.joints:
             raise InputError("plot", "joint", repr(name), f"one of {', '.join(self.joints)}")
@@ -115,12 +101,10 @@ def joint_sample(servos: Mapping[str, ServoPosterior], rng: np.random.Generator)
     )
 
 
-def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
-    """Write ``posterior.npz``: ``names``, ``units`` and ``sample`` (float32); without pickle.
-
-    Raises:
-        InputError: If the folder can't be written.
-    """
+def write_sample(
+    sample: JointSample, path: str | os.PathLike[str], interval_level: float = LEVEL
+) -> None:
+    """Write ``posterior.npz``: ``names``, ``units``, ``sample`` (float32), ``interval_level``."""
     stream = io.BytesIO()
     np.savez_compressed(
         stream,
@@ -128,16 +112,13 @@ def write_sample(sample: JointSample, path: str | os.PathLike[str]) -> None:
         names=np.array(sample.names),
         units=np.array(sample.units),
         sample=sample.values.astype(np.float32),
+        interval_level=np.array(interval_level),
     )
     write_whole(path, stream.getvalue())
 
 
 def read_sample(path: str | os.PathLike[str]) -> JointSample:
-    """Read ``posterior.npz``.
-
-    Raises:
-        InputError: If it is not such a file.
-    """
+    """Read ``posterior.npz``; InputError if it is not such a file."""
     content = read_arrays(path, "a posterior.npz", what="sample")
     for name in ("format", "names", "units", "sample"):
         if name not in content:

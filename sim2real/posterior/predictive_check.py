@@ -23,25 +23,16 @@ DRAWS = 200
 
 @dataclass(frozen=True)
 class PredictiveCheck:
-    """Predictions of a posterior for one recording, and the measured angles.
+    """Predictions of a posterior for one recording, and the measured angles."""
 
-    Attributes:
-        recording: Its name.
-        t: Times in s, shape (T,).
-        measured: Angles in rad, shape (T,), NaN where the sample was not held out.
-        median: Median of the predictions, shape (T,).
-        band: Ends of the central 95 % of the predictions, with noise, shape (2, T).
-        covered: Share of measured angles within the central band of each of ``LEVELS``.
-        rmse: Root mean square error of the median in rad.
-    """
-
-    recording: str
-    t: Array
-    measured: Array
-    median: Array
-    band: Array
+    recording: str  # its name
+    t: Array  # times in s, shape (T,)
+    measured: Array  # angles in rad, shape (T,), NaN where the sample was not held out
+    median: Array  # median of the predictions, shape (T,)
+    band: Array  # ends of the central 95 % of the predictions, with noise, shape (2, T)
+    # share of measured angles within the central band of each of ``LEVELS``
     covered: Mapping[float, float]
-    rmse: float
+    rmse: float  # root mean square error of the median in rad
 
     @property
     def holds(self) -> bool:
@@ -61,13 +52,7 @@ def predictive_check(
     The parameters are drawn from the normal distribution of a fit without the recording; noise is
     added to every prediction, with the root mean square of the residual of that fit. Source:
     Gelman, Meng and Stern, Statistica Sinica 6 (1996) 733-807.
-
-    Args:
-        posterior: The posterior from all recordings.
-        joint: Its model.
-        fitted: Traces to fit.
-        held_out: A trace whose ``used`` samples are not fitted.
-        rng: Generator for draws and noise.
+    ``posterior`` is that of all recordings; of ``held_out`` the ``used`` samples are not fitted.
     """
     trace = loaded(held_out, joint)
     without = replace(posterior.problem, traces=[loaded(one, joint) for one in fitted])

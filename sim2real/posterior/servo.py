@@ -22,6 +22,7 @@ from sim2real.identification.priors import (
 from sim2real.identification.problem import Fit, ServoProblem
 from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
+from sim2real.inference.normal import LEVEL
 from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel
 from sim2real.posterior.chain import (
@@ -48,26 +49,18 @@ _ORIGIN = ("centre", "factor", "spread", "noise")
 
 @dataclass(frozen=True)
 class ServoPosterior:
-    """A sample of the posterior of one servo.
+    """A sample of the posterior of one servo."""
 
-    Attributes:
-        problem: The recordings, and the F sampled parameters with their priors.
-        values: The sample, shape (N, F), ordered by step and then by walker.
-        convergence: How well the chain has mixed.
-        optimum: Values at the optimum, shape (F,).
-        noise_sd: Robust standard deviation of the residual at the optimum in rad.
-        chain: The chain, with all steps.
-        undetermined: Parameters of effects that the recordings do not determine, which are held at
-            the model's values.
-    """
-
-    problem: ServoProblem
-    values: Array
-    convergence: Convergence
-    optimum: Array
-    noise_sd: float
-    chain: Chain
+    problem: ServoProblem  # the recordings, and the F sampled parameters with their priors
+    values: Array  # the sample, shape (N, F), ordered by step and then by walker
+    convergence: Convergence  # how well the chain has mixed
+    optimum: Array  # values at the optimum, shape (F,)
+    noise_sd: float  # robust standard deviation of the residual at the optimum in rad
+    chain: Chain  # the chain, with all steps
+    # parameters of effects that the recordings do not determine, which are held at the model's
+    # values
     undetermined: tuple[str, ...] = ()
+    level: float = LEVEL  # probability of its intervals
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -78,6 +71,11 @@ class ServoPosterior:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return self.problem.names
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """Probabilities of the lower end, the median and the upper end of intervals."""
+        return 0.5 - self.level / 2, 0.5, 0.5 + self.level / 2
 
     def quantiles(self, *shares: float) -> Array:
         """Quantiles of each parameter, shape (len(shares), F)."""
@@ -101,13 +99,9 @@ def servo_problem(
 ) -> ServoProblem:
     """All parameters that the fit of a model determined, with the bounds and priors of the fit.
 
-    Args:
-        traces: Recordings of the joint.
-        joint: Its model.
-        servo: Its data sheet, for the prior of a motor; without one, the motor is as in the model.
-        held: Parameters to hold at the model's values. So are those of effects that are random for
-            given parameters, which are set to 0: a rollout without them has approximately their
-            mean response, and the deviation from it is noise.
+    Without the data sheet of its servo, a motor is as in the model, as are parameters that are
+    ``held``. Those of effects that are random for given parameters are set to 0: a rollout without
+    them has approximately their mean response, and the deviation from it is noise.
     """
     with_loads = [loaded(trace, joint) for trace in traces]
     row = joint_row(joint, with_loads[0].load)
@@ -140,6 +134,7 @@ def sample_servo(
     steps: int = STEPS,
     walkers: int = WALKERS,
     file: Path | None = None,
+    level: float = LEVEL,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> ServoPosterior:
     """Sample all parameters that the fit of a model determined.
@@ -149,15 +144,9 @@ def sample_servo(
     likelihood, which makes their intervals those of ``identify`` (curvature adjustment: Ribatet,
     Cooley and Davison, Statistica Sinica 22 (2012) 813-845).
 
-    Args:
-        traces: Recordings of the joint.
-        joint: Its model, from which the search for the optimum starts.
-        servo: Its data sheet, for the prior of a motor.
-        seed: Seed of the chain.
-        steps: Total steps of each walker, including those in ``file``.
-        walkers: Number of walkers, at least twice the number of parameters.
-        file: File of the chain, which is continued if it exists; None keeps it in memory.
-        progress: Called with the number of completed steps.
+    The search for the optimum starts from the model. ``steps`` are those of each of the
+    ``walkers``, including those in ``file``, a chain that is continued if it exists; ``level`` is
+    the probability of the intervals.
 
     Returns:
         The sample; ``convergence.reached`` is true if the chain is long enough.
@@ -194,6 +183,7 @@ def sample_servo(
         noise_sd=float(noise[0]),
         chain=chain,
         undetermined=held,
+        level=level,
     )
 
 
@@ -244,28 +234,27 @@ def _factors(best: Fit) -> tuple[Array, Array]:
 
 def _resumed_or_new(best: Fit, seed: int, walkers: int, file: Path | None) -> Chain:
     """The chain in ``file``, or a new one from the optimum."""
-    fingerprint = _fingerprint(best.problem, seed, walkers)
+    problem = best.problem
+    fingerprint = _fingerprint(problem, seed, walkers)
     if file is not None:
         clear_leftovers(file)
     if file is not None and file.exists():
         chain = read_chain(file)
+        expected = "that of this call; remove the file to start again"
         if chain.fingerprint != fingerprint:
             found = "the chain of other recordings, another model, version or seed"
-            raise InputError(file, "", found, "that of this call; remove the file to start again")
+            raise InputError(file, "", found, expected)
         for name in _ORIGIN:
             if name not in chain.origin:
-                expected = "it, in a chain; remove the file to start again"
                 raise InputError(file, f"origin.{name}", "nothing", expected)
         return chain
-    noise = np.array([best.scale_rad, best.inflation])
     factor, spread = _factors(best)
+    noise = np.array([best.scale_rad, best.inflation])
     origin = dict(zip(_ORIGIN, (best.x, factor, spread, noise), strict=True))
     chain = new_chain(walkers, best.x.size, seed, origin, fingerprint)
-    x = _folded(best.problem, best.x + chain.origin["start"] @ factor.T)
-    inside = np.clip(x, *best.problem.box) - best.x
-    return replace(
-        chain, origin={**chain.origin, "start": np.asarray(np.linalg.solve(factor, inside.T).T)}
-    )
+    x = _folded(problem, best.x + chain.origin["start"] @ factor.T)
+    inside = np.linalg.solve(factor, (np.clip(x, *problem.box) - best.x).T).T
+    return replace(chain, origin={**chain.origin, "start": np.asarray(inside)})
 
 
 def _fingerprint(problem: ServoProblem, seed: int, walkers: int) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from sim2real.display import NotebookDisplay
+from sim2real.inference.normal import LEVEL
 from sim2real.output import write_json
 from sim2real.structured import Fields, read_json
 
@@ -16,6 +17,8 @@ _ALL_DIGITS = 17
 """Significant digits with which different numbers are always printed differently."""
 
 Period = Literal["episode", "step"]
+_NUMBERS = {"uniform": ("low", "high"), "normal": ("mean", "sd")}
+"""Names of both numbers of a distribution in files."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +56,7 @@ class Range:
     def numbers(self, digits: int) -> str:
         """Low and high, or mean and standard deviation, without the unit.
 
-        Args:
-            digits: Significant digits; more are used if both ends would be printed alike.
+        With so many significant digits, or more if both ends would be printed alike.
         """
         if self.constant:
             return f"{self.first:.{digits}g}"
@@ -66,15 +68,9 @@ class Range:
 
     def content(self) -> dict[str, Any]:
         """The entry in ``ranges.json``."""
-        names = ("low", "high") if self.distribution == "uniform" else ("mean", "sd")
-        return {
-            "parameter": self.parameter,
-            "distribution": self.distribution,
-            **dict(zip(names, (self.first, self.second), strict=True)),
-            "unit": self.unit,
-            "period": self.period,
-            "source": self.source,
-        }
+        first, second = _NUMBERS[self.distribution]
+        own = {k: v for k, v in vars(self).items() if k not in ("first", "second")}
+        return {**own, first: self.first, second: self.second}
 
 
 def uniform(
@@ -101,12 +97,14 @@ class Ranges(NotebookDisplay):
             if none was sampled.
         notes: Remarks, one sentence each.
         provenance: Command line, versions, seed and SHA-256 of the inputs.
+        interval_level: Probability of the intervals of the posteriors.
     """
 
     entries: Sequence[Range]
     posterior: str = ""
     notes: Sequence[str] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    interval_level: float = LEVEL
 
     def named(self, parameter: str) -> Range | None:
         """The range of a parameter, or None."""
@@ -119,14 +117,9 @@ def write_ranges(ranges: Ranges, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: If the folder can't be written.
     """
-    content: dict[str, Any] = {
-        "schema": SCHEMA,
-        "ranges": [entry.content() for entry in ranges.entries],
-        "posterior": ranges.posterior or None,
-        "notes": list(ranges.notes),
-        "provenance": dict(ranges.provenance),
-    }
-    write_json(path, content)
+    content = {"schema": SCHEMA, **vars(ranges), "posterior": ranges.posterior or None}
+    del content["entries"]
+    write_json(path, content | {"ranges": [entry.content() for entry in ranges.entries]})
 
 
 def read_ranges(path: str | os.PathLike[str]) -> Ranges:
@@ -141,20 +134,15 @@ def read_ranges(path: str | os.PathLike[str]) -> Ranges:
         posterior=top.text("posterior") if top.content.get("posterior") else "",
         notes=top.sentences("notes"),
         provenance=top.table("provenance").content,
+        interval_level=top.number("interval_level", LEVEL, above=0),
     )
 
 
 def _read(fields: Fields) -> Range:
-    period, source = fields.text("period"), fields.text("source", "")
+    period: Any = fields.choice("period", get_args(Period))
+    kind: Any = fields.choice("distribution", tuple(_NUMBERS))
+    first, second = _NUMBERS[kind]
+    low = fields.number(first)
+    high = fields.number(second, low=low if kind == "uniform" else 0)
     name, unit = fields.text("parameter"), fields.text("unit", "")
-    if period not in ("episode", "step"):
-        raise fields.error("period", "'episode' or 'step'")
-    every: Period = "episode" if period == "episode" else "step"
-    kind = fields.text("distribution")
-    if kind == "uniform":
-        low = fields.number("low")
-        return uniform(name, low, fields.number("high", low=low), unit, source, every)
-    if kind == "normal":
-        mean, sd = fields.number("mean"), fields.number("sd", low=0)
-        return normal(name, mean, sd, unit, source, every)
-    raise fields.error("distribution", "'uniform' or 'normal'")
+    return Range(name, kind, low, high, unit, period, fields.text("source", ""))

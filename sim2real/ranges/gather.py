@@ -12,6 +12,7 @@ import numpy as np
 
 from sim2real.display import NotebookDisplay, from_report
 from sim2real.errors import InputError
+from sim2real.inference.normal import LEVEL
 from sim2real.model import Model
 from sim2real.noise import ABOVE_NOISE
 from sim2real.plausible import admitted
@@ -21,7 +22,6 @@ from sim2real.posterior.servo import STEPS, WALKERS, ServoPosterior, sample_serv
 from sim2real.ranges.entry import Range, Ranges, normal, uniform
 from sim2real.ranges.latency import Latencies, Spread, latencies, spread
 from sim2real.ranges.sources import (
-    absent,
     body_ranges,
     camera_noise,
     density_ranges,
@@ -79,22 +79,15 @@ class Gathered(NotebookDisplay):
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of the posterior sampling.
+    """Settings of the posterior sampling."""
 
-    Attributes:
-        steps, walkers: Steps and walkers of each chain.
-        seed: Seed of the random numbers.
-        held_out: Name of the recording to check a fit to the others on; by default the last.
-        file: Function from a joint to the file of its chain; None keeps the chain in memory.
-        progress: Called with a joint and the number of completed steps.
-    """
-
-    steps: int = STEPS
+    steps: int = STEPS  # of each chain
     walkers: int = WALKERS
     seed: int = 0
-    held_out: str | None = None
-    file: Callable[[str], Path | None] = lambda joint: None
-    progress: Callable[[str, int], None] = lambda joint, steps: None
+    held_out: str | None = None  # recording to check a fit to the others on; by default the last
+    file: Callable[[str], Path | None] = lambda joint: None  # of a joint's chain; None: in memory
+    progress: Callable[[str, int], None] = lambda joint, steps: None  # steps are completed ones
+    level: float = LEVEL  # probability of the intervals of the posteriors
 
 
 def gather(
@@ -105,17 +98,15 @@ def gather(
     Latency and noise are estimated from all recordings, gains and effects from posteriors of the
     bench recordings (``kind`` ``servo``), or else from the model.
 
-    Args:
-        recordings: Bench and pool recordings.
-        robot: The robot.
-        model: Its fitted servos, and its body if that was calibrated.
-        sampling: Settings of the posterior sampling.
-
     Raises:
         InputError: If recordings, robot and model do not agree, or a chain has not converged.
     """
     sampling = sampling or Sampling()
-    _check(recordings, robot, model)
+    match_recordings(recordings, robot)
+    for joint in model.joints:
+        if robot.joint(joint) is None:
+            names = ", ".join(known.name for known in robot.joints)
+            raise InputError("model", f"joints.{joint}", "a joint not of the robot", names)
     recordings, warnings = admitted(at_one_gain(recordings, model.firmware_p_gain), robot)
     bench = [recording for recording in recordings if recording.kind == "servo"]
     posteriors, checks = sample_joints(bench, robot, model, sampling)
@@ -133,25 +124,17 @@ def gather(
         if joint in posteriors:
             fitted = [labels[trace.file] for trace in posteriors[joint].problem.traces]
             sampled = from_posterior(joint, posteriors[joint], listed(fitted))
-        entries += sampled + from_model(joint, servo, [entry.parameter for entry in sampled])
-        without_range += absent(joint, servo)
+        existing = [entry.parameter for entry in sampled]
+        stated, missing = from_model(joint, servo, model.interval_level, existing)
+        entries += sampled + stated
+        without_range += missing
     entries += density_ranges(density) if density is not None else []
     entries += body_ranges(model) + shared_ranges(model)
-    notes = (
-        *warnings,
-        *_notes(recordings, posteriors, checks, fits, scatter, noise),
-        *without_range,
+    notes = _notes(recordings, posteriors, checks, fits, scatter, noise)
+    ranges = Ranges(
+        tuple(entries), notes=(*warnings, *notes, *without_range), interval_level=sampling.level
     )
-    return Gathered(Ranges(tuple(entries), notes=notes), posteriors, checks, fits, scatter, density)
-
-
-def _check(recordings: Sequence[Recording], robot: Robot, model: Model) -> None:
-    """Check that recordings, robot and model agree."""
-    match_recordings(recordings, robot)
-    for joint in model.joints:
-        if robot.joint(joint) is None:
-            names = ", ".join(known.name for known in robot.joints)
-            raise InputError("model", f"joints.{joint}", "a joint not of the robot", names)
+    return Gathered(ranges, posteriors, checks, fits, scatter, density)
 
 
 def sample_joints(
@@ -183,6 +166,7 @@ def sample_joints(
             steps=sampling.steps,
             walkers=sampling.walkers,
             file=sampling.file(joint),
+            level=sampling.level,
             progress=partial(sampling.progress, joint),
         )
         if scored and scored[0].used.any():
@@ -203,7 +187,7 @@ def _latency_ranges(fits: Latencies | None, scatter: Spread | None, model: Model
         ]
         values = [x for pair in ends for x in pair if np.isfinite(x)]
         values += [joint.latency_s for joint in model.joints.values()]
-        source = "the model: 90 % intervals of all joints; no recording shows a latency"
+        source = "the model: intervals of all joints; no recording shows a latency"
         return [uniform("command_latency_s", min(values), max(values), "s", source)]
     low, high = max(scatter.centre - scatter.half_width, 0.0), scatter.centre + scatter.half_width
     what = "windows" if fits.windows else "recordings"

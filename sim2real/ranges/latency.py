@@ -8,13 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from sim2real.arrays import Array, Index
-from sim2real.identification.servo_problem import Fits, Servos, minimise, plain_servos
+from sim2real.arrays import Array
+from sim2real.identification.priors import gains, scale_inertia
+from sim2real.identification.problem import ServoProblem
+from sim2real.identification.search import fit
+from sim2real.inference.correlated_noise import correlation_samples
+from sim2real.inference.least_squares import OUTLIER_SD
 from sim2real.model import JointModel, Model
 from sim2real.posterior.servo import loaded
 from sim2real.ranges.sources import labelled
 from sim2real.recording import Recording
-from sim2real.servo.batch import Batch
 from sim2real.servo.parameters import joint_row
 from sim2real.servo.trace import Trace, traces
 
@@ -23,119 +26,49 @@ _LAW_SD_S = 2e-4
 
 
 def episode_latencies(
-    traces: Sequence[Trace],
-    joints: Sequence[JointModel],
-    group: Index,
-    *,
-    gain_sd: float = 0.02,
-    iterations: int = 30,
-    rounds: int = 3,
+    traces: Sequence[Trace], joint: JointModel, *, gain_sd: float = 0.02, rounds: int = 3
 ) -> tuple[Array, Array]:
-    """Latency of each trace and its standard deviation in s, each of shape (N,).
+    """Latency of each trace of a joint and its standard deviation in s, each of shape (N,).
 
     Latency and damping are not distinguishable in the response to a sine. Gains are therefore
-    shared by the traces of a group and fitted together with one latency per trace, by Gauss-Newton
-    steps from which the latencies are eliminated (Golub and Pereyra, SIAM Journal on Numerical
-    Analysis 10 (1973) 413-432).
-
-    Args:
-        traces: The traces.
-        joints: Models of their joints, from which the search starts; effects are fixed.
-        group: Index of the group of each trace that shares gains, shape (N,).
-        gain_sd: Relative standard deviation of the gains of one episode about the shared gains,
-            which the error of a latency includes.
-        iterations: Largest number of iterations of a fit.
-        rounds: Number of steps of the shared gains.
+    shared by the traces and fitted together with one latency per trace, in ``rounds``: a fit of
+    gains and a common latency, and a Gauss-Newton step of all. The standard deviation includes the
+    gains of one episode about the shared ones, by a share ``gain_sd``. The search starts from the
+    joint's model, whose effects are fixed.
     """
-    batch = Batch([[trace] for trace in traces])
-    rows = np.array([joint_row(joint, x.load) for x, joint in zip(traces, joints, strict=True)])
-    inertia = np.array([trace.load.inertia_kgm2 for trace in traces])
-    servos = plain_servos(np.arange(len(traces)), rows, inertia, batch.period)
-    single_fits = minimise(batch, servos, iterations=iterations)
-    gains = _pooled(single_fits, _weights(single_fits, batch.lags), group)
+    row = joint_row(joint, traces[0].load)
+    own = np.zeros(len(traces))  # latency of each beyond the common one
     for _ in range(rounds):
-        fits = _with_gains(batch, servos, single_fits, gains, iterations)
-        change = _step(_weights(fits, batch.lags), group, gains / servos.unit[:, :2])
-        gains = gains * (1 + change)
-    fits = _with_gains(batch, servos, single_fits, gains, iterations)
-    sd = _errors(fits, _weights(fits, batch.lags)[1], gain_sd)
-    return fits.servos.theta[:, 2], sd * servos.unit[:, 2]
-
-
-def _with_gains(batch: Batch, servos: Servos, start: Fits, gains: Array, iterations: int) -> Fits:
-    """Latencies fitted with fixed gains (N, 2), and the curvature by all three parameters."""
-    x = start.servos.values()
-    x[:, :2] = gains / servos.unit[:, :2]
-    fixed = servos.at(x)
-    free = {name: getattr(fixed, name)[:, 2:] for name in ("columns", "unit", "low", "high")}
-    latency_fits = minimise(batch, replace(fixed, **free), iterations=iterations)
-    x[:, 2] = latency_fits.servos.values()[:, 0]
-    return minimise(batch, servos.at(x), iterations=1)
-
-
-def _weights(fits: Fits, lags: int) -> tuple[Array, Array]:
-    """Gradient (N, 3) and curvature (N, 3, 3) of minus the log-likelihood, in natural units."""
-    gram = fits.gram.sum(axis=1)
-    variance = gram[:, 0, 0] / np.maximum(fits.count - lags, 1)
-    ridge = 1e-9 * np.einsum("nff->n", gram[:, 1:, 1:])[:, None, None] * np.eye(3)
-    curvature = (gram[:, 1:, 1:] + ridge) / variance[:, None, None] + 1e-30 * np.eye(3)
-    return gram[:, 1:, 0] / variance[:, None], curvature
-
-
-def _eliminated(weights: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Gradient (N, 2) and curvature (N, 2, 2) by the gains, with latencies eliminated."""
-    slope, curvature = weights
-    cross = curvature[:, :2, 2] / curvature[:, 2, 2][:, None]
-    inner = curvature[:, :2, :2] - cross[:, :, None] * curvature[:, None, 2, :2]
-    return slope[:, :2] - cross * slope[:, 2:], inner
-
-
-def _pooled(fits: Fits, weights: tuple[Array, Array], group: Index) -> Array:
-    """Gains (N, 2) of the group of each trace: means of single fits, weighted by precision."""
-    _, inner = _eliminated(weights)
-    value, unit = fits.servos.values()[:, :2], fits.servos.unit[:, :2]
-    out = np.empty_like(value)
-    for g in np.unique(group):
-        members = group == g
-        weighted = np.einsum("nij,nj->i", inner[members], value[members])
-        out[members] = np.linalg.lstsq(inner[members].sum(axis=0), weighted)[0]
-    return np.asarray(np.maximum(out, 1e-3) * unit)
-
-
-def _step(
-    weights: tuple[Array, Array], group: Index, gains: Array, *, largest: float = 0.5
-) -> Array:
-    """Relative change of the gains, shape (N, 2), by one Gauss-Newton step of each group."""
-    slope, inner = _eliminated(weights)
-    out = np.empty_like(slope)
-    for g in np.unique(group):
-        members = group == g
-        change = np.linalg.lstsq(inner[members].sum(axis=0), -slope[members].sum(axis=0))[0]
-        out[members] = change / gains[members]
-    return np.clip(out, -largest, largest)
-
-
-def _errors(fits: Fits, curvature: Array, gain_sd: float) -> Array:
-    """Standard deviation of each latency in units."""
-    penalised = curvature.copy()
-    gains = np.maximum(fits.servos.values()[:, :2], 1e-9)
-    penalised[:, [0, 1], [0, 1]] += 1 / (gain_sd * gains) ** 2
-    return np.asarray(np.sqrt(np.linalg.inv(penalised)[:, 2, 2]))
+        shifted = [
+            replace(trace, sample_delay_s=trace.sample_delay_s - later)
+            for trace, later in zip(traces, own, strict=True)
+        ]
+        problem = ServoProblem(shifted, row, gains(scale_inertia(traces, row)))
+        best = fit(problem, row[None], rounds=2)
+        row, unit = best.row, problem.unit
+        normal, slope = np.zeros((2 + own.size, 2 + own.size)), np.zeros(2 + own.size)
+        sd = np.empty(own.size)
+        parts = zip(best.residuals, problem.by_trace(best.slopes), strict=True)
+        for k, (error, slopes) in enumerate(parts):
+            weight = 1 / (1 + (error / (OUTLIER_SD * best.scale_rad)) ** 2) ** 0.5
+            weight /= best.scale_rad**2 * correlation_samples(error)
+            curvature = slopes.T @ (slopes * weight[:, None]) + 1e-30 * np.eye(3)
+            place = [0, 1, 2 + k]
+            normal[np.ix_(place, place)] += curvature
+            slope[place] += slopes.T @ (weight * error)
+            prior = np.diag([*(unit[:2] / gain_sd) ** 2, 0.0])
+            sd[k] = np.linalg.pinv(curvature + prior, hermitian=True)[2, 2] ** 0.5 * unit[2]
+        own -= np.linalg.lstsq(normal, slope)[0][2:] * unit[2]
+    return float(row[2]) + own, sd
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Estimate of the uniform distribution of latencies.
+    """Estimate of the uniform distribution of latencies."""
 
-    Attributes:
-        centre: Centre in s.
-        half_width: Half-width in s.
-        half_width_90: 90 % interval of the half-width in s.
-    """
-
-    centre: float
-    half_width: float
-    half_width_90: tuple[float, float]
+    centre: float  # centre in s
+    half_width: float  # half-width in s
+    half_width_90: tuple[float, float]  # 90 % interval of the half-width in s
 
 
 def spread(seconds: Array, sd: Array, *, smallest_s: float = 1e-4) -> Spread:
@@ -143,12 +76,8 @@ def spread(seconds: Array, sd: Array, *, smallest_s: float = 1e-4) -> Spread:
 
     Posterior medians of centre and half-width, on a grid, under a prior that is flat in the centre
     and in the logarithm of the half-width. The likelihood of each latency is the uniform density
-    convolved with its error, so that errors of the fit do not increase the width.
-
-    Args:
-        seconds: Latencies in s, shape (E,).
-        sd: Their standard deviations in s, shape (E,).
-        smallest_s: Smallest half-width that is resolved, s.
+    convolved with its error, so that errors of the fit do not increase the width. Both are in s,
+    shape (E,); half-widths below ``smallest_s`` are not resolved.
     """
     reach = float(np.ptp(seconds)) + 3 * float(np.median(sd)) + 10 * smallest_s
     half = np.geomspace(smallest_s, 3 * reach, 160)
@@ -172,23 +101,15 @@ def _quantiles(grid: Array, weight: Array, shares: Sequence[float]) -> list[floa
 
 @dataclass(frozen=True)
 class Latencies:
-    """Latency of the commands of each episode.
+    """Latency of the commands of each episode."""
 
-    Attributes:
-        episodes: Description of each episode: a recording, or a window of one.
-        seconds: Latency that all joints share in s, shape (E,).
-        sd: Its standard deviations in s, shape (E,).
-        offset: Deviation of each joint in s, and its standard deviation.
-        windows: Whether episodes are windows.
-        dropped: Number of fits that were too uncertain to be used.
-    """
-
-    episodes: Sequence[str]
-    seconds: Array
-    sd: Array
+    episodes: Sequence[str]  # description of each episode: a recording, or a window of one
+    seconds: Array  # latency that all joints share in s, shape (E,)
+    sd: Array  # its standard deviations in s, shape (E,)
+    # deviation of each joint in s, and its standard deviation
     offset: Mapping[str, tuple[float, float]]
-    windows: bool
-    dropped: int
+    windows: bool  # whether episodes are windows
+    dropped: int  # number of fits that were too uncertain to be used
 
 
 def latencies(
@@ -198,13 +119,8 @@ def latencies(
 
     Gains are fitted as well and shared by all episodes of a joint with the same load and medium, as
     they differ between water and bench. Effects are those of the model.
-
-    Args:
-        recordings: Recordings of any kind with commands and measured angles.
-        model: The fitted servos.
-        enough: Number of recordings below which windows of them count as episodes, as latency may
-            drift within a recording.
-        largest_sd_s: Largest standard deviation of a latency that is used, s.
+    Below ``enough`` recordings windows of them count as episodes, as latency may drift within a
+    recording. Latencies with a standard deviation above ``largest_sd_s`` are not used.
     """
     labels = labelled(recordings)
     episodes = [
@@ -221,9 +137,11 @@ def latencies(
     if not episodes:
         return None
     conditions = [(joint, r.kind, r.medium, trace.load) for r, _, joint, trace in episodes]
-    group = np.array([conditions.index(condition) for condition in conditions])
-    models = [model.joints[joint] for _, _, joint, _ in episodes]
-    value, sd = episode_latencies([x for *_, x in episodes], models, group)
+    value, sd = np.empty(len(episodes)), np.empty(len(episodes))
+    for condition in set(conditions):
+        alike = [k for k, one in enumerate(conditions) if one == condition]
+        of_joint = model.joints[condition[0]]
+        value[alike], sd[alike] = episode_latencies([episodes[k][3] for k in alike], of_joint)
     used = sd < largest_sd_s
     if not used.any():
         return None

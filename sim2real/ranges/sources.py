@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,10 @@ from sim2real.robot import Density
 from sim2real.structured import finite_number
 from sim2real.units import unit_of
 
-LOW, HIGH = 0.05, 0.95
-"""Quantiles between which a parameter is randomized."""
 _GAINS = ("kp_Nm_per_rad", "kd_Nms_per_rad")
 _STRIBECK_SPEED = "motor.stribeck_speed_rad_s"
 _FEWEST = 60
 """Smallest number of samples for an estimate of the noise."""
-_METHOD = "difference-based noise of each, root mean square"
 
 
 def labelled(recordings: Sequence[Recording]) -> dict[str, str]:
@@ -42,15 +40,10 @@ def listed(labels: Iterable[str], most: int = 4) -> str:
 
 
 def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> list[Range]:
-    """Ranges of all sampled parameters except the latency, which has a separate range.
-
-    Args:
-        joint: The joint's name.
-        posterior: Its posterior.
-        recordings: Names of the recordings, for the source.
-    """
-    low, high = posterior.quantiles(LOW, HIGH)
-    source = f"{recordings}: 5 % and 95 % quantiles of the posterior"
+    """Ranges of all sampled parameters except the latency, which has a separate range."""
+    low, _, high = posterior.quantiles(*posterior.shares)
+    shares = " and ".join(f"{100 * share:g} %" for share in posterior.shares[::2])
+    source = f"{recordings}: {shares} quantiles of the posterior"
     return [
         uniform(f"{joint}.{prior.name}", low[k], high[k], prior.unit, source)
         for k, prior in enumerate(posterior.parameters)
@@ -58,52 +51,36 @@ def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> li
     ]
 
 
-def from_model(joint: str, model: JointModel, existing: Sequence[str] = ()) -> list[Range]:
-    """Ranges from the model: its 90 % intervals, or its values where it has none.
+def from_model(
+    joint: str, model: JointModel, level: float, existing: Sequence[str] = ()
+) -> tuple[list[Range], list[str]]:
+    """Ranges from the model: its intervals of this level, or its values where it has none.
 
-    Losses that it does not distinguish from 0 have none, see `absent`.
-
-    Args:
-        joint: The joint's name.
-        model: The joint.
-        existing: Parameters that already have a range.
+    Also a note on losses of the motor without a range, as the model does not distinguish them from
+    0. Parameters that have ranges, ``existing``, are left out.
     """
-    out = []
-    for name, value in _values(model).items():
-        if f"{joint}.{name}" in existing or _is_absent(name, model):
-            continue
-        low, high = model.interval.get(name, (value, value))
-        source = "the model: its 90 % interval"
-        if name not in model.interval:
-            source = "the model: its value; it gives no interval"
-        elif not (math.isfinite(low) and math.isfinite(high)):
-            source = "the model: its 90 % interval, an open end taken at the value"
-            low, high = (end if math.isfinite(end) else value for end in (low, high))
-        unit = unit_of(name, per_inertia=model.per_inertia)
-        out.append(uniform(f"{joint}.{name}", low, high, unit, source))
-    return out
-
-
-def absent(joint: str, model: JointModel) -> list[str]:
-    """A note on losses of the motor without a range, as they are not distinguished from 0."""
-    names = {*_values(model), *model.interval} - {_STRIBECK_SPEED}
-    shown = [
-        f"{name} (to {model.interval[name][1]:.2g})"
-        for name in sorted(names)
-        if _is_absent(name, model)
-    ]
-    if not shown:
-        return []
-    return [f"{joint}: no range, as the 90 % interval begins at 0: {', '.join(shown)}"]
-
-
-def _values(model: JointModel) -> dict[str, float]:
-    """All parameters of a joint that have ranges, except the latency."""
     values = {name: getattr(model, name) for name in _GAINS}
     values |= {f"motor.{name}": value for name, value in model.motor.items()}
     for effect in model.effects:
         values |= {f"{effect.effect}.{name}": x for name, x in effect.parameters.items()}
-    return values
+    out, its = [], f"the model: its {100 * level:g} % interval"
+    for name, value in values.items():
+        if f"{joint}.{name}" in existing or _is_absent(name, model):
+            continue
+        low, high = model.interval.get(name, (value, value))
+        source = its if name in model.interval else "the model: its value; it gives no interval"
+        if not (math.isfinite(low) and math.isfinite(high)):
+            source = f"{its}, an open end taken at the value"
+            low, high = (end if math.isfinite(end) else value for end in (low, high))
+        unit = unit_of(name, per_inertia=model.per_inertia)
+        out.append(uniform(f"{joint}.{name}", low, high, unit, source))
+    absent = ", ".join(
+        f"{name} (to {model.interval[name][1]:.2g})"
+        for name in sorted({*values, *model.interval} - {_STRIBECK_SPEED})
+        if _is_absent(name, model)
+    )
+    note = f"{joint}: no range, as the {100 * level:g} % interval begins at 0: {absent}"
+    return out, [note] if absent else []
 
 
 def _is_absent(name: str, model: JointModel) -> bool:
@@ -132,17 +109,17 @@ def density_ranges(density: Density) -> list[Range]:
 
 def body_ranges(model: Model) -> list[Range]:
     """Calibrated parameters of the model's body, from its 90 % intervals."""
-    intervals = model.body.get("interval")
-    interval_of: Mapping[str, object] = intervals if isinstance(intervals, Mapping) else {}
+    intervals: Mapping[str, Any] = model.body.get("interval") or {}
     out = []
     for name, value in values(model).items():
         low, high, source = value, value, "the model's body: its value; it gives no interval"
-        ends = interval_of.get(name)
-        numbers = [finite_number(end) for end in ends] if isinstance(ends, list | tuple) else []
-        if len(numbers) == 2:
-            low, high = (value if end is None else end for end in numbers)
+        if name in intervals:
+            ends = [finite_number(end) for end in intervals[name]]
+            low, high = (value if end is None else end for end in ends)
             source = "the model's body: its 90 % interval"
-        out.append(uniform(f"body.{name}", low, high, _body_unit(name), source))
+        effect, *_, parameter = name.split(".")
+        unit = next(p.unit for p in body_effect(effect).parameters if p.name == parameter)
+        out.append(uniform(f"body.{name}", low, high, unit, source))
     return out
 
 
@@ -156,11 +133,6 @@ def shared_ranges(model: Model) -> list[Range]:
     ]
 
 
-def _body_unit(name: str) -> str:
-    effect, *_, parameter = name.split(".")
-    return next(p.unit for p in body_effect(effect).parameters if p.name == parameter)
-
-
 def joint_noise(recordings: Sequence[Recording], joint: str) -> Range | None:
     """Noise of the measured angle of one joint, with quantization; None without an estimate."""
     noise, labels = {}, labelled(recordings)
@@ -168,13 +140,9 @@ def joint_noise(recordings: Sequence[Recording], joint: str) -> Range | None:
         j = recording.joints.index(joint)
         position = recording.position[:, j]
         if np.isfinite(position).sum() >= _FEWEST:
-            noise[labels[recording.file]] = noise_floor(
-                recording.t, recording.command[:, j], position
-            )
-    if not noise:
-        return None
-    source = f"{listed(noise)}: noise floor of each, root mean square"
-    return _step(f"{joint}.position_noise_rad", "rad", list(noise.values()), source)
+            floor = noise_floor(recording.t, recording.command[:, j], position)
+            noise[labels[recording.file]] = [floor]
+    return _step(f"{joint}.position_noise_rad", "rad", noise, "noise floor") if noise else None
 
 
 def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
@@ -194,15 +162,9 @@ def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
         present = np.isfinite(yaw)
         if present.sum() >= _FEWEST:
             heading[label] = [difference_noise(t[present], np.unwrap(yaw[present]))]
-    out = []
-    for name, unit, noise in (
-        ("body.position_noise_m", "m", place),
-        ("body.yaw_noise_rad", "rad", heading),
-    ):
-        if noise:
-            values = [value for pair in noise.values() for value in pair]
-            out.append(_step(name, unit, values, f"{listed(noise)}: {_METHOD}"))
-    return out
+    both = (("body.position_noise_m", "m", place), ("body.yaw_noise_rad", "rad", heading))
+    how = "difference-based noise"
+    return [_step(name, unit, noise, how) for name, unit, noise in both if noise]
 
 
 def _frames(recording: Recording) -> tuple[Array, Array, Array, Array]:
@@ -216,5 +178,8 @@ def _frames(recording: Recording) -> tuple[Array, Array, Array, Array]:
     return t[new], x[new], y[new], yaw[new]
 
 
-def _step(name: str, unit: str, values: Sequence[float], source: str) -> Range:
+def _step(name: str, unit: str, noise: Mapping[str, Sequence[float]], how: str) -> Range:
+    """The root mean square of the noise in recordings, by their labels."""
+    values = [value for several in noise.values() for value in several]
+    source = f"{listed(noise)}: {how} of each, root mean square"
     return normal(name, 0.0, float(np.sqrt(np.mean(np.square(values)))), unit, source, "step")

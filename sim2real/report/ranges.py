@@ -101,13 +101,14 @@ def ranges_section(gathered: Gathered) -> Section:
 
 
 def posterior_table(joint: str, posterior: ServoPosterior) -> Table:
-    """Median and 90 % interval of each parameter."""
-    quantiles = posterior.quantiles(0.05, 0.5, 0.95).T
+    """Median and interval of each parameter."""
+    quantiles = posterior.quantiles(*posterior.shares).T
     rows = [
         (joint, Quantity(readable_name(prior.name), prior.unit, middle, (low, high)))
         for prior, (low, middle, high) in zip(posterior.parameters, quantiles, strict=True)
     ]
-    return quantity_table(rows, caption="Medians and 90 % intervals.")
+    caption = f"Medians and {100 * posterior.level:g} % intervals."
+    return quantity_table(rows, caption=caption)
 
 
 def posterior_section(gathered: Gathered, joint: str) -> Section:

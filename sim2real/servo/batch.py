@@ -40,61 +40,39 @@ _BYTES = {"cpu": 200e6, "cuda": 16e9}
 
 @dataclass(frozen=True)
 class Problems:
-    """Servos to simulate on all recordings of one joint each, with perturbed variants of each.
+    """Servos to simulate on all recordings of one joint each, with perturbed variants of each."""
 
-    Attributes:
-        joint: Index of the joint in the batch, shape (N,).
-        theta: Parameters of each servo and then of its variants, shape (N, V, P); loads are taken
-            from the recordings.
-        scale: Factor on the difference of each variant from its servo, shape (N, V); 0 for an
-            absent variant.
-    """
-
-    joint: Integers
+    joint: Integers  # index of the joint in the batch, shape (N,)
+    # parameters of each servo and then of its variants, shape (N, V, P); loads are taken from the
+    # recordings
     theta: Array
+    # factor on the difference of each variant from its servo, shape (N, V); 0 for an absent variant
     scale: Array
 
 
 @dataclass(frozen=True)
 class Normal:
-    """Whitened normal equations.
+    """Whitened normal equations."""
 
-    Attributes:
-        gram: Inner products of the residual (index 0) and the differences of the first variants
-            with the differences of all, per block of the recordings, shape (N, blocks, deep, V), in
-            rad2.
-        square: Inner product of each with itself, over all blocks, shape (N, V).
-        count: Number of samples whose innovations count, shape (N,).
-        autoregression: Coefficients of the noise model, shape (N, lags).
-        residual: Simulated minus measured angles before whitening, shape (N, R, T); None unless
-            requested.
-        whitened: Innovations of the residual, likewise.
-    """
-
+    # inner products of the residual (index 0) and the differences of the first variants with the
+    # differences of all, per block of the recordings, shape (N, blocks, deep, V), in rad2
     gram: Array
-    square: Array
-    count: Array
-    autoregression: Array
+    square: Array  # inner product of each with itself, over all blocks, shape (N, V)
+    count: Array  # number of samples whose innovations count, shape (N,)
+    autoregression: Array  # coefficients of the noise model, shape (N, lags)
+    # simulated minus measured angles before whitening, shape (N, R, T); None unless requested
     residual: Array | None = None
-    whitened: Array | None = None
+    whitened: Array | None = None  # innovations of the residual, likewise
 
 
 class Batch:
     """Recordings of joints, on a device, ready for problems of any number.
 
-    Args:
-        joints: The traces of each joint.
-        device: Warp device.
-        threads: CPU threads.
-        bounded: Whether the noise is that of a sensor, whose slow drift is bounded; otherwise it is
-            unbounded, to include errors that no model explains.
-        white: Whether the noise is always assumed to be white.
-        period: Time between samples in s, which determines the number of lags of the noise model;
-            the median by default.
-
-    Attributes:
-        substeps: Sub-steps simulated so far for each joint, shape (J,): a machine-independent
-            measure of work. A sample and the arrival of a set-point count as one sub-step each.
+    The noise is that of a sensor, whose slow drift is ``bounded``; otherwise it is unbounded, to
+    include errors that no model explains, or always ``white``. ``period``, the median time between
+    samples in s, determines the number of lags of the noise model. ``substeps`` has those simulated
+    so far for each joint, shape (J,): a machine-independent measure of work, to which a sample and
+    the arrival of a set-point count one each.
     """
 
     def __init__(
@@ -145,16 +123,12 @@ class Batch:
     ) -> Normal:
         """Simulate the problems, whiten residuals and differences, and form inner products.
 
-        Args:
-            problems: What to simulate.
-            blocks: Number of blocks into which each recording is divided.
-            deep: Compute inner products with the first ``deep`` variants only (and of each variant
-                with itself); by default with all of them.
-            autoregression: Noise model of each problem, shape (N, lags); by default fitted by least
-                squares to the residual of each problem.
-            keep: Whether to return residuals and innovations as well.
-            rough: Whether the servos are also simulated with the longer sub-steps of differences
-                (``rollout.coarse_substep``), as for the choice of starting points.
+        Of ``blocks`` of each recording; with the first ``deep`` variants only, and of each variant
+        with itself, by default with all of them. The ``autoregression`` of each problem (N, lags)
+        is by default fitted by least squares to its residual. With ``keep``, residuals and
+        innovations are returned as well; with ``rough``, the servos are also simulated with the
+        longer sub-steps of differences (``rollout.coarse_substep``), as for the choice of starting
+        points.
         """
         N, V, _ = problems.theta.shape
         self._count_substeps(problems, rough=rough)

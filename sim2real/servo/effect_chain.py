@@ -8,7 +8,8 @@ from __future__ import annotations
 import warp as wp
 
 from sim2real.effects import CATALOGUE
-from sim2real.servo.motor import Row, read_motor
+from sim2real.effects.warp_types import F, Row
+from sim2real.servo.motor import read_motor
 from sim2real.servo.parameters import FIRST_CELL, FIRST_COLUMN, TRAIN_ROTORS
 
 
@@ -35,17 +36,7 @@ def _chain(site: str) -> wp.Function:
     terms, columns, cells, bits, all_bits = _at(site)
 
     @wp.func
-    def chain(
-        x: wp.float64,
-        q: wp.float64,
-        v: wp.float64,
-        torque: wp.float64,
-        time: wp.float64,
-        h: wp.float64,
-        p: Row,
-        z: Row,
-        active: wp.int64,
-    ) -> wp.float64:
+    def chain(x: F, q: F, v: F, torque: F, time: F, h: F, p: Row, z: Row, active: wp.int64) -> F:
         if (active & wp.static(wp.int64(all_bits))) == wp.int64(0):
             return x
         for k in range(wp.static(len(terms))):
@@ -76,7 +67,7 @@ MOTOR_TORQUE_BITS = _at("motor")[-1]
 
 
 @wp.func
-def train_rotor(p: Row) -> wp.float64:
+def train_rotor(p: Row) -> F:
     """Inertia of the rotor in kg m2 that a gear train of two masses states; 0 where none does."""
     rotor = p[wp.static(TRAIN_ROTORS[0])]
     if rotor == wp.float64(0.0):
@@ -85,7 +76,7 @@ def train_rotor(p: Row) -> wp.float64:
 
 
 @wp.func
-def shaft_inertia(inertia: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
+def shaft_inertia(inertia: F, p: Row, z: Row, active: wp.int64) -> F:
     """Inertia on the shaft in kg m2: of the load, of the rotor and of effects."""
     zero = wp.float64(0.0)
     inertia += read_motor(p).rotor + train_rotor(p)

@@ -27,30 +27,19 @@ from sim2real.servo.rollout import to_warp
 
 @dataclass(frozen=True)
 class Channel:
-    """One joint in one recording.
+    """One joint in one recording."""
 
-    Attributes:
-        t: Times of the samples and of the set-points in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        latency_s: From a set-point to the time at which the simulation uses it.
-        modes: Of the linearised servo.
-        residual: Simulated minus measured angle in rad, shape (T,).
-        scale: Standard deviation of each innovation, relative to ``variance``; 0 where the sample
-            does not count, shape (T,).
-        rests: Whether the joint is at rest, shape (T,).
-        autoregression: Of the noise, shape (p,).
-        variance: Of the innovations, rad2.
-    """
-
-    t: Array
-    command: Array
-    latency_s: float
-    modes: Modes
-    residual: Array
+    t: Array  # times of the samples and of the set-points in s, shape (T,)
+    command: Array  # set-points in rad, shape (T,)
+    latency_s: float  # from a set-point to the time at which the simulation uses it
+    modes: Modes  # of the linearised servo
+    residual: Array  # simulated minus measured angle in rad, shape (T,)
+    # standard deviation of each innovation, relative to ``variance``; 0 where the sample does not
+    # count, shape (T,)
     scale: Array
-    rests: Mask
-    autoregression: Array
-    variance: float
+    rests: Mask  # whether the joint is at rest, shape (T,)
+    autoregression: Array  # of the noise, shape (p,)
+    variance: float  # of the innovations, rad2
 
 
 @dataclass(frozen=True)
@@ -59,18 +48,12 @@ class Arrivals:
 
     Losses are those of Gilbert, Bell System Technical Journal 39 (1960) 1253-1265; delays are a
     Gaussian autoregression of first order.
-
-    Attributes:
-        loss: Probability of losing a set-point after one that arrived.
-        repeated_loss: Probability of losing one after one that was lost.
-        delay_sd_s: Standard deviation of the delays.
-        correlation: Of successive delays.
     """
 
-    loss: float = 0.0
-    repeated_loss: float = 0.0
-    delay_sd_s: float = 0.0
-    correlation: float = 0.0
+    loss: float = 0.0  # probability of losing a set-point after one that arrived
+    repeated_loss: float = 0.0  # probability of losing one after one that was lost
+    delay_sd_s: float = 0.0  # standard deviation of the delays
+    correlation: float = 0.0  # of successive delays
 
     @property
     def long_run_loss(self) -> float:
@@ -80,30 +63,21 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class Filtered:
-    """Result of one group of channels that share their events.
+    """Result of one group of channels that share their events."""
 
-    Attributes:
-        loglikelihood: Of the innovations, up to a constant that no ``Arrivals`` changes.
-        counts: Expected counts, shape (COUNTS,).
-        active: Index of the set-point in force in each slot of the likeliest history, shape (T,).
-    """
-
-    loglikelihood: float
-    counts: Array
+    loglikelihood: float  # of the innovations, up to a constant that no ``Arrivals`` changes
+    counts: Array  # expected counts, shape (COUNTS,)
+    # index of the set-point in force in each slot of the likeliest history, shape (T,)
     active: Integers
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """Expected difference between the simulation and the servo as it was commanded.
+    """Expected difference between the simulation and the servo as it was commanded."""
 
-    Attributes:
-        mean: In rad, shape (T,).
-        covariance: Sums, over the samples in motion and over those at rest, of the covariance of
-            the deviations at lags 0 to p, in rad2, shape (2, p + 1, p + 1).
-    """
-
-    mean: Array
+    mean: Array  # in rad, shape (T,)
+    # sums, over the samples in motion and over those at rest, of the covariance of the deviations
+    # at lags 0 to p, in rad2, shape (2, p + 1, p + 1)
     covariance: Array
 
 
@@ -114,12 +88,9 @@ _MODEL = 9
 class EventFilter:
     """Channels, ready to be filtered under any model of arrivals.
 
-    Slot k begins when set-point k would be in force at its usual latency.
-
-    Args:
-        groups: Channels that share their events; those of one group have the same set-point times.
-        alike: Difference of two deviations, in standard deviations of the noise, below which they
-            are the same.
+    Slot k begins when set-point k would be in force at its usual latency. Channels of one group
+    have the same set-point times and share their events. Two deviations are the same that differ by
+    less than ``alike`` standard deviations of the noise.
     """
 
     def __init__(self, groups: Sequence[Sequence[Channel]], alike: float = 0.1) -> None:
@@ -188,18 +159,12 @@ class EventFilter:
     def expected(
         self, active: Sequence[Integers], arrivals: Arrivals, span_s: float = 0.1
     ) -> list[Deviation]:
-        """Deviations along one history of each group, smoothed with a fixed lag.
+        """Deviations of each channel along one history of each group, smoothed with a fixed lag.
 
         Moore, Automatica 9 (1973) 163-173: the state holds the deviations of the last samples, so
-        that the filter also estimates those that lie behind, by ``span_s``.
-
-        Args:
-            active: Set-point in force in each slot, for each group.
-            arrivals: Model, of which the delays count; losses are those of the history.
-            span_s: Time by which the estimate lags behind the samples that it knows.
-
-        Returns:
-            Those of each channel, group by group.
+        that the filter also estimates those that lie behind, by ``span_s``. ``active``: the
+        set-point in force in each slot, for each group; of the arrivals the delays count, losses
+        are those of the history.
         """
         p, channels = self.order, [channel for group in self.groups for channel in group]
         period = float(np.median(np.concatenate([np.diff(channel.t) for channel in channels])))
@@ -237,11 +202,7 @@ def _slots(channel: Channel) -> int:
 
 
 def _timeline(channel: Channel) -> tuple[Array, Array, Index]:
-    """Propagation to each sample, that to the end of each slot, and each slot's first sample.
-
-    Rows are those of ``propagator``. A sample is reached from the one before or from the beginning
-    of its slot, whichever is later.
-    """
+    """Rows of ``propagator`` to each sample and the end of each slot, and its first sample."""
     t = channel.t
     begins = t + channel.latency_s
     begins[0] = t[0]

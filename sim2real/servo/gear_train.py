@@ -24,6 +24,7 @@ elastic, and without any friction the output rebounds between them.
 import warp as wp
 
 from sim2real.effects import CATALOGUE
+from sim2real.effects.warp_types import F, Row
 from sim2real.servo.effect_chain import (
     MOTOR_TORQUE_BITS,
     command_in_force,
@@ -37,7 +38,6 @@ from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
     Push,
-    Row,
     drive_push,
     free_mass,
     gear_friction,
@@ -86,16 +86,7 @@ class Train:
 
 
 @wp.func
-def pressed(
-    side: wp.float64,
-    before: wp.float64,
-    after: wp.float64,
-    torque: wp.float64,
-    load: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-    g: Train,
-) -> bool:
+def pressed(side: F, before: F, after: F, torque: F, load: F, dry: F, h: F, g: Train) -> bool:
     """Whether a flank pushes, not pulls, while both sides move from one speed to another."""
     zero = wp.float64(0.0)
     if after == zero:  # at rest: friction takes what it needs to on either side
@@ -107,7 +98,7 @@ def pressed(
 
 
 @wp.func
-def time_to(x: wp.float64, v: wp.float64, a: wp.float64) -> wp.float64:
+def time_to(x: F, v: F, a: F) -> F:
     """Time in which x >= 0 is first covered, from speed v, at an acceleration a that suffices."""
     root = wp.sqrt(wp.max(v * v + wp.float64(2.0) * a * x, wp.float64(0.0)))
     if v > wp.float64(0.0):
@@ -116,9 +107,7 @@ def time_to(x: wp.float64, v: wp.float64, a: wp.float64) -> wp.float64:
 
 
 @wp.func
-def across_gap(
-    state: wp.vec4d, drive: Push, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
-) -> wp.vec4d:
+def across_gap(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train) -> wp.vec4d:
     """A sub-step of a train whose flanks are rigid, divided where they meet.
 
     A state is the angle and speed of the motor's side, the lead of the motor, and its rate. The
@@ -170,9 +159,7 @@ def across_gap(
 
 
 @wp.func
-def through_spring(
-    state: wp.vec4d, drive: Push, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
-) -> wp.vec4d:
+def through_spring(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train) -> wp.vec4d:
     """A sub-step of a train that is a spring: the midpoint rule, friction as impulses."""
     zero = wp.float64(0.0)
     half = wp.float64(0.5) * h
@@ -241,9 +228,7 @@ def through_spring(
 
 
 @wp.func
-def train_step(
-    state: wp.vec4d, drive: Push, load: wp.float64, dry: wp.float64, h: wp.float64, g: Train
-) -> wp.vec4d:
+def train_step(state: wp.vec4d, drive: Push, load: F, dry: F, h: F, g: Train) -> wp.vec4d:
     """Advance a train by h, under the motor's drive and torques of load and of dry friction."""
     zero = wp.float64(0.0)
     if g.stiffness > zero:
@@ -265,7 +250,7 @@ def train_cell(active: wp.int64) -> int:
 
 
 @wp.func
-def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
+def train_of(inertia: F, p: Row, least: F) -> Train:
     """The gear train of a row, of so much inertia, a share of at least ``least`` on either side."""
     g = Train()
     rotor = train_rotor(p)
@@ -289,9 +274,7 @@ def train_of(inertia: wp.float64, p: Row, least: wp.float64) -> Train:
 
 
 @wp.func
-def train_at_rest(
-    state: wp.vec4d, u: wp.float64, kp: wp.float64, p: Row, z: Row, active: wp.int64
-) -> wp.vec4d:
+def train_at_rest(state: wp.vec4d, u: F, kp: F, p: Row, z: Row, active: wp.int64) -> wp.vec4d:
     """State of a train whose motor holds the first set-point.
 
     The load rests on one flank, or where friction of the output holds it in the middle of the gap:
@@ -309,7 +292,7 @@ def train_at_rest(
 
 
 @wp.func
-def sensed(q: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
+def sensed(q: F, p: Row, z: Row, active: wp.int64) -> F:
     """Angle of the side of the gear train that the sensor is on; q is that of the motor's side."""
     if (active & wp.static(wp.int64(_GAP_BIT))) != wp.int64(0):
         return q - z[wp.static(_GAP_CELL)]
@@ -321,11 +304,11 @@ def sensed(q: wp.float64, p: Row, z: Row, active: wp.int64) -> wp.float64:
 @wp.func
 def train_substep(
     state: wp.vec4d,
-    u: wp.float64,
-    time: wp.float64,
-    h: wp.float64,
-    kp: wp.float64,
-    kd: wp.float64,
+    u: F,
+    time: F,
+    h: F,
+    kp: F,
+    kd: F,
     g: Train,
     m: Motor,
     p: Row,

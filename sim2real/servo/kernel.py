@@ -5,10 +5,11 @@ from typing import Any
 import warp as wp
 
 from sim2real.effects import SIGNATURE
+from sim2real.effects.warp_types import F, Row, Table
 from sim2real.servo.effect_chain import FOLLOWING_BITS, arrival_time, measured_angle, shaft_inertia
 from sim2real.servo.gear_train import TRAIN_BITS, Train, sensed, train_at_rest, train_of
 from sim2real.servo.law import exact_motion, resting_angle, substep_of
-from sim2real.servo.motor import MOTOR_BIT, Row, read_motor
+from sim2real.servo.motor import MOTOR_BIT, read_motor
 from sim2real.servo.parameters import BASE, COLUMNS, HELD_CELL, LOAD_CELL, LOOP
 
 _CLOCK = [COLUMNS.index(name) for name in (BASE[2], *LOOP)]
@@ -21,7 +22,7 @@ _LEAST_LINK = wp.constant(wp.float64(5e-4))
 
 
 @wp.func
-def at_rest(u: wp.float64, kp: wp.float64, p: Row, torque: wp.float64) -> wp.vec4d:
+def at_rest(u: F, kp: F, p: Row, torque: F) -> wp.vec4d:
     """State of a servo at rest at its first set-point, under a load's torque."""
     zero = wp.float64(0.0)
     q = resting_angle(u, kp, p[4], torque)
@@ -29,12 +30,7 @@ def at_rest(u: wp.float64, kp: wp.float64, p: Row, torque: wp.float64) -> wp.vec
 
 
 @wp.func
-def load_at(
-    time: wp.float64,
-    signal: int,
-    grid: wp.array2d(dtype=wp.float64),
-    varying: wp.array3d(dtype=wp.float64),
-) -> wp.vec2d:
+def load_at(time: F, signal: int, grid: Table, varying: wp.array3d(dtype=F)) -> wp.vec2d:
     """Inertia in kg m2 beyond the mean and torque in N m of a load that varies with time."""
     last = grid[signal, 2] - wp.float64(1.0)
     place = wp.clamp((time + grid[signal, 0]) / grid[signal, 1], wp.float64(0.0), last)
@@ -46,9 +42,7 @@ def load_at(
 
 
 @wp.func
-def measured(
-    state: wp.vec4d, time: wp.float64, h: wp.float64, p: Row, z: Row, active: wp.int64
-) -> wp.float64:
+def measured(state: wp.vec4d, time: F, h: F, p: Row, z: Row, active: wp.int64) -> F:
     """Measured angle at the end of a sub-step."""
     q = sensed(state[0], p, z, active)
     rest = active & ~wp.static(wp.int64(TRAIN_BITS))
@@ -57,11 +51,7 @@ def measured(
 
 @wp.func
 def _same_events(
-    row: int,
-    other: int,
-    theta: wp.array2d(dtype=wp.float64),
-    signal: wp.array(dtype=wp.int32),
-    longest: Row,
+    row: int, other: int, theta: Table, signal: wp.array(dtype=wp.int32), longest: Row
 ) -> bool:
     """Whether two rows without effects have the same events and the same sub-steps between them."""
     if signal[row] != signal[other] or longest[row] != longest[other]:
@@ -85,19 +75,19 @@ def _simulating(effects: bool, pairs: bool) -> Any:  # noqa: ANN401 - Warp has n
 
     @wp.kernel(enable_backward=False, module="unique")
     def simulate_servos(
-        theta: wp.array2d(dtype=wp.float64),
+        theta: Table,
         active: wp.array(dtype=wp.int64),
-        memory: wp.array2d(dtype=wp.float64),
+        memory: Table,
         signal: wp.array(dtype=wp.int32),
         order: wp.array(dtype=wp.int32),
         together: int,
-        times: wp.array2d(dtype=wp.float64),
-        command: wp.array2d(dtype=wp.float64),
+        times: Table,
+        command: Table,
         length: wp.array(dtype=wp.int32),
-        grid: wp.array2d(dtype=wp.float64),
-        varying: wp.array3d(dtype=wp.float64),
+        grid: Table,
+        varying: wp.array3d(dtype=F),
         longest: Row,
-        position: wp.array2d(dtype=wp.float64),
+        position: Table,
     ) -> None:
         _ = wp.static(SIGNATURE)  # Warp's cache does not see the sources of the effects
         place = int(wp.tid() * together)
@@ -237,12 +227,12 @@ KERNELS = {
 
 @wp.kernel(enable_backward=False)
 def solve_servos(
-    theta: wp.array2d(dtype=wp.float64),
+    theta: Table,
     signal: wp.array(dtype=wp.int32),
-    times: wp.array2d(dtype=wp.float64),
-    command: wp.array2d(dtype=wp.float64),
+    times: Table,
+    command: Table,
     length: wp.array(dtype=wp.int32),
-    position: wp.array2d(dtype=wp.float64),
+    position: Table,
 ) -> None:
     """Simulate linear servos without effects and pendulum, exactly between events."""
     row = wp.tid()

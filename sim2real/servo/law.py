@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from sim2real.effects.warp_types import F, Row
 from sim2real.servo.effect_chain import (
     command_in_force,
     error_seen,
@@ -21,7 +22,6 @@ from sim2real.servo.gear_train import TRAIN_BITS, Train, train_substep
 from sim2real.servo.motor import (
     MOTOR_BIT,
     Motor,
-    Row,
     drive_push,
     gear_friction,
     pd_torque,
@@ -50,12 +50,12 @@ def substep_of(effects: bool) -> wp.Function:
     @wp.func
     def substep(
         state: wp.vec4d,
-        u: wp.float64,
-        time: wp.float64,
-        h: wp.float64,
-        kp: wp.float64,
-        kd: wp.float64,
-        inertia: wp.float64,
+        u: F,
+        time: F,
+        h: F,
+        kp: F,
+        kd: F,
+        inertia: F,
         g: Train,
         m: Motor,
         p: Row,
@@ -139,9 +139,7 @@ def substep_of(effects: bool) -> wp.Function:
 
 
 @wp.func
-def resting_angle(
-    u: wp.float64, kp: wp.float64, gravity: wp.float64, torque: wp.float64
-) -> wp.float64:
+def resting_angle(u: F, kp: F, gravity: F, torque: F) -> F:
     """Angle at which kp (u - q) balances gravity sin q - torque, by Newton's method."""
     q = u
     if torque != wp.float64(0.0):
@@ -154,7 +152,7 @@ def resting_angle(
 
 
 @wp.func
-def free_motion(a: wp.float64, w2: wp.float64, h: wp.float64) -> wp.vec2d:
+def free_motion(a: F, w2: F, h: F) -> wp.vec2d:
     """Decaying cosine and sine of y'' + 2 a y' + w2 y = 0 after h seconds: C and S.
 
     y(h) = (C + a S) y(0) + S y'(0), for any damping.
@@ -174,14 +172,7 @@ def free_motion(a: wp.float64, w2: wp.float64, h: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def exact_motion(
-    state: wp.vec4d,
-    u: wp.float64,
-    h: wp.float64,
-    kp: wp.float64,
-    kd: wp.float64,
-    inertia: wp.float64,
-) -> wp.vec4d:
+def exact_motion(state: wp.vec4d, u: F, h: F, kp: F, kd: F, inertia: F) -> wp.vec4d:
     """Advance (q, v) of a linear servo without effects and pendulum by any h.
 
     The matrix exponential of a second-order system: Astrom and Wittenmark, Computer-Controlled

@@ -26,19 +26,12 @@ WINDOW_S, ORDER = 0.18, 3
 def residual_torque(
     t: Array, residual: Array, servo: tuple[float, float, float], noise_rad: float
 ) -> tuple[Array, Array]:
-    """Torque to add to the model so that it follows the measurement, and its standard deviation.
+    """Torque in N m to add to the model so that it follows the measurement, and its sd, both (T,).
 
-    ``-(inertia r'' + kd r' + stiffness r)``, r smoothed by local polynomials: Savitzky, Golay,
-    Analytical Chemistry 36 (1964) 1627-1639.
-
-    Args:
-        t: Times in s, shape (T,).
-        residual: Simulated minus measured angle in rad, NaN where none was measured, shape (T,).
-        servo: Inertia in kg m2, kd in N m s/rad, and stiffness (kp and the weight's) in N m/rad.
-        noise_rad: Standard deviation of the measurement noise.
-
-    Returns:
-        Torque in N m, shape (T,), and its standard deviation, shape (T,).
+    ``-(inertia r'' + kd r' + stiffness r)``, r the simulated minus measured angle in rad (T,), NaN
+    where none was measured, smoothed by local polynomials: Savitzky, Golay, Analytical Chemistry 36
+    (1964) 1627-1639. ``servo``: inertia in kg m2, kd in N m s/rad, and stiffness (kp and the
+    weight's) in N m/rad; ``noise_rad``: standard deviation of the measurement noise.
     """
     step = float(np.median(np.diff(t)))
     length = _length(step, t.size)
@@ -70,17 +63,11 @@ def _length(step: float, samples: int) -> int:
 
 @dataclass(frozen=True)
 class Residual:
-    """Residual of the fit of a servo, for one joint in one recording.
-
-    Attributes:
-        trace: The recording.
-        residual: Simulated minus measured angle in rad, shape (T,); arbitrary where not used.
-        kp, kd, latency_s: Fitted gains in N m/rad and N m s/rad, and latency.
-    """
+    """Residual of the fit of a servo, for one joint in one recording."""
 
     trace: Trace
-    residual: Array
-    kp: float
+    residual: Array  # simulated minus measured angle in rad, shape (T,); arbitrary where not used
+    kp: float  # fitted gains in N m/rad and N m s/rad, and latency
     kd: float
     latency_s: float
 

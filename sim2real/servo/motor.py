@@ -33,9 +33,8 @@ import warp as wp
 
 from sim2real.effects import MOST_EFFECTS
 from sim2real.effects.elementary import decay, sine
+from sim2real.effects.warp_types import F, Row
 from sim2real.servo.parameters import FIRST_MOTOR_COLUMN, HELD_CELL, MOTOR
-
-Row = wp.array(dtype=wp.float64)
 
 MOTOR_BIT = -(1 << MOST_EFFECTS)
 """Bit of the mask of active effects that is set where the law is not linear."""
@@ -112,23 +111,19 @@ class Push:
 
 
 @wp.func
-def back_emf(kd: wp.float64, m: Motor) -> wp.float64:
+def back_emf(kd: F, m: Motor) -> F:
     """Damping b of the torque-speed line, N m s; ``kd`` where no line is known."""
     return wp.where(m.line > wp.float64(0.0), m.line, kd)
 
 
 @wp.func
-def wanted_drive(
-    kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64, m: Motor
-) -> wp.float64:
+def wanted_drive(kp: F, kd: F, error: F, v: F, m: Motor) -> F:
     """Drive that the controller commands, before it is clipped, in N m at stall."""
     return kp * error - (kd - back_emf(kd, m)) * v
 
 
 @wp.func
-def motor_push(
-    kp: wp.float64, kd: wp.float64, error: wp.float64, free: wp.float64, m: Motor
-) -> Push:
+def motor_push(kp: F, kd: F, error: F, free: F, m: Motor) -> Push:
     """Torque and damping of a motor of constant resistance.
 
     ``free`` is the speed that the linear servo would have in the middle of the sub-step.
@@ -146,7 +141,7 @@ def motor_push(
 
 
 @wp.func
-def held_push(drive: wp.float64, kd: wp.float64, m: Motor) -> Push:
+def held_push(drive: F, kd: F, m: Motor) -> Push:
     """Torque and damping for a drive that the controller holds."""
     push = Push()
     push.torque = drive
@@ -158,15 +153,7 @@ def held_push(drive: wp.float64, kd: wp.float64, m: Motor) -> Push:
 
 @wp.func
 def drive_push(
-    kp: wp.float64,
-    kd: wp.float64,
-    error: wp.float64,
-    half: wp.float64,
-    v: wp.float64,
-    middle: wp.float64,
-    tick: bool,
-    m: Motor,
-    z: Row,
+    kp: F, kd: F, error: F, half: F, v: F, middle: F, tick: bool, m: Motor, z: Row
 ) -> Push:
     """Torque and damping of the drive, which a sampled controller updates at each ``tick``.
 
@@ -181,7 +168,7 @@ def drive_push(
 
 
 @wp.func
-def resistance(push: Push, v: wp.float64, m: Motor) -> wp.float64:
+def resistance(push: Push, v: F, m: Motor) -> F:
     """The motor's resistance at speed ``v`` over that of a motor at rest: 1 + r |m| / K.
 
     The torque of the motor is that of ``push`` divided by this ratio.
@@ -193,7 +180,7 @@ def resistance(push: Push, v: wp.float64, m: Motor) -> wp.float64:
 
 
 @wp.func
-def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, m: Motor) -> wp.float64:
+def gear_friction(v: F, torque: F, load: F, m: Motor) -> F:
     """Largest torque of dry friction in bearings and gears, N m."""
     bound = m.coulomb + wp.abs(m.of_motor * torque - m.of_load * load)
     if m.slow_of_motor + m.slow_of_load > wp.float64(0.0):
@@ -205,26 +192,26 @@ def gear_friction(v: wp.float64, torque: wp.float64, load: wp.float64, m: Motor)
 
 
 @wp.func
-def softness(m: Motor) -> wp.float64:
+def softness(m: Motor) -> F:
     """Time constant with which dry friction stops the shaft, s; 0 for an immediate stop."""
     return m.stick + m.creep
 
 
 @wp.func
-def soft_stop(v: wp.float64, free: wp.float64, h: wp.float64, m: Motor) -> wp.float64:
+def soft_stop(v: F, free: F, h: F, m: Motor) -> F:
     """Speed after h, with friction below its bound; ``free`` is the speed without friction."""
     creeping = m.creep * (free - v) / h
     return creeping + (v - creeping) * decay(h / softness(m))
 
 
 @wp.func
-def pd_torque(kp: wp.float64, kd: wp.float64, error: wp.float64, v: wp.float64) -> wp.float64:
+def pd_torque(kp: F, kd: F, error: F, v: F) -> F:
     """Torque of the servo, T = kp (J_des - J) - kd J'. Lin, Liu, Wang (2024), Sec. III-B.2."""
     return kp * error - kd * v
 
 
 @wp.func
-def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
+def pendulum_torque(q: F, gravity: F) -> F:
     """Torque of the stated load's weight."""
     if gravity == wp.float64(0.0):
         return wp.float64(0.0)
@@ -232,14 +219,7 @@ def pendulum_torque(q: wp.float64, gravity: wp.float64) -> wp.float64:
 
 
 @wp.func
-def slide(
-    state: wp.vec4d,
-    free: wp.float64,
-    stop: wp.float64,
-    half: wp.float64,
-    torque: wp.float64,
-    per_h: wp.float64,
-) -> wp.vec4d:
+def slide(state: wp.vec4d, free: F, stop: F, half: F, torque: F, per_h: F) -> wp.vec4d:
     """Apply dry friction to a sub-step that would end at speed ``free`` without it.
 
     ``stop`` is the largest change of speed by friction. Where the shaft comes to rest inside the
@@ -261,15 +241,7 @@ def slide(
 
 
 @wp.func
-def free_mass(
-    q: wp.float64,
-    v: wp.float64,
-    torque: wp.float64,
-    damping: wp.float64,
-    inertia: wp.float64,
-    dry: wp.float64,
-    h: wp.float64,
-) -> wp.vec2d:
+def free_mass(q: F, v: F, torque: F, damping: F, inertia: F, dry: F, h: F) -> wp.vec2d:
     """Angle and speed of a mass after h, under a torque, damping and dry friction."""
     half = wp.float64(0.5) * h
     damp = half * damping

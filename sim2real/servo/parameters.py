@@ -88,12 +88,9 @@ def joint_row(
 ) -> Array:
     """The parameter row of a fitted joint, shape (len(COLUMNS),).
 
-    Args:
-        joint: The fitted joint.
-        load: Load on the shaft; by default that of the model. Ignored if the model is per unit of
-            inertia.
-        where: The joint's name, for messages.
-        alone: Whether the joint is simulated with the inertia of its row, not that of a body.
+    The load is by default that of the model, and ignored if that is per unit of inertia. ``where``
+    is the joint's name, for messages; ``alone``: whether it is simulated with the inertia of its
+    row, not that of a body.
 
     Raises:
         InputError: If the model has an effect or a parameter that the catalogue lacks, a parameter

@@ -29,7 +29,7 @@ def predict(
     *,
     where: str = "commands",
 ) -> dict[str, Array]:
-    """Measured angles predicted by the model.
+    """Measured angles in rad, shape (T,), of each joint that the model predicts.
 
     The joints of an arm are simulated together; those that the model lacks follow a constant
     command, and those without a command stay at the URDF's zero.
@@ -40,9 +40,6 @@ def predict(
         command: Set-points in rad by joint, each of shape (T,).
         loads: Loads by joint; for other joints, the load in the model.
         where: Origin of the commands, for messages.
-
-    Returns:
-        Angles in rad by joint, each of shape (T,).
 
     Raises:
         InputError: If a joint is not in the model, or its simulation is unstable.
@@ -114,11 +111,7 @@ class Prediction(NotebookDisplay):
 
 
 def predict_recordings(recordings: Sequence[Recording], model: Model) -> Prediction:
-    """Simulate a model from rest on the commands of recordings.
-
-    Raises:
-        InputError: If a joint is not in the model.
-    """
+    """Simulate a model from rest on the commands of recordings; InputError as ``predict``."""
     predicted = (_predicted(model, recording, recording.commands) for recording in recordings)
     angles = tuple(np.stack(list(each.values()), axis=1) for each in predicted)
     return Prediction(tuple(recordings), angles)

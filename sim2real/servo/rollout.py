@@ -117,9 +117,9 @@ def padded(traces: Sequence[Trace]) -> tuple[Signals, Array, Array]:
     """Recordings as arrays, padded to the length T of the longest.
 
     Returns:
-        Times in s and set-points in rad, 0 beyond the end, shape (S, T), numbers of samples, shape
-        (S,), and loads that vary (``padded_loads``); measured angles in rad, NaN where not used,
-        shape (S, T); inertia in kg m2 and gravity torque in N m of the loads, shape (S, 2).
+        Times in s and set-points in rad, 0 beyond the end, shape (S, T), numbers of samples (S,),
+        and loads that vary (``padded_loads``); measured angles in rad, NaN where not used, (S, T);
+        inertia in kg m2 and gravity torque in N m of the loads, shape (S, 2).
     """
     length = np.array([trace.t.size for trace in traces], dtype=np.int32)
     t, command, position = (np.full((len(traces), length.max()), x) for x in (0.0, 0.0, np.nan))
@@ -200,8 +200,7 @@ class Simulator:
     def angles(self, theta: Array, substep_s: float | Array) -> list[Array]:
         """Angles in rad of servos (B, P) with the load of each recording, one array (B, T) each.
 
-        ``substep_s`` is the longest sub-step, the same for all servos or one for each, shape (B,);
-        if it is infinite, all servos must be linear.
+        ``substep_s``: longest sub-step, a number or (B,); if it is infinite, all must be linear.
         """
         substeps = np.broadcast_to(substep_s, len(theta))
         threads = min(self.threads, len(theta))
@@ -261,15 +260,9 @@ def simulate(
 ) -> None:
     """Launch N rollouts; on the CPU, those without effects and with the same events in pairs.
 
-    Args:
-        active: Effects of each, see ``active_effects``, shape (N,).
-        latency: Latency of each in s, shape (N,).
-        theta: Their parameters, a Warp array (N, P).
-        signal: Index in ``signals``, the Warp arrays of ``padded``, of each, shape (N,).
-        signals: See ``signal``.
-        longest: Longest sub-step of each in s, shape (N,).
-        out: Output, the angles in rad, a Warp array (N, T).
-        rows: Indices of the rollouts to simulate, shape (M,); all by default.
+    Of each, (N,): its ``active_effects``, latency in s, index in ``signals``, the Warp arrays of
+    ``padded``, and ``longest`` sub-step in s. Parameters are a Warp array (N, P), the angles in rad
+    are written to ``out`` (N, T). ``rows`` (M,) are those to simulate; all by default.
     """
     N, device = signal.size, str(out.device)
     effects = bool(np.any(active & ~MOTOR_BIT))

@@ -20,52 +20,34 @@ FINEST_NOISE_RAD = 1e-6
 
 @dataclass(frozen=True)
 class ReportedDrive:
-    """Controller that the reported drive shows: ``drive = gain (u(t - latency) - q - lead v)``.
+    """Controller that the reported drive shows: ``drive = gain (u(t - latency) - q - lead v)``."""
 
-    Attributes:
-        per_rad: Gain, as a share of the full drive per radian.
-        latency_s: Latency of the set-point u, s.
-        lead_s: Derivative time of the controller, s; 0 for a proportional controller.
-        period_s: Sampling period: a sample's columns may be read at times this far apart.
-    """
-
-    per_rad: float
-    latency_s: float
-    lead_s: float
-    period_s: float
+    per_rad: float  # gain, as a share of the full drive per radian
+    latency_s: float  # latency of the set-point u, s
+    lead_s: float  # derivative time of the controller, s; 0 for a proportional controller
+    period_s: float  # sampling period: a sample's columns may be read at times this far apart
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Commands and measured angles of one joint, while its torque was on.
+    """Commands and measured angles of one joint, while its torque was on."""
 
-    Attributes:
-        name: Name of the recording.
-        file: File of the recording, unique among recordings.
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        position: Measured angles in rad, shape (T,), NaN where missing.
-        load: The stated load, or ``PER_INERTIA``; of a load that varies, its mean inertia.
-        used: Mask of the samples that the fit may use, shape (T,).
-        drive: Controller that the reported drive shows; None if the servo does not report it.
-        supply_ratio: Supply voltage, relative to that of the other recordings.
-        gain_ratio: Proportional gain of the firmware, relative to that of the other recordings.
-        sample_delay_s: Time from ``t`` to the sampling of the angles, by which set-points take
-            effect earlier relative to the angles.
-        varying: Load that varies with time, as on an arm; None if it is constant.
-    """
-
-    name: str
-    file: str
-    t: Array
-    command: Array
-    position: Array
-    load: Load
-    used: Mask
+    name: str  # name of the recording
+    file: str  # file of the recording, unique among recordings
+    t: Array  # times in s, shape (T,)
+    command: Array  # set-points in rad, shape (T,)
+    position: Array  # measured angles in rad, shape (T,), NaN where missing
+    load: Load  # the stated load, or ``PER_INERTIA``; of a load that varies, its mean inertia
+    used: Mask  # mask of the samples that the fit may use, shape (T,)
+    # controller that the reported drive shows; None if the servo does not report it
     drive: ReportedDrive | None = None
-    supply_ratio: float = 1.0
+    supply_ratio: float = 1.0  # supply voltage, relative to that of the other recordings
+    # proportional gain of the firmware, relative to that of the other recordings
     gain_ratio: float = 1.0
+    # time from ``t`` to the sampling of the angles, by which set-points take effect earlier
+    # relative to the angles
     sample_delay_s: float = 0.0
+    # load that varies with time, as on an arm; None if it is constant
     varying: VaryingLoad | None = None
 
     def window(self, length_s: float = 8.0) -> Trace:
@@ -112,11 +94,7 @@ class Trace:
 
 
 def trace(recording: Recording, joint: str) -> Trace:
-    """The trace of ``joint`` in ``recording``, without samples with the torque off.
-
-    Raises:
-        InputError: If the context that the recording states is of another form.
-    """
+    """The trace of ``joint`` in ``recording``, without samples with the torque off."""
     j = recording.joints.index(joint)
     powered = slice(0, recording.powered(j))
     position = recording.position[powered, j]
@@ -154,22 +132,13 @@ def reported_drive(
 ) -> ReportedDrive | None:
     """The controller, if the reported load is the drive.
 
-    The load counts as the drive, as a share of the full drive, if it is between -1 and 1 and
-    proportional to the control error until it saturates; a measured torque or current is not.
-    Gain, latency and derivative time then follow by least squares from the samples below the limit,
+    The load (T,) counts as the drive, as a share of the full drive, if it is between -1 and 1 (up
+    to ``rounding``) and proportional to the control error until it is ``saturated``, but for a
+    share ``unexplained`` of its power; a measured torque or current is not. Gain, latency and
+    derivative time then follow by least squares from at least ``fewest`` samples below the limit,
     to first order in the latency. The prior of both times is 0 with a sampling period as standard
-    deviation, which decides where one frequency alone cannot tell them from the gain.
-
-    Args:
-        t: Times in s, shape (T,).
-        command: Set-points in rad, shape (T,).
-        position: Measured angles in rad, shape (T,), NaN where missing.
-        load: Reported load, shape (T,), NaN where missing.
-        sample_delay_s: Time from ``t`` to the sampling of angles and loads, s.
-        fewest: Smallest number of samples.
-        saturated: Drive from which it counts as saturated.
-        rounding: Excess over the full drive that counts as rounding.
-        unexplained: Largest share of the drive's power that the error does not explain.
+    deviation, which decides where one frequency alone cannot tell them from the gain. Angles and
+    loads are sampled ``sample_delay_s`` after ``t``; NaN where missing.
     """
     error = command - position
     valid = np.isfinite(error) & np.isfinite(load)
@@ -198,11 +167,7 @@ def reported_drive(
 
 
 def context_of(recording: Recording) -> dict[str, float]:
-    """The context that a recording states: ``supply_ratio``, ``gain_ratio``, ``sample_delay_s``.
-
-    Raises:
-        InputError: If the context that the recording states is of another form.
-    """
+    """``supply_ratio``, ``gain_ratio``, ``sample_delay_s`` of a recording, or an InputError."""
     context = Fields(recording.file, "", recording.metadata).table("context")
     ratios = {name: context.number(name, 1.0, above=0.0) for name in ("supply_ratio", "gain_ratio")}
     return {**ratios, "sample_delay_s": context.number("sample_delay_s", 0.0, low=0.0)}
@@ -211,15 +176,10 @@ def context_of(recording: Recording) -> dict[str, float]:
 def at_one_gain(recordings: Sequence[Recording], gain: float | None = None) -> list[Recording]:
     """Recordings whose context states the firmware's gain relative to a common one.
 
-    kp is in proportion to the gain of the firmware, ``firmware_p_gain`` of a recording. Recordings
-    that state no gain, or already have a ``gain_ratio``, are left as they are.
-
-    Args:
-        recordings: The recordings.
-        gain: The common gain; by default that of the first recording that states one.
-
-    Raises:
-        InputError: If a gain is not a positive number, or a context of another form.
+    kp is in proportion to the gain of the firmware, ``firmware_p_gain`` of a recording; the common
+    one is by default that of the first recording that states one. Recordings that state no gain, or
+    already have a ``gain_ratio``, are left as they are. InputError if a gain is not a positive
+    number.
     """
     gains = [firmware_gain(recording) for recording in recordings]
     common = gain or next((stated for stated in gains if stated is not None), None)

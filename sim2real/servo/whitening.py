@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from sim2real.servo.motor import Row
+from sim2real.effects.warp_types import Row, Table
 
 Rows = wp.array(dtype=wp.int32)
-Table = wp.array2d(dtype=wp.float64)
 
 
 @wp.kernel(enable_backward=False)

@@ -1,9 +1,8 @@
 """What a parameter says of itself."""
 
-import numpy as np
 import pytest
 
-from sim2real.inference.parameters import Gaussian, Parameter
+from sim2real.inference.parameters import Parameter
 from sim2real.units import unit_of
 
 
@@ -14,15 +13,6 @@ def test_a_parameter_says_its_prior_and_its_unit():
     assert str(Parameter("latency_s", 0.0, 0.5, 0.05)) == "uniform 0 to 0.5 s"
     assert str(Parameter("u_m_s", -1, 1, 0.1, 0.02, 0.3)) == "normal 0.02 ± 0.3 m/s"
     assert Parameter("kp_Nm_per_rad", 1, 2, 1, unit="1/s²").unit == "1/s²"
-
-
-def test_root_of_a_normal_prior_whitens_it():
-    covariance = np.array([[4.0, 1.0], [1.0, 0.5]])
-    root = Gaussian(np.zeros(2), covariance).root
-    np.testing.assert_allclose(root @ covariance @ root.T, np.eye(2), atol=1e-12)
-    own = Gaussian.of([Parameter("a", -9, 9, 1, 2.0, 3.0), Parameter("b", -9, 9, 1, 0.0, 0.1)])
-    np.testing.assert_allclose(own.covariance, np.diag([9.0, 0.01]))
-    np.testing.assert_allclose(own.mean, [2.0, 0.0])
 
 
 @pytest.mark.parametrize(

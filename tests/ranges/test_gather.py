@@ -8,6 +8,7 @@ import simulated
 
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model
+from sim2real.ranges.entry import read_ranges, write_ranges
 from sim2real.ranges.gather import Sampling, gather
 from sim2real.recording import Load
 from sim2real.robot import Joint, Link, Robot, Servo
@@ -50,6 +51,16 @@ def test_gains_lie_between_quantiles_of_the_posterior_and_density_by_the_scales_
     assert "r0, r1, r2: 5 % and 95 % quantiles" in kp.source and kp.period == "episode"
     head = found.ranges.named("body.normalised_density.head")
     assert head.first == pytest.approx(1.0) and head.second == pytest.approx(0.01 * np.sqrt(2))
+
+
+def test_the_probability_of_the_ranges_is_stated(bench, found, tmp_path):
+    half = gather(bench, ROBOT, Model({"j1": JOINT}), replace(SAMPLING, level=0.5)).ranges
+    write_ranges(half, tmp_path / "ranges.json")
+    assert read_ranges(tmp_path / "ranges.json").interval_level == 0.5
+    kp = half.named("j1.kp_Nm_per_rad")
+    values = found.posteriors["j1"].values[:, 0]
+    assert (kp.first, kp.second) == pytest.approx(np.quantile(values, [0.25, 0.75]))
+    assert "25 % and 75 % quantiles" in kp.source and found.ranges.interval_level == 0.9
 
 
 def test_all_recordings_are_sampled_and_one_is_checked_on_a_bench_without_links(bench, found):

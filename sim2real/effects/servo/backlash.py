@@ -29,7 +29,7 @@ from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def rotor_share(p: wp.array(dtype=wp.float64), c: int) -> wp.float64:
+def rotor_share(p: Row, c: int) -> F:
     """The rotor's share of the inertia; 1 where it is not known."""
     if p[c + 1] == wp.float64(0.0):
         return wp.float64(1.0)
@@ -37,9 +37,7 @@ def rotor_share(p: wp.array(dtype=wp.float64), c: int) -> wp.float64:
 
 
 @wp.func
-def start(
-    torque: wp.float64, p: wp.array(dtype=wp.float64), c: int, z: wp.array(dtype=wp.float64), s: int
-) -> None:
+def start(torque: F, p: Row, c: int, z: Row, s: int) -> None:
     """Flank that is in contact at the start."""
     if z[s + 3] == wp.float64(0.0):
         z[s] = wp.float64(0.5) * p[c] * wp.sign(torque)

@@ -28,14 +28,7 @@ from sim2real.effects.warp_types import F, Row
 
 
 @wp.func
-def carried(
-    torque: wp.float64,
-    q: wp.float64,
-    p: wp.array(dtype=wp.float64),
-    c: int,
-    z: wp.array(dtype=wp.float64),
-    s: int,
-) -> wp.float64:
+def carried(torque: F, q: F, p: Row, c: int, z: Row, s: int) -> F:
     """Torque on the spring in N m, relative to that at the start."""
     share = wp.min(p[c + 1] / p[3], wp.float64(0.98))
     load = (wp.float64(1.0) - share) * torque
