@@ -164,7 +164,7 @@ class _Options:
 
 
 @dataclass(frozen=True)
-class _Fits:
+class _JointFits:
     """Fits of one joint: the linear servo, a motor, without effects (one of the two) and with."""
 
     plain: Fit
@@ -179,8 +179,8 @@ def _fits(
     servo: Servo | None,
     options: _Options,
     seed: int,
-    before: _Fits | None = None,
-) -> _Fits:
+    before: _JointFits | None = None,
+) -> _JointFits:
     """Choose what is fitted to one joint, from the fits to a part of the data if there are some."""
     rng, noise, effects = np.random.default_rng(seed), sensor_noise(data), options.effects
     if before is None or before.without_influence:
@@ -196,7 +196,7 @@ def _fits(
     if effects:
         again = None if before is None else continued(before.best, data, effort=options.effort)
         best = again or fit_effects(data, base, effects, rng)
-    return _Fits(plain, without_influence, motor, base, best)
+    return _JointFits(plain, without_influence, motor, base, best)
 
 
 def _identify_joint(
