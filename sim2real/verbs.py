@@ -134,14 +134,16 @@ def posterior(
     from sim2real.servo.trace import at_one_gain
 
     _check_sampling("posterior", steps, walkers, seed)
-    loaded, description, fitted = recordings_to_fit(recordings), robot_of(robot), model_of(model)
+    loaded, description = recordings_to_fit(recordings), robot_of(robot)
     loaded, sentences = admitted(loaded, description)
     for sentence in sentences:
         warnings.warn(sentence, stacklevel=2)
-    bench = at_one_gain([r for r in loaded if r.kind == "servo"], fitted.firmware_p_gain)
-    bench = with_arm_loads(bench, description, fitted)
-    sampling = Sampling(steps, walkers, seed, held_out)
-    return Posteriors(*sample_joints(bench, description, fitted, sampling), seed)
+    fitted = model_of(model)
+    bench = [recording for recording in loaded if recording.kind == "servo"]
+    bench = at_one_gain(bench, fitted.firmware_p_gain)
+    sampling = Sampling(steps=steps, walkers=walkers, seed=seed, held_out=held_out)
+    loaded = with_arm_loads(bench, description, fitted)
+    return Posteriors(*sample_joints(loaded, description, fitted, sampling), seed)
 
 
 def ranges(
