@@ -179,10 +179,8 @@ def _readings(data: MeasuredJoint) -> Iterator[RecordingFinding]:
         seconds = ", ".join(f"{data.t[k]:.4g}" for k in wrong[:3])
         more = ", ..." if wrong.size > 3 else ""
         count = "one reading" if wrong.size == 1 else f"{wrong.size} readings"
-        yield data.warning(
-            f" has {count} far from those before and after (at {seconds}{more} s): wrong readings "
-            "of the sensor or the bus."
-        )
+        place = f"far from those before and after (at {seconds}{more} s)"
+        yield data.warning(f" has {count} {place}: wrong readings of the sensor or the bus.")
     stale = stale_share(data.position, data.step_rad, data.noise_rad)
     if stale:
         yield data.warning(
@@ -290,10 +288,8 @@ def _excitation(
     speed = float(np.average((np.diff(data.command) / step) ** 2, weights=step))
     frequency = float(np.sqrt(speed / spread)) / (2 * np.pi)  # exact for a sine
     if frequency < slowest_hz:
-        yield data.finding(
-            f" is moved very slowly (about {frequency:.2g} Hz): damping, latency and "
-            "inertia are hardly identifiable."
-        )
+        slow = f" is moved very slowly (about {frequency:.2g} Hz)"
+        yield data.finding(f"{slow}: damping, latency and inertia are hardly identifiable.")
 
 
 def _data_sheet(
@@ -304,10 +300,8 @@ def _data_sheet(
         extremes = (float(data.command.min()), float(data.command.max()))
         if extremes[0] < low - 1e-6 or extremes[1] > high + 1e-6:
             beyond = extremes[1] if extremes[1] > high + 1e-6 else extremes[0]
-            yield data.finding(
-                f" is commanded to {beyond:.3g} rad, beyond its limits of {low:.3g} to "
-                f"{high:.3g} rad."
-            )
+            limits = f"its limits of {low:.3g} to {high:.3g} rad"
+            yield data.finding(f" is commanded to {beyond:.3g} rad, beyond {limits}.")
         angle = np.where(wrong_readings(data.position), np.nan, data.position)
         excess = np.maximum(low - angle, angle - high)
         reached = np.maximum(low - data.command, data.command - high) > beyond_rad
@@ -330,7 +324,5 @@ def _data_sheet(
     stated = servo.position_step_rad if servo.states("position_step_rad") else 0.0
     counts = data.step_rad / stated if stated > 0 else 0.0
     if counts and abs(counts - round(counts)) > 0.05:
-        yield data.finding(
-            f" is measured in steps of {data.step_rad:.3g} rad, but the data sheet "
-            f"states {stated:.3g} rad."
-        )
+        measured = f" is measured in steps of {data.step_rad:.3g} rad"
+        yield data.finding(f"{measured}, but the data sheet states {stated:.3g} rad.")

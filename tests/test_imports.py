@@ -204,20 +204,3 @@ def test_an_offence_is_found(tmp_path: Path, file: str, source: str, why: str) -
     found = offences(walk_imports(tmp_path))
     assert len(found) == 1
     assert why in found[0]
-
-
-@pytest.mark.parametrize(
-    ("file", "source"),
-    [
-        ("rl/env.py", "import sim.fluid, sim2real\nimport torch, gymnasium, numpy"),
-        ("sim2real/servo/batch.py", "import emcee, warp, numpy, scipy, pandas, simulate_me"),
-        ("sim2real/cli.py", "def train():\n    from rl import train\n    import numpy.linalg"),
-        ("sim2real/__init__.py", "def __getattr__(name):\n    import sim.verbs"),
-        ("sim2real/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rl"),
-    ],
-)
-def test_what_is_allowed(tmp_path: Path, file: str, source: str) -> None:
-    path = tmp_path / file
-    path.parent.mkdir(parents=True)
-    path.write_text(source)
-    assert offences(walk_imports(tmp_path)) == []

@@ -294,15 +294,6 @@ def test_empty_parts_do_no_harm(whole):
     diagnosis_section(replace(empty, mismatch=(), effects=()))
 
 
-@pytest.mark.parametrize("effect", ["added_mass", "camera_scale", "a_new_effect", EVIL])
-def test_effects_beyond_the_servo_do_no_harm(effect):
-    speed = {"u_m_s": Estimate(0.1, 0.01, 0.08, 0.12)}
-    found = replace(NAMED, effect=effect, group=(effect,), component="body", parameters=speed)
-    section = diagnosis_section(replace(EXPLAINED, effects=(found,)))
-    page = render_page("a", "", [section], {})
-    assert EVIL not in page and "0.1 m/s" in page
-
-
 def test_effects_have_plain_names():
     beyond = ("skin_elasticity", "pool_current", "com_offset", "pose_filter", "dropped_frames")
     for effect in ("deadband", "voltage_sag", "sensor_gain", *beyond):
