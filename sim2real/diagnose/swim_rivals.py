@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from sim2real.arrays import Array
 from sim2real.diagnose.rival_sets import SCHEMA, OpenSet, OpenSets, numbers
 from sim2real.structured import Fields, read_json
@@ -44,33 +46,19 @@ class SwimRivals(OpenSets):
 
     def content(self) -> dict[str, Any]:
         """The field ``swim_rivals`` of ``diagnosis.json``."""
-        groups = {
-            group: {name: _plain(getattr(self, name)) for name in names}
-            for group, names in _GROUPS.items()
-        }
+        of_noise = ("pose_sd", "pose_lag_s", "joint_sd_rad")
+        noise = {name: np.asarray(getattr(self, name)).tolist() for name in of_noise}
+        error = {"shares": self.shares.tolist(), "imitation": dict(self.imitation)}
+        error |= {"relative": self.relative, "temperature": self.temperature}
         sets = [one.content() | {"information": one.information.tolist()} for one in self.sets]
-        return {"component": self.component, "period_s": self.period_s, **groups, "sets": sets}
-
-
-_GROUPS = {
-    "noise": ("pose_sd", "pose_lag_s", "joint_sd_rad"),
-    "simulator_error": ("shares", "imitation", "relative", "temperature"),
-}
-"""Fields that files group."""
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - of JSON
-    if isinstance(value, Mapping):
-        return dict(value)
-    return value.tolist() if hasattr(value, "tolist") else value
+        content = {"component": self.component, "period_s": self.period_s, "noise": noise}
+        return content | {"simulator_error": error, "sets": sets}
 
 
 def swim_rivals_of_file(path: str | os.PathLike[str]) -> tuple[SwimRivals, str] | None:
     """The sets of effects that a ``diagnosis.json`` of swims leaves open, and its model's file.
 
-    Returns:
-        The sets, and the path of the enriched model relative to the file; None for a diagnosis
-        that has no such sets, as one of a bench.
+    The path of the enriched model is relative to the file; None for a diagnosis of a bench.
 
     Raises:
         InputError: If the file is no diagnosis, or a field is missing or of another form.
