@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from sim2real.inference import correlated_noise as noise
 from sim2real.inference.correlated_noise import (
     Wander,
+    autocorrelation_times,
     autoregression,
     bandwidth,
     correlation_samples,
@@ -108,3 +109,12 @@ def test_the_wanders_filter_is_that_of_its_riccati_equation():
 
 def test_the_memory_is_half_a_second_within_reason():
     assert [noise.lags(x) for x in (0.02, 0.05, 0.5, 0.001)] == [25, 10, 4, 25]
+
+
+@pytest.mark.parametrize("shape", [(9,), (64,), (700,), (200, 3, 2)])
+def test_autocorrelation_times_are_those_of_emcee(shape):
+    from emcee.autocorr import integrated_time
+
+    series = np.cumsum(np.random.default_rng(1).standard_normal(shape), axis=0)
+    expected = np.maximum(integrated_time(series, c=5.0, quiet=True, tol=0), 1.0)
+    np.testing.assert_allclose(autocorrelation_times(series), expected, rtol=1e-12)
