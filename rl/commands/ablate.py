@@ -50,8 +50,9 @@ def run(options: argparse.Namespace) -> int:
     if options.enriched is None:
         missing["all-and-effects"] = "--enriched MODEL with it"
     names = options.arms or [name for name in ARMS if name not in {*missing, "none", "midway"}]
-    for name in missing.keys() & {*names}:
-        raise InputError("ablate", "--arms", name, missing[name])
+    for name in names:
+        if name in missing:
+            raise InputError("ablate", "--arms", name, missing[name])
     files = {name: getattr(options, name) for name in FILES}
     arms = [read_arm(name, **files) for name in names]
     plan = plan_of(options)

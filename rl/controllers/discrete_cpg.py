@@ -7,7 +7,6 @@ table, duration of a choice and network; trained by deep Q-learning (Mnih et al.
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -309,22 +308,20 @@ def _learn(agent: GaitDQN, steps: int) -> list[list[float]]:
     """Train for ``steps`` of all robots together; rows of ``progress.csv``."""
     rows: list[list[float]] = []
     ended: list[tuple[float, float, float]] = []
-    recent: deque[bool] = deque(maxlen=200)
     bar = tqdm(total=steps, desc="train", unit="step", disable=None)
 
     def note() -> None:
         mean = np.mean(ended, axis=0) if ended else np.full(3, np.nan)
         rows.append([agent.num_timesteps * TABLE.hold, len(ended), *mean, agent.exploration_rate])
+        if ended:
+            bar.set_postfix_str(f"{100 * mean[1]:.0f} % arrive")
         ended.clear()
-        if recent:
-            bar.set_postfix_str(f"{100 * np.mean(recent):.0f} % arrive")
 
     def after_step(scope: dict[str, Any], _: dict[str, Any]) -> bool:
         for info in scope["infos"]:
             if "episode" in info:
-                won = bool(info["is_success"])
-                ended.append((info["episode"]["r"], won, info["episode"]["l"]))
-                recent.append(won)
+                episode = info["episode"]
+                ended.append((episode["r"], info["is_success"], episode["l"]))
         done = agent.num_timesteps * TABLE.hold
         bar.update(done - bar.n)
         if done >= (len(rows) + 1) * max(1, steps // 50):

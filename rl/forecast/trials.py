@@ -84,12 +84,11 @@ def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Tri
     won = np.isin(flags, ("1", "1.0", "true"))
     if "time_s" in columns:
         columns["time_s"] = np.where(won, columns["time_s"], limit_s)
-    checks = [
+    for name, valid, wanted in (
         ("policy", np.isin(names, policies), f"one of {', '.join(policies)}"),
         ("success", won | np.isin(flags, ("0", "0.0", "false")), "0 or 1"),
         *((name, np.isfinite(column), "a number") for name, column in columns.items()),
-    ]
-    for name, valid, wanted in checks:
+    ):
         if not valid.all():
             row = int(np.argmin(valid))
             raise InputError(path, f"row {row + 2}, {name}", str(table[name][row]), wanted)
