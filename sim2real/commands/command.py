@@ -181,18 +181,6 @@ def _help(text: str, default: object) -> str:
     return (lowered + (f" (default {shown})" if stated else "")).replace("%", "%%")
 
 
-def add_file(
-    command: argparse.ArgumentParser, name: str, metavar: str, text: str, *, required: bool = False
-) -> None:
-    """Add a file or folder: an option, or a positional argument where its name has no dashes."""
-    command.add_argument(name, type=Path, metavar=metavar, help=text).required |= required
-
-
-def add_flag(command: argparse.ArgumentParser, name: str, text: str) -> None:
-    """Add an option without a value."""
-    command.add_argument(name, action="store_true", help=text)
-
-
 def add_executor(
     command: argparse.ArgumentParser, *, default: str | None = None, otherwise: str = ""
 ) -> None:
