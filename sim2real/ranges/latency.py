@@ -26,15 +26,21 @@ _LAW_SD_S = 2e-4
 
 
 def episode_latencies(
-    traces: Sequence[Trace], joint: JointModel, *, gain_sd: float = 0.02, rounds: int = 3
+    traces: Sequence[Trace],
+    joint: JointModel,
+    *,
+    gain_sd: float = 0.02,
+    latency_sd_s: float = 0.05,
+    rounds: int = 3,
 ) -> tuple[Array, Array]:
     """Latency of each trace of a joint and its standard deviation in s, each of shape (N,).
 
     Latency and damping are not distinguishable in the response to a sine. Gains are therefore
     shared by the traces and fitted together with one latency per trace, in ``rounds``: a fit of
     gains and a common latency, and a Gauss-Newton step of all. The standard deviation includes the
-    gains of one episode about the shared ones, by a share ``gain_sd``. The search starts from the
-    joint's model, whose effects are fixed.
+    gains of one episode about the shared ones, by a share ``gain_sd``. A prior of
+    ``latency_sd_s`` about the common latency keeps that of a trace that hardly moves. The search
+    starts from the joint's model, whose effects are fixed.
     """
     row = joint_row(joint, traces[0].load)
     own = np.zeros(len(traces))  # latency of each beyond the common one
@@ -46,18 +52,19 @@ def episode_latencies(
         problem = ServoProblem(shifted, row, gains(scale_inertia(traces, row)))
         best = fit(problem, row[None], rounds=2)
         row, unit = best.row, problem.unit
-        normal, slope = np.zeros((2 + own.size, 2 + own.size)), np.zeros(2 + own.size)
+        loose = np.append(unit[:2] / gain_sd, unit[2] / latency_sd_s) ** 2
+        normal = np.diag([0.0, 0.0, *np.full(own.size, loose[2])])
+        slope = np.array([0.0, 0.0, *own / unit[2] * loose[2]])
         sd = np.empty(own.size)
         parts = zip(best.residuals, problem.by_trace(best.slopes), strict=True)
         for k, (error, slopes) in enumerate(parts):
             weight = 1 / (1 + (error / (OUTLIER_SD * best.scale_rad)) ** 2) ** 0.5
             weight /= best.scale_rad**2 * correlation_samples(error)
-            curvature = slopes.T @ (slopes * weight[:, None]) + 1e-30 * np.eye(3)
+            curvature = slopes.T @ (slopes * weight[:, None])
             place = [0, 1, 2 + k]
             normal[np.ix_(place, place)] += curvature
             slope[place] += slopes.T @ (weight * error)
-            prior = np.diag([*(unit[:2] / gain_sd) ** 2, 0.0])
-            sd[k] = np.linalg.pinv(curvature + prior, hermitian=True)[2, 2] ** 0.5 * unit[2]
+            sd[k] = np.linalg.inv(curvature + np.diag(loose))[2, 2] ** 0.5 * unit[2]
         own -= np.linalg.lstsq(normal, slope)[0][2:] * unit[2]
     return float(row[2]) + own, sd
 

@@ -67,6 +67,8 @@ def posterior_of(name):
     each = [SimpleNamespace(name=n, unit=unit) for n, unit in ((name, "s"), ("kp", "N m/rad"))]
     servo = SimpleNamespace(
         parameters=each,
+        level=0.9,
+        shares=(0.05, 0.5, 0.95),
         quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]]),
     )
     return Posteriors({"j1": servo}, {})
