@@ -95,10 +95,7 @@ def run_episodes(
     name: str = "swim",
     watch: Callable[[Mask], None] = lambda going: None,
 ) -> Episodes:
-    """Run one episode of every robot of a world; all are reset.
-
-    ``watch`` is called at the start and after every step with the robots that took part, (E,).
-    """
+    """Run one episode of every robot; ``watch`` is called with those that took part, (E,)."""
     E = world.n_envs
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
@@ -128,11 +125,7 @@ def _copied(tensor: torch.Tensor) -> Array:
 
 
 def energy(rate: Array) -> Array:
-    """The paper's measure of energy, the sum over steps of 20 ms of the joints' squared rates.
-
-    In rad^2/s^2; the row of the start is included. ``rate`` is (T, E, J), the result (E,), NaN
-    where all rows are NaN.
-    """
+    """The paper's energy: squared rates (T, E, J), summed over steps of 20 ms, rad^2/s^2, (E,)."""
     finite = np.asarray(np.isfinite(rate).all(axis=2))
     total = np.where(finite, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
     return np.where(finite.any(axis=0), total, np.nan)

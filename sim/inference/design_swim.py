@@ -163,12 +163,8 @@ def design_swim(
 class SwimObjective:
     """Scores of the commands of a swim that begins in the middle of the pool, heading along x.
 
-    A share ``uniform`` of the probability is distributed evenly among the sets: the laws of the
-    effects are approximations, so that no probability of a set is certain. ``probability`` has the
-    result, shape (M,).
-
-    Raises:
-        InputError: If the robot lacks a coordinate of a set.
+    The share ``uniform`` of the probability (M,) is the same for all sets: the laws of the effects
+    are approximations.
     """
 
     def __init__(

@@ -221,10 +221,7 @@ def numbers(
     count: int | None = None,
     positive: bool = False,
 ) -> list[N]:
-    """Finite numbers, commas between, of type ``kind``; InputError unless as ``expected``.
-
-    There must be ``count`` of them, or any number if that is None, all above 0 if ``positive``.
-    """
+    """``count`` or any finite numbers, commas between, of type ``kind``; else InputError."""
     try:
         found = [kind(part) for part in text.split(",")]
     except ValueError:

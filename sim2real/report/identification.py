@@ -46,11 +46,7 @@ _SETTLED = 0.005
 
 
 def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
-    """Text, tables and plots of an identification.
-
-    ``fits`` has for each plot the recording, the joint, its predicted position in rad, shape (T,),
-    and a mask of held-out samples, shape (T,).
-    """
+    """Text, tables and plots of ``fits``: recording, joint, predicted rad, held-out mask (T,)."""
     blocks = model_blocks(model)
     for name, joint in model.joints.items():
         figures = model.fit.get(f"{name}.position_rad", {})
