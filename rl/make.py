@@ -124,9 +124,6 @@ def make_world(
 
     On CUDA all work goes to PyTorch's current stream, which must not be the default one: see
     ``own_stream``. ``around`` wraps the simulator, to add errors that it does not have.
-
-    Raises:
-        InputError: If robot, models and device are inconsistent, or the fidelity is unknown.
     """
     check_choice("make_world", "fidelity", fidelity, get_args(Fidelity))
     if device != "cpu":

@@ -75,7 +75,7 @@ def stale_share(
     """Share of readings that repeat the previous one although the joint turns steadily.
 
     It turns where the angle changes by more than five steps of the sensor and five standard
-    deviations before and after, to the same side. 0 by chance.
+    deviations before and after, to the same side. 0 if no more repeat than by chance.
     """
     change = np.diff(position[np.isfinite(position)])
     turn = 5 * max(step_rad, noise_rad)

@@ -201,7 +201,7 @@ class Fields:
         return InputError(self.file, self.path(name), found, expected)
 
     def refuse_unknown(self, known: Iterable[str], *, misspelt: bool = False) -> None:
-        """Raise InputError if fields are unknown, with ``misspelt`` only if like a missing one."""
+        """Raise InputError for unknown fields, with ``misspelt`` only for misspelt ones."""
         names = list(known)
         missing = [name for name in names if name not in self.content]
         for name in (name for name in self.content if name not in names):

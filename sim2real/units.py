@@ -65,7 +65,7 @@ _PLAUSIBLE = (
 
 
 def plausible(name: str) -> tuple[float, float, str]:
-    """Smallest size above 0 and largest of a value in a file, for robots of 1 g to 1e6 t; unit."""
+    """Smallest size above 0, and largest, of a value for robots of 1 g to 1000 t, and its unit."""
     for ending, smallest, largest in _PLAUSIBLE:
         if name.endswith(ending):
             return smallest, largest, _unit(name)[1] or ending[1:]

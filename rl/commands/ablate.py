@@ -96,7 +96,7 @@ def make_testbeds(
     robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model | RealityFile,
     cell_m: float | None = None,
 ) -> list[Testbed]:  # fmt: skip
-    """Each arm's simulator, and the reality; a model has half the cells and the ranges' noise."""
+    """Each arm's simulator, and the reality: a file, or a model with finer cells."""
     draws = [arm.draws for arm in arms for _ in plan.seeds]
     settings = SimulationSettings(plan.fidelity, plan.device, plan.threads, plan.cell_m)
     simulation = simulated("simulation", draws, settings)

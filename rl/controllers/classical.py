@@ -118,7 +118,7 @@ class _Steered:
 
 @dataclass(frozen=True)
 class PNLGains(Stroke):
-    """Stroke, bend per angular rate of the line of sight in s and per rad of bearing."""
+    """Stroke, bend per rate of the line of sight in s and per bearing, and the filter's time, s."""
 
     navigation_s: ArrayLike
     pursuit: ArrayLike

@@ -140,12 +140,6 @@ def half_way(first: Model, second: Model) -> Model:
     )
 
 
-def turn_of(plan: Plan, longest: int | None = None) -> Task:
-    """The turn that agents of a plan are tested in, of ``longest`` control periods if given."""
-    turn = TASKS["turn"]
-    return replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
-
-
 def ablate(
     folder: Path,
     robot: Robot,
@@ -165,7 +159,8 @@ def ablate(
     periods. The result has ``agents``: for each, its arm, seed and, by testbed, return (the rewards
     discounted as in training), reward, success, time and energy of each repeat.
     """
-    task = turn_of(plan, longest)
+    turn = TASKS["turn"]
+    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
     results: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
     weights = weights_digest(agents)

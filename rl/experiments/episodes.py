@@ -74,18 +74,14 @@ class Episodes:
         """Seconds until the head points at the first target, shape (E,); NaN if it never does."""
         way = self.targets[None, :, 0] - self.pose[:, :, :2]
         bearing = np.arctan2(way[..., 1], way[..., 0]) - self.pose[:, :, 2]
-        return _first_s(np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad)
+        faced = np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad
+        return np.where(faced.any(axis=0), CONTROL_S * faced.argmax(axis=0), np.nan)
 
     def of(self, mask: Mask) -> Episodes:
         """The episodes of some of the robots, ``mask`` of shape (E,)."""
         pose, rate, value = (x[:, mask] for x in (self.pose, self.rate, self.value))
         counts = self.reached[mask], self.steps[mask]
         return Episodes(pose, rate, value, *counts, self.targets[mask])
-
-
-def _first_s(true: Mask) -> Array:
-    """Seconds until the first true row of (T, E), shape (E,); NaN if there is none."""
-    return np.where(true.any(axis=0), CONTROL_S * true.argmax(axis=0), np.nan)
 
 
 def run_episodes(

@@ -51,8 +51,7 @@ def controller_of(
 ) -> Controller:
     """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
 
-    For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of tuned gains, by default those
-    of the twin.
+    For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of gains, by default the twin's.
     """
     kind, _, pace = name.partition("-")
     if kind in CONTROLLERS and (not pace or pace in PACES):

@@ -318,10 +318,7 @@ def _check_ranges(ranges: Ranges, model: Model, path: Path) -> None:
 
 
 def residuals_of(recordings: Sequence[Recording], model: Model, robot: Robot) -> list[Array]:
-    """Measured less simulated surge, sway, yaw rate and angles of each swim, (T, 3 + J).
-
-    Their variance is reduced by that of the measurement noise; missing samples count as explained.
-    """
+    """Measured less simulated velocities and angles of each swim, (T, 3 + J), less sensor noise."""
     out = []
     for recording in recordings:
         swim = swim_of(recording, robot)

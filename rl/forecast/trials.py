@@ -58,8 +58,7 @@ class Update:
 def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Trials]:
     """Read a CSV with a row for each trial: policy, success, and of time_s, energy, reward some.
 
-    Without arrival (``success`` 0) the full time of the task counts, ``limit_s``, and the energy of
-    it.
+    Without arrival (``success`` 0) the full time of the task, ``limit_s``, and its energy count.
     """
     table = read_table(path)
     for column in ("policy", "success"):

@@ -35,7 +35,7 @@ class Fluid:
     """Boxes of fluid of one shape, in lattice units; each may have its own viscosity.
 
     Fields have the shape (E, nx, ny, nz), nz 1 in 2D, velocities one axis of 3 more. Boxes are
-    periodic without walls; ``wide`` are too many populations for 32-bit indices.
+    periodic without walls; ``wide``: too many populations for 32-bit indices.
     """
 
     def __init__(

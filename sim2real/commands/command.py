@@ -221,7 +221,7 @@ def numbers(
     count: int | None = None,
     positive: bool = False,
 ) -> list[N]:
-    """``count`` or any finite numbers, commas between, of type ``kind``; else InputError."""
+    """Finite numbers of type ``kind``, commas between, ``count`` or any of them, or InputError."""
     try:
         found = [kind(part) for part in text.split(",")]
     except ValueError:
