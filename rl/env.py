@@ -192,10 +192,7 @@ def make_fish(
     view: View = View(),  # noqa: B008 - frozen
     **options: Any,  # noqa: ANN401
 ) -> gymnasium.Env[Array32, Array32]:
-    """The environment of ``gymnasium.make("sim2real/Fish-v0")``; options as for ``world_of``.
-
-    ``render_mode="human"`` shows it in a window (extra ``render``).
-    """
+    """The environment of ``gymnasium.make("sim2real/Fish-v0")``; options as for ``world_of``."""
     if render_mode != "human":
         return FishEnv(world_of(1, **options), view, render_mode=render_mode)
     library("pygame", "sim2real/Fish-v0")

@@ -124,9 +124,6 @@ def make_world(
 
     On CUDA all work goes to PyTorch's current stream, which must not be the default one: see
     ``own_stream``. ``around`` wraps the simulator, to add errors that it does not have.
-
-    Raises:
-        InputError: If robot, models and device are inconsistent, or the fidelity is unknown.
     """
     check_choice("make_world", "fidelity", fidelity, get_args(Fidelity))
     if device != "cpu":
@@ -167,14 +164,7 @@ def draw_models(
     rng: np.random.Generator,
     sample: JointSample | None = None,
 ) -> list[Model]:
-    """Models for n episodes: the calibrated model with values drawn from each range.
-
-    Rows of a posterior ``sample`` replace independent draws of the parameters that it shares with
-    the ranges.
-
-    Raises:
-        InputError: If the parameter of a range is neither of the model nor of the robot.
-    """
+    """Models for n episodes: values drawn from each range, or rows of a posterior ``sample``."""
     model = with_density(model, robot)
     links = [link.name for link in robot.links]
     entries = [entry for entry in ranges.entries if entry.period == "episode"]

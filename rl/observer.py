@@ -92,11 +92,7 @@ class View:
 
     @classmethod
     def from_content(cls, fields: Any) -> View:  # noqa: ANN401 - any JSON
-        """The view with the fields of a file.
-
-        Raises:
-            ValueError: If a field is missing, unknown, of another type or out of range.
-        """
+        """The view with the fields of a file, or a ValueError about one."""
         kinds = {name: type(default) for name, default in vars(cls()).items()}
         fits = isinstance(fields, dict) and {k: type(v) for k, v in fields.items()} == kinds
         if not fits or not 1 <= fields["period"] <= 1000 or not 0 <= fields["memory"] <= 1000:
@@ -117,11 +113,7 @@ class Observer:
     """State of E observers: past decisions, the sides of the target and of the last stroke."""
 
     def __init__(self, view: View, low: Any, high: Any, n: int) -> None:  # noqa: ANN401
-        """Start n robots without past decisions.
-
-        ``low`` and ``high`` are the angles of actions -1 and 1, shape (J,), tensors or arrays of
-        float32; arguments of all methods are of the same library.
-        """
+        """Start n robots; ``low`` and ``high`` (J,) are the angles of actions -1 and 1."""
         self.view, self._low, self._span, self._xp = view, low, high - low, _library(low)
         shape = (n, max(view.memory, 2), len(low))
         self._decisions = self._xp.broadcast_to(self._xp.zeros_like(low), shape)  # newest first

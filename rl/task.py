@@ -73,11 +73,7 @@ def near(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
 
 
 def mixed(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """As ``point``, with targets 0.12 to 2 m away, for training.
-
-    The logarithm of the distance is uniform: near targets, which are reached by chance, give the
-    first rewards, and far ones teach what ``point`` requires.
-    """
+    """As ``point``, for training: targets 0.12 to 2 m away, uniform in the distance's logarithm."""
     pose, joint, target = point(rng, n, J)
     away, todo = _distances(rng, n), np.arange(n)
     while todo.size:
@@ -101,9 +97,8 @@ def _ways(rng: np.random.Generator, away: Array) -> Array:
 def chain(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
     """Three successive targets, each at a distance from the previous one as in ``mixed``.
 
-    Episodes continue after a target is reached, so the state at arrival matters. 40 % of the
-    episodes start as in ``turn``, straight and with the first target behind the robot: the most
-    difficult start, in which agents differ most.
+    40 % of the episodes start as in ``turn``, with the first target behind the robot: the most
+    difficult start.
     """
     pose, joint, first = mixed(rng, n, J)
     behind = rng.uniform(size=n) < 0.4
@@ -129,10 +124,7 @@ def turn(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]
 
 
 def pentagram(rng: np.random.Generator, n: int, J: int) -> tuple[Array, Array, Array]:
-    """A five-pointed star with a radius of 1.2 m: 21 waypoints, four per side and the first again.
-
-    The robot starts near the first corner, heading for the second.
-    """
+    """A five-pointed star of radius 1.2 m: 21 waypoints, four per side and the first again."""
     angle = np.pi / 2 + 4 * np.pi / 5 * np.arange(6)
     corner = 1.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     share = np.arange(4)[:, None] / 4

@@ -60,18 +60,7 @@ class Step:
 
 
 class World:
-    """A batch of robots at a task.
-
-    Attributes:
-        simulator: The fluid's swimmer or its twin.
-        task: The task.
-        n_envs: Number of environments E.
-        low, high: Smallest and largest action, shape (J,).
-        pose, joint, rate: True state after the last step, shapes (E, 3), (E, J), (E, J).
-        targets: Waypoints in m, shape (E, W, 2).
-        waypoint: Number of the waypoint that each robot swims to, shape (E,).
-        elapsed: Steps of the episode so far, shape (E,).
-    """
+    """Robots at a task; true ``pose`` (E, 3), ``joint`` and ``rate`` (E, J) after the last step."""
 
     def __init__(self, simulator: Simulator, task: Task, draws: Sequence[Draws], seed: int) -> None:
         """Place the robots at their starts; several ``draws`` share them evenly, in blocks."""
@@ -82,16 +71,17 @@ class World:
         self.device = self._command.device
         E, J = self._command.shape
         limits = np.array([joint.limits_rad for joint in simulator.robot.joints])
+        # actions, shape (J,)
         self.low, self.high = self._tensor(limits[:, 0]), self._tensor(limits[:, 1])
         self._half = self._tensor(np.array(task.domain_m) / 2)
         self._bound = self._tensor(np.array(observation_bounds(J)))
         self._weights = self._tensor(slope_weights())
         self._sd = self._tensor(np.stack([_deviations(d.noise, J) for d in self._draws]))
         self._past = torch.zeros(E, NEWEST, 3 + J, device=self.device)
-        self.targets = torch.zeros(E, task.waypoints, 2, device=self.device)
+        self.targets = torch.zeros(E, task.waypoints, 2, device=self.device)  # in m
         self._row = torch.arange(E, device=self.device)
         counts = torch.zeros(2, E, dtype=torch.long, device=self.device)
-        self.waypoint, self.elapsed = counts.unbind(0)
+        self.waypoint, self.elapsed = counts.unbind(0)  # to swim to; steps of the episode
         self._distance = torch.zeros(E, device=self.device)
         self.seed(seed)
         self.reset()
@@ -108,11 +98,7 @@ class World:
         return self._last
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Send set-points in rad (E, J), clipped to the limits, and simulate a control period.
-
-        With ``begin`` an episode starts where one has ended; else robots continue to the last
-        target.
-        """
+        """Send set-points in rad (E, J), clipped to the limits, and simulate a control period."""
         self._command.copy_(torch.clamp(action, self.low, self.high))
         self.simulator.advance()
         self.elapsed += 1
@@ -235,10 +221,7 @@ class Decisions:
         return self.observer.observe(raw)  # type: ignore[no-any-return]
 
     def step(self, action: Tensor, *, begin: bool = True) -> Step:
-        """Apply a decision (E, J), -1 and 1 at the ends of each joint's range.
-
-        As ``World.step``, with reward, effort and bonus summed over the decision's periods.
-        """
+        """Apply a decision (E, J) between -1 and 1; as ``World.step``, summed over its periods."""
         self.observer.decide(action)
         total = self.world.step(self.observer.set_points(0), begin=False)
         for tick in range(1, self.view.period):

@@ -32,11 +32,7 @@ _KEPT_STATES = 16
 
 
 class SupersonicFlow(FloatingPointError):
-    """The flow became supersonic in the lattice, and the robot was stopped.
-
-    ``time_s`` and ``step`` of the lattice since the start, indices of the first ``cell`` that broke
-    down, and the last ``states`` before it.
-    """
+    """The flow became supersonic at this ``time_s``, ``step`` and ``cell``, after ``states``."""
 
     def __init__(self, name: str, swimmer: Swimmer, states: list[State]) -> None:
         """The breakdown of a swimmer, from the last of its states."""
@@ -103,12 +99,7 @@ def simulate_recording(
     video: File | None = None,
     **options: Any,  # noqa: ANN401 - of the swimmer
 ) -> Recording:
-    """Simulate the commands of a recording from its first pose; see ``sim.verbs.simulate``.
-
-    Raises:
-        InputError: If recording, robot and model do not agree, or a set-point is missing.
-        SupersonicFlow: If the flow became supersonic.
-    """
+    """Simulate the commands of a recording from its first pose; see ``sim.verbs.simulate``."""
     validate_commands(recording, robot)
     t, command = _every_period(recording, robot)
     pose = np.zeros(3)

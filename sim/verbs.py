@@ -314,11 +314,7 @@ def _telling_apart(
 
 
 def check_joints(model: Model, robot: Robot) -> None:
-    """Check that the model has a servo for each of the robot's joints.
-
-    Raises:
-        InputError: If it lacks one.
-    """
+    """Check that the model has a servo for each of the robot's joints."""
     for joint in robot.joints:
         if joint.name not in model.joints:
             known = ", ".join(model.joints) or "none"

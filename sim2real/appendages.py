@@ -77,10 +77,7 @@ def _at(table: tuple[tuple[float, ...], tuple[float, ...]], x: float) -> float:
 
 @dataclass(frozen=True)
 class Sides:
-    """A box with these extents in m along, across, up, or the (elliptic) cylinder in it.
-
-    ``axis`` is the direction of a cylinder's axis, 0 to 2; None for a box.
-    """
+    """A box with these extents in m, or the (elliptic) cylinder in it along ``axis``, 0 to 2."""
 
     size_m: tuple[float, float, float]
     axis: int | None = None
@@ -102,10 +99,9 @@ class Sides:
         return along * across * up * (1.0 if self.axis is None else pi / 4)
 
     def drag_coefficient(self, direction: int) -> Coefficient:
-        """Drag coefficient for motion in a direction (0 along, 1 across), on ``face_m2``.
+        """Drag coefficient on ``face_m2`` for motion in a direction (0 along, 1 across).
 
-        A box is between a rod with a square face of the same area and a section in plane flow: as
-        far as a plate of its face is between a square one and one in plane flow.
+        A box is as far between a square rod and plane flow as a plate of its face.
         """
         longer, shorter, depth = self._facing(direction)
         if self.axis == direction:
@@ -200,11 +196,7 @@ class Appendage:
 
 
 def area_error(wetted: Sequence[Wetted]) -> float:
-    """Relative standard deviation of the sum of drag areas along the links.
-
-    The errors of handbook coefficients count as one common error, and not as independent ones:
-    interference between bodies and the turbulence of the water change all of them alike.
-    """
+    """Relative standard deviation of the sum of drag areas, whose errors are common to all."""
     total = sum(one.area_m2[0] for one in wetted)
     return sum(one.area_sd_m2[0] for one in wetted) / total if total > 0 else 0.0
 

@@ -29,10 +29,7 @@ def material_note(effect: str, component: str) -> str:
 
 
 def values(model: Model, where: str = "model") -> dict[str, float]:
-    """Parameters of the effects of body and camera by ``effect.parameter``.
-
-    Parameters of a material are named ``effect.material.parameter``.
-    """
+    """Effects of body and camera by ``effect.parameter`` or ``effect.material.parameter``."""
     out: dict[str, float] = {}
     for entry in model.body.get("effects", ()):
         effect = body_effect(str(entry.get("effect")), where)
@@ -63,11 +60,7 @@ def listed(parameters: Mapping[str, float]) -> list[dict[str, Any]]:
 
 
 def observed(t: Array, pose: Array, parameters: Mapping[str, float]) -> Array:
-    """Poses (T, 3) as measured by the camera: x, y in m and heading in rad of the head's centre.
-
-    Times are in s, shape (T,), increasing and evenly spaced. Parameters of camera effects are by
-    ``effect.parameter``; others are ignored.
-    """
+    """Poses (T, 3), m and rad, as the camera measures them at ``t`` (T,) in s, evenly spaced."""
     out = np.array(pose, dtype=np.float64)
     for effect in CAMERA:
         values = {p.name: parameters.get(f"{effect.name}.{p.name}", 0.0) for p in effect.parameters}

@@ -84,11 +84,7 @@ _COMMON.add_argument(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Returns:
-        0 if it is done, 2 for wrong input (reported in one line), 1 for anything else.
-    """
+    """Run one command: 0 if done, 2 for wrong input (reported in one line), 1 otherwise."""
     occupy_standard_descriptors()
     out, err = Lenient(sys.stdout), Lenient(sys.stderr)
     typed = list(sys.argv[1:] if arguments is None else arguments)

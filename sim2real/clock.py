@@ -38,11 +38,7 @@ class Timing:
 
 
 def timing(t: Array, position: Array) -> Timing:
-    """Sampling rate, jitter and gaps of angles (T, J), NaN where missing, at times ``t`` (T,) in s.
-
-    Only rows with a measured position count: on a merged time axis the others are the times of
-    set-points. Of several joints the one that is measured least often is described.
-    """
+    """Sampling of angles (T, J), NaN where missing, at ``t`` (T,) in s, of the rarest joint."""
     measured = [_times(t, angle) for angle in position.T]
     slowest = max(measured, key=lambda times: float(np.median(np.diff(times))))
     steps = np.diff(slowest)
@@ -58,11 +54,7 @@ def timing(t: Array, position: Array) -> Timing:
 
 
 def missing_samples(t: Array, angle: Array) -> int:
-    """Number of missing measurements of one joint, whose angles (T,) are NaN where missing.
-
-    A row without a position lacks one only where a measurement was due. Rows between two
-    measurements one usual step apart are those of set-points, on a merged time axis.
-    """
+    """Number of measurements of one joint that were due, by its angles (T,), NaN where missing."""
     rows = np.flatnonzero(np.isfinite(angle))
     if rows.size < 2:
         return int(angle.size - rows.size)
@@ -96,9 +88,8 @@ def check_sampling(
 ) -> None:
     """Raise InputError unless the times ``t`` (T,) in s are plausible for samples of a servo.
 
-    The upper quartile of the steps is checked: rows may come in pairs, such as a set-point and an
-    angle a few microseconds later. ``where`` is what states the times, and ``unit_s`` the unit from
-    which they were converted.
+    The upper quartile of the steps is checked: rows may come in pairs. ``where`` is what states the
+    times, ``unit_s`` the unit from which they were converted.
     """
     if t.size < 2:
         raise InputError(file, where, f"{t.size} sample", "at least two")
@@ -124,11 +115,7 @@ def check_sampling(
 def recording_clock_findings(
     joints: Sequence[str], t: Array, position: Array
 ) -> list[RecordingFinding]:
-    """Findings about the times ``t`` (T,) at which joints were measured, at angles (T, J) or NaN.
-
-    Rows that are missing one at a time are a warning: commands between them are not known. A
-    sentence that does not concern all joints names its own.
-    """
+    """Findings about the times ``t`` (T,) at which angles (T, J), NaN where not, were measured."""
     concerned: dict[tuple[str, Literal["note", "warning"]], list[str]] = {}
     for joint, angle in zip(joints, position.T, strict=True):
         for sentence in clock_findings(_times(t, angle)):
@@ -144,11 +131,7 @@ def recording_clock_findings(
 def dropped_rows(
     t: Array, angle: Array, *, least_share: float = 0.01, even: float = 0.1
 ) -> Iterator[str]:
-    """A finding about rows that are missing one at a time, where no other row is in their place.
-
-    More than ``least_share`` of the steps between measured angles (T,) are twice as long as usual,
-    which is known where the jitter is below ``even`` steps.
-    """
+    """A finding about single missing rows, where steps between angles (T,) are doubled."""
     rows = np.flatnonzero(np.isfinite(angle))
     if rows.size < 3:
         return

@@ -72,10 +72,7 @@ _results: Results | None = None
 
 @contextlib.contextmanager
 def results() -> Iterator[Results]:
-    """Context of one call of the command line, in which no finished computation is lost.
-
-    A result that can't be written after its folder was checked is kept elsewhere.
-    """
+    """Context of one call, which keeps a result elsewhere that can't be written in the end."""
     global _results
     before, _results = _results, Results()
     try:
@@ -128,18 +125,14 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
 
 
 def beside(out: Path, name: str) -> Path:
-    """A further file of the result ``out``: ``name`` in its folder, ``/`` (of ROS) as ``%2F``.
-
-    If ``out`` is a device or a pipe, this is the null device.
-    """
+    """A file ``name`` next to the result ``out``, ``/`` as ``%2F``; the null device for a pipe."""
     return Path(os.devnull) if is_stream(out) else out.with_name(name.replace("/", "%2F"))
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
     """Write ``content`` to a temporary file in the same folder, sync it and rename it to ``path``.
 
-    A new file has the permissions that the umask leaves, an existing one keeps its own. What cannot
-    be written is an InputError, unless the command keeps it elsewhere (``results``).
+    Permissions are those of the umask or the old file; ``results`` may keep elsewhere what fails.
     """
     target = Path(path)
     data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
@@ -256,10 +249,7 @@ def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
 
 
 def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
-    """``value`` as JSON: dataclasses as objects, arrays as lists, other objects as text.
-
-    Infinities are ``"inf"`` or ``"-inf"`` and NaN is null, which JSON lacks.
-    """
+    """``value`` as JSON, with ``"inf"`` and ``"-inf"``, null for NaN, and text for others."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: finite_json(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -274,10 +264,7 @@ def finite_json(value: Any) -> Any:  # noqa: ANN401 - any JSON
 
 
 def provenance(inputs: Iterable[object], seed: int | None) -> dict[str, Any]:
-    """Provenance of a result: command line, versions, seed and SHA-256 of every input file.
-
-    Inputs are files, or objects read from files (with a ``path``); others are ignored.
-    """
+    """Command line, versions, seed and SHA-256 of every input, a file or object with a ``path``."""
     from importlib.metadata import PackageNotFoundError, version
 
     from sim2real.version import __version__

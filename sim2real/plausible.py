@@ -29,13 +29,8 @@ def admitted(
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """What of recordings may be fitted, and warnings about them, with the recordings' names.
 
-    Joints with errors are left out of a recording on a bench where others remain that move. All
-    that is fitted to the recordings shows the warnings: models, diagnoses, calibrations, ranges.
-    Without the robot units of angles and loads are not checked.
-
-    Raises:
-        InputError: If a recording can only be a mistake (``validate_recording``), or a finding
-            about it is an error and no other joint of it moves.
+    Joints with errors are left out of a recording on a bench where others remain that move; an
+    InputError if none does. Without the robot units of angles and loads are not checked.
     """
     kept, where = [], dict[str, list[str]]()
     for recording in recordings:
@@ -56,11 +51,7 @@ def admitted(
 
 
 def validate_recording(recording: Recording, robot: Robot | None = None) -> None:
-    """Reject a recording whose times, commands or measured angles can only be a mistake.
-
-    A column is both command and position, a joint moves before its command, or angles, speeds or
-    torques are many times those that the robot's file states.
-    """
+    """Reject a recording whose times, commands or measured angles can only be a mistake."""
     validate_commands(recording, robot)
     for j, joint in enumerate(recording.joints):
         if recording.kind == "servo":  # joints of a filmed swim may be prescribed
@@ -76,11 +67,7 @@ def validate_recording(recording: Recording, robot: Robot | None = None) -> None
 def validate_commands(
     recording: Recording, robot: Robot | None = None, *, range_ratio: float = 6.0
 ) -> None:
-    """Reject times and commands that can only be a mistake; measured angles are not checked.
-
-    A command is at most ``range_ratio`` half ranges from the middle of the joint's range: degrees
-    read as radians are 57 times too large.
-    """
+    """Reject times and commands that can only be a mistake, such as degrees read as radians."""
     check_sampling(recording.file, recording.t)
     if robot is None:
         return
@@ -131,11 +118,7 @@ def _check_columns(recording: Recording, j: int) -> None:
 
 
 def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: float = 4.0) -> None:
-    """Reject angles that change much faster than the servo can turn, such as degrees.
-
-    A speed over 0.1 s is compared with the data sheet's, which servos exceed by 50 % at a higher
-    voltage.
-    """
+    """Reject angles whose speed over 0.1 s is far above the data sheet's, such as degrees."""
     window = max(0.1, 2 * float(np.median(np.diff(t))))
     early = t <= t[-1] - window
     if not joint.servo.states("no_load_speed_rad_s") or early.sum() < _FEWEST_SAMPLES:
@@ -155,11 +138,7 @@ def _check_speed(file: str, joint: Joint, t: Array, angle: Array, *, ratio: floa
 def _check_torque(
     recording: Recording, joint: Joint, t: Array, angle: Array, *, ratio: float = 6.0
 ) -> None:
-    """Reject a load whose measured acceleration needs far more torque than the servo has.
-
-    The second difference over 0.06 s is a weighted mean of the acceleration, so it never exceeds
-    the maximum; a part may be due to the weight of a pendulum.
-    """
+    """Reject a load whose acceleration over 0.06 s needs far more torque than the servo has."""
     load, window = recording.loads.get(joint.name), max(0.06, 2 * float(np.median(np.diff(t))))
     middle = t[(t >= t[0] + window) & (t <= t[-1] - window)]
     if load is None or not joint.servo.states("max_torque_Nm") or middle.size < _FEWEST_SAMPLES:

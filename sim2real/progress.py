@@ -29,10 +29,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 def shared(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Results of ``work`` for every item, in order.
-
-    ``work`` must be a function of a module that is quick to import and does not use Warp.
-    """
+    """Results of ``work``, of a module that is quick to import, for every item, in order."""
     if len(items) < MANY:
         return [work(item) for item in items]
     interrupts = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for this process, which ends them

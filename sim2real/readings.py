@@ -22,11 +22,10 @@ one. It is at most 2.0 for the joints of shipped, real and generated recordings,
 
 
 def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
-    """Mask of isolated readings that are far from those before and after them, shape (T,).
+    """Mask (T,) of isolated readings that are far from those before and after them.
 
-    A reading is compared with the median of seven around it. It is wrong if it is further from that
-    than ``SMALLEST_ERROR_RAD`` and than ``ratio`` times the spread of the three middle readings, by
-    which fast motion is not wrong.
+    A reading is compared with the median of seven, by ``SMALLEST_ERROR_RAD`` and ``ratio`` times
+    the spread of the three middle ones.
     """
     result = np.zeros(position.shape, dtype=bool)
     measured = np.flatnonzero(np.isfinite(position))
@@ -41,12 +40,7 @@ def wrong_readings(position: Array, *, ratio: float = 5.0) -> Mask:
 
 
 def wraps(position: Array, *, least_rad: float = 3.0, ratio: float = 4.0) -> tuple[Index, Array]:
-    """Jumps of an angle by the range of its sensor, between two samples in steady motion.
-
-    Returns:
-        Indices of the samples after the jumps, shape (N,), and the jumps in rad, shape (N,), of
-        which each is larger than ``least_rad`` and ``ratio`` times the steps before and after it.
-    """
+    """Samples after jumps by the range of an angle's sensor, and the jumps in rad, (N,) each."""
     measured = np.flatnonzero(np.isfinite(position) & ~wrong_readings(position))
     jump = np.diff(position[measured])
     size = np.abs(jump)
@@ -58,11 +52,7 @@ def wraps(position: Array, *, least_rad: float = 3.0, ratio: float = 4.0) -> tup
 def interleaved_constant(
     position: Array, *, share: float = 0.01, fewest: int = 5
 ) -> tuple[float, int] | None:
-    """A constant that takes the place of single readings, and how often; None if there is none.
-
-    It is the most frequent value of readings that differ from both neighbours, to the same side, by
-    more than ``SMALLEST_ERROR_RAD``.
-    """
+    """A constant in the place of single readings, far from neighbours, and how often; or None."""
     angle = position[np.isfinite(position)]
     step = np.diff(angle)
     there, back = step[:-1], step[1:]
@@ -82,11 +72,10 @@ def interleaved_constant(
 def stale_share(
     position: Array, step_rad: float, noise_rad: float, *, least: float = 0.03, fewest: int = 5
 ) -> float:
-    """Share of the readings that repeat the previous one although the joint turns steadily.
+    """Share of readings that repeat the previous one although the joint turns steadily.
 
-    A joint turns steadily where the angle changes by more than five steps of the sensor, and by
-    five standard deviations of its noise, before and after the pair, to the same side. 0 where
-    fewer repeat than may by chance.
+    It turns where the angle changes by more than five steps of the sensor and five standard
+    deviations before and after, to the same side. 0 if no more repeat than by chance.
     """
     change = np.diff(position[np.isfinite(position)])
     turn = 5 * max(step_rad, noise_rad)

@@ -217,10 +217,7 @@ def _import_first(log: Path) -> str:
 
 
 def read_commands(path: str | os.PathLike[str]) -> Recording:
-    """Read the commands of a CSV file as a bench recording whose positions are NaN.
-
-    Measured columns are ignored. No JSON file is needed; if there is one, its loads apply.
-    """
+    """Read the commands of a CSV file, with loads of its JSON file if any; positions are NaN."""
     csv = Path(path)
     table = csv_columns.read_table(csv)
     t = csv_columns.times(csv, table)

@@ -39,10 +39,7 @@ T = TypeVar("T")
 
 
 class Stated(Generic[T]):
-    """A value of a dataclass that may be missing; using a missing value raises an InputError.
-
-    The dataclass has a field ``where``: the file and the table in which the value is ``expected``.
-    """
+    """A value that may be missing and then raises an InputError, of a class with ``where``."""
 
     def __init__(self, expected: str = "a number above 0") -> None:
         self.expected = expected
@@ -97,10 +94,7 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Link(Sheet):
-    """One rigid link in SI units; ``com_m`` is measured from its front end.
-
-    ``mass_kg``, ``com_m`` and ``inertia_kgm2`` include the ``appendages``, the hull does not.
-    """
+    """One rigid link in SI units, appendages included; ``com_m`` is measured from its front end."""
 
     name: str
     mass_kg: Stated[float] = Stated()

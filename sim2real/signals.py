@@ -53,11 +53,7 @@ def steps(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
 
 
 def multisine(t: Array, shape: Shape, rng: np.random.Generator) -> Array:
-    """Sines of equal amplitude on a grid of frequencies in the band, with low crest factor.
-
-    Schroeder's phases (M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85), with a random
-    offset.
-    """
+    """Sines of equal amplitude with Schroeder's phases: IEEE Trans. Inf. Theory 16 (1970) 85."""
     low, high = shape.band_hz
     spacing = max(low, 1 / float(t[-1]), (high - low) / 64)
     frequency = np.arange(low, high + 0.5 * spacing, spacing)
@@ -92,16 +88,10 @@ def excitation(
     amplitude_rad: float | None = None,
     shape: Shape | None = None,
 ) -> Excitation:
-    """A signal for each joint, centred in its limits and within the limits of angle and speed.
+    """One of ``UNIT`` for each of J joints, centred in its limits, within those of angle and speed.
 
-    Args:
-        name: One of ``UNIT``.
-        joints: The J joints; random signals are independent.
-        seconds: Duration, including the rest at the beginning.
-        rate_hz: Set-points per second.
-        rng: Random number generator.
-        amplitude_rad: Largest deviation from the centre; by default three quarters of the range.
-        shape: Frequencies.
+    ``seconds`` include the rest at the beginning; ``amplitude_rad`` is the largest deviation from
+    the centre, by default three quarters of the range. Random signals are independent.
     """
     shape = shape or Shape()
     _check_shape(name, shape, seconds, rate_hz)
@@ -148,10 +138,7 @@ def played(path: str | os.PathLike[str], joints: Sequence[Joint], *, rate_hz: fl
 
 
 def limited(command: Array, joint: Joint, rate_hz: float) -> Array:
-    """Set-points (T,) within the joint's limits and no faster than the no-load speed of its servo.
-
-    The rate of the first set-point is not limited.
-    """
+    """Set-points (T,) within the joint's limits, no faster than its servo's no-load speed."""
     inside = np.clip(command, *joint.limits_rad)
     largest = joint.servo.no_load_speed_rad_s / rate_hz
     if np.abs(np.diff(inside)).max(initial=0.0) <= largest * (1 + 1e-9):

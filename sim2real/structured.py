@@ -120,11 +120,7 @@ def reason(error: Exception) -> str:
 def read_members(
     path: str | os.PathLike[str], expected: str, *, what: str, largest: int = _LARGEST_ARCHIVE_BYTES
 ) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of the members of a zip archive, one after the other.
-
-    ``expected`` is what the archive should be, and ``what`` is then missing, for errors. The bytes
-    of all members together, at most ``largest``, are checked before any is unpacked.
-    """
+    """Names and contents of a zip archive's members, in all at most ``largest`` bytes."""
     file = Path(path)
     if file.is_dir() or not file.exists():
         raise InputError(file, "", "no file", expected)
@@ -185,10 +181,7 @@ def number_or_infinity(value: object) -> float | None:
 
 
 class Fields:
-    """The fields of one table of a structured file, read by name and type.
-
-    Errors name the ``file`` and the field, in the table ``where``, which is empty at the top level.
-    """
+    """The fields of the table ``where`` of a structured ``file``, read by name and type."""
 
     def __init__(self, file: str | os.PathLike[str], where: str, content: object) -> None:
         if not isinstance(content, Mapping):
@@ -208,10 +201,7 @@ class Fields:
         return InputError(self.file, self.path(name), found, expected)
 
     def refuse_unknown(self, known: Iterable[str], *, misspelt: bool = False) -> None:
-        """Raise InputError if the table has fields other than the known ones.
-
-        With ``misspelt`` only if one looks like a misspelling of a known one that is missing.
-        """
+        """Raise InputError for unknown fields, with ``misspelt`` only for misspelt ones."""
         names = list(known)
         missing = [name for name in names if name not in self.content]
         for name in (name for name in self.content if name not in names):

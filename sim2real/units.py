@@ -65,11 +65,7 @@ _PLAUSIBLE = (
 
 
 def plausible(name: str) -> tuple[float, float, str]:
-    """Smallest size above 0 and largest size that a value in a file may have, and its unit.
-
-    Robots from a gram to a thousand tonnes are meant: what lies outside is a mistake, and would
-    overflow or vanish in a simulation. Pure numbers have no limits.
-    """
+    """Smallest size above 0, and largest, of a value for robots of 1 g to 1000 t, and its unit."""
     for ending, smallest, largest in _PLAUSIBLE:
         if name.endswith(ending):
             return smallest, largest, _unit(name)[1] or ending[1:]

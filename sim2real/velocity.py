@@ -12,18 +12,11 @@ NEWEST = 5
 
 
 def body_velocity(t: Array, pose: Array, *, window_s: float = 0.22) -> Array:
-    """Surge, sway and yaw rate from poses in the world frame.
+    """Surge and sway in m/s, yaw rate in rad/s from poses in m and rad; both (..., T, 3).
 
-    The slope of a parabola through a moving window (Savitzky and Golay, Anal. Chem. 36 (1964)
-    1627), rotated by the smoothed heading. Missing poses are interpolated linearly first.
-
-    Args:
-        t: Times in s, shape (T,), increasing; assumed to be evenly spaced.
-        pose: x, y in m and heading in rad, shape (..., T, 3), NaN where missing.
-        window_s: Length of the moving window: 11 samples at 50 Hz.
-
-    Returns:
-        Surge and sway in m/s, yaw rate in rad/s, shape (..., T, 3).
+    The slope of a parabola through a moving window of ``window_s`` (Savitzky and Golay, Anal. Chem.
+    36 (1964) 1627), rotated by the smoothed heading. Times ``t`` (T,) in s are assumed to be evenly
+    spaced; missing poses are NaN.
     """
     period = float(np.median(np.diff(t)))
     odd = 2 * max(1, round(window_s / period / 2)) + 1
@@ -53,9 +46,6 @@ def _bridge(t: Array, pose: Array) -> None:
 
 
 def slope_weights(samples: int = NEWEST, period_s: float = 0.02) -> Array:
-    """Weights of the last samples, oldest first, in the slope of the line through them.
-
-    Causal, for use by a controller; ``body_velocity`` also uses later samples.
-    """
+    """Weights of the last samples, oldest first, in the slope of the line through them."""
     place = np.arange(samples) - (samples - 1) / 2
     return np.asarray(place / (place @ place) / period_s)

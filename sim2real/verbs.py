@@ -245,10 +245,7 @@ def servos() -> ServoLibrary:
 
 
 def recordings_of(recordings: Recorded, *, or_commands: bool = False) -> list[Recording]:
-    """The recordings, at least one, read where files are given.
-
-    With ``or_commands``, a CSV without JSON is a table of commands.
-    """
+    """The recordings, at least one, read from files, with ``or_commands`` also CSV without JSON."""
     from sim2real.recording import Recording, read_commands, read_recording
 
     sequence: object = recordings

@@ -12,11 +12,7 @@ UNKNOWN = "0+unknown"
 
 
 def read_version(folder: Path = Path(__file__).parents[1]) -> str:
-    """The version of the package in a folder.
-
-    A checkout comes before the installed metadata: an editable install keeps the metadata of the
-    day it was made, and ``PYTHONPATH`` may select a checkout other than the installed one.
-    """
+    """The version of the package in a folder, a checkout before the installed metadata."""
     project = folder / "pyproject.toml"
     if project.is_file():
         content = tomllib.loads(project.read_text(encoding="utf-8")).get("project", {})

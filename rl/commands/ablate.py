@@ -97,11 +97,7 @@ def make_testbeds(
     robot: Robot, arms: Sequence[Arm], plan: Plan, ranges: Ranges, reality: Model | RealityFile,
     cell_m: float | None = None,
 ) -> list[Testbed]:  # fmt: skip
-    """The testbeds: the simulator of each arm, and the reality, which no arm was trained in.
-
-    A reality that is a model has the sensor noise of the ranges and cells of ``cell_m`` m, by
-    default half of those in training.
-    """
+    """Each arm's simulator, and the reality: a file, or a model with finer cells."""
     draws = [arm.draws for arm in arms for _ in plan.seeds]
     settings = SimulationSettings(plan.fidelity, plan.device, plan.threads, plan.cell_m)
     simulation = simulated("simulation", draws, settings)

@@ -84,10 +84,7 @@ def tested(folder: Path, out: Path, seed: int) -> dict[str, Any]:
 def ablated(
     folder: Path, out: Path, seed: int, model: Model, ranges: Ranges, *, pretrained: bool
 ) -> dict[str, Any]:
-    """Result of ``ablate`` in the twin, of pretrained agents or of some trained here.
-
-    ``seed`` is that of starts and noise, and the first seed of agents that are trained.
-    """
+    """Result of ``ablate`` in the twin; ``seed`` is that of starts, noise and the first agent."""
     robot = robot_in(folder)
     arms = [arm_of(name, model, robot, ranges) for name in PAPER]
     if pretrained:

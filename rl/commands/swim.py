@@ -30,12 +30,7 @@ _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f} of {total:.0f} s"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Swim, and write commands and measurements as a pool recording.
-
-    Returns:
-        0 if the target was reached or the time was up, 1 if the swim was stopped early; the
-        recording is written in both cases.
-    """
+    """Swim and write a pool recording; 1 if the swim was stopped early, else 0."""
     target = np.array(numbers("--target", options.target, float, _PLACE, count=2))
     if not 0 < options.seconds <= LONGEST_S:
         raise InputError("--seconds", "", f"{options.seconds:g}", f"more than 0, to {LONGEST_S:g}")

@@ -73,11 +73,7 @@ def select(options: argparse.Namespace, folders: list[Path]) -> None:
 
 
 def arguments_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of ``train_run`` as JSON values; options override those of ``--quick``.
-
-    Raises:
-        InputError: If the controller has no such option.
-    """
+    """Arguments of ``train_run`` as JSON values; options override those of ``--quick``."""
     given = {name: getattr(options, name, None) for name in OPTIONS}
     options_set = {name: value for name, value in given.items() if value is not None}
     trainer = TRAINERS[options.controller]

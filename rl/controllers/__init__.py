@@ -16,7 +16,6 @@ class Controller(Protocol):
     def act(self, observation: Array32) -> Array32:
         """Desired joint angles in rad, shape (E, J), inside the joints' limits.
 
-        Args:
-            observation: Surge, sway, yaw rate, J angles, J rates, target x and y in the body's
-                frame, in SI units, shape (E, 5 + 2 J).
+        ``observation``: surge, sway, yaw rate, J angles, J rates, target x and y in the body's
+        frame, SI, (E, 5 + 2 J).
         """

@@ -30,21 +30,14 @@ _NEAR_M = 0.05
 
 
 def tuned(name: str, kind: type[Gains], pace: str = "middle", path: Path = TUNED) -> Gains:
-    """The gains under ``[name.pace]`` in ``path``.
-
-    Raises:
-        InputError: If the file cannot be read, or a value is missing or not a plausible number.
-    """
+    """The gains under ``[name.pace]`` in ``path``, or an InputError about a value."""
     table = Fields(path, "", read_toml(path)).table(name).table(pace)
     return kind(**{field.name: table.number(field.name) for field in fields(kind)})
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A ``Gait`` with a bend for turning; each value a number or an array (E,).
-
-    ``bend_rad`` is the largest offset, ``ease`` the relative reduction of the amplitude at it.
-    """
+    """A ``Gait`` with a bend for turning; each value a number or an array (E,)."""
 
     frequency_hz: ArrayLike
     amplitude_rad: ArrayLike
@@ -63,22 +56,16 @@ class Stroke:
 
 
 def line_of_sight_rate(observation: NDArray[np.floating]) -> Array:
-    """Angular rate of the line to a target at rest, in the pool's frame, in rad/s, shape (E,).
-
-    With the target at r in the body's frame and the robot's velocity v, ``-(r x v) / |r|^2``.
-    """
+    """Rate of the line to a target at rest at r, ``-(r x v) / |r|^2``, in rad/s, shape (E,)."""
     columns = np.asarray(observation, dtype=np.float64)
     surge, sway, x, y = columns[:, 0], columns[:, 1], columns[:, -2], columns[:, -1]
     return np.asarray((y * surge - x * sway) / np.maximum(x * x + y * y, _NEAR_M**2))
 
 
 class LineOfSight:
-    """Bearing and rate of the line of sight, unwrapped, smoothed over the tail's beat.
+    """Bearing of the target in rad, within 225 degrees to either side, and its rate, (E,) each.
 
-    Attributes:
-        bearing: Angle to the target in rad, shape (E,), within 225 degrees to either side.
-        smooth: The bearing after a first-order low-pass filter with time constant ``filter_s``.
-        rate: Angular rate of the line in rad/s after the same filter.
+    ``smooth`` and ``rate``, in rad/s, are low-pass filtered with the time constant ``filter_s``.
     """
 
     def __init__(self, n_envs: int, filter_s: ArrayLike) -> None:
@@ -102,10 +89,7 @@ class LineOfSight:
 
 
 class _Steered:
-    """A pattern generator whose bend follows the line of sight; see ``Controller``.
-
-    The first beat is towards the target, so that mirrored targets give mirrored paths.
-    """
+    """A pattern generator whose bend follows the line of sight; the first beat is towards it."""
 
     def __init__(self, limits_rad: ArrayLike, n_envs: int, gains: Any, filter_s: ArrayLike) -> None:  # noqa: ANN401
         self.gains, self._filter_s = gains, filter_s
@@ -134,10 +118,7 @@ class _Steered:
 
 @dataclass(frozen=True)
 class PNLGains(Stroke):
-    """Stroke, bend per angular rate of the line of sight in s and per rad of bearing.
-
-    ``filter_s`` is the time constant of the filter that averages over the tail's beat, in s.
-    """
+    """Stroke, bend per rate of the line of sight in s and per bearing, and the filter's time, s."""
 
     navigation_s: ArrayLike
     pursuit: ArrayLike
@@ -182,10 +163,7 @@ class TransientProfile:
     """Han's tracking differentiator, which approaches a goal with bounded acceleration.
 
     IEEE Trans. Ind. Electron. 56 (2009) 900, with its "fhan"; ``limit`` is a number or an array
-    (E,).
-
-    Attributes:
-        value, rate: The profile and its slope, shape (E,).
+    (E,). ``value`` and ``rate`` are the profile and its slope, shape (E,).
     """
 
     def __init__(self, n_envs: int, limit: ArrayLike) -> None:
@@ -208,10 +186,8 @@ class ExtendedStateObserver:
     """Linear observer of ``y'' = disturbance + effect u``, with the disturbance as third state.
 
     Gains 3 w, 3 w^2, w^3 put all three poles at -w (Gao, "Scaling and bandwidth-parameterization
-    based controller tuning", ACC 2003); w times the control period must be below 1.
-
-    Attributes:
-        state: Estimates of y, y' and the disturbance a period after the last measurement, (E, 3).
+    based controller tuning", ACC 2003); w times the control period must be below 1. ``state`` has
+    y, y' and the disturbance a period after the last measurement, (E, 3).
     """
 
     def __init__(self, n_envs: int, bandwidth_rad_s: ArrayLike, effect: ArrayLike) -> None:

@@ -56,15 +56,11 @@ class CentralPatternGenerator:
         angle_i   = offset_i + amplitude_i sin(phase_i)
 
     Their output is ``r (1 + cos phase)``; here it is symmetric about the offset.
-
-    Attributes:
-        limits_rad: Lowest and highest angle of each joint, shape (J, 2).
-        phase: Shape (E, J), in rad.
     """
 
     def __init__(self, limits_rad: ArrayLike, n_envs: int) -> None:
-        self.limits_rad = np.asarray(limits_rad, dtype=np.float64)
-        self.phase = np.zeros((n_envs, len(self.limits_rad)))
+        self.limits_rad = np.asarray(limits_rad, dtype=np.float64)  # shape (J, 2)
+        self.phase = np.zeros((n_envs, len(self.limits_rad)))  # rad
         self._wave = Gliding(np.zeros((2, *self.phase.shape)))  # amplitudes, offsets
         self._fresh = np.ones(n_envs, dtype=bool)
 
@@ -74,10 +70,7 @@ class CentralPatternGenerator:
         phase: ArrayLike = 0.0,
         mask: Mask | Literal[True] = True,
     ) -> None:
-        """Reset all robots, or those in ``mask`` (E,), to the angles of an observation (E, O).
-
-        ``phase`` is that of the first joint in rad, a number or shape (E,).
-        """
+        """Reset robots in ``mask`` (E,) to the angles of an observation, with ``phase`` in rad."""
         mask = np.broadcast_to(mask, self._fresh.shape)
         self._fresh |= mask
         self.phase[:, 0] = np.where(mask, phase, self.phase[:, 0])

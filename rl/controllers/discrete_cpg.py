@@ -155,12 +155,7 @@ class DiscreteCPGEnv(VecEnvWrapper):
 
 
 class GaitDQN(DQN):
-    """Deep Q-learning whose choices are rows of a table, saved without pickled objects.
-
-    Attributes:
-        gaits: The table, as ``ActionTable.content``.
-        joints: Names of the joints.
-    """
+    """Deep Q-learning whose choices are rows of a table, saved without pickled objects."""
 
     gaits: Mapping[str, Any]
     joints: list[str]
@@ -172,11 +167,7 @@ class GaitDQN(DQN):
 
 
 def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
-    """Read the gaits of a trained policy; None if the file has none.
-
-    Raises:
-        InputError: If its gaits are invalid.
-    """
+    """Read the gaits of a trained policy; None if the file has none."""
     try:
         content = read_settings(path)["gaits"]
     except (InputError, KeyError):
@@ -198,13 +189,7 @@ def read_table(path: str | os.PathLike[str]) -> ActionTable | None:
 def read_policy(
     path: str | os.PathLike[str], table: ActionTable, limits_rad: ArrayLike, n_envs: int
 ) -> DiscreteCPG:
-    """Read a policy of ``train_run`` as a controller; nothing in the file is executed.
-
-    ``table`` are its gaits, ``limits_rad`` those of the joints, shape (J, 2).
-
-    Raises:
-        InputError: If it is no policy, or for a robot with another number of joints.
-    """
+    """Read a policy of ``train_run``, of gaits ``table``, for joints with ``limits_rad`` (J, 2)."""
     saved = read_policy_zip(path, "DQN")
     columns, *hidden, choices = saved.widths("q_net.q_net")
     joints = len(np.asarray(limits_rad))
@@ -268,13 +253,7 @@ def train_run(
     threads: int = 1,
     energy_weight: float | None = None,
 ) -> list[Path]:
-    """Train an agent for each seed, one after the other; the folders of the agents.
-
-    A run that was killed keeps finished agents and restarts the others.
-
-    Raises:
-        InputError: If a file or an option is wrong.
-    """
+    """Train an agent for each seed in turn, unless finished before; the folders of the agents."""
     for option, value in (("--steps", steps), ("--envs", envs)):
         check_whole("train", option, value, 1)
     fish, draws, inputs = episodes_of(robot, model, ranges)

@@ -30,11 +30,7 @@ def read_zip(
     """Read the policy of an SAC agent; nothing in the file is executed, see ``rl.sac.policy_zip``.
 
     ``price`` is that of energy relative to the training's, by default that of the file; ``seed`` is
-    for the provenance.
-
-    Raises:
-        InputError: If it is no policy, not a fully connected network with ReLU, or was not trained
-            for this price.
+    for the provenance. Networks are fully connected, with ReLU; all else is an InputError.
     """
     agent = read_agent(path)
     if price is not None:
@@ -43,11 +39,7 @@ def read_zip(
 
 
 def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
-    """Set another price of energy, relative to the training's: a constant input of the actor.
-
-    Raises:
-        InputError: If the agent was not trained for this price.
-    """
+    """Set another price of energy, relative to the training's: a constant input of the actor."""
     by_price: dict[str, Any] = getattr(agent, "by_price", {})
     prices = by_price.get("prices", 1.0)
     if not 1 / prices <= price <= prices:
@@ -61,10 +53,7 @@ def set_price(agent: SAC, price: float, *, where: str = "agent") -> None:
 
 
 def policy_of(agent: SAC, *, where: str = "agent", note: Mapping[str, Any] | None = None) -> Policy:
-    """The deterministic policy of an SAC agent, whose actions are angles of joints that it states.
-
-    The action space of another agent is in rad. Errors are those of ``read_zip``.
-    """
+    """The policy of an SAC agent with its joints' angles; actions of other agents are in rad."""
     actor: Any = agent.actor
     layers: list[nn.Linear] = [*actor.latent_pi[::2], actor.mu]
     attributes, box = vars(agent), agent.action_space

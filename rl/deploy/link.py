@@ -148,11 +148,7 @@ def _numbers(values: object, count: int) -> Array | None:
 
 
 def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socket.socket:
-    """A UDP socket that does not block, connected to ``udp://HOST:PORT`` or bound to it.
-
-    Raises:
-        InputError: If the address is invalid or in use.
-    """
+    """A UDP socket that does not block, connected to ``udp://HOST:PORT`` or bound to it."""
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.setblocking(False)
     try:
@@ -171,13 +167,7 @@ def opened(url: str, option: str, expected: str, *, bind: bool = False) -> socke
 
 
 class Link:
-    """The computer's end, of a robot with J joints at ``udp://HOST:PORT``.
-
-    ``strange`` counts datagrams that were not telemetry of such a robot in this session.
-
-    Raises:
-        InputError: If the address is invalid.
-    """
+    """The computer's end, of a robot with J joints; ``strange`` counts unexpected datagrams."""
 
     def __init__(self, url: str, J: int, key: bytes | None = None) -> None:
         self._J, self._key, self._number, self.strange = J, key, 0, 0

@@ -52,13 +52,7 @@ class Measurements:
         return float(t[-1] - min(t[column].max() for column in measured.T))
 
     def observation(self, target: Array) -> Array32:
-        """The task's columns, shape (O,), with the target's x and y in the pool's frame in m.
-
-        Gaps are interpolated linearly, or filled with the last value.
-
-        Raises:
-            ValueError: If a column of pose or angles was never measured.
-        """
+        """The task's columns, shape (O,), gaps interpolated; the target is x and y in m."""
         t, rows = np.array(self._t), np.array(self._rows)
         grid = t[-1] + CONTROL_S * np.arange(1 - NEWEST, 1)
         past = np.empty((1, NEWEST, rows.shape[1]))
@@ -91,10 +85,7 @@ class Track(NamedTuple):
 
 
 class Pilot:
-    """Answers telemetry until the robot is at the target or the time is up.
-
-    The target is x and y in the pool's frame in m; ``seconds`` is the longest swim, after rest.
-    """
+    """Answers telemetry until the robot is at the target, x and y in m, or ``seconds`` are over."""
 
     def __init__(self, policy: Policy, target: Array, seconds: float) -> None:
         self.policy, self.target, self.seconds = policy, target, seconds
@@ -171,13 +162,7 @@ def swim(
     """Drive the robot until the pilot has finished; finally, and after any error, send it to rest.
 
     Telemetry is answered at once. ``interrupted`` says whether the user has asked to stop,
-    ``progress`` is called with the seconds since its last call.
-
-    Returns:
-        The swim, or None if the robot never answered.
-
-    Raises:
-        KeyboardInterrupt: If the user asks to stop before the robot has answered.
+    ``progress`` is called with the seconds since its last call. None if the robot never answered.
     """
     news, deadline = list[Telemetry](), time.monotonic() + ANSWER_S
     while not news:

@@ -47,10 +47,7 @@ class Policy:
 
 
 def forward(policy: Policy, inputs: NDArray[Any]) -> Array32:
-    """Deterministic decisions between -1 and 1, shape (..., J), from columns of the view (..., F).
-
-    The mean of the actor of SAC through tanh (Haarnoja et al., arXiv 1812.05905, App. C).
-    """
+    """Decisions of SAC's actor, tanh of the mean, (..., J), from columns of the view (..., F)."""
     x = np.asarray(inputs, dtype=np.float32)
     *hidden, (weight, bias) = zip(policy.weights, policy.biases, strict=True)
     for W, b in hidden:
@@ -71,12 +68,7 @@ class PolicyController:
         self._since = 0
 
     def act(self, observation: Array32, gone: int = 1) -> Array32:
-        """Set-points in rad of this control period, shape (E, J).
-
-        Args:
-            observation: The task's columns, shape (E, O).
-            gone: Control periods since the last call; more than one if frames were lost.
-        """
+        """Set-points in rad (E, J) of this period, ``gone`` ones after the last, from (E, O)."""
         policy, period = self.policy, self.policy.view.period
         limit = policy.observation_limit
         clipped = np.clip(np.asarray(observation, dtype=np.float32), -limit, limit)
@@ -113,11 +105,7 @@ def npz(policy: Policy) -> bytes:
 
 
 def read_npz(path: str | os.PathLike[str]) -> Policy:
-    """Read ``policy.npz``.
-
-    Raises:
-        InputError: If it cannot be read, or the shapes of its arrays are inconsistent.
-    """
+    """Read ``policy.npz``, whose arrays must be of consistent shapes."""
     file = Path(path)
     content = read_arrays(file, "a policy exported as .npz", largest=LARGEST_BYTES)
     schema = str(content.get("schema"))

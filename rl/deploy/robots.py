@@ -40,13 +40,7 @@ if TYPE_CHECKING:
 
 
 class Received:
-    """A robot that receives set-points from one sender; in silence it moves to rest.
-
-    Attributes:
-        begun: Whether a swim has started.
-        session: Identifier of the present or last session; empty before the first.
-        sender: Address of its computer.
-    """
+    """A robot that receives set-points from one sender; in silence it moves to rest."""
 
     def __init__(self, rest: Array, limits: Array, key: bytes | None = None) -> None:
         """Start at rest angles (J,), with the joints' limits (J, 2) in rad and a shared key."""
@@ -123,11 +117,7 @@ class VirtualRobot(Received):
 
 
 def serve(radio: socket.socket, robot: Received, stop: Callable[[], bool]) -> None:
-    """Run a robot in real time from the first datagram until ``stop``.
-
-    Set-points apply to the period whose start is nearest to their arrival, without delay as in
-    training.
-    """
+    """Run a robot in real time; a set-point applies to the period whose start is nearest."""
     begin = time.monotonic()
     while not stop():
         if robot.held and robot.sender is not None:
@@ -209,11 +199,7 @@ class Poses:
 
 
 class BusRobot(Received):
-    """Servos on a bus, and the pose that a tracker sends; see ``bus_robot`` for the arguments.
-
-    Attributes:
-        stopped: Why the servos are not driven any further; None while they are.
-    """
+    """Servos on a bus, and the pose that a tracker sends; see ``bus_robot`` for the arguments."""
 
     def __init__(
         self,
@@ -270,12 +256,9 @@ def bus_robot(
 ) -> Iterator[tuple[str, BusRobot]]:
     """Context manager that moves the servos to rest and serves them; returns URL and robot.
 
-    In the end they are released, and what was changed in them is restored. The tracker sends to
-    ``poses``, ``udp://HOST:PORT`` of this computer, with the ``key`` of the link.
-
-    Raises:
-        Stopped: If a servo does not answer, is too hot or cannot be released.
-        InputError: If the address for poses is invalid or in use.
+    In the end they are released, and what was changed in them is restored, or ``Stopped`` raised.
+    The tracker sends to ``poses``, ``udp://HOST:PORT`` of this computer, with the ``key`` of the
+    link.
     """
     expected = "udp://HOST:PORT of this computer, where poses arrive"
     with opened(poses, "--pose", expected, bind=True) as listener:

@@ -44,10 +44,7 @@ commands angles, so the default is a stiff drive without latency, at its limit f
 
 @dataclass(frozen=True)
 class Techniques:
-    """Techniques of an arm: without servo joints are ``STIFF``, without density links are alike.
-
-    Without randomization all episodes have the same model, with effects the diagnosed ones.
-    """
+    """Techniques of an arm: without servo joints are ``STIFF``, without density links are alike."""
 
     title: str
     servo: bool = True
@@ -101,10 +98,7 @@ def arm_of(
     enriched: Model | None = None,
     reality: Model | None = None,
 ) -> Arm:
-    """An arm of ``ARMS`` to train; "ceiling" needs the true parameters of the reality.
-
-    Ranges of a technique that the arm does not use are omitted, as they contain its results.
-    """
+    """An arm of ``ARMS`` to train, without the ranges of techniques that it does not use."""
     techniques = ARMS[name]
     if name == "midway":
         drawn, old = arm_of("all", model, robot, ranges).draws, model_of(ARMS["none"], model, robot)
@@ -146,12 +140,6 @@ def half_way(first: Model, second: Model) -> Model:
     )
 
 
-def turn_of(plan: Plan, longest: int | None = None) -> Task:
-    """The turn that agents of a plan are tested in, of ``longest`` control periods if given."""
-    turn = TASKS["turn"]
-    return replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
-
-
 def ablate(
     folder: Path,
     robot: Robot,
@@ -168,13 +156,11 @@ def ablate(
 
     ``agents`` are folders: all seeds of the first arm, then those of the next. ``repeats`` are
     episodes of each agent and testbed, with starts and noise by ``seed``, of at most ``longest``
-    control periods.
-
-    Returns:
-        ``agents``: for each, its arm, seed and, by testbed, return (the rewards discounted as in
-        training), reward, success, time and energy of each repeat.
+    periods. The result has ``agents``: for each, its arm, seed and, by testbed, return (the rewards
+    discounted as in training), reward, success, time and energy of each repeat.
     """
-    task = turn_of(plan, longest)
+    turn = TASKS["turn"]
+    task = replace(turn, energy=plan.task.energy, steps=longest or turn.steps)
     results: dict[str, Any] = {}
     discount = plan.settings.gamma ** (1 / plan.view.period)
     weights = weights_digest(agents)
@@ -246,11 +232,7 @@ def as_json(episodes: Episodes, A: int, task: Task, discount: float) -> dict[str
 
 
 def read_pretrained(folder: Path, arms: Sequence[str]) -> tuple[list[Path], tuple[int, ...]]:
-    """Folders of pretrained agents, all seeds of the first arm, then those of the next; the seeds.
-
-    Raises:
-        InputError: If an agent is missing, or its file differs from the listed one.
-    """
+    """Folders of pretrained agents, all seeds of the first arm, then the next; and the seeds."""
     path = folder / LISTING
     listing = Fields(path, "", read_json(path))
     listed = listing.table("files").content
@@ -270,11 +252,7 @@ def write_pretrained(
     folder: Path, agents: Sequence[Path], plan: Plan, model: Model, ranges: Ranges,
     note: dict[str, Any],
 ) -> Path:  # fmt: skip
-    """Write the policies of trained agents, ``ARM-SEED`` each, and their listing; old ones go.
-
-    ``model`` and ``ranges`` are those of the training. ``agents.json`` has plan, SHA-256 of every
-    file, and provenance.
-    """
+    """Write policies (``ARM-SEED``) and their listing, with SHA-256 and provenance; old ones go."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*/policy.npz"):
         shutil.rmtree(old.parent)

@@ -38,10 +38,7 @@ _DIFFERENCES = (
 
 
 def write_report(results: Results, plan: Plan, folder: Path, note: Mapping[str, Any]) -> None:
-    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained.
-
-    ``losses`` in the JSON are the same as in table and figure: positive if an arm is worse.
-    """
+    """Write ``index.html``, ``ablation.md``, ``ablation.json``; ``curve.png`` if agents trained."""
     losses = {arm: asdict(loss) for arm, loss in differences(results).items()}
     write_json(folder / "ablation.json", {**results, "table": rows(results), "losses": losses})
     write_whole(folder / "ablation.md", markdown(results) + "\n")

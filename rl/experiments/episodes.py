@@ -74,18 +74,14 @@ class Episodes:
         """Seconds until the head points at the first target, shape (E,); NaN if it never does."""
         way = self.targets[None, :, 0] - self.pose[:, :, :2]
         bearing = np.arctan2(way[..., 1], way[..., 0]) - self.pose[:, :, 2]
-        return _first_s(np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad)
+        faced = np.abs((bearing + np.pi) % (2 * np.pi) - np.pi) <= within_rad
+        return np.where(faced.any(axis=0), CONTROL_S * faced.argmax(axis=0), np.nan)
 
     def of(self, mask: Mask) -> Episodes:
         """The episodes of some of the robots, ``mask`` of shape (E,)."""
         pose, rate, value = (x[:, mask] for x in (self.pose, self.rate, self.value))
         counts = self.reached[mask], self.steps[mask]
         return Episodes(pose, rate, value, *counts, self.targets[mask])
-
-
-def _first_s(true: Mask) -> Array:
-    """Seconds until the first true row of (T, E), shape (E,); NaN if there is none."""
-    return np.where(true.any(axis=0), CONTROL_S * true.argmax(axis=0), np.nan)
 
 
 def run_episodes(
@@ -95,10 +91,7 @@ def run_episodes(
     name: str = "swim",
     watch: Callable[[Mask], None] = lambda going: None,
 ) -> Episodes:
-    """Run one episode of every robot of a world; all are reset.
-
-    ``watch`` is called at the start and after every step with the robots that took part, (E,).
-    """
+    """Run one episode of every robot; ``watch`` is called with those that took part, (E,)."""
     E = world.n_envs
     observation = world.reset()
     targets = world.targets.cpu().double().numpy()
@@ -128,11 +121,7 @@ def _copied(tensor: torch.Tensor) -> Array:
 
 
 def energy(rate: Array) -> Array:
-    """The paper's measure of energy, the sum over steps of 20 ms of the joints' squared rates.
-
-    In rad^2/s^2; the row of the start is included. ``rate`` is (T, E, J), the result (E,), NaN
-    where all rows are NaN.
-    """
+    """The paper's energy: squared rates (T, E, J), summed over steps of 20 ms, rad^2/s^2, (E,)."""
     finite = np.asarray(np.isfinite(rate).all(axis=2))
     total = np.where(finite, np.square(rate).sum(axis=2), 0.0).sum(axis=0)
     return np.where(finite.any(axis=0), total, np.nan)

@@ -25,11 +25,7 @@ def still(world: World) -> Picture:
 
 
 class Film:
-    """The part of a video that shows one policy's first robot; call it after every step.
-
-    As a context manager it repeats the last picture for one second at the end. ``width`` is in
-    pixels, even.
-    """
+    """The part of a video that shows one policy's first robot, ``width`` pixels wide (even)."""
 
     def __init__(self, video: Video, world: World, name: str, *, width: int | None = None) -> None:
         # by default three quarters of the video's, as the pool is about as high as it is wide

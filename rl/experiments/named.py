@@ -29,11 +29,7 @@ CONTROLLERS = ("pnl", "adrc")
 
 
 def with_price(name: str) -> tuple[str, float | None]:
-    """The file and the price of energy in a name ``FILE.zip@PRICE``, or the name and no price.
-
-    Raises:
-        InputError: If the price is no number.
-    """
+    """The file and the price of energy in a name ``FILE.zip@PRICE``, or the name and no price."""
     file, _, price = name.rpartition("@")
     if not file.endswith(".zip"):
         return name, None
@@ -55,11 +51,7 @@ def controller_of(
 ) -> Controller:
     """The controller of a policy file or one of ``CONTROLLERS``, with a pace as in ``pnl-fast``.
 
-    For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of tuned gains, by default of
-    those tuned in the twin.
-
-    Raises:
-        InputError: If it is neither, or was not trained for the price.
+    For ``FILE.zip@PRICE`` see ``set_price``; ``gains`` is a file of gains, by default the twin's.
     """
     kind, _, pace = name.partition("-")
     if kind in CONTROLLERS and (not pace or pace in PACES):
@@ -81,11 +73,7 @@ def controller_of(
 def named_controllers(
     policies: Sequence[str], robot: Robot
 ) -> dict[str, Callable[[int], Controller]]:
-    """Functions from a number of robots to controllers, by the names that are shown.
-
-    Raises:
-        InputError: If there is none, two have one name, or a policy is of another robot.
-    """
+    """Functions from a number of robots to controllers, by the names that are shown."""
     limits = [joint.limits_rad for joint in robot.joints]
     joints = tuple(joint.name for joint in robot.joints)
     out: dict[str, Callable[[int], Controller]] = {}

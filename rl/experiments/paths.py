@@ -26,10 +26,7 @@ Way = tuple[Array, dict[str, Any]]
 def pool_figure(
     ways: Mapping[str, Sequence[Array]], targets: Array, notes: Mapping[str, str]
 ) -> Figure:
-    """Paths of several trials over the pool, the first highlighted, with targets (N, 2) in order.
-
-    Targets are circles of 5 cm; a note, such as the time, is next to the title of its panel.
-    """
+    """Paths of trials over the pool, the first highlighted, and targets (N, 2) in order."""
     others, first = {"color": INK, "alpha": 0.5, "lw": 0.6}, {"color": ACCENT, "lw": 1.3}
     panels = {
         name: [*((x, others) for x in reversed(of_name[1:])), (of_name[0], first)]

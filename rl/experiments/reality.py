@@ -66,11 +66,7 @@ class RealityFile:
     make: Callable[..., Any]  # the function of the file
 
     def __call__(self, robot: Robot, n: int, seed: int, device: str) -> Any:  # noqa: ANN401
-        """Make a reality of n robots.
-
-        Raises:
-            InputError: If the result of ``make`` has no ``reset`` or no ``step``.
-        """
+        """Make a reality of n robots, which has ``reset`` and ``step``."""
         reality = self.make(robot, n, seed, device, **self.options)
         for name in ("reset", "step"):
             if not callable(getattr(reality, name, None)):
@@ -80,11 +76,7 @@ class RealityFile:
 
 
 def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - the file's own
-    """Run a file that defines ``make``; ``options`` are those of its ``make``.
-
-    Raises:
-        InputError: If it cannot be run, or has no valid ``make``.
-    """
+    """Run a file that defines ``make``; ``options`` are those of its ``make``."""
     content, files = _run(path)
     make = content.get("make")
     if not callable(make):
@@ -108,10 +100,7 @@ def read_reality(path: Path, **options: Any) -> RealityFile:  # noqa: ANN401 - t
 
 
 def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
-    """Names in the file, and its files: the file itself, then those imported from its folder.
-
-    These are unloaded, so that another reality may have modules of the same names.
-    """
+    """Names in the file, and its files, those imported from its folder included, then unloaded."""
     if not path.is_file():
         raise InputError(path, "", "no such file", "a Python file that defines make")
     folder, before = str(path.resolve().parent), set(sys.modules)
@@ -134,11 +123,8 @@ def _run(path: Path) -> tuple[dict[str, Any], list[Path]]:
 class RealWorld:
     """The robots of a reality at a task, as ``rl.world.World`` has those of a simulator.
 
-    Observations, rewards and ends are computed from measurements. An episode also ends if a robot
+    Observations, rewards and ends are computed from measurements; an episode also ends if a robot
     or joint is not measured for ``SILENCE_S``.
-
-    Attributes:
-        pose, rate, targets: As of ``World``; poses are measured.
     """
 
     device = torch.device("cpu")
@@ -159,12 +145,7 @@ class RealWorld:
         self._bound = np.array(observation_bounds(J), dtype=np.float32)
 
     def reset(self) -> Tensor:
-        """Start all episodes; the first observations, shape (n, O).
-
-        Raises:
-            InputError: If the reality returns arrays of other shapes, or does not measure all
-                robots at their starts.
-        """
+        """Start all episodes, with all robots measured; the first observations, shape (n, O)."""
         n = self.n_envs
         self._observers = [Measurements(self._bound) for _ in range(n)]
         self._going, self._periods = np.ones(n, dtype=bool), 0

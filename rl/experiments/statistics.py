@@ -73,10 +73,7 @@ def _shares(values: Array, least: float = 0.1) -> Array:
 
 
 def means(values: Array, trials: float = np.inf) -> Array:
-    """Draws of the mean of a number of trials in one reality, M for each reality, shape (N, M).
-
-    They are within the range of the figure. With infinitely many trials only the reality counts.
-    """
+    """Draws of the mean of that many trials in one reality, within the figure's range, (N, M)."""
     centre = expected(values)[:, None]
     if _binary(values):
         if not np.isfinite(trials):
@@ -99,11 +96,7 @@ def quantiles(values: Array, weights: Array, levels: Array) -> Array:
 
 
 def interval(values: Array, weights: Array, trials: float = np.inf) -> tuple[float, float, float]:
-    """Mean and central 90 % interval of the mean of a number of trials.
-
-    The mean can be beyond a quantile of a very skewed distribution; the interval then ends at it.
-    ``weights`` of the draws, shape (N,), have sum 1.
-    """
+    """Mean and central 90 % interval of trials, which contains it; ``weights`` (N,) have sum 1."""
     drawn = means(values, trials)
     low, high = quantiles(drawn, weights, np.array([0.05, 0.95]))
     mean = float(weights @ expected(values))
@@ -112,10 +105,7 @@ def interval(values: Array, weights: Array, trials: float = np.inf) -> tuple[flo
 
 
 def best(scores: Array, weights: Array) -> Array:
-    """Probability of each of K policies that its mean score (K, N, T) is the largest, shape (K,).
-
-    Starts and disturbances are the same for all policies, so that what they have in common cancels.
-    """
+    """Probability of each of K policies of the largest mean score (K, N, T), shape (K,)."""
     drawn = np.stack([expected(one) for one in scores])
     winner = np.asarray(drawn == drawn.max(axis=0))
     return np.asarray((winner / winner.sum(axis=0)) @ weights)
@@ -135,8 +125,7 @@ undiscounted sum does not penalise time and favours slow turns."""
 class Difference:
     """Return with all techniques minus that of an arm, over pairs of agents with the same seed.
 
-    Positive if the arm is worse. The 90 % interval is Student's, infinite for one pair, for which
-    ``sd``, that over the pairs, is NaN.
+    The 90 % interval is Student's, infinite for one pair, for which ``sd``, over the pairs, is NaN.
     """
 
     mean: float
@@ -177,10 +166,7 @@ def differences(results: Mapping[str, Any]) -> dict[str, Difference]:
 
 
 def seeds_needed(losses: Mapping[str, Difference]) -> dict[str, int | None]:
-    """Pairs for an interval as narrow as a third of the largest difference, by arm.
-
-    By the present spread over pairs; None if unknown or more than 200.
-    """
+    """Pairs for an interval a third as wide as the largest difference, by arm; None above 200."""
     largest = max((abs(loss.mean) for loss in losses.values()), default=0.0)
     pairs = np.arange(2, 201)
     widths = 2 * student.ppf(0.95, pairs - 1) / np.sqrt(pairs)  # for a spread of 1
@@ -191,10 +177,7 @@ def seeds_needed(losses: Mapping[str, Difference]) -> dict[str, int | None]:
 def bootstrap(
     values: Sequence[Sequence[float]], rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Mean with a 90 % bootstrap interval of one list of repeats for each agent.
-
-    4000 times agents are resampled, then their repeats.
-    """
+    """Mean and 90 % bootstrap interval of 4000: agents are resampled, then the repeats of each."""
     table = np.array(values, dtype=np.float64)
     A, R = table.shape
     agents = rng.integers(A, size=(4000, A))

@@ -31,10 +31,7 @@ UNSEEN = 10_000
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """How robots are simulated: ``twin`` or ``fluid``, CPU threads, side of a cell of the fluid.
-
-    ``at_once`` draws of a forecast are in a batch; the results of each are kept in its file.
-    """
+    """``twin`` or ``fluid``, CPU threads, side of a cell, and draws of a forecast in a batch."""
 
     fidelity: Fidelity = "twin"
     device: str = "cpu"
@@ -115,10 +112,7 @@ def run_trials(
     seed: int = 0,
     settings: SimulationSettings = IN_TWIN,
 ) -> dict[str, Episodes]:
-    """Run the same starts, targets and robots with every controller, in one batch.
-
-    Robots and noise are drawn from the ranges; without ranges all robots are the model.
-    """
+    """Run the same starts, targets and robots, of the ranges if any, with every controller."""
     drawn = draws_of(model, ranges, robot, seed=seed + UNSEEN, n=episodes)
     draws = [Draws((m,), drawn.noise) for m in drawn.models] * len(controllers)
     starts = same_starts(task, len(controllers), episodes, seed, len(robot.joints))
@@ -128,11 +122,7 @@ def run_trials(
 
 
 class Testbed(NamedTuple):
-    """A simulator or a reality: ``swim`` runs one episode of each robot.
-
-    ``name`` is ``simulation`` or ``reality``, ``key`` the SHA-256 of all that determines its
-    results.
-    """
+    """A simulator or a reality; ``key`` is the SHA-256 of all that determines its results."""
 
     name: str
     description: str
@@ -217,10 +207,8 @@ def held_out(
     """Test agents, with their mean actions, in the same randomized trials at one weight of energy.
 
     Returns in training are no substitute: there actions are sampled and the energy weight grows.
-
-    Returns:
-        ``best``, the folder name of the agent with the highest score, and by name ``score`` and the
-        summary of each task.
+    The result: ``best``, the folder name of the agent with the highest score, and by name ``score``
+    and the summary of each task.
     """
     limits = [joint.limits_rad for joint in robot.joints]
     agents: dict[str, Any] = {folder.name: {} for folder in folders}
@@ -252,12 +240,9 @@ def choose_prices(
 ) -> dict[str, float]:
     """Set each agent's price of energy to the best one relative to proportional navigation.
 
-    Agents with one price swim at very different paces. The chosen one minimises the larger of the
-    ratios of time and energy to those of proportional navigation at middle pace, over all tasks
-    tested. The agents' ``policy.zip`` are rewritten.
-
-    Returns:
-        The price by the name of the folder, relative to that of the training.
+    The chosen one minimises the larger of the ratios of time and energy to those of proportional
+    navigation at middle pace, over all tasks tested. The agents' ``policy.zip`` are rewritten. The
+    result: the price, relative to the training's, by name of the folder.
     """
     agents: dict[Path, Any] = {folder: read_agent(folder / "policy.zip") for folder in folders}
     priced = {

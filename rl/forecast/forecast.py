@@ -51,11 +51,7 @@ class Limit:
 
 
 def limit_of(text: str) -> Limit:
-    """A limit from its text; ``time`` and ``path`` stand for ``time_s`` and ``path_m``.
-
-    Raises:
-        InputError: If it is none.
-    """
+    """A limit from its text; ``time`` and ``path`` stand for ``time_s`` and ``path_m``."""
     match = re.fullmatch(r"(\w+)\s*(<=|>=)\s*([-+.\deE]+)(?:@([.\d]+))?", text.strip())
     try:
         figure, sign, value, share = match.groups() if match else ("", "", "", "")

@@ -35,10 +35,7 @@ from sim2real.structured import Fields, read_json
 
 @dataclass(frozen=True)
 class Possible:
-    """An effect outside the rival sets of servos: named, or considered and not named.
-
-    ``component`` is a joint or a part of the body; ``mean`` and ``sd`` are of its parameters.
-    """
+    """An effect of a joint or of the body, named or not, outside the rival sets of servos."""
 
     effect: str
     component: str
@@ -66,10 +63,7 @@ class Diagnosed:
     fit: Mapping[str, Mapping[str, float | None]]
 
     def drawn(self, model: Model, rng: np.random.Generator) -> Model:
-        """The model with a set of effects for each diagnosed joint, and effects of the body.
-
-        A calibrated law has made up for effects that its model lacks, so they are not added to it.
-        """
+        """The model with drawn effects, without those that its calibrated law has made up for."""
         joints = dict(model.joints)
         for joint in self.rivals:
             if joint.component in joints:
@@ -131,12 +125,9 @@ def _row(one: RivalSet, rng: np.random.Generator) -> Array:
 def read_diagnosed(path: str | os.PathLike[str]) -> Diagnosed:
     """Read ``diagnosis.json``; effects of the camera are left out.
 
-    An effect that was considered and not named is at most as large as the recordings could have
-    hidden: its size is half of its detection limit, give or take as much; in swims, which have no
-    such limits, that of the twin's error which imitates it.
-
-    Raises:
-        InputError: If the file is no diagnosis.
+    An effect that was not named is at most as large as the recordings could have hidden: its size
+    is half of its detection limit, give or take as much; in swims, which have no such limits, that
+    of the twin's error which imitates it.
     """
     top = Fields(path, "", read_json(path, SCHEMA))
 
@@ -276,10 +267,7 @@ def _with_bodies(models: Sequence[Model], model: Model, rng: np.random.Generator
 
 
 def _overfit(model: Model) -> float:
-    """Factor on the covariance of a calibration that predicts worse than it fits, at least 1.
-
-    The mean square error of the body's velocities on held-out data over that on fitted data.
-    """
+    """Ratio of the velocities' mean square error on held-out data to that on fitted data, or 1."""
     fits = [model.fit.get(f"body.{name}", {}) for name in _BODY]
     pairs = [(one.get("heldout"), one.get("train")) for one in fits]
     ratios = [held / max(train, 1e-9) for held, train in pairs if held and train]
@@ -300,11 +288,7 @@ def read_realities(
     robot: Robot, model: Model, ranges_file: Path, n: int, seed: int,
     diagnosed: Diagnosed | None = None,
 ) -> Realities:  # fmt: skip
-    """Draw n realities with the ranges in a file, which are those of the model.
-
-    Raises:
-        InputError: If the ranges name no posterior sample, or are of another model.
-    """
+    """Draw n realities with the ranges in a file, which has a posterior sample of the model."""
     ranges = read_ranges(ranges_file)
     if not ranges.posterior:
         expected = "ranges of bench recordings, which sample the posterior"
@@ -334,13 +318,7 @@ def _check_ranges(ranges: Ranges, model: Model, path: Path) -> None:
 
 
 def residuals_of(recordings: Sequence[Recording], model: Model, robot: Robot) -> list[Array]:
-    """Measured less simulated surge, sway, yaw rate and joint angles of each swim, (T, 3 + J).
-
-    Their variance is reduced by that of the measurement noise; missing samples count as explained.
-
-    Raises:
-        InputError: If a recording is no swim of this robot, or the twin diverges on it.
-    """
+    """Measured less simulated velocities and angles of each swim, (T, 3 + J), less sensor noise."""
     out = []
     for recording in recordings:
         swim = swim_of(recording, robot)

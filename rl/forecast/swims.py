@@ -38,11 +38,7 @@ Maker = Callable[[int], Controller]
 
 @dataclass(frozen=True)
 class Forecaster:
-    """Trials of policies in drawn realities; starts, noise and disturbances are common to them.
-
-    There are ``trials`` in each reality. Disturbances are made of the ``residuals`` of recordings;
-    without them, they are random signals of the size that the fit leaves unexplained.
-    """
+    """``trials`` of policies in each drawn reality; starts, noise and disturbances are common."""
 
     robot: Robot
     task: Task
@@ -60,15 +56,11 @@ class Forecaster:
         key: str = "",
         progress: Progress = lambda share: None,
     ) -> dict[str, Array]:
-        """Run all K policies in all N realities.
+        """Run all K policies in all N realities; trials in ``file`` with the same ``key`` are kept.
 
-        Results so far are in ``file``: trials in it are not run again if its ``key`` is the same,
-        all that determines the results besides names and number of policies and trials.
-
-        Returns:
-            Each of ``FIGURES``, shape (K, N, T); of the first trial in the first twenty realities
-            ``paths``, positions every 0.1 s in m, NaN after the end, shape (K, n, S, 2), and
-            ``targets``, waypoints in m, shape (n, W, 2).
+        The result: each of ``FIGURES``, (K, N, T); of the first trial in the first twenty realities
+        ``paths``, positions every 0.1 s in m, NaN after the end, shape (K, n, S, 2), and
+        ``targets``, waypoints in m, shape (n, W, 2).
         """
         N, K, T = len(self.realities.models), len(controllers), self.trials
         n, samples = min(20, N), -(-(self.task.steps + 1) // 5)
@@ -138,9 +130,8 @@ def _kept(file: Path | None, own: str) -> dict[str, Array] | None:
 class Inexact:
     """Robots of a simulator whose motion differs from the simulated one as measured motion does.
 
-    Velocities of the body in its own frame have a relative error and a disturbance, joints a
-    disturbance of their set-points. The pool is alike everywhere: the simulator's state stays, and
-    the path is integrated anew from the changed velocities.
+    Velocities of the body have a relative error and a disturbance, joints a disturbance of their
+    set-points; the path is integrated anew from the changed velocities.
     """
 
     def __init__(self, simulator: Simulator, law: Array, disturbance: Array32) -> None:
@@ -203,10 +194,7 @@ def _turned(vectors: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
 
 
 def disturbances(sd: Array, periods: int, n: int, rng: np.random.Generator) -> Array32:
-    """Stationary random signals of standard deviations ``sd`` (K,), shape (periods, n, K).
-
-    First-order autoregressive over 0.3 s, a third of a tail beat, as residuals of simulated swims.
-    """
+    """First-order autoregressive signals over 0.3 s, with ``sd`` (K,), shape (periods, n, K)."""
     keep = float(np.exp(-CONTROL_S / 0.3))
     white = rng.standard_normal((periods, n, sd.size)).astype(np.float32)
     white[1:] *= np.sqrt(1 - keep**2)

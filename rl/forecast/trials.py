@@ -42,11 +42,7 @@ class Trials:
 
 @dataclass(frozen=True)
 class Update:
-    """Weights of the draws after a number of trials, shape (N,), with sum 1.
-
-    ``effective`` is the effective number of draws, ``p_value`` the probability that the forecast
-    gives to trials at least as far from its mean.
-    """
+    """Weights of the draws after trials (N,), of sum 1, their effective number, and a p-value."""
 
     weights: Array
     effective: float
@@ -62,11 +58,7 @@ class Update:
 def read_trials(path: Path, policies: Sequence[str], limit_s: float) -> list[Trials]:
     """Read a CSV with a row for each trial: policy, success, and of time_s, energy, reward some.
 
-    A trial without arrival (``success`` 0) counts with the full time of the task, ``limit_s``,
-    whatever ``time_s`` says; its energy is that of the full time.
-
-    Raises:
-        InputError: If a column or a value is missing, or a policy is not of the forecast.
+    Without arrival (``success`` 0) the full time of the task, ``limit_s``, and its energy count.
     """
     table = read_table(path)
     for column in ("policy", "success"):
@@ -242,10 +234,7 @@ def first_order(parameters: Array, outcome: Array, groups: Sequence[str]) -> dic
 def shares_of(
     parameters: Array, values: Array, weights: Array, groups: Sequence[str]
 ) -> dict[str, float]:
-    """Share of a figure's variance between realities that each group explains, 0 to 1.
-
-    ``first_order`` of the normal scores of trials (N, T), without the chance of single trials.
-    """
+    """``first_order`` of the normal scores of trials (N, T), without chance of single trials."""
     reliable, N = reliability(values), len(weights)
     if reliable <= 0:
         return dict.fromkeys(groups, 0.0)
@@ -264,10 +253,7 @@ def ranked(
     weights: Array,
     joints: Sequence[str],
 ) -> list[Measurement]:
-    """Measurements, the one that is expected to shrink the intervals most first.
-
-    Of P parameters in N draws, shape (N, P), and the figures of one policy, shape (N, T) each.
-    """
+    """Measurements that narrow most first, by parameters (N, P) and a policy's figures (N, T)."""
     kinds = [group_of(name, joints) for name in names]
     how = dict(kinds)
     shrinks: dict[str, dict[str, float]] = {name: {} for name in how}

@@ -38,19 +38,11 @@ class Batch:
 
 
 class Agents:
-    """Agents that learn in parallel, each from its own memory.
-
-    Attributes:
-        models: Their Stable-Baselines3 models, whose parameters are views of the shared ones.
-        settings: Hyper-parameters.
-        memory: Transitions, shape (A, N, 2 O + J + 3): observation, action, reward without energy,
-            energy, following observation, whether the episode terminated.
-        price: Present weight of energy of each agent, shape (A, 1), also for old transitions.
-        filled: Number of stored transitions, the same for every agent.
-    """
+    """Agents that learn in parallel, each from its own memory."""
 
     def __init__(self, models: Sequence[SwimSAC], settings: Settings, device: torch.device) -> None:
         """Copy the parameters of models of the same shape to ``device``."""
+        # of Stable-Baselines3; their parameters become views of the shared ones
         self.models, self.settings, self.device = list(models), settings, device
         A, first = len(self.models), self.models[0]
         self.O, self.J = first.view.size(len(first.joints)), len(first.joints)
@@ -67,12 +59,15 @@ class Agents:
         for a, model in enumerate(self.models):
             self._share(a, model)
         self.average = self.actor.flat.clone()
-        self.price = torch.zeros(A, 1, device=device)
+        self.price = torch.zeros(
+            A, 1, device=device
+        )  # of energy, present, also for old transitions
         self._rate = torch.tensor(settings.rate, device=device)
         self._entropy = torch.full((A,), self.J * settings.entropy_target[0], device=device)
+        # observation, action, reward without energy, energy, next observation, whether terminated
         width = 2 * self.O + self.J + 3
         self.memory = torch.zeros(A, settings.memory, width, device=device)
-        self.position, self.filled = 0, 0
+        self.position, self.filled = 0, 0  # of transitions, the same for every agent
         self._filled = torch.zeros(1, device=device)
         self._odd = mirrored(first.view.odd(self.J), self.J, device)
         self._agent = torch.arange(A, device=device)[:, None]
@@ -143,10 +138,7 @@ class Agents:
         self._filled.fill_(filled)
 
     def set_schedule(self, share: float, grown: Sequence[float]) -> None:
-        """Set the learning rate by the completed ``share`` of the training, and the target entropy.
-
-        That follows the smaller of ``share`` and the progress of each agent, ``Plan.grown``.
-        """
+        """Set learning rate by the completed ``share``, target entropy also by ``Plan.grown``."""
         s = self.settings
         self._rate.fill_(s.rate * (1 + (s.rate_end - 1) * share))
         initial, final = s.entropy_target
@@ -193,10 +185,7 @@ class Agents:
 
     @torch.no_grad()
     def update(self, batch: Batch, noise: tuple[Tensor, Tensor] | None = None) -> None:
-        """One update of all agents: entropy coefficient, critics, actor, target networks.
-
-        ``noise`` are standard normal numbers of the actions and of the following ones, (A, B, J).
-        """
+        """One update of all agents, with normal ``noise`` of both actions, (A, B, J) each."""
         s, A, B = self.settings, len(self.models), batch.reward.shape[1]
         if noise is None:
             normal = torch.randn(A, 2 * B, self.J, device=self.device)

@@ -39,12 +39,6 @@ class Layers:
 
     ``sizes`` are the widths of all layers. With ``norm`` hidden layers are normalised before the
     ReLU, without gain and bias (Ba, Kiros, Hinton, "Layer normalization", arXiv 1607.06450).
-
-    Attributes:
-        flat, gradient: All parameters, 0 at first, and their gradients, each one vector.
-        weights, biases: Views of ``flat``, shapes (C, out, in) and (C, 1, out).
-        moments: Adam's first and second moments, shape (2, parameters).
-        count: Updates so far, shape (1,).
     """
 
     def __init__(
@@ -54,10 +48,11 @@ class Layers:
         total = sum(C * (a + 1) * b for a, b in pairs)
         self.norm = norm
         self.flat, self.gradient = torch.zeros(2, total, device=device).unbind(0)
+        # shapes (C, out, in) and (C, 1, out)
         self.weights, self.biases = _views(self.flat, C, pairs)
         self._weight_gradients, self._bias_gradients = _views(self.gradient, C, pairs)
-        self.moments = torch.zeros(2, total, device=device)
-        self.count = torch.zeros(1, device=device)
+        self.moments = torch.zeros(2, total, device=device)  # Adam's first and second
+        self.count = torch.zeros(1, device=device)  # of updates
 
     def forward(self, x: Tensor) -> Activations:
         """Forward pass from inputs of shape (C, B, width)."""

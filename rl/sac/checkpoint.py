@@ -29,20 +29,13 @@ CHECKPOINT = "checkpoint.npz"
 
 
 class Progress:
-    """Progress of a run of A agents.
-
-    Attributes:
-        steps: Steps of the environment for each agent so far.
-        rows: One list of rows, ``COLUMNS`` each, for every agent.
-        grown: How far each agent's energy weight has grown, from 0 to 1.
-        success: Share of each agent's last 50 episodes that succeeded.
-    """
+    """Progress of a run of A agents."""
 
     def __init__(self, A: int, steps: int = 0) -> None:
-        self.steps = steps
-        self.rows: list[list[list[float]]] = [[] for _ in range(A)]
-        self.grown = [0.0] * A
-        self.success = [0.0] * A
+        self.steps = steps  # of the environment for each agent so far
+        self.rows: list[list[list[float]]] = [[] for _ in range(A)]  # of ``COLUMNS``
+        self.grown = [0.0] * A  # of each energy weight, 0 to 1
+        self.success = [0.0] * A  # share of the last 50 episodes
 
     def note(self, tally: Tensor, agents: Agents, plan: Plan) -> None:
         """Append a row for every agent, and update the growth of the energy weights."""
@@ -93,11 +86,7 @@ def save(folder: Path, agents: Agents, progress: Progress, names: Sequence[str])
 
 
 def load(folder: Path, agents: Agents) -> Progress | None:
-    """Restore agents from the checkpoint of a folder; None if there is none.
-
-    Raises:
-        InputError: If it is damaged, or not one of such agents.
-    """
+    """Restore agents from the checkpoint of a folder; None if there is none."""
     path = folder / CHECKPOINT
     if not path.exists():
         return None
@@ -144,10 +133,7 @@ def read_progress(folder: Path) -> dict[str, Array]:
 
 
 def _curve(progress: Mapping[str, Array]) -> Array:
-    """Steps, mean return and success of groups of rows with at least 64 episodes, (3, points).
-
-    Successful episodes end first: rows with few episodes would be biased towards them.
-    """
+    """Steps, mean return and success of groups of rows with at least 64 episodes, (3, points)."""
     points, rows = np.empty((0, 3)), list[int]()
     for k in np.flatnonzero(progress["episodes"] > 0).tolist():
         rows.append(k)
@@ -172,11 +158,7 @@ def _mean_curve(curves: Sequence[Array]) -> Array:
 
 
 def draw_curves(agents: Mapping[str, Sequence[Path]], path: Path) -> None:
-    """Plot learning curves, return and success against steps, to a PNG.
-
-    ``agents`` are the folders of the agents of each group, the first of which is highlighted: a
-    line per agent of a single group, a mean per group of several.
-    """
+    """Plot return and success against steps: a line per agent of a single group, or group means."""
     with house_style():
         figure = new_figure(420, "Return and success of episodes against training steps")
         upper, lower = figure.subplots(2, 1, sharex=True)

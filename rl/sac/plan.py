@@ -64,11 +64,7 @@ class Arm(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a training.
-
-    Raises:
-        InputError: If a number is out of its range.
-    """
+    """Plan of a training."""
 
     task: Task
     steps: int = 1_600_000  # control periods of each agent
@@ -104,10 +100,7 @@ class Plan:
                 raise InputError("train", option, str(value), expected)
 
     def grown(self, before: float, steps: int, more: int, success: float) -> float:
-        """Growth of an agent's energy weight, 0 to 1, from that ``before``, ``more`` periods ago.
-
-        ``success`` is the share of its last episodes that succeeded.
-        """
+        """Growth of an energy weight, 0 to 1, ``more`` periods later, by the share of successes."""
         begin, length = self.ramp
         if steps < begin * self.steps or not success >= self.gate:
             return before
@@ -161,13 +154,7 @@ OPTIONS = ("recipe", "task", "energy_weight", *_OF_PLAN, *_OF_SETTINGS)
 
 
 def plan_of(options: Mapping[str, Any], **fields: Any) -> Plan:  # noqa: ANN401 - fields of Plan
-    """A plan from some of ``OPTIONS`` and fields: seeds, fidelity, device, cell_m, threads.
-
-    Options that are missing or None have the value of the recipe.
-
-    Raises:
-        InputError: If an option is unknown or out of range.
-    """
+    """A plan from some of ``OPTIONS`` and fields; what is missing or None is as in the recipe."""
     given = {name: options[name] for name in OPTIONS if options.get(name) is not None}
     recipe = given.get("recipe", "default")
     check_choice("train", "--recipe", recipe, RECIPES)

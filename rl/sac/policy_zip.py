@@ -71,10 +71,7 @@ class PolicyZip:
         return np.array(numbers, dtype=np.float32)
 
     def widths(self, layers: str, output: str | None = None) -> list[int]:
-        """Number of inputs of a network, then of outputs of each of its linear layers.
-
-        These are the sequence ``layers`` and the last one, ``output``; ``InputError`` without any.
-        """
+        """Number of inputs of a network, then of outputs of each of its linear layers."""
         numbered = re.compile(re.escape(layers) + r"\.(\d+)\.weight")
         found = {int(m[1]): name for name in self.weights if (m := numbered.fullmatch(name))}
         names = [found[k] for k in sorted(found)] + [f"{output}.weight"] * (output is not None)
@@ -141,11 +138,7 @@ def _saved(tensors: Mapping[str, Tensor]) -> bytes:
 
 
 def read_policy_zip(path: str | os.PathLike[str], algorithm: str) -> PolicyZip:
-    """Read a policy of this library or Stable-Baselines3; nothing in it is executed.
-
-    Raises:
-        InputError: If it cannot be read as described in this module, or is of another algorithm.
-    """
+    """Read a policy of this library or Stable-Baselines3; nothing in it is executed."""
     file, expected = Path(path), f"a policy saved by Stable-Baselines3's {algorithm}"
     members = _members(file, expected)
     settings = _settings(file, members["data"], expected)

@@ -47,22 +47,14 @@ class NormedPolicy(SACPolicy):
 
 
 class SwimSAC(SAC):
-    """SAC whose networks are views of those of ``Agents``, which trains them.
+    """SAC whose networks are views of those of ``Agents``, which trains them."""
 
-    Attributes:
-        view: Definition of the observations.
-        joints: Names of the joints.
-        joint_low, joint_high: Angles of actions -1 and 1 in rad, shape (J,).
-        trained_over: 5 % and 95 % quantile of each parameter of the robots of the training.
-        by_price: Effect of the price of energy on the actor, see ``rl.deploy.export.set_price``.
-    """
-
-    view: View
+    view: View  # definition of the observations
     joints: list[str]
-    joint_low: Array32
-    joint_high: Array32
-    trained_over: Mapping[str, Sequence[float]]
-    by_price: dict[str, Any]
+    joint_low: Array32  # angles of action -1 in rad, shape (J,)
+    joint_high: Array32  # of action 1
+    trained_over: Mapping[str, Sequence[float]]  # 5 % and 95 % quantile of each parameter
+    by_price: dict[str, Any]  # effect of the price, see ``rl.deploy.export.set_price``
 
     def save(self, path: Any, *_: Any, **__: Any) -> None:  # noqa: ANN401 - as the base class
         """Write ``policy.zip``, without pickled objects."""
@@ -114,13 +106,7 @@ def make_sac(
 
 
 def read_agent(path: str | os.PathLike[str]) -> SwimSAC:
-    """Read an SAC agent without replay memory, of this library or of Stable-Baselines3.
-
-    Its networks have the widths of the weights in the file.
-
-    Raises:
-        InputError: If it cannot be read, or weights or settings are not those of an agent.
-    """
+    """Read an SAC agent without replay memory, of this library or of Stable-Baselines3."""
     saved = read_policy_zip(path, "SAC")
     inputs, *actor, J = saved.widths("actor.latent_pi", "actor.mu")
     _, *critic, _ = saved.widths("critic.qf0")

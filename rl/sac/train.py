@@ -58,13 +58,7 @@ def train_run(
     threads: int = 1,
     **options: Any,  # noqa: ANN401
 ) -> list[Path]:
-    """Train one arm from files and JSON options, for any executor; the folders of the agents.
-
-    ``options`` are those of ``plan_of``; see ``Plan``, ``RECIPES`` and the command ``train``.
-
-    Raises:
-        InputError: If a file or an option is wrong.
-    """
+    """Train one arm from files and JSON ``options`` of ``plan_of``; the folders of the agents."""
     plan = plan_of(
         options, seeds=tuple(seeds), fidelity=fidelity, device=device, cell_m=cell_m,
         threads=threads,
@@ -88,13 +82,8 @@ def train(
 
     The folder gets ``run.json`` with ``note``, the provenance, ``checkpoint.npz`` and, for each
     agent, ``ARM-SEED/policy.zip`` and ``ARM-SEED/progress.csv``. ``first`` are policies to continue
-    from, assigned to the seeds of every arm in turn, without replay memories.
-
-    Returns:
-        Folders of the agents: all seeds of the first arm, then those of the next.
-
-    Raises:
-        InputError: If the folder has a run of another plan, or the first policies do not fit.
+    from, assigned to the seeds of every arm in turn, without replay memories. Returned are the
+    agents' folders: all seeds of the first arm, then those of the next.
     """
     names = agent_names(arms, plan.seeds)
     digests = [digest_of(arm.draws) for arm in arms]
@@ -156,11 +145,7 @@ def digest_of(draws: Draws) -> str:
 def check_run(
     folder: Path, content: dict[str, Any], note: dict[str, Any], same: Sequence[str] = ()
 ) -> None:
-    """Write ``run.json`` with content and provenance, or check that it is of the same run.
-
-    Raises:
-        InputError: If the content or an entry in ``same`` of the provenance is another.
-    """
+    """Write ``run.json`` with content and provenance, or check that it is of the same run."""
     path = folder / "run.json"
     if not path.exists():
         write_json(path, {**content, "provenance": note})

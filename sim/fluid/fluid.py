@@ -34,46 +34,26 @@ _LEAST_SLAB = 4096
 class Fluid:
     """Boxes of fluid of one shape, in lattice units; each may have its own viscosity.
 
-    Arrays of fields have the shape (E, nx, ny, nz), velocities one axis of 3 more; nz is 1 in two
-    dimensions. Boxes are periodic where no walls close them. ``wide`` is whether there are too many
-    populations for 32-bit indices.
+    Fields have the shape (E, nx, ny, nz), nz 1 in 2D, velocities one axis of 3 more. Boxes are
+    periodic without walls; ``wide``: too many populations for 32-bit indices.
     """
 
     def __init__(
         self,
         lattice: Lattice,
-        size: Sequence[int],
+        size: Sequence[int],  # (nx, ny) or (nx, ny, nz)
         *,
-        viscosity: float | NDArray[np.floating[Any]],
+        viscosity: float | NDArray[np.floating[Any]],  # kinematic, one or one for each box
         boxes: int = 1,
-        walls: NDArray[np.uint8] | None = None,
-        normals: Integers | None = None,
-        wall_velocity: Array32 | None = None,
-        magic: float = 3 / 16,
-        smagorinsky: float = 0.0,
+        walls: NDArray[np.uint8] | None = None,  # ``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``
+        normals: Integers | None = None,  # of free-slip cells, 0 to 5: +x, -x, +y, -y, +z, -z
+        wall_velocity: Array32 | None = None,  # of moving cells, shape (*size, 3)
+        magic: float = 3 / 16,  # puts a straight no-slip wall exactly half-way between cells
+        smagorinsky: float = 0.0,  # constant of the sub-grid viscosity
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
-        """Fill ``boxes`` boxes of ``size`` cells, walls included, with water at rest.
-
-        Args:
-            lattice: ``D2Q9`` or ``D3Q19``.
-            size: Cells of one box (nx, ny) or (nx, ny, nz).
-            viscosity: Kinematic viscosity, one or one for each box.
-            boxes: Number of boxes.
-            walls: Kind of each cell (``FLUID``, ``SOLID``, ``MOVING``, ``SLIP``), shape ``size``.
-            normals: For free-slip cells the direction out of the fluid: 0 to 5 for +x, -x, +y, -y,
-                +z, -z; shape ``size``.
-            wall_velocity: Velocity of moving cells, shape (*size, 3).
-            magic: Product of the two relaxation times, each minus a half; 3/16 puts a straight
-                no-slip wall exactly half-way between cells.
-            smagorinsky: Constant of the sub-grid viscosity; 0 for none.
-            device: Warp device.
-            threads: CPU threads; slabs of cells share the work.
-
-        Raises:
-            InputError: If there is no such device, a viscosity not above 0, or too many cells.
-        """
+        """Fill ``boxes`` boxes of ``size`` cells, walls included, with water at rest."""
         self.lattice, self.boxes, self.threads = lattice, boxes, max(1, threads)
         self.size = (int(size[0]), int(size[1]), int(size[2]) if len(size) > 2 else 1)
         self.device = find_device(device)
@@ -175,11 +155,7 @@ class Fluid:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, **more)
 
     def level(self) -> None:
-        """Make the mean density of each box 1 again.
-
-        The difference is taken alike from the populations at rest of all fluid cells, which changes
-        neither the momentum nor the differences of pressure.
-        """
+        """Make the mean density of each box 1 again, without a change of momentum."""
         columns = self.boxes, self.size[0] * self.size[1]
         self._launch(self.kernels.weigh, columns, [self.f, self.box, self._net])
         inputs = [self.f, self.box, self.fluid_cells, self._net]
@@ -235,11 +211,7 @@ def flatten(field: NDArray[Any]) -> NDArray[Any]:
 
 
 def find_device(name: str) -> Any:  # noqa: ANN401 - Warp has no stubs
-    """The Warp device of this name.
-
-    Raises:
-        InputError: If there is none.
-    """
+    """The Warp device of this name."""
     start_warp()
     try:
         return wp.get_device(name)
@@ -261,11 +233,7 @@ class Tank:
 def tank(
     box_m: tuple[float, float, float], cell_m: float, *, closed: bool = False, flat: bool = False
 ) -> Tank:
-    """A box whose bottom is the pool's floor (no slip) and whose top is the surface (free slip).
-
-    ``closed`` by the pool's four walls, else periodic. One layer of wall cells closes two opposite
-    sides.
-    """
+    """A box with a no-slip floor and a free-slip surface, ``closed`` by walls or periodic."""
     nx, ny, nz = (round(side / cell_m) + 1 for side in box_m)
     if not closed:
         nx, ny = (max(8, round(side / cell_m)) for side in box_m[:2])

@@ -44,11 +44,7 @@ def enlist(e: int, kind: int, cell: int, covered: Covered) -> int:
 
 @wp.func
 def listed_cell(e: int, kind: int, i: int, covered: Covered, box: Box):
-    """Listed cell ``i`` of a body, a ghost cell (``kind`` 0) or one next to it (1).
-
-    Returns its coordinates and number in the boxes, its slot, its link, its place relative to the
-    link's centre, and the body's velocity there.
-    """
+    """Ghost cell ``i`` of a body (``kind`` 0) or one next to it (1), and its place and motion."""
     cell = covered.listed[2 * e + kind, i]
     base = column_at(e, cell // covered.tall, covered, box)
     z = covered.low + cell % covered.tall

@@ -37,10 +37,7 @@ def taper(profile: wp.vec3, s: float) -> float:
 
 @wp.func
 def position_on(x: float, y: float, pose: wp.vec4, length: float) -> wp.vec2:
-    """Share of the way along a link's axis, 0 to 1, and distance from the axis.
-
-    ``pose`` is the front end and the cosine and sine of the heading.
-    """
+    """Share of the way along a link's axis and distance from it; ``pose``: front end, cos, sin."""
     dx = x - pose[0]
     dy = y - pose[1]
     back = wp.clamp(-(dx * pose[2] + dy * pose[3]), 0.0, length)

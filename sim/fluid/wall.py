@@ -39,11 +39,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Wall:
-    """Wall model of bodies.
-
-    Raises:
-        InputError: If there is no such line.
-    """
+    """Wall model of bodies."""
 
     # whether the water slips along the surface, by ghost cells, which exchange nothing along it.
     # Added mass is then right within 2 % for a spheroid of 8 cells of thickness, friction is 0.84

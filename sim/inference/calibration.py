@@ -107,10 +107,7 @@ def calibrate(
     *,
     held_out: float = HELD_OUT_SHARE,
 ) -> Calibrated:
-    """Fit the parameters ``free`` of a model to the first part of each swim in the twin.
-
-    The share ``held_out`` at the end of each swim is scored.
-    """
+    """Fit ``free`` parameters to swims in the twin; the last share ``held_out`` is scored."""
     parts = [swim.first(1 - held_out) for swim in swims]
     found = _fit(
         parts, model, free, lambda models, swim: simulator(models, swim.command, swim.start)
@@ -137,9 +134,6 @@ def calibrate_in_fluid(
 
     ``model`` is the model before, ``start`` that of the fit (``model`` where None), ``coarser`` the
     fluid in cells of twice the size; other arguments are those of ``calibrate_body``.
-
-    Raises:
-        InputError: If the fluid stops most of a batch, or the calibrated robot.
     """
     parts = [swim.first(1 - held_out) for swim in swims]
     water = water_parameters(robot, settings.cell_m)
@@ -270,11 +264,7 @@ def calibrate_body(
 ) -> Calibration:
     """Fit the body to swims in the twin and, with settings of the fluid, from there in the fluid.
 
-    ``model`` has the servos, and a body to start from; other arguments are those of
-    ``sim.verbs.calibrate``.
-
-    Raises:
-        InputError: If the fluid stops most of a batch, or the calibrated robot.
+    ``model`` has the servos, and a body to start from; the rest is as for ``sim.verbs.calibrate``.
     """
     free = twin_parameters(model, robot, gains=fit_gains)
     twin = calibrate(swims, model, free, by_twin(robot), held_out=held_out)
@@ -317,10 +307,7 @@ def calibration_section(calibration: Calibration) -> Section:
 
 
 def _tables(fit: Calibrated, where: str, robot: Robot) -> list[Block]:
-    """Parameters with intervals, and held-out errors before and after.
-
-    Where the noise of the recordings is known, the change of the error beyond it is shown as well.
-    """
+    """Parameters with intervals, and held-out errors before and after, also without known noise."""
     values = [
         (p.name, Quantity("value", "", float(best), (float(low), float(high))))
         for p, best, (low, high) in zip(fit.free, fit.best, fit.interval(), strict=True)

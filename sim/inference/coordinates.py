@@ -247,10 +247,7 @@ def _limits(
 def signals_at(
     coordinates: Coordinates, swim: Swim, points: Array, simulate: SwimSimulator
 ) -> Array:
-    """Signals of a swim at points (E, F), shape (E, T, 3 + J).
-
-    Points that differ only in camera effects and the current share a simulation.
-    """
+    """Signals of a swim at points (E, F), (E, T, 3 + J); camera and current need no simulation."""
     own = values(coordinates.model)
     shown = [k for k, c in enumerate(coordinates.columns) if c.shown]
     points = points + coordinates.seems

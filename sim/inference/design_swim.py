@@ -127,12 +127,8 @@ def design_swim(
     """The commands of a swim that leave the least expected entropy over the rival sets.
 
     ``drawn`` random swims are simulated in the twin with each set; the best are varied, in
-    ``rounds`` batches of 16. ``model`` is that of the diagnosis: servos, and the twin's law and
-    error.
-
-    Raises:
-        InputError: If fewer than two sets are probable, the robot is another one, the duration is
-            too short, or no swim that was tried keeps within the limits.
+    ``rounds`` batches of 16. ``model`` is that of the diagnosis. An InputError if fewer than two
+    sets are probable, or no swim keeps within the limits.
     """
     seconds, file = request.seconds, request.file
     if not request.leaves_open(rivals):
@@ -163,12 +159,8 @@ def design_swim(
 class SwimObjective:
     """Scores of the commands of a swim that begins in the middle of the pool, heading along x.
 
-    A share ``uniform`` of the probability is distributed evenly among the sets: the laws of the
-    effects are approximations, so that no probability of a set is certain. ``probability`` has the
-    result, shape (M,).
-
-    Raises:
-        InputError: If the robot lacks a coordinate of a set.
+    The share ``uniform`` of the probability (M,) is the same for all sets: the laws of the effects
+    are approximations.
     """
 
     def __init__(

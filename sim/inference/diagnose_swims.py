@@ -57,11 +57,8 @@ def diagnose_recorded_swims(
 ) -> Diagnosis:
     """Diagnose swims in the twin or, with a file ``in_water``, relative to the fluid.
 
-    The fluid's simulations are made where the file does not exist; on a GPU as ``device`` the fluid
-    simulates the swims again with the effects that the first search found.
-
-    Raises:
-        InputError: If the file holds the simulations of other swims.
+    Where the file does not exist it is made; on a GPU as ``device`` the fluid simulates the swims
+    again with the effects that the first search found.
     """
     swims, earlier = ([swim_of(one, robot) for one in some] for some in (recordings, references))
     law_error, again = LAW_ERROR, None

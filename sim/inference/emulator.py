@@ -38,13 +38,8 @@ def emulator(
 ) -> SwimSimulator:
     """A simulator of these swims near a model; parameters that are not varied have no influence.
 
-    The parameters ``free`` are varied about the model in ``count`` rollouts of each swim, of which
-    the first is of the model itself and stopped ones are excluded. ``ridge`` is the penalty of the
-    slopes, against a weight of one per rollout.
-
-    Raises:
-        InputError: If there are too few rollouts to regress on all parameters, or most of a batch
-            were stopped.
+    Those that are ``free`` are varied in ``count`` rollouts of each swim, of which the first is of
+    the model itself. ``ridge`` is the penalty of the slopes, against a weight of one per rollout.
     """
     if count < len(free) + 2:
         expected = f"at least {len(free) + 2}, for {len(free)} parameters"

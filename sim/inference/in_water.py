@@ -93,10 +93,7 @@ def simulate_in_water(
     variants: Mapping[str, Mapping[str, Any]] = VARIANTS,
     threads: int = 1,
 ) -> InWater:
-    """Simulate commands of swims from their first poses in one batch; one model, or one for each.
-
-    Speed in a box of cells depends on the heading by some percent.
-    """
+    """Simulate commands of swims from their first poses in one batch; a model for all or each."""
     longest = max(len(swim.command) for swim in swims)
     padded = [np.pad(s.command, ((0, longest - len(s.command)), (0, 0)), "edge") for s in swims]
     waters = []
@@ -132,10 +129,7 @@ def simulate_again(
     robot: Robot, models: Sequence[Model], swims: Sequence[Swim], water: InWater,
     **options: Any,  # noqa: ANN401
 ) -> InWater:  # fmt: skip
-    """Simulate swims again, with the effects that were found in each (``with_fluid_effects``).
-
-    The differences between variants are those of ``water``; options as of ``simulate_in_water``.
-    """
+    """Simulate swims with the effects found in each; variants differ as those of ``water``."""
     again = simulate_in_water(robot, models, swims, variants={}, **options).steps
     steps = {k: np.concatenate([first[:1], water.steps[k][1:]]) for k, first in again.items()}
     return replace(water, steps=steps)
@@ -149,10 +143,7 @@ def resimulated(
     fitted: Model,
     **options: Any,  # noqa: ANN401
 ) -> tuple[SwimSimulator, Model] | None:
-    """The simulator corrected by simulations with the effects of a fitted model, and their model.
-
-    None where no effect can be simulated. ``model`` is that from ``InWater.of``.
-    """
+    """The simulator corrected by simulations with a fitted model's effects, or None."""
     with_effects = with_fluid_effects(model, fitted)
     if not values(with_effects):
         return None
@@ -185,10 +176,7 @@ def _displacements(velocities: Array) -> Array:
 
 
 def by_twin_in_water(robot: Robot, model: Model, water: InWater, **options: Any) -> SwimSimulator:  # noqa: ANN401
-    """The twin (with ``options``), corrected by simulations in the fluid of a model.
-
-    The law of the model, ``body.twin``, is that fitted to these simulations.
-    """
+    """The twin, corrected by simulations of a model in the fluid, to which its law was fitted."""
     twin = by_followed_twin(robot, **options)
     of_twin: dict[bytes, Array] = {}
 
@@ -227,11 +215,7 @@ def robot_in_water(
 
 
 def water_of(path: Path, robot: Robot, model: Model, swims: Sequence[Swim], device: str) -> InWater:
-    """The fluid's simulations of these swims in a file, made where there is none.
-
-    Raises:
-        InputError: If the file holds the simulations of other swims.
-    """
+    """The fluid's simulations of these swims in a file, made where there is none."""
     if not path.exists():
         check_writable(path)
         print(f"the fluid simulates {len(swims)} swims with {1 + len(VARIANTS)} sets of settings")
@@ -260,11 +244,7 @@ def write_water(path: Path, water: InWater) -> None:
 
 
 def read_water_swims(*paths: Path) -> InWater:
-    """Read files by ``write_water``: all their simulations, with the law of the first.
-
-    Raises:
-        InputError: If a file has another content.
-    """
+    """Read files by ``write_water``: all their simulations, with the law of the first."""
     parts: list[InWater] = []
     steps: dict[bytes, Array] = {}
     for path in paths:

@@ -55,10 +55,7 @@ def _filter_weight(lag_s: float, period_s: float) -> float:
 
 
 def pose_noise(poses: Array, period_s: float) -> PoseNoise | None:
-    """Noise of poses (T, 3) recorded at regular intervals; None where they are too few.
-
-    Third differences remove slow motion, so that it does not leak into high frequencies.
-    """
+    """Noise of poses (T, 3) at regular intervals, by third differences; None if they are few."""
     third = np.diff(poses, 3, axis=0)
     window = np.hanning(len(third))[:, None]
     hertz = np.fft.rfftfreq(len(third), period_s)

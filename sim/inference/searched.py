@@ -166,10 +166,7 @@ def learned(
     simulate: SwimSimulator,
     law_error: LawError = LAW_ERROR,
 ) -> SwimPrior:
-    """Prior of a robot's swims, from reference swims in which nothing is missing.
-
-    Without these it is the prior of all robots, with a larger error of the twin.
-    """
+    """A robot's prior, from reference swims in which nothing is missing, or that of all robots."""
     coordinates = Coordinates.of(robot, model)
     usual = law_error.prior(coordinates)
     if not references:
@@ -187,10 +184,9 @@ def learned(
 
 
 def _common(problem: SwimProblem, fit: Fit, usual: SwimPrior) -> tuple[Array, Array, float]:
-    """Parameters common to the swims of a robot (F,), their covariance, and the scale of the rest.
+    """Parameters common to a robot's swims (F,), covariance, and likeliest scale of the rest.
 
-    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963). The scale, relative
-    to the usual one, is the likeliest of ``_SCALES``.
+    A linear mixed model about a fit (Laird and Ware, Biometrics 38 (1982) 963).
     """
     variance = np.square(usual.imitation)
     common = usual.covariance - np.diag(variance)
@@ -243,9 +239,8 @@ def searched(
 ) -> Searched:
     """Try sets of effects on swims of one robot, with a prior from ``learned``.
 
-    The twin predicts a strong effect with an error in proportion to the change that it makes. Where
-    the fluid was simulated and the best set changes much, a second search counts this error as
-    noise; effects of ``simulated``, the model that the fluid simulated, have no such error.
+    The twin predicts a strong effect with an error in proportion to its change; a second search
+    counts it as noise, except for effects of ``simulated``, the model that the fluid simulated.
     """
     problem = SwimSearch(Coordinates.of(robot, model), swims, simulate, prior)
     order, best = _search(problem, lambda share: progress(0.5 * share))
@@ -308,10 +303,7 @@ def _evidence(hypothesis: Hypothesis[Fit]) -> float:
 
 
 def changed(problem: SwimProblem, x: Array, simulated: Model | None = None) -> list[Array]:
-    """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J).
-
-    Without camera effects and the current, which are exact, and what ``simulated`` has of them.
-    """
+    """Change of each swim's signals by the effects at a point (F,), in the twin, (T, 3 + J)."""
     c = problem.coordinates
     full = c.model_at(x)
     shown = {column.name for column in c.columns if column.shown}

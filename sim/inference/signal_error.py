@@ -92,10 +92,7 @@ class Blocks:
         )
 
     def weights(self, shares: Array) -> Array:
-        """Reciprocal standard deviations (T, K), with the twin's error by signal and band, (4, 3).
-
-        The last row of ``shares`` is that of joints.
-        """
+        """Reciprocal sd (T, K), with the twin's error by signal (joints last) and band (4, 3)."""
         rows = np.minimum(np.arange(self.noise.shape[1]), 3)
         share = shares[rows][:, self.band].T
         return np.asarray(1 / np.sqrt(self.noise + share**2 * self.power + 1e-12))
@@ -151,10 +148,7 @@ def shapes(signals: Array) -> dict[str, Array]:
 
 
 def of_changes(joints: int, ratio: Array) -> dict[str, float]:
-    """Standard deviations of the shapes due to an error in the changes that effects make, by name.
-
-    ``ratio`` is the size of the changes relative to each signal, shape (3 + J,).
-    """
+    """Sd of the shapes by name, for changes of size ``ratio`` (3 + J,) relative to the signals."""
     return {
         name: (LATE_S if kind == "late" else SHARE) * float(ratio[k])
         for name, k, kind in _listed(joints)

@@ -106,11 +106,7 @@ class _Sets:
         return wide if self.likelihood(wide) >= target else group
 
     def predicting(self, likely: Mapping[Name, float]) -> Names:
-        """The subset of likely effects of which each increases the held-out likelihood.
-
-        Each must also decrease the held-out error of the speed, unless it is nearly certain: an
-        effect that bends the path or delays the camera changes the speed little.
-        """
+        """Likely effects that each increase the held-out likelihood, unsure ones the speed's."""
         members, numbers = frozenset(likely), self.numbers
         while members in self.held_out and members:
             speed = self.held_out[members][1]

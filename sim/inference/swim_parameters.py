@@ -47,11 +47,7 @@ def law_parameters(
 
 
 def servo_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[Parameter]:
-    """Latencies of all joints, and their gains if asked.
-
-    Gains are determined better on a bench than in a swim, where the added mass conceals them; the
-    latency can differ, e.g. with a radio link.
-    """
+    """Latencies of all joints, which a radio link changes, and their gains if asked."""
     out = []
     for joint in robot.joints:
         servo = model.joints[joint.name]
@@ -71,10 +67,7 @@ def twin_parameters(model: Model, robot: Robot, *, gains: bool = False) -> list[
 
 
 def appendage_parameters(robot: Robot) -> list[Parameter]:
-    """The error of the drag areas of the appendages in the robot file; none without appendages.
-
-    Its prior has the standard deviation of the drag coefficients.
-    """
+    """The error of the drag areas of the appendages in the robot file; none without appendages."""
     if not robot.appendages:
         return []
     (ratio,) = effect_parameters(AREAS)

@@ -124,10 +124,7 @@ class SwimProblem:
     def slope(
         self, x: Array, nearby: Slope | None = None, members: Members = frozenset()
     ) -> tuple[Array, Slope]:
-        """Weighted errors at a point, and their derivatives with respect to all columns.
-
-        With a slope from nearby, only columns that a fit with these members varies are recomputed.
-        """
+        """Weighted errors at a point, and derivatives, recomputed only where these members vary."""
         points, base = self.coordinates.about(x)
         moved = np.ones(x.size, dtype=bool) if nearby is None else self.coordinates.in_fit(members)
         fresh = np.flatnonzero(moved)
@@ -197,10 +194,7 @@ class SwimProblem:
         return loss, slope.T @ errors + prior @ deviation, normal + prior
 
     def _expanded(self, members: Members, fit: Fit) -> tuple[float, Array, Array]:
-        """The same, minimised over the columns of the simulator's error.
-
-        So a fit does not adapt to this error. Columns that the fit does not vary stay at 0.
-        """
+        """The same, minimised over the simulator's error, to which a fit thus does not adapt."""
         loss, gradient, curvature = self._whole(members, fit)
         error = self.is_error
         coupling = curvature[error]

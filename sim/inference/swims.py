@@ -102,11 +102,7 @@ SwimSimulator = Callable[[Sequence[Model], Swim], Array]
 
 
 def swim_of(recording: Recording, robot: Robot) -> Swim:
-    """A recording, resampled to the control period where its sampling is irregular.
-
-    Raises:
-        InputError: If it is no pool recording of this robot, has no poses or no commands.
-    """
+    """A recording, resampled to the control period where its sampling is irregular."""
     _check(recording, robot)
     t = np.arange(recording.t[0], recording.t[-1] + CONTROL_S / 2, CONTROL_S)
     row = np.searchsorted(recording.t, t + 1e-6, side="right") - 1
@@ -175,10 +171,7 @@ def _noise_sd(signals: Array) -> Array:
 
 
 def simulated(swim: Swim, models: Sequence[Model], simulator: Simulator) -> Array:
-    """Simulated signals of a swim, with the camera effects of the models, shape (E, T, 3 + J).
-
-    Signals of a robot that was stopped are NaN.
-    """
+    """Signals of a swim for models with camera effects, (E, T, 3 + J), NaN after a stop."""
     track = simulator(models, swim.command, swim.start)
     return seen(swim.t, track, [values(model) for model in models])
 
@@ -290,11 +283,7 @@ def path_of(steps: Array, start: Array, joint: Array) -> Array:
 
 
 def with_values(model: Model, parameters: Mapping[str, float]) -> Model:
-    """The model with parameters by name.
-
-    ``j1.kp_Nm_per_rad`` belongs to a joint, ``twin.along`` to the twin's law,
-    ``water.viscosity_m2_s`` to the fluid, anything else to the body's or the camera's effects.
-    """
+    """The model with values by name of joints (``j1.kp_Nm_per_rad``), twin, water and effects."""
     joints, body = dict(model.joints), dict(model.body)
     law = dict(vars(Coefficients.of(body)))
     effects = values(model)

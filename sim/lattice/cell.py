@@ -91,10 +91,7 @@ def within(x: int, size: int) -> int:
 
 @wp.func
 def column_at(e: int, column: int, covered: Covered, box: Box) -> wp.vec3i:
-    """Coordinates in the plane of a column of a body's square, and its lowest cell.
-
-    That is -1 outside the square's extent.
-    """
+    """Coordinates in the plane of a column of a body's square, and its lowest cell, -1 outside."""
     corner = covered.corner[e]
     dx = column % covered.side
     dy = column // covered.side

@@ -79,11 +79,7 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         drive: wp.array(dtype=wp.vec3),
         covered: Covered,
     ):
-        """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant.
-
-        Ghost cells have a kernel of their own (``ghost_coupling``): here they would cost a third
-        more registers in every cell.
-        """
+        """Collide and stream cell ``first`` + thread; ``square``: of Smagorinsky's constant."""
         n = first + wp.tid()
         flag = int(box.flags[n])
         if (flag & wp.static(KIND | GHOST)) != wp.static(FLUID):
@@ -143,11 +139,7 @@ def kernels(lattice: Lattice, wide: bool, cuda: bool) -> Any:  # noqa: ANN401 - 
         velocity: wp.array(dtype=wp.vec3),
         strain: wp.array2d(dtype=wp.float32),
     ):
-        """Set the populations that arrive at each cell: equilibrium plus that of the strain rate.
-
-        ``strain`` holds the rates of strain xx, yy, zz, xy, yz, zx, or nothing. Source: Kruger et
-        al. (2017), eq. 5.41.
-        """
+        """Set arriving populations: equilibrium and strain's (Kruger et al. (2017), eq. 5.41)."""
         n = wp.tid()
         flag = int(box.flags[n])
         u = velocity[n]

@@ -50,11 +50,7 @@ def inset_at(viscosity: float) -> float:
 
 
 class Bodies:
-    """One chain of links in each box of a fluid.
-
-    ``displaced`` are mass, centre and inertia of the water that each link displaces, shape (L, 3),
-    ``middle`` is the height of the robots' middle in cells.
-    """
+    """One chain of links in each box; ``displaced``: mass, centre, inertia of the water, (L, 3)."""
 
     def __init__(
         self,
@@ -63,33 +59,17 @@ class Bodies:
         masses: Masses,
         units: Units,
         *,
-        servos: Array | None = None,
-        limits: Array | None = None,
-        origin_m: tuple[float, float] = (0.0, 0.0),
-        middle: float | None = None,
+        servos: Array | None = None,  # rows of ``COLUMNS``, (E, J, P) or (J, P); None: slack joints
+        limits: Array | None = None,  # of joints in rad, shape (J, 2)
+        origin_m: tuple[float, float] = (0.0, 0.0),  # world coordinates of the cell (0, 0)
+        middle: float | None = None,  # the robot's height in cells, which may stick out of the box
         wall: Wall = NO_SLIP,
-        inset: float = INSET,
+        inset: float = INSET,  # of the surface in cells, without slip
+        # share of the displaced water on both sides of the equations, without slip
         virtual_mass: float = VIRTUAL_MASS,
         outside: Outside = OFF,
     ) -> None:
-        """Put robots into a fluid, straight, at the origin, heading along x.
-
-        Args:
-            fluid: The boxes.
-            hull: The links' shape.
-            masses: Masses of the links.
-            units: Size of a cell and of a step.
-            servos: Rows of ``sim2real.servo.parameters.COLUMNS``, shape (E, J, P) or (J, P); slack
-                joints where None.
-            limits: Smallest and largest angle of each joint in rad, shape (J, 2).
-            origin_m: World coordinates of the cell (0, 0).
-            middle: Height of the robot's middle in cells; that of the box where None. Parts above
-                the box's top are out of the water.
-            wall: Wall model of the robots.
-            inset: Distance in cells by which the surface is moved inwards, without slip.
-            virtual_mass: Share of the displaced water on both sides of the equations, without slip.
-            outside: Effects of the robots' bodies.
-        """
+        """Put robots into a fluid, straight, at the origin, heading along x."""
         self.fluid, self.hull, self.units = fluid, hull, units
         E, L = fluid.boxes, hull.length.size
         J, flat, cell = L - 1, fluid.lattice.dimensions == 2, units.cell_m
@@ -175,10 +155,7 @@ class Bodies:
         change_rows(self.chain, self._rows(masses, servos, outside), which)
 
     def place(self, q: Array, v: Array | None = None, mask: Mask | None = None) -> None:
-        """Set coordinates and their velocities, shape (E, N), only where ``mask`` is true.
-
-        Coordinates are x and y of the head's centre of mass, its heading and the joint angles.
-        """
+        """Set the head's x, y and heading, joint angles, and velocities, (E, N), by ``mask``."""
         E, N = self.motion.q.shape
         chosen = np.ones(E, dtype=bool) if mask is None else mask
         for array, values in (
@@ -233,11 +210,7 @@ class Bodies:
         self.chain.push.assign(np.ascontiguousarray(np.broadcast_to(force, shape), np.float64))
 
     def momentum(self) -> Array:
-        """Momentum of the links, shape (E, 3): along x and y, and about the world's origin.
-
-        Without that of the water inside them, which is the fluid's; without slip with the virtual
-        mass.
-        """
+        """Momentum (E, 3) along x, y and about the origin, without the water inside the links."""
         m, w = self.chain.mass.numpy(), self.chain.water.numpy()
         V, before, at = (
             x.numpy() for x in (self.motion.twist, self.motion.before, self.motion.link)

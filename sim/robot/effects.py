@@ -51,13 +51,7 @@ class Outside:
 def outside(
     robot: Robot, models: Sequence[Model], hull: Hull, surface_m: float = np.inf
 ) -> Outside:
-    """The arrays for robots with these models: the sums of their effects, and their appendages.
-
-    ``surface_m`` is the height of the water's surface above the hull's middle.
-
-    Raises:
-        InputError: If a model's effect does not exist.
-    """
+    """Sums of the models' effects, and the appendages; ``surface_m`` is above the hull's middle."""
     forces = [_forces(robot, model, hull) for model in models]
     points = points_of(robot, hull, surface_m)
     stacked = {
@@ -105,10 +99,7 @@ def _named(parameters: Mapping[str, float], effect: BodyEffect, prefix: str) -> 
 
 
 def surface_drag(outside: Outside, hull: Hull) -> Array:
-    """Drag of the added friction along each link in N s2/m2, shape (E, L).
-
-    For simulations that do not resolve the slip velocity: rho / 2 times the skin's area.
-    """
+    """Drag rho / 2 x area of the added friction along each link in N s2/m2, shape (E, L)."""
     around = np.pi * (hull.half_width + hull.half_height).mean(axis=1)
     return np.asarray(0.5 * WATER_KG_M3 * around * hull.length * outside.rough)
 
@@ -143,10 +134,7 @@ def points_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
 
 
 def added_mass_of(robot: Robot, hull: Hull, surface_m: float) -> Array:
-    """Added mass of the appendages of each link, shape (L, 3, 3), at the start of its axis.
-
-    From velocity along the link, across it and of its heading, to momentum and angular momentum.
-    """
+    """Added mass of the appendages of each link at the start of its axis, shape (L, 3, 3)."""
     out = np.zeros((len(robot.links), 3, 3))
     for k, link in enumerate(robot.links):
         front = hull.half_width[0, 0] if k == 0 else 0.0

@@ -320,11 +320,7 @@ def measure(e: int, h: wp.float64, chain: Chain, s: Motion) -> int:
 
 @wp.kernel(enable_backward=False)
 def move(chain: Chain, s: Motion, grid: OnGrid, mode: int, stopped: wp.array(dtype=wp.int32)):
-    """Advance the coordinates by one step, after the step of the fluid.
-
-    Rotating links move their centre off the line of its velocity by the square of the step, always
-    to the same side, which alone would move the robot: the head is shifted back.
-    """
+    """Advance the coordinates by one step, after that of the fluid; the head is shifted back."""
     e = wp.tid()
     if stopped[e] >= 0:
         return

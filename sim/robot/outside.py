@@ -11,11 +11,7 @@ from sim.robot.chain import Chain, Motion
 
 @wp.func
 def resist(e: int, k: int, h: wp.float64, chain: Chain, s: Motion) -> wp.mat33d:
-    """Implicit impulse of drag and added mass by the velocity of link k.
-
-    Drag along the link's axis is linear plus quadratic in the speed, across it linear. The added
-    mass acts across the axis, the added inertia on rotation.
-    """
+    """Implicit impulse of drag, along also quadratic, and added mass by the velocity of link k."""
     p = chain.resist[e, k]
     heading = s.link[e, k][2]
     c = wp.cos(heading)

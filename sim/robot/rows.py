@@ -33,10 +33,7 @@ class Masses:
 
 
 def chain_rows(masses: Masses, servos: Array, outside: Outside) -> Rows:
-    """Rows of ``Chain`` that are the same in the fluid and the twin.
-
-    ``servos`` are rows of the servo law's parameters, shape (E, J, P).
-    """
+    """Rows of ``Chain`` that are the same in the fluid and the twin; ``servos`` is (E, J, P)."""
     E, J, columns = servos.shape
     L = J + 1
     com = np.broadcast_to(masses.com + outside.com, (E, L))
@@ -101,11 +98,7 @@ def masses(robot: Robot, models: Sequence[Model], hull: Hull) -> Masses:
 
 
 def servo_rows(robot: Robot, models: Sequence[Model]) -> Array:
-    """Rows of the servo law's parameters, shape (E, J, P).
-
-    Raises:
-        InputError: If a model lacks a joint, or has its gains only per unit of inertia.
-    """
+    """Rows of the servo law's parameters, shape (E, J, P), of models with all joints' gains."""
     rows = []
     for model in models:
         for joint in robot.joints:

@@ -51,11 +51,7 @@ def between(ends: Array, s: Array) -> Array:
 
 
 def hull_of(robot: Robot) -> Hull:
-    """The hull of a robot whose links have a length, a width and a height.
-
-    A joint is as wide as the narrower of its links. The head widens from the nose; the last link
-    narrows to its tip. The links' lengths include nose and tip.
-    """
+    """The hull of links with length, width and height; joints are as wide as the narrower link."""
     width = np.array([link.width_m for link in robot.links]) / 2
     height = np.array([link.height_m for link in robot.links]) / 2
     length = np.array([link.length_m for link in robot.links])
@@ -75,11 +71,7 @@ def _profile(size: Array, nose: float, tip: float) -> Array:
 
 
 def draught(hull: Hull, mass_kg: float, appendages: tuple[Appendage, ...] = ()) -> float | None:
-    """Height in m of the surface above the middle of the floating robot; None where it sinks.
-
-    A floating robot displaces its own mass of water, with hull and appendages: Archimedes'
-    principle.
-    """
+    """Height in m of the water above the floating robot's middle (Archimedes); None: it sinks."""
     step = hull.extent / 60
 
     def excess_mass(surface: float) -> float:

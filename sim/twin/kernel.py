@@ -224,11 +224,7 @@ def swim_twin(
     friction: Reals2,
     track: Reals3,
 ):
-    """Simulate control periods of robot e with the commands of signal ``which``.
-
-    x, y, heading and the measured angles at the end of each period are written to ``track``, as far
-    as it has rows.
-    """
+    """Simulate periods of robot e; ``track`` gets x, y, heading and measured angles of each."""
     _ = wp.static(SIGNATURE)
     e = first + wp.tid()
     J = s.newest.shape[1]

@@ -24,10 +24,7 @@ POINTS = 3
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Coefficients of the force law; without unit where none is given, relative where so described.
-
-    The first five are those of the first version; the others have no effect at their defaults.
-    """
+    """Coefficients of the force law; the first five are those of the first version."""
 
     # drag coefficient of a link that moves across its axis, for the wetted height. It is larger in
     # oscillating than in steady flow: 4 to 8 for amplitudes of a few heights or less (Keulegan and
@@ -61,11 +58,7 @@ class Coefficients:
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> Coefficients:
-        """The coefficients of a model's body; those that it lacks are taken from ``FITTED``.
-
-        A body with exactly the first five is of the first version; the others then keep their
-        defaults.
-        """
+        """A body's coefficients; missing ones are ``FITTED``, of a first version the defaults."""
         named = {k: float(v) for k, v in body.get("twin", {}).items()}
         known = [field.name for field in fields(cls)]
         for name in named:

@@ -55,10 +55,7 @@ def grid_lines(x: Array, y: Array) -> Array:
 
 
 def add_line(share: Array, ends: Array, width: float, x: Array, y: Array) -> None:
-    """Add a line between ``ends`` (2, 2) in m, ``width`` pixels wide, to a share (height, width).
-
-    Overlapping lines do not add up.
-    """
+    """Add a line between ``ends`` (2, 2) in m, ``width`` pixels wide, to shares (height, width)."""
     pixel = x[1] - x[0]
     window = _window(ends, (width + 2) * pixel, x, y)
     X, Y = x[window[1]], y[window[0]][:, None]

@@ -29,11 +29,7 @@ class Plane:
 
 
 def plane_of(swimmer: Swimmer, environment: int = 0) -> Plane:
-    """The plane of one robot; a box that moves with it is unwrapped, with the robot in its middle.
-
-    Raises:
-        IndexError: If there is no such environment.
-    """
+    """The plane of one robot; a box that moves with it is unwrapped, the robot in the middle."""
     bodies, tank, e = swimmer.bodies, swimmer.tank, range(swimmer.n_envs)[environment]
     cell, (nx, ny, nz) = swimmer.units.cell_m, tank.size
     velocity = swimmer.fluid.moments()[1][e, :, :, min(int(bodies.middle), nz - 1)]
@@ -73,10 +69,7 @@ def front_ends(chain: Chain, motion: Motion, drift: Array, environment: int) -> 
 
 
 def depth(hull: Hull, links: Array, x: Array, y: Array) -> Array:
-    """Signed distance in m of points (x, y) from the outline, negative inside.
-
-    ``links`` are front end and heading of each link, shape (L, 3).
-    """
+    """Signed distance in m of (x, y) from links, front end and heading, (L, 3); negative inside."""
     distance = np.full(np.broadcast(x, y).shape, np.inf)
     for (front_x, front_y, heading), length, half_width in zip(
         links, hull.length, hull.half_width, strict=True

@@ -18,13 +18,7 @@ from sim2real.output import check_writable, write_whole
 
 
 def picture(swimmer: Swimmer, *, width: int = 1280) -> Picture:
-    """The water in the plane of the first robot's middle, and the robot, with a world grid.
-
-    ``width`` is in pixels; the height is even and follows from the box.
-
-    Raises:
-        InputError: If Pillow is not installed.
-    """
+    """The water in the plane of the first robot's middle, and the robot, ``width`` pixels wide."""
     library("PIL", "pictures")
     plane = plane_of(swimmer)
     pixels = width / plane.size[0]
@@ -37,11 +31,7 @@ def picture(swimmer: Swimmer, *, width: int = 1280) -> Picture:
 
 
 def check_picture(path: str | os.PathLike[str]) -> Path:
-    """Check before the simulation that a picture can be made and written to ``path``.
-
-    Raises:
-        InputError: If it does not end in .png, Pillow is missing, or the folder can't be written.
-    """
+    """Check before the simulation that a picture can be made and written to ``path``."""
     if Path(path).suffix.lower() != ".png":
         raise InputError(path, "", repr(Path(path).suffix), "a name that ends in .png")
     library("PIL", "pictures")
@@ -49,11 +39,7 @@ def check_picture(path: str | os.PathLike[str]) -> Path:
 
 
 def save_picture(image: Picture, path: str | os.PathLike[str]) -> Path:
-    """Write a picture as PNG, whole or not at all.
-
-    Raises:
-        InputError: If the folder can't be made or written.
-    """
+    """Write a picture as PNG, whole or not at all."""
     from PIL import Image as Pillow
 
     stream = io.BytesIO()

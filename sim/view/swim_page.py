@@ -64,10 +64,7 @@ def swim_panels(
 def swims_section(
     diagnosis: Diagnosis, swims: Sequence[Swim], simulate: SwimSimulator | None, robot: Robot
 ) -> Section:
-    """The verdict, the effects with their probabilities, the rivals, and the errors.
-
-    The first few swims are plotted if the models differ, but where the simulator is None.
-    """
+    """Verdict, effects with probabilities, rivals, errors, and plots of the first few swims."""
     good = diagnosis.verdict in ("consistent", "explained")
     blocks: list[Block] = [Note("good" if good else "info", _SENTENCES[diagnosis.verdict])]
     least = LAW_ERROR.decisions["likely"]
@@ -120,10 +117,7 @@ def swims_scene(
     simulate: SwimSimulator | None,
     robot: Robot,
 ) -> Scene:
-    """The recordings, and the swims of the plain and of the enriched model from the same start.
-
-    ``swims`` are the recordings prepared for the simulator; without one, only these are shown.
-    """
+    """The recordings, and simulated swims of the plain and the enriched model from their start."""
     scene = sum((recorded(recording, robot) for recording in recordings), start=Scene())
     if simulate is None or diagnosis.baseline is None:
         return scene

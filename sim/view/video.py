@@ -26,11 +26,7 @@ _FORMATS: dict[str, tuple[str, str, dict[str, str], int]] = {
 
 
 def check_video(path: str | os.PathLike[str]) -> Path:
-    """Check before the simulation that a video can be made and written to ``path``.
-
-    Raises:
-        InputError: If its suffix is unknown, a library is missing, or the folder can't be written.
-    """
+    """Check before the simulation that a video can be made and written to ``path``."""
     if Path(path).suffix.lower() not in _FORMATS:
         raise InputError(
             path, "", repr(Path(path).suffix), f"a name that ends in {' or '.join(_FORMATS)}"
@@ -41,18 +37,10 @@ def check_video(path: str | os.PathLike[str]) -> Path:
 
 
 class Video:
-    """An MP4 (H.264), AVI (MPEG-4) or GIF, open inside a ``with`` block.
-
-    The file is created when the block ends; an error inside it leaves no file. ``frames`` is the
-    number of frames written, ``width`` the width in pixels for this format.
-    """
+    """An MP4 (H.264), AVI (MPEG-4) or GIF; made when the ``with`` block ends without an error."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open the file, whose suffix sets the format.
-
-        Raises:
-            InputError: As ``check_video``.
-        """
+        """Open the file, whose suffix sets the format."""
         self.path, self.frames = check_video(path), 0
         import av
 

@@ -29,11 +29,7 @@ FILES = ("robot.toml", "steps.csv", "steps.json", "model.json", "index.html")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Scan, record steps, identify, and write a page.
-
-    Returns:
-        0 if all of it is done, 1 if the recording stopped early; then nothing is identified.
-    """
+    """Scan, record steps, identify, and write a page; 1 if the recording stopped early, else 0."""
     ids = numbers("--ids", options.ids, int, "numbers, as 1,2,3")
     check_ids(ids, bus_class(options.bus).protocol.largest_id)
     _check(options)

@@ -37,11 +37,7 @@ _WITH_MODELS = {
 
 
 def scan(options: argparse.Namespace) -> int:
-    """Print a table of the servos that answer.
-
-    Returns:
-        0 if one did, 1 if none.
-    """
+    """Print a table of the servos that answer; 0 if one did, 1 if none."""
     kind = bus_class(options.bus)
     ids = _ids(options.ids, kind.protocol.largest_id)
     network = "://" in options.port

@@ -209,10 +209,7 @@ def numbers(
     count: int | None = None,
     positive: bool = False,
 ) -> list[N]:
-    """Finite numbers, commas between, of type ``kind``; InputError unless as ``expected``.
-
-    There must be ``count`` of them, or any number if that is None, all above 0 if ``positive``.
-    """
+    """Finite numbers of type ``kind``, commas between, ``count`` or any of them, or InputError."""
     try:
         found = [kind(part) for part in text.split(",")]
     except ValueError:

@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 
 
 def export_servo(options: argparse.Namespace) -> int:
-    """Write the model's actuators for another simulator; print what it does not express.
-
-    Joints with effects that it lacks are refitted without them; the errors are printed.
-    """
+    """Write the model's actuators for another simulator, refitted without effects that it lacks."""
     check_writable(options.out)
     model = read_model(options.model)
     robot = read_robot(options.robot) if options.robot else None

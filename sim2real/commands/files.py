@@ -24,10 +24,7 @@ _VIEWS = {"rerun": (".rrd", "rerun"), "mcap": (".mcap", "mcap.writer")}
 
 
 def check_files(options: argparse.Namespace, files: Results) -> None:
-    """Declare all files that a command reads, none endless, and check that it writes none of them.
-
-    A recording or table ``NAME.csv`` is read and written with its ``NAME.json``.
-    """
+    """Declare all files that a command reads, none endless; it must write none of them."""
     writes = [name for name in WRITTEN if name not in _READ.get(options.command, ())]
     for name, value in vars(options).items():
         if name not in writes:

@@ -28,11 +28,7 @@ HOTTEST_POSSIBLE_C = 85.0  # where the servos switch off by themselves
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play a signal on the servos of a bus and write the recording row by row.
-
-    Returns:
-        0 if all of it was recorded, 1 if it was stopped early; earlier rows are kept.
-    """
+    """Play a signal on the servos of a bus and write rows; 1 if it was stopped early, else 0."""
     robot = read_robot(options.robot)
     joints = _joints(robot, options.joints)
     signal = _signal(options, joints)

@@ -17,11 +17,7 @@ Run = Callable[[argparse.Namespace], int]
 
 
 class Lenient:
-    """A text stream whose first failure is kept as ``error``; all later text is dropped.
-
-    Characters that the encoding lacks are written as escapes. ``stream`` is None if it was closed
-    before the program started.
-    """
+    """A text stream, or None, whose first failure is kept as ``error``; later text is dropped."""
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
@@ -69,10 +65,7 @@ class Lenient:
 
 
 def occupy_standard_descriptors() -> None:
-    """Open the null device for each of the descriptors 0 to 2 that is closed.
-
-    Otherwise a result file could get the number 1, and what a library prints would end in it.
-    """
+    """Open the null device for descriptors 0 to 2 that are closed, so that no result gets them."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -81,11 +74,7 @@ def occupy_standard_descriptors() -> None:
 
 
 def run_as_json(run: Run, options: argparse.Namespace) -> int:
-    """Run a command; print its output to standard error, its result to standard output.
-
-    The result is ``options.result`` if set, else the JSON file that the command wrote, else the
-    name of the file.
-    """
+    """Run a command; print its output to standard error, its result (or its file) to output."""
     with contextlib.redirect_stdout(sys.stderr):
         status = run(options)
     result, out = options.result, getattr(options, "out", None)

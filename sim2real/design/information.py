@@ -38,11 +38,7 @@ GAINS = BASE[:3]
 
 @dataclass(frozen=True)
 class AngleError:
-    """Errors of the measured angle about the model.
-
-    A set-point that is late by a share of the period counts as lost with the square of that share:
-    1 ms of 20 ms, by default.
-    """
+    """Errors of the measured angle about the model; late set-points count as lost by the square."""
 
     white_rad: float  # standard deviation of independent errors, quantisation included
     angle_rad: float  # of errors that repeat with the angle: an eccentric sensor, cogging
@@ -77,11 +73,7 @@ def prior_of(
     draws: int = 8,
     seed: int = 0,
 ) -> ServoPrior:
-    """The prior of one joint, which ``limits`` name, by D ``draws`` of servos.
-
-    From its fitted model, or its data sheet where there is none; the load is by default that of the
-    model, or an unknown one.
-    """
+    """The prior of one joint, by D ``draws`` of servos from its model, or else its data sheet."""
     joint = robot.joint(limits.joint)
     assert joint is not None
     rng = np.random.default_rng(seed)
@@ -224,9 +216,8 @@ class Information:
     def scores(self, statistics: Array) -> Array:
         """Scores of commands with these statistics (N, K), shape (N,).
 
-        Minus the logarithm of the widest interval of gains and latency, plus a share of that of all
-        parameters, averaged over the servos of the prior. What exceeds the torque budget is
-        penalised.
+        Minus logarithms of the widest interval of gains and latency and of all, averaged over the
+        prior, less a penalty beyond the torque budget.
         """
         precision = self.precision_of(statistics)
         log_width = np.log(np.maximum(precision.half_width, 1e-9))
@@ -241,11 +232,7 @@ class Information:
         return self.precision_of(self.statistics(commands, 1)[:, 0])
 
     def statistics(self, commands: Array, parts: int) -> Array:
-        """What the scores depend on, for equal parts of commands (N, T), shape (N, parts, K).
-
-        Those of a command are the sum of those of its parts: a servo forgets in a fraction of a
-        second.
-        """
+        """Statistics (N, parts, K) of equal parts of commands (N, T); those of all are the sum."""
         angle, slopes = self.sensitivities(commands)
         load, (number, phase) = self.prior.load, self._waves
         torque2 = load_torque(load, angle, self.limits.period_s) ** 2

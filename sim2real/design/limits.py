@@ -100,12 +100,7 @@ class CommandLimits:
 
 
 def limits_of(robot: Robot, joint: str | None = None) -> CommandLimits:
-    """Limits of the commands of one joint, by default the first, from the robot's file.
-
-    Raises:
-        InputError: If the robot lacks the joint, its limits or its speed, or if the limits
-            contradict each other.
-    """
+    """Limits of the commands of one joint, by default the first, from the robot's file."""
     described = _joint(robot, joint)
     servo, where = described.servo, described.where
     low, high = described.limits_rad
@@ -142,13 +137,7 @@ def check_seconds(seconds: float, limits: CommandLimits, *, least_motion_s: floa
 
 
 def holding(limits: CommandLimits, load: Load, robot: Robot) -> CommandLimits:
-    """The limits, narrowed to the angles at which the servo can hold its load.
-
-    There the weight of its pendulum, which hangs at 0 rad, takes at most the torque budget.
-
-    Raises:
-        InputError: If it can hold the load nowhere in the range.
-    """
+    """The limits, narrowed to angles where a pendulum's weight is within the torque budget."""
     if load.gravity_Nm <= limits.rms_torque_Nm:
         return limits
     most = float(np.arcsin(limits.rms_torque_Nm / load.gravity_Nm))

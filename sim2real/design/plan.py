@@ -155,13 +155,8 @@ def design(
     """Commands that determine the servos best, within the limits of the robot.
 
     A joint moves where its servo can hold the load, see ``limits.holding``. Without a model servos
-    are as their data sheets say; loads by joint are by default those of the model. In a recording
-    of ``seconds``, ``drawn`` random commands are compared and the best varied in ``rounds``;
-    ``progress`` is called with the share that is done.
-
-    Raises:
-        InputError: If limits contradict each other, the duration is too short, or a servo can hold
-            its load nowhere in its range.
+    are as their data sheets say; loads are by default the model's. In a recording of ``seconds``,
+    ``drawn`` random commands are compared and the best varied in ``rounds``.
     """
     names = _designed_joints(robot, model)
     limits = {name: limits_of(robot, name) for name in names}

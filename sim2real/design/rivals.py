@@ -48,11 +48,7 @@ class RivalObjective:
         self._gain = np.array([one.gain for one in rivals.sets])
 
     def __call__(self, commands: Array) -> Array:
-        """Minus the entropy that remains, in nats, less a penalty for too much torque.
-
-        Of set-points (N, T) in rad at the period of the recordings so far; shape (N,), -inf where a
-        simulation diverges.
-        """
+        """Minus the entropy in nats left by set-points (N, T) in rad, less a penalty, (N,)."""
         return self.scores(self.statistics(commands, 1)[:, 0])
 
     def statistics(self, commands: Array, parts: int) -> Array:
@@ -77,10 +73,7 @@ class RivalObjective:
         return np.concatenate([products, torque2[..., None], count[..., None]], axis=2)
 
     def scores(self, statistics: Array, *, penalty: float = 10.0) -> Array:
-        """Scores of N commands from their sums (N, K * K + 2), shape (N,).
-
-        A torque of twice what is allowed costs ``penalty`` nats.
-        """
+        """Scores (N,) of sums (N, K * K + 2); twice the allowed torque costs ``penalty`` nats."""
         excess = np.sqrt(statistics[:, -2] / self._torque2) - 1
         distances = self._distances(statistics)
         simulated = np.isfinite(distances).all(axis=(1, 2)) & np.isfinite(excess)
@@ -143,17 +136,11 @@ def _fitted_noise(square: Array, count: Array) -> Array:
 
 
 def _expansion(rivals: JointRivals, *, step: float = 0.05) -> tuple[Array, Array, int]:
-    """Rows to simulate, and how predictions and their spreads follow from them.
+    """Rows to simulate (K, P), coefficients that give predictions and their spreads, and F.
 
-    Derivatives by each free parameter are taken at the most probable set that has it.
-
-    Returns:
-        Parameter rows: those of the sets, then one a free parameter, then those of the sets without
-        their effects, shape (K, P); coefficients of the differences of the rows' angles from those
-        of the first row: the predictions of the M sets, then for each set its derivatives times a
-        root of the covariance, padded to F columns, then the M predictions without effects, and the
-        derivatives by the B parameters of a plain servo times these parameters, shape
-        (K, M + M F + M + B); and F.
+    Rows: the sets, one a free parameter, the sets without their effects. Coefficients (K, M + M F +
+    M + B): predictions of M sets; each set's derivatives times a root of the covariance, F columns;
+    M without effects; derivatives by B parameters of a plain servo, times these.
     """
     sets, M = rivals.sets, len(rivals.sets)
     free = [_free_columns(one) for one in sets]
@@ -227,10 +214,7 @@ def distances(products: Array, M: int, evidence: Callable[[Array], Array] = np.a
 
 
 def remaining_entropy(probability: Array, distances: Array) -> Array:
-    """Upper bound of the entropy over M sets after a recording, in nats, shape (N,).
-
-    From probabilities (M,) before it and distances (N, M, M); infinite where one is NaN.
-    """
+    """Upper bound in nats, (N,), of the entropy over M sets, from (M,) and distances (N, M, M)."""
     with np.errstate(invalid="ignore"):
         overlap = np.exp(-distances) @ probability
         entropy = np.log(overlap / probability) @ probability

@@ -80,10 +80,7 @@ def draw(
     mixed: float = 0.4,
     highest_hz: float = HIGHEST_HZ,
 ) -> Array:
-    """Random commands within the limits, at rest at both ends, rad, shape (N, T).
-
-    The families take turns; the share ``mixed`` consists of parts of several.
-    """
+    """Random commands within the limits, rad, (N, T); the share ``mixed`` has parts of several."""
     t = limits.times(seconds)
     size = limits.reach_rad * rng.uniform(0.4, 1.1, (count, 1))
     shapes = [_shape(rng, t, k, mixed, highest_hz) for k in range(count)]

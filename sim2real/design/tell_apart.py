@@ -183,14 +183,9 @@ def design_for_rivals(
 ) -> RivalDesign:
     """The commands, and the context, that leave the least expected entropy over the rival sets.
 
-    Random commands are drawn and scored in every context besides the bench as it is; the best are
-    varied in the best context. All joints move at once, each with commands of its own. Of the
-    ``samples`` set-points that are simulated for a joint, a third are for random commands. A change
-    of context is asked for if it saves an entropy of ``change_gain`` nats.
-
-    Raises:
-        InputError: If no joint has several sets that are probable, the robot lacks one of these
-            joints, or its limits allow no command.
+    Random commands are scored in every context besides the bench as it is; the best are varied in
+    the best context. All joints move at once. Of the ``samples`` set-points that are simulated for
+    a joint, a third are for random commands. A change of context must save ``change_gain`` nats.
     """
     rivals = [one for one in rivals if request.leaves_open(one)]
     if not rivals:

@@ -27,27 +27,20 @@ _FIXED_B = (
 
 @dataclass(frozen=True)
 class Wander:
-    """Slow drift of a sensor: an Ornstein-Uhlenbeck process in addition to white noise.
-
-    ``share``: its standard deviation, relative to that of the white part.
-    """
+    """Ornstein-Uhlenbeck drift of a sensor with a ``share`` of the white noise's sd."""
 
     time_s: float
     share: float
 
     def least_gain(self, period_s: float) -> float:
-        """Smallest gain at frequency 0 of a filter that whitens it.
-
-        Without this bound, an autoregression attributes any constant error to noise.
-        """
+        """Smallest gain at frequency 0 of a whitening filter, else constant errors were noise."""
         return float(np.sqrt(period_s / (2 * self.time_s)) / self.share)
 
     def filter(self, period_s: float) -> tuple[list[float], list[float], float]:
         """The steady-state Kalman filter that whitens it (Anderson and Moore (1979), ch. 4).
 
-        Returns:
-            Numerator and denominator for ``scipy.signal.lfilter``, and the variance of the
-            predicted drift in units of that of the white part: the root of a Riccati equation.
+        Numerator and denominator for ``scipy.signal.lfilter``, and the variance of the predicted
+        drift over that of the white part.
         """
         keep = float(np.exp(-period_s / self.time_s))
         drive = self.share**2 * (1 - keep**2)
@@ -84,11 +77,7 @@ def lag_products(residual: Array, counts: Mask, order: int) -> Array:
 
 
 def autoregression(products: Array, least_gain: float = 0.0) -> Array:
-    """Least-squares autoregression (N, p) of N residuals, by lag products (N, p + 1, p + 1).
-
-    ``least_gain``: smallest gain of the whitening filter at frequency 0, which is 1 minus the sum
-    of the coefficients; no limit if it is 0 or less.
-    """
+    """Least-squares autoregressions (N, p) by lag products (N, p + 1, p + 1), with a least gain."""
     past, present = products[:, 1:, 1:].copy(), products[:, 1:, 0]
     size = np.einsum("nii->n", past) / past.shape[1]
     past += 1e-9 * (size + 1e-30)[:, None, None] * np.eye(past.shape[1])
@@ -109,11 +98,7 @@ def whitened(values: Array, coefficients: Array, axis: int = -1) -> Array:
 
 
 def autocorrelation_times(series: Array) -> Array:
-    """Integrated autocorrelation times in samples, at least 1; undefined ones are the length.
-
-    By emcee, averaged over walkers: Goodman and Weare (2010), sec. 5, with Sokal's window. Of a
-    series (T,) or (T, walkers, F), shape (F,).
-    """
+    """Integrated times in samples, (F,), of (T,) or (T, walkers, F): Goodman, Weare (2010)."""
     from emcee.autocorr import integrated_time  # type: ignore[import-untyped]
 
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -162,8 +147,7 @@ def fixed_b(span: float, samples: float, level: float) -> float:
 def long_run(score: Array, span: int) -> Array:
     """Sum of lagged products of ``score`` (n, F) with Bartlett weights 1 - k / span, shape (F, F).
 
-    Computed as the mean square of sums over all windows of ``span`` samples, which is identical.
-    Source: Newey and West, Econometrica 55 (1987) 703-708.
+    The mean square of sums over all windows: Newey and West, Econometrica 55 (1987) 703-708.
     """
     padded = np.zeros((score.shape[0] + 2 * span, score.shape[1]))
     padded[span:-span] = score

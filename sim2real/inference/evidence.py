@@ -36,10 +36,6 @@ def chance_gain(parameters: int, count: float) -> float:
 
 
 def student(score2: ArrayLike, references: float) -> Array:
-    """Log odds of a change of unknown size against none, without the prior, by squared scores.
-
-    Relative to that number of unchanged recordings the score follows Student's t without a change;
-    the size is integrated by Laplace's method.
-    """
+    """Log odds of a change by squared scores, which else are Student's t over ``references``."""
     gain = 0.5 * (references + 1) * np.log1p(np.asarray(score2) / references)
     return np.asarray(gain - 0.5 * np.log1p(score2))

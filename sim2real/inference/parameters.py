@@ -13,33 +13,20 @@ from sim2real.units import unit_of
 
 @dataclass(frozen=True)
 class Parameter:
-    """A scalar parameter with bounds and prior.
+    """A scalar parameter with bounds and prior."""
 
-    Attributes:
-        name: Its fixed name, which ends with its unit.
-        low: Smallest admissible value.
-        high: Largest admissible value.
-        typical: A size that matters: the natural unit of a fit.
-        nominal: Value without further knowledge; 0 where an effect is absent.
-        prior_sd: Standard deviation of its normal prior about ``nominal``; infinite for a uniform
-            prior between the bounds.
-        log: Whether the prior is that of the logarithm; ``low`` is then above 0. A fit of a motor
-            searches the logarithm, to which its ``typical``, ``nominal`` and ``prior_sd`` refer.
-        shared: Whether all recordings share one value; otherwise each has its own.
-        unit: Its SI unit; by default from the ending of the name.
-        starts: Starting values of fits, in typical values; empty for the default ones.
-    """
-
-    name: str
+    name: str  # fixed, ends with its unit
     low: float
     high: float
-    typical: float
-    nominal: float = 0.0
-    prior_sd: float = np.inf
+    typical: float  # a size that matters: the natural unit of a fit
+    nominal: float = 0.0  # value without further knowledge; 0 where an effect is absent
+    prior_sd: float = np.inf  # of a normal prior about ``nominal``; infinite: uniform in the bounds
+    # whether the prior is that of the logarithm, to which, in a fit of a motor, also ``typical``,
+    # ``nominal`` and ``prior_sd`` refer; ``low`` is then above 0
     log: bool = False
-    shared: bool = True
-    unit: str = ""
-    starts: tuple[float, ...] = ()
+    shared: bool = True  # by all recordings; otherwise each has its own value
+    unit: str = ""  # SI; by default from the ending of the name
+    starts: tuple[float, ...] = ()  # of fits, in typical values; empty for the default ones
 
     def __post_init__(self) -> None:
         """Derive the unit from the name."""

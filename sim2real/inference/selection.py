@@ -20,10 +20,7 @@ Members = frozenset[Any]
 
 @dataclass(frozen=True)
 class Hypothesis(Generic[Fit]):
-    """One set of candidates, fitted to one case.
-
-    ``evidence``: logarithm of the marginal likelihood and prior, up to a constant of the case.
-    """
+    """One set of candidates, fitted to one case; ``evidence`` is a logarithm, with the prior."""
 
     members: Members
     fit: Fit
@@ -110,11 +107,7 @@ def select(
     progress: Progress = lambda share: None,
     exhausted: Callable[[Ledger[Fit]], bool] = lambda ledger: False,
 ) -> None:
-    """Try sets of candidates in every case until none is better, and record them in the ledgers.
-
-    Each ledger has the fit of its base. ``exhausted``: whether a case has spent its budget and is
-    not searched for larger sets.
-    """
+    """Try sets of candidates in each case until none is better, or its budget is ``exhausted``."""
     problem.look([(ledger, ledger.base) for ledger in ledgers])
     _refit(problem, [job for x in ledgers for job in _enlarged(problem, x, x.base, None)])
     active = [ledger for ledger in ledgers if problem.remains(ledger, ledger.base)]
@@ -132,10 +125,7 @@ def select(
 def widen(
     problem: Problem[Fit, Start], ledgers: Sequence[Ledger[Fit]], most: int = Breadth.most
 ) -> None:
-    """Try every candidate with the best set of each case, until none makes a better one.
-
-    Sets have at most ``most`` candidates, without the base.
-    """
+    """Try every candidate with the best set of each case, up to ``most``, until none is better."""
     active = list(ledgers)
     while active:
         before = {ledger.case: ledger.best.members for ledger in active}

@@ -89,22 +89,13 @@ def normal(
 
 @dataclass(frozen=True)
 class Ranges(NotebookDisplay):
-    """The randomization ranges of a robot.
-
-    Attributes:
-        entries: The ranges.
-        posterior: File of the joint posterior sample, relative to the file of the ranges; empty
-            if none was sampled.
-        notes: Remarks, one sentence each.
-        provenance: Command line, versions, seed and SHA-256 of the inputs.
-        interval_level: Probability of the intervals of the posteriors.
-    """
+    """The randomization ranges of a robot."""
 
     entries: Sequence[Range]
-    posterior: str = ""
-    notes: Sequence[str] = ()
+    posterior: str = ""  # file of the joint sample, relative to that of the ranges
+    notes: Sequence[str] = ()  # one sentence each
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    interval_level: float = LEVEL
+    interval_level: float = LEVEL  # probability of the intervals of the posteriors
 
     def named(self, parameter: str) -> Range | None:
         """The range of a parameter, or None."""
@@ -112,22 +103,14 @@ class Ranges(NotebookDisplay):
 
 
 def write_ranges(ranges: Ranges, path: str | os.PathLike[str]) -> None:
-    """Write ``ranges.json``.
-
-    Raises:
-        InputError: If the folder can't be written.
-    """
+    """Write ``ranges.json``."""
     content = {"schema": SCHEMA, **vars(ranges), "posterior": ranges.posterior or None}
     del content["entries"]
     write_json(path, content | {"ranges": [entry.content() for entry in ranges.entries]})
 
 
 def read_ranges(path: str | os.PathLike[str]) -> Ranges:
-    """Read ``ranges.json``.
-
-    Raises:
-        InputError: If the file or one of its fields does not conform to the format.
-    """
+    """Read ``ranges.json``."""
     top = Fields(path, "", read_json(path, SCHEMA))
     return Ranges(
         entries=tuple(_read(entry) for entry in top.tables("ranges")),

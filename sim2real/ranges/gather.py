@@ -97,9 +97,6 @@ def gather(
 
     Latency and noise are estimated from all recordings, gains and effects from posteriors of the
     bench recordings (``kind`` ``servo``), or else from the model.
-
-    Raises:
-        InputError: If recordings, robot and model do not agree, or a chain has not converged.
     """
     sampling = sampling or Sampling()
     match_recordings(recordings, robot)
@@ -140,11 +137,7 @@ def gather(
 def sample_joints(
     bench: Sequence[Recording], robot: Robot, model: Model, sampling: Sampling
 ) -> tuple[dict[str, ServoPosterior], dict[str, PredictiveCheck]]:
-    """Posteriors of every joint that moves on the bench, and their predictive checks.
-
-    Raises:
-        InputError: If a chain has not converged, or no recording has the held-out name.
-    """
+    """Posteriors of every joint that moves on the bench, and their predictive checks."""
     names = [recording.name for recording in bench]
     if sampling.held_out is not None and sampling.held_out not in names:
         expected = ", ".join(names) or "no bench recording"

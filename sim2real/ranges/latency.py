@@ -79,12 +79,10 @@ class Spread:
 
 
 def spread(seconds: Array, sd: Array, *, smallest_s: float = 1e-4) -> Spread:
-    """Estimate the uniform distribution of latencies with known standard deviations.
+    """Posterior of uniformly distributed latencies with errors ``sd``, in s, shape (E,) both.
 
-    Posterior medians of centre and half-width, on a grid, under a prior that is flat in the centre
-    and in the logarithm of the half-width. The likelihood of each latency is the uniform density
-    convolved with its error, so that errors of the fit do not increase the width. Both are in s,
-    shape (E,); half-widths below ``smallest_s`` are not resolved.
+    Medians of centre and half-width, above ``smallest_s``, under a prior that is flat in the centre
+    and in the logarithm of the half-width.
     """
     reach = float(np.ptp(seconds)) + 3 * float(np.median(sd)) + 10 * smallest_s
     half = np.geomspace(smallest_s, 3 * reach, 160)
@@ -124,10 +122,9 @@ def latencies(
 ) -> Latencies | None:
     """Fit the latency of every episode; None where no joint of the model moves.
 
-    Gains are fitted as well and shared by all episodes of a joint with the same load and medium, as
-    they differ between water and bench. Effects are those of the model.
-    Below ``enough`` recordings windows of them count as episodes, as latency may drift within a
-    recording. Latencies with a standard deviation above ``largest_sd_s`` are not used.
+    Gains are shared by all episodes of a joint with the same load and medium. Below ``enough``
+    recordings windows of them count as episodes. Latencies with a standard deviation above
+    ``largest_sd_s`` are not used.
     """
     labels = labelled(recordings)
     episodes = [
@@ -172,10 +169,9 @@ def _windows(
 def _combined(
     kept: Sequence[tuple[str, str]], value: Array, sd: Array, windows: bool, dropped: int
 ) -> Latencies:
-    """Split latencies into a part that all joints of an episode share and one for each joint.
+    """Split latencies into a part common to an episode's joints and one for each, of sum 0.
 
-    Weighted least squares for latency = episode + joint, where the parts of the joints sum to 0;
-    errors are increased to match the residual of this fit, if that is larger.
+    Weighted least squares; errors are increased to match the residual, if that is larger.
     """
     episodes = list(dict.fromkeys(name for name, _ in kept))
     joints = list(dict.fromkeys(joint for _, joint in kept))

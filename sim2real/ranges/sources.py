@@ -54,11 +54,7 @@ def from_posterior(joint: str, posterior: ServoPosterior, recordings: str) -> li
 def from_model(
     joint: str, model: JointModel, level: float, existing: Sequence[str] = ()
 ) -> tuple[list[Range], list[str]]:
-    """Ranges from the model: its intervals of this level, or its values where it has none.
-
-    Also a note on losses of the motor without a range, as the model does not distinguish them from
-    0. Parameters that have ranges, ``existing``, are left out.
-    """
+    """Ranges by the model's intervals of this level, or values, except ``existing``; and notes."""
     values = {name: getattr(model, name) for name in _GAINS}
     values |= {f"motor.{name}": value for name, value in model.motor.items()}
     for effect in model.effects:
@@ -146,11 +142,7 @@ def joint_noise(recordings: Sequence[Recording], joint: str) -> Range | None:
 
 
 def camera_noise(recordings: Sequence[Recording]) -> list[Range]:
-    """Noise of position (the same for x and y) and heading as measured by the camera.
-
-    From differences of high order, which motion hardly affects: an estimate of noise that is
-    independent from frame to frame. Repeated frames count once.
-    """
+    """Independent noise of position and heading, from differences of high order of new frames."""
     place: dict[str, list[float]] = {}
     heading: dict[str, list[float]] = {}
     labels = labelled(recordings)

@@ -34,11 +34,7 @@ def save_png(figure: Figure, path: str | os.PathLike[str]) -> Path:
 
 
 def svg(figure: Figure) -> str:
-    """``figure``, which is not changed, as an ``<svg>`` element for a page.
-
-    It has no fixed size, so it fills its column; text is kept as text; colours are CSS variables
-    with a fallback; ids are unique to the figure, so that a page can have several.
-    """
+    """``figure`` as an ``<svg>`` element of a page: no fixed size, text as text, colours by CSS."""
     stream = io.StringIO()
     with _unchanged(figure), house_style():
         figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
@@ -47,10 +43,7 @@ def svg(figure: Figure) -> str:
 
 @contextmanager
 def _unchanged(figure: Figure) -> Iterator[None]:
-    """Restore the positions of a figure's panels at the end.
-
-    Drawing moves the panels slightly, which would change the next drawing.
-    """
+    """Restore the positions of a figure's panels at the end, which drawing moves."""
     places = [
         (panel, panel.get_position(original=True), panel.get_position()) for panel in figure.axes
     ]

@@ -46,11 +46,7 @@ _SETTLED = 0.005
 
 
 def identification_section(model: Model, fits: Sequence[Fit]) -> Section:
-    """Text, tables and plots of an identification.
-
-    ``fits`` has for each plot the recording, the joint, its predicted position in rad, shape (T,),
-    and a mask of held-out samples, shape (T,).
-    """
+    """Text, tables and plots of ``fits``: recording, joint, predicted rad, held-out mask (T,)."""
     blocks = model_blocks(model)
     for name, joint in model.joints.items():
         figures = model.fit.get(f"{name}.position_rad", {})
@@ -151,13 +147,9 @@ def _shown(quantity: Quantity) -> Array:
 def step_response(joint: JointModel) -> Mapping[str, float]:
     """Response of the PD servo, without further effects, to a small step; empty without stiffness.
 
-    With inertia I and the torque m g l of a horizontal pendulum, w^2 = (kp + m g l) / I and
-    zeta = kd / (2 I w), for small angles about the vertical; overshoot is
-    exp(-pi zeta / sqrt(1 - zeta^2)) (K. Ogata, Modern Control Engineering, section 5-3).
-
-    Returns:
-        ``natural_frequency_rad_s``, ``damping_ratio``, ``half_time_s`` (from sending the step to
-        half of it, latency included) and ``overshoot`` (a share of the step).
+    With inertia I and the torque m g l of a horizontal pendulum, w^2 = (kp + m g l) / I, zeta = kd
+    / (2 I w) and overshoot exp(-pi zeta / sqrt(1 - zeta^2)) of the step, for small angles (K.
+    Ogata, Modern Control Engineering, section 5-3); ``half_time_s`` includes the latency.
     """
     gravity = joint.load.gravity_Nm if joint.load and not joint.per_inertia else 0.0
     stiffness = joint.kp_Nm_per_rad + gravity

@@ -59,10 +59,7 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """For each column whether it contains numbers, which are right-aligned.
-
-        The first column names its row: it is numeric only if its cells contain nothing else.
-        """
+        """Whether each column has numbers, right-aligned; the first only if it has nothing else."""
         columns = [[row[k] for row in self.rows] for k in range(len(self.header))]
         return tuple(
             any(column) and all(_is_number(cell, alone=k == 0) for cell in column)

@@ -62,10 +62,7 @@ class Panel:
 def series_block(
     panels: Sequence[Panel], label: str, caption: str = "", *, close_up: Sequence[Panel] = ()
 ) -> Figure:
-    """Panels one below the other as a block of a page, those of one recording zoomed together.
-
-    ``label`` is text for screen readers; ``close_up`` is shown where nothing can be zoomed into.
-    """
+    """Panels of one recording as a block, zoomed together; ``close_up`` where nothing can be."""
     t_and_curves = [(panel, *panel.curves) for panel in panels if panel.group.signals]
     content = [
         {
@@ -126,11 +123,7 @@ def fit_panels(
     heldout: Mask | None = None,
     noise_rad: float | None = None,
 ) -> tuple[list[Panel], list[Panel]]:
-    """Panels of the prediction of one joint, and a close-up of 1.5 s at the largest movement.
-
-    The predicted position (T,) in rad is shown with the residual, the held-out samples, a mask
-    (T,), are shaded, and ``noise_rad`` is the standard deviation of the measurement noise.
-    """
+    """Panels of a joint's prediction (T,) in rad, and a close-up of 1.5 s at the largest move."""
     position, *residual = fit_groups(recording, joint, predicted)
     t, shaded = recording.t, [] if heldout is None else segments(heldout)
     spans = [(float(t[first]), float(t[last])) for first, last in shaded]
@@ -182,11 +175,7 @@ def gaps(t: Array) -> Index:
 
 
 def drawable(t: Array, values: Array) -> tuple[Array, Array]:
-    """``values (K, T)`` over ``t (T,)`` with a NaN in every gap; long series are thinned.
-
-    Of every part of a long series, the smallest, the largest and a missing value are kept, so that
-    the plotted outline and the gaps do not change.
-    """
+    """``values (K, T)`` over ``t (T,)``, thinned by smallest and largest, NaN in every gap."""
     starts = gaps(t)
     if starts.size:  # a sample is valid for one interval: a step line ends there
         t = np.insert(t, starts, t[starts - 1] + np.median(np.diff(t)))
@@ -219,10 +208,7 @@ def segments(mask: Mask) -> list[tuple[int, int]]:
 
 
 def largest_move(t: Array, signals: Mapping[str, Array]) -> float:
-    """Start of the largest movement within 0.2 s.
-
-    It is that of the command where a position was measured, or of the first signal there is.
-    """
+    """Start of the largest movement within 0.2 s, of the command where a position was measured."""
     moving = next(iter(signals.values()))
     present = np.isfinite(signals.get(MEASURED, moving))
     ahead = np.searchsorted(t, t + _LEAD_S).clip(max=t.size - 1)

@@ -50,10 +50,7 @@ def markdown_row(entry: ServoEntry) -> str:
 
 
 def motor_figure(entries: Sequence[ServoEntry]) -> Figure:
-    """Stall torque and no-load speed of servos with a known torque-speed line.
-
-    Servos that were identified here are marked.
-    """
+    """Stall torque and no-load speed of servos with a known line; those identified are marked."""
     speed = "no_load_speed_rad_s"
     lines = [x for x in entries if not x.joint.per_inertia and x.joint.motor.get(speed)]
     torques = [stall_torque(entry.joint.motor) for entry in lines]

@@ -85,10 +85,7 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(height: float, label: str) -> Figure:
-    """An empty figure of ``WIDE`` by ``height`` points, with ``label`` for screen readers.
-
-    A page shows it at one pixel per point, so that text has the size in ``STYLE``.
-    """
+    """An empty figure of ``WIDE`` by ``height`` points, one pixel each, for screen readers."""
     size = (WIDE / POINTS_PER_INCH, height / POINTS_PER_INCH)
     return _notebook_figure()(figsize=size, layout="constrained", label=label)
 

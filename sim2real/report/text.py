@@ -32,10 +32,7 @@ def section_text(section: Section) -> str:
 
 
 def _table_lines(rows: Iterable[Iterable[str]], right: Iterable[bool]) -> list[str]:
-    """Rows of cells as lines, in columns; those with numbers are right-aligned.
-
-    Cells of wide columns are cut off so that the table fits.
-    """
+    """Rows of cells as lines, in columns that fit; those with numbers are right-aligned."""
     cells = [[printable(cell.replace("\n", ", ")) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     while sum(widths) + 2 * len(widths) > WIDTH and max(widths) > _WIDE:
