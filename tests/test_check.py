@@ -160,15 +160,6 @@ def test_pool_recordings_need_no_load() -> None:
     assert checked.joints[0].load == "air"
 
 
-@pytest.mark.usefixtures("without_fits")
-@pytest.mark.parametrize("lag", [0.02, 0.1, 0.2])
-@pytest.mark.parametrize("frequency", [0.3, 1, 3])
-def test_lag_is_no_wrong_sign(frequency: float, lag: float) -> None:
-    command, position = (np.sin(2 * np.pi * frequency * t) for t in (T, T - lag))
-    if frequency * lag < 0.25:
-        assert "against" not in said(check(recording(command, position)))
-
-
 def test_joint_that_the_robot_lacks() -> None:
     strange = replace(recording(), joints=("j9",), loads={})
     for look in (match_joints, check):

@@ -227,24 +227,6 @@ def expanded(word: str) -> list[str]:
     return sorted(str(path) for path in Path().glob(word)) if "*" in word else [word]
 
 
-def test_a_block_that_fails_is_noticed(folder, tmp_path):
-    page = tmp_path / "page.md"
-    for text in (
-        "```python\nassert 1 == 2\n```",
-        "```\nsim2real check nothing.csv\n```",
-        "```json\n{\n```",
-    ):
-        page.write_text(text)
-        (block,) = blocks(page)
-        with pytest.raises((AssertionError, ValueError)):
-            if block.language == "python":
-                exec(block.text, {})
-            elif block.language == "json":
-                loads(block.text)
-            else:
-                run(next(calls(block.text)), "", parsed=False)
-
-
 def test_the_effect_of_the_tutorial_is_one(tmp_path):
     """A copy of the package with that file more lets a servo rest where stop and spring balance."""
     (source,) = [

@@ -66,11 +66,6 @@ def test_recordings(wrong: Recording, parts: tuple[str, ...]) -> None:
         message(lambda verb=verb: verb(wrong, BENCH), "bench.csv", *parts)
 
 
-def test_a_good_recording_is_not_refused() -> None:
-    validate_recording(GOOD, BENCH)
-    validate_recording(GOOD, with_sheet())
-
-
 @pytest.mark.parametrize("unit", [1e3, 1e6])
 def test_commands_whose_times_are_not_in_seconds(tmp_path: Path, unit: float) -> None:
     path = tmp_path / "next.csv"

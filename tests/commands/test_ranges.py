@@ -74,19 +74,6 @@ def test_page_shows_every_number_and_its_source(written):
     assert page.count("<svg") >= 8
 
 
-def test_a_finished_chain_is_not_run_again(command, written, tmp_path):
-    for joint in ("j1", "j2", "j3"):
-        name = chain_file(written / "ranges.json", joint).name
-        (tmp_path / name).write_bytes((written / name).read_bytes())
-    assert main(command(tmp_path / "ranges.json", "--no-page")) == 0
-    again, first = (read_ranges(f / "ranges.json") for f in (tmp_path, written))
-    assert again.entries == first.entries
-    assert np.array_equal(
-        read_sample(tmp_path / "posterior.npz").values,
-        read_sample(written / "posterior.npz").values,
-    )
-
-
 def test_it_goes_on_where_it_was(command, written, tmp_path):
     """A chain cut back to half its steps, as a kill leaves it, ends as the uninterrupted one."""
     short = tmp_path / "short.json"

@@ -209,14 +209,6 @@ def test_windows_on_the_right_joint_of_the_right_recording(code, challenge):
     assert "windows" in row["failures"]
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "share"),
-    [([(0, 2)], [(1, 3)], 1 / 3), ([(0, 1)], [], 0), ([(0, 1), (2, 3)], [(0, 3)], 2 / 3)],
-)
-def test_overlap(code, one, other, share):
-    assert code["grade"].overlap(one, other) == pytest.approx(share)
-
-
 def test_two_effects_need_an_entry_each(code, challenge):
     true = [hidden("backlash", "j1"), hidden("deadband", "j1")]
     both = entry("backlash", "j1", 0.9, ["deadband"])

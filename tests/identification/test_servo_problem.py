@@ -82,17 +82,6 @@ def test_neither_others_nor_places_without_a_parameter_change_a_fit(batch, fits)
     assert (padded.gram[..., 5:] == 0).all()
 
 
-def test_bounds_hold(batch):
-    high = np.array([1.9, 1.0, 0.3, 0.03])
-    found = minimise(batch, servos(FAR, high=high), iterations=40).servos.theta[0, COLUMNS]
-    assert (found >= LOW).all()
-    assert (found <= high).all()
-    assert found[[0, 3]] == pytest.approx([1.9, 0.03])
-    low = np.array([2.0, 0.0, 0.0, 0.0])
-    found = minimise(batch, servos(FAR, low=low), iterations=1)
-    assert found.servos.theta[0, 0] == 2.0, "a start outside is brought inside"
-
-
 def test_white_noise_can_be_asked_for_and_inertia_comes_from_the_recording(batch):
     """Whatever the row says of the load, the recording knows better."""
     given = servos(FAR)

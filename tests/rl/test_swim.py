@@ -170,14 +170,6 @@ class TestMeasurements:
         assert observer.observation(np.ones(2)) == pytest.approx(expected, abs=1e-5)
         assert not observer.take(Telemetry(now, np.zeros(3), np.zeros(3))), "old news"
 
-    def test_knows_how_long_it_has_been_blind(self) -> None:
-        observer = Measurements(LIMIT)
-        assert observer.blind_s == np.inf
-        for k in range(11):
-            pose = np.zeros(3) if k < 5 else np.array([0.0, np.nan, 0.0])
-            observer.take(Telemetry(0.1 * k, pose, np.zeros(3)))
-        assert observer.blind_s == pytest.approx(0.6)
-
 
 def options_of(policy, **changes: object) -> argparse.Namespace:
     options = {"target": "1.5,0.4", "port": None, "virtual": True, "seconds": 1.0, "out": None}

@@ -192,11 +192,6 @@ def test_what_recordings_do_not_tell_stays_with_the_data_sheet():
     assert any("do not determine" in note and "stall torque" in note for note in joint.notes)
 
 
-def test_the_linear_servo_can_be_asked_for():
-    joint = identify([recorded(**LINE)], bench(), law="pd").joints["j1"]
-    assert joint.law == "pd" and not joint.motor
-
-
 def test_a_drive_is_told_from_a_torque():
     t = np.arange(500) / 200.0
     error = 0.6 * np.sin(3.1 * t) + 0.2 * np.sin(11.0 * t)
@@ -255,18 +250,6 @@ def mujoco_joint(t, command, kp, kd, latency, inertia, friction):
         data.ctrl[0] = set_point
         mujoco.mj_step(model, data)
     return np.interp(t, times, angle)
-
-
-def test_soft_friction_is_that_of_mujoco():
-    friction, line = 0.05, 1e3
-    angle = mujoco_joint(T, SQUARE, KP, KD, LATENCY, INERTIA, friction)
-    plain = {"stall_torque_Nm": line, "no_load_speed_rad_s": line / KD, "coulomb_Nm": friction}
-    rate, impedance = 2 / (0.95 * 0.02), 0.9  # solreffriction and solimpfriction by default
-    creep = (1 - impedance) / impedance / rate
-    soft = simulate(**plain, stick_time_s=1 / rate, creep_time_s=creep)
-    assert np.abs(simulate(**plain) - angle).max() > 5e-3
-    assert np.abs(soft - angle).max() < 1.5e-3
-    assert np.sqrt(np.mean((soft - angle) ** 2)) < 3e-4
 
 
 def stepped(rng, t, simulated):
