@@ -1,7 +1,5 @@
 """Good files to spoil, and how to look at the line that refuses a bad one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -3,8 +3,6 @@
 What comes out can be written as strict JSON, which knows neither NaN nor infinity.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Archives of any origin: only arrays, only so much, and no traceback."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tracemalloc

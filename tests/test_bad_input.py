@@ -1,7 +1,5 @@
 """Whatever is wrong with a file, one line says where, what was found and what was expected."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

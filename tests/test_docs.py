@@ -12,8 +12,6 @@ All else runs, a page's blocks one after the other in one folder, which has the 
 shortened, in it.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """Every example runs, as a program and as a notebook, and writes what it says that it writes."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

@@ -1,7 +1,5 @@
 """Imports go down only (rl, then sim, then sim2real), and the heavy ones happen late."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import subprocess

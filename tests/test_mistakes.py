@@ -1,7 +1,5 @@
 """Common mistakes of unit, column and spelling are refused in one line that names them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The verbs from Python: one way of calling, results that print and draw."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

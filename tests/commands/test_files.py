@@ -1,7 +1,5 @@
 """Files and streams of commands: no result replaces an input, and none is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Commands and verbs: the same arguments, the same defaults, the same result to the last digit."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Controllers: the generator's waves, guidance, observers, tables; and who begins anew."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The policy that chooses gaits: trained, kept, read again, refused where it is another."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

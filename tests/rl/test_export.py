@@ -1,7 +1,5 @@
 """Exported policies against the one that was trained: NumPy, C and ONNX say what SB3 says."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from pathlib import Path

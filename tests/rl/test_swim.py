@@ -1,7 +1,5 @@
 """Swimming over the air: what is said, what a policy sees, how a swim ends, what is kept of it."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import signal

@@ -1,7 +1,5 @@
 """Files for viewers, read back by the viewers' own libraries."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys
