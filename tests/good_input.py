@@ -67,6 +67,16 @@ def message(read: Callable[[], object], *parts: str) -> str:
     return line
 
 
+def refused(capsys: pytest.CaptureFixture[str], status: int, *parts: str) -> None:
+    """A command that printed one line, which holds all ``parts``, and left with status 2."""
+    output = capsys.readouterr()
+    assert status == 2
+    assert output.out == ""
+    assert output.err.count("\n") == 1, output.err
+    for part in parts:
+        assert part in output.err
+
+
 def csv_file(folder: Path, rows: tuple[str, ...] = ROWS, header: str = HEADER) -> Path:
     path = folder / "bench.csv"
     path.write_text("\n".join([header, *rows]) + "\n")
