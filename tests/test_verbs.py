@@ -119,14 +119,6 @@ def test_calibrate_and_simulate_in_the_twin() -> None:
     assert away < 0.5 * np.hypot(*(np.ptp(swim.columns[n]) for n in ("body.x_m", "body.y_m")))
 
 
-def test_diagnose_chooses_between_servos_and_swims(steps, model) -> None:
-    swim = s2r.read_recording(POOL / "p1.csv")
-    with pytest.raises(InputError, match="swims alone"):
-        s2r.diagnose([steps, swim], BENCH / "robot.toml", model)
-    with pytest.raises(InputError, match="servos, to swim with"):
-        s2r.diagnose(swim, POOL / "robot.toml")
-
-
 def test_a_diagnosis_prints_each_signal_in_its_unit() -> None:
     joint = Mismatch("j1.position_rad", "j1", 0.005, 0.001, 0.9, {}, "always")
     speed = Mismatch("body.surge", "body", 0.012, 0.003, 0.9, {}, "")

@@ -25,7 +25,7 @@ from sim2real.arm.arm_loads import measured_motion, with_arm_loads
 from sim2real.arm.multibody import Multibody
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model, read_model, write_model
-from sim2real.recording import Load, write_recording
+from sim2real.recording import Load
 
 
 @pytest.fixture(scope="module")
@@ -173,15 +173,3 @@ def test_links_without_mass_are_refused(tmp_path):
     light = URDF.replace('<mass value="0.2"/>', '<mass value="0"/>')
     with pytest.raises(InputError, match="knee: found no mass and no inertia beyond it"):
         Multibody(leg(tmp_path, urdf=light).arm)
-
-
-def test_the_commands(robot, recordings, tmp_path):
-    from sim2real.cli import main
-
-    for shown in recordings:
-        write_recording(shown, tmp_path / f"{shown.name}.csv")
-    write_model(true_model(robot), tmp_path / "model.json")
-    predict_a = ["predict", str(tmp_path / "model.json"), str(tmp_path / "a.csv")]
-    assert main([*predict_a, "--out", str(tmp_path / "p.csv")]) == 0
-    predicted = verbs.recordings_of(tmp_path / "p.csv")[0]
-    assert predicted.position == pytest.approx(recordings[0].position, abs=5 * NOISE)

@@ -159,42 +159,10 @@ def test_check_prints_and_writes_nothing(bench, capsys):
     assert sorted(bench.iterdir()) == before
 
 
-def spoil(change):
-    def apply(folder):
-        table = pd.read_csv(folder / "steps.csv")
-        change(table)
-        table.to_csv(folder / "steps.csv", index=False)
-
-    return apply
-
-
-def still(table):
-    for column in table.columns[1:]:
-        table[column] = 0.0
-
-
-def another_joint(folder):
-    text = (folder / "robot.toml").read_text().replace('name = "j3"', 'name = "tail"')
-    (folder / "robot.toml").write_text(text)
-
-
-def broken_sidecar(folder):
-    (folder / "steps.json").write_text("{")
-
-
-@pytest.mark.parametrize(
-    ("damage", "parts"),
-    [
-        (spoil(lambda t: t.pop("j2.position_rad")), ["j2.position_rad"]),
-        (spoil(still), ["no motion"]),
-        (another_joint, ["'j3'", "one of j1, j2, tail"]),
-        (broken_sidecar, ["steps.json", "JSON"]),
-    ],
-)
-def test_bad_input_is_one_line_and_nothing_is_written(bench, capsys, damage, parts):
-    damage(bench)
+def test_bad_input_is_one_line_and_nothing_is_written(bench, capsys):
+    (bench / "steps.json").write_text("{")
     before = sorted(bench.iterdir())
-    refused(capsys, identify(bench), *parts)
+    refused(capsys, identify(bench), "steps.json", "JSON")
     assert sorted(bench.iterdir()) == before
 
 
@@ -212,11 +180,7 @@ def test_predict_refuses_what_it_cannot_run(bench, capsys):
     capsys.readouterr()
     model, commands = bench / "model.json", bench / "steps.csv"
     run = ["predict", str(model), str(commands), "--out"]
-    refused(capsys, main([*run, str(commands)]), "another file")
     content = json.loads(model.read_text())
-    content["joints"]["j1"]["effects"] = [{"effect": "magic", "parameters": {"x": 1}}]
-    model.write_text(json.dumps(content))
-    refused(capsys, main([*run, str(bench / "p.csv")]), "magic", "coulomb_friction")
     del content["joints"]["j1"]
     model.write_text(json.dumps(content))
     refused(capsys, main([*run, str(bench / "p.csv")]), "joint j1")

@@ -110,8 +110,6 @@ def test_every_option_that_is_written_is_known():
 @pytest.mark.parametrize(
     "call",
     [
-        "identify steps.csv --robot {} --out m.json",
-        "check {}",
         "export {} --out p.npz",
         "swim {} --target 1,1 --virtual",
         "evaluate {} --robot robot.toml --model model.json",

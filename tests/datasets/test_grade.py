@@ -25,18 +25,11 @@ def code(scripts):
 
 def servos(*effects):
     """Three servos with (effect, joint, parameters) in them."""
-    return Model(
-        joints={
-            joint: JointModel(
-                2.0,
-                0.08,
-                0.04,
-                0.002,
-                effects=tuple(FittedEffect(e, p) for e, j, p in effects if j == joint),
-            )
-            for joint in LOADS
-        }
-    )
+
+    def fitted(joint):
+        return tuple(FittedEffect(e, p) for e, j, p in effects if j == joint)
+
+    return Model({j: JointModel(2.0, 0.08, 0.04, 0.002, effects=fitted(j)) for j in LOADS})
 
 
 def hidden(effect, component, parameters=None, strength=1.0):

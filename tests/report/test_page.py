@@ -172,12 +172,6 @@ def test_everything_is_escaped():
     Page(html)
 
 
-def test_number_columns_are_right_aligned():
-    table = Table(("name", "value", "none"), [("a", "1.5\nsmall", ""), ("b", "−2", "")])
-    assert table.numeric == (False, True, False)
-    assert Table(("a",), []).numeric == (False,)
-
-
 def test_a_ragged_table_is_refused():
     with pytest.raises(ValueError, match="row 1: 1 cells, header has 2"):
         Table(("a", "b"), [("1", "2"), ("1",)])

@@ -156,15 +156,6 @@ class TestBoth:
         assert np.ptp(angle, axis=0).min() > 0.1
 
     @BOTH
-    @pytest.mark.parametrize("side", [1.0, -1.0])
-    def test_turns_to_the_side_of_the_target(self, kind: Kind, gains, side: float) -> None:
-        controller = kind(WIDE, 1, gains)
-        row = np.zeros((1, 11), dtype=np.float32)
-        row[0, 9:] = -0.2, side
-        angle = np.array([controller.act(row) for _ in range(100)])[-33:]
-        assert side * angle.mean() < -0.3  # below zero is to the left
-
-    @BOTH
     def test_is_the_same_left_and_right(self, kind: Kind, gains) -> None:
         one, other = kind(WIDE, 5, gains), kind(WIDE, 5, gains)
         for k in range(100):
