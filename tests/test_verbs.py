@@ -36,8 +36,7 @@ def prints_and_draws(result: object, *words: str) -> None:
 @pytest.fixture(scope="module")
 def steps() -> s2r.Recording:
     """Eight seconds of the first joint's steps."""
-    whole = s2r.read_recording(BENCH / "steps.csv").between(0, 400)
-    return whole
+    return s2r.read_recording(BENCH / "steps.csv").between(0, 400)
 
 
 @pytest.fixture(scope="module")

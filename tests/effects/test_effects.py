@@ -223,13 +223,6 @@ def test_load_friction_is_a_share_of_the_torque():
 # Motor and controller
 
 
-def test_torque_saturation_limits_the_acceleration():
-    t = 0.001 * np.arange(200)
-    command = np.where(t > 0.01, 0.5, 0.0)
-    angle = simulate(command, t, latency=0.0, torque_saturation={"limit_Nm": 0.3})
-    assert np.abs(np.diff(angle, 2)).max() / 1e-6 == pytest.approx(0.3 / INERTIA, rel=1e-3)
-
-
 def test_a_limit_of_the_drive_leaves_the_damping():
     """At the limit L - kd v = I dv/dt, so that v = L / kd (1 - exp(-kd t / I))."""
     t = 0.001 * np.arange(200)
@@ -351,11 +344,6 @@ def test_gravity_load_and_cogging_are_in_balance_with_the_servo():
     angle = simulate(cogging=values)[-1]
     expected = -0.05 * np.sin(2 * np.pi * angle / 0.5 + 0.3)
     assert KP * (0.4 - angle) == pytest.approx(expected, rel=1e-2)
-
-
-def test_unmodelled_inertia_is_inertia():
-    added = simulate(unmodelled_inertia={"inertia_kgm2": 0.001})
-    np.testing.assert_allclose(added, simulate(inertia=0.003), atol=3e-5)
 
 
 def test_sensor_offset_gain_and_steps_change_the_reading_only():

@@ -68,11 +68,6 @@ def test_on_its_line_it_is_the_exact_solution_of_another_program(joint):
     np.testing.assert_allclose(found, expected, rtol=0, atol=3e-5)
 
 
-def test_it_is_never_faster_than_without_load():
-    angle = simulate(command=np.where(T > 0.5, 40.0, 0.0), **LINE)
-    assert 0.99 * 5.2 < np.diff(angle).max() / 0.02 < 5.2 * (1 + 1e-9)
-
-
 @pytest.mark.parametrize(
     "motor",
     [
