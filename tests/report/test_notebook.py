@@ -66,7 +66,8 @@ def posterior_of(name):
     """A posterior with two parameters, whose quantiles are known."""
     each = [SimpleNamespace(name=n, unit=unit) for n, unit in ((name, "s"), ("kp", "N m/rad"))]
     servo = SimpleNamespace(
-        parameters=each, quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]])
+        parameters=each,
+        quantiles=lambda *_: np.array([[0.01, 1.5], [0.02, 1.625], [0.03, 1.75]]),
     )
     return Posteriors({"j1": servo}, {})
 
