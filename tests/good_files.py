@@ -1,7 +1,5 @@
 """One small file of every kind that a command reads, all without a fault."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Good files to spoil, and how to look at the line that refuses a bad one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -67,6 +65,16 @@ def message(read: Callable[[], object], *parts: str) -> str:
     assert "\n" not in line
     assert len(line) < 700
     return line
+
+
+def refused(capsys: pytest.CaptureFixture[str], status: int, *parts: str) -> None:
+    """A command that printed one line, which holds all ``parts``, and left with status 2."""
+    output = capsys.readouterr()
+    assert status == 2
+    assert output.out == ""
+    assert output.err.count("\n") == 1, output.err
+    for part in parts:
+        assert part in output.err
 
 
 def csv_file(folder: Path, rows: tuple[str, ...] = ROWS, header: str = HEADER) -> Path:

@@ -1,7 +1,5 @@
 """Mutations of a file: of its bytes, lines, numbers, tree, columns, or of what an archive holds."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

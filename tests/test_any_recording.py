@@ -3,8 +3,6 @@
 What comes out can be written as strict JSON, which knows neither NaN nor infinity.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,9 +27,7 @@ BASE = recording(1, "bench", seconds=2.0)
 BENCH = robot("j1")
 SERVO = Model(joints={"j1": JointModel(KP, KD, LATENCY, INERTIA)})
 SWIMMER = Robot(
-    "swimmer",
-    (Link("head", 0.5, 0.2, 0.1, 0.1), Link("tail", 0.1, 0.1, 0.02, 0.1)),
-    BENCH.joints,
+    "swimmer", (Link("head", 0.5, 0.2, 0.1, 0.1), Link("tail", 0.1, 0.1, 0.02, 0.1)), BENCH.joints
 )
 
 Change = Callable[[Recording], Recording]

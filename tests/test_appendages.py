@@ -55,9 +55,7 @@ def test_boxes_and_cylinders_belong_to_the_link_above(tmp_path: Path) -> None:
         ("size_m", "size_mm", (".size_mm", "mean size_m?")),
     ],
 )
-def test_a_bad_field_is_one_line(
-    tmp_path: Path, old: str, new: str, parts: tuple[str, ...]
-) -> None:
+def test_a_bad_field_is_one_line(tmp_path, old, new, parts) -> None:
     path = written(tmp_path, BOX.replace(old, new, 1))
     message(lambda: read_robot(path), str(path), "links[1].appendages[0]", *parts)
 

@@ -1,7 +1,5 @@
 """Whatever is wrong with a file, one line says where, what was found and what was expected."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -48,7 +46,6 @@ def test_the_good_files_are_read(tmp_path: Path) -> None:
         (with_row(4, "-1e999,0.1,0"), ("row 4, t_s", "inf", "a number")),
         (with_row(4, "1e308,0.1,0"), ("row 4, t_s", "found 1e+308", "at most 1e+10 s")),
         (with_row(4, "\n\n0.04,fast,0.1"), ("row 6, j1.command_rad", "'fast'", "a number")),
-        (with_row(4, f"{'9' * 400},0.1,0"), ("row 4, t_s", "inf", "a number")),
         (with_row(4, "0.04,0.1,0.1,7"), ("row 4", "4 cells", "3, as in the header")),
         (tuple(f"{row},7" for row in ROWS), ("row 2", "4 cells", "3")),
         (with_row(4, '0.04,"0.1,0.1'), ("bench.csv",)),
@@ -129,9 +126,7 @@ def test_empty_and_binary_files(tmp_path: Path, read: Callable[[Path], object]) 
 
 @pytest.mark.parametrize("ending", [".csv", ".json"])
 @pytest.mark.parametrize("read", READERS)
-def test_huge_files_are_refused_unread(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path], object], ending: str
-) -> None:
+def test_huge_files_are_refused_unread(tmp_path, monkeypatch, read, ending) -> None:
     path = csv_file(tmp_path)
     huge = path.with_suffix(ending)
     os.truncate(huge, 10 * 2**30)  # sparse: takes no room
@@ -157,21 +152,10 @@ def test_huge_files_are_refused_unread(
         ({"joints": ["j1", "j1"]}, ("joints", "['j1', 'j1']", "each name once")),
         ({"joints": ["j2"], "loads": {}}, ("header", "no column j2.command_rad")),
         ({"loads": {"j7": {"inertia_kgm2": 1}}}, ("loads.j7", "a joint not recorded", "j1")),
-        ({"loads": {"j1": {}}}, ("loads.j1.inertia_kgm2", "nothing", "a number above 0")),
         ({"loads": {"j1": {"inertia_kgm2": -1}}}, ("loads.j1.inertia_kgm2", "-1", "above 0")),
-        ({"loads": {"j1": {"inertia_kgm2": 10**400}}}, ("loads.j1.inertia_kgm2", "above 0")),
-        (
-            {"loads": {"j1": {"inertia_kgm2": 1, "pendulum_mass_kg": -1}}},
-            ("loads.j1.pendulum_mass_kg", "-1", "at least 0"),
-        ),
         ({"loads": ["j" * 5000]}, ("loads", "jjj", "a table")),
-        ({"medium": 3}, ("medium", "3", "text")),
         ({"loads": {"j1": {"inertia_kgm2": 1e300}}}, ("loads.j1.inertia_kgm2", "1e+300", "kg m²")),
         ({"medum": "water"}, ("medum", "an unknown key", "did you mean", "medium")),
-        (
-            {"loads": {"j1": {"inertia_kgm2": 1, "pendulum_mass": 1}}},
-            ("loads.j1.pendulum_mass", "an unknown key", "did you mean", "pendulum_mass_kg"),
-        ),
     ],
 )
 def test_sidecar_fields(tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]) -> None:
@@ -184,12 +168,10 @@ def test_sidecar_fields(tmp_path: Path, change: dict[str, Any], parts: tuple[str
     ("old", "new", "parts"),
     [
         ("[[links]]", "[links", ("line 3, column 7", "no TOML")),
-        ('name = "tail"', 'name = "tail" "', ("line 10, column 15", "no TOML")),
         ('servo = "lx824"', 'servo = "lx16"', ("joints[0].servo", "'lx16'", "lx824")),
         ('servo = "lx824"', "", ("joints[0].servo", "nothing", "text")),
         ("[-0.8, 0.8]", "[0.8, -0.8]", ("joints[0].limits_rad", "smaller first")),
         ("[-0.8, 0.8]", "[nan, 0.8]", ("joints[0].limits_rad", "[nan, 0.8]", "two angles")),
-        ("[-0.8, 0.8]", f"[0, {10**400}]", ("joints[0].limits_rad", "two angles")),
         ("[-0.8, 0.8]", f"[0, 1{'0' * 5000}]", ("no TOML", "digits")),
         ("[-0.8, 0.8]", "[" * 100_000, ("no TOML", "nested")),
         ("mass_kg = 0.5", "mass_kg = -0.5", ("links[0].mass_kg", "-0.5", "above 0")),
@@ -197,11 +179,9 @@ def test_sidecar_fields(tmp_path: Path, change: dict[str, Any], parts: tuple[str
         ("mass_kg = 0.5", "mass_kg = 1e300", ("links[0].mass_kg", "1e+300", "to 1e+06 kg")),
         ("mass_kg = 0.5", "mass_kg = 1e-300", ("links[0].mass_kg", "1e-300", "from 1e-09")),
         ("mass_kg = 0.5", "mass_kg = 0.5\ncom_m = 0.21", ("links[0].com_m", "0.21", "0.2 m")),
-        ("max_torque_Nm = 1.67", "max_torque_Nm = 0", ("servos.lx824.max_torque_Nm", "above 0")),
         ("[servos.lx824]", "[[servos.lx824]]", ("servos.lx824", "a table")),
         ("[servos.lx824]", "[servo.lx824]", ("servo", "an unknown key", "did you mean servos?")),
         ("max_torque_Nm", "max_torqe_Nm", ("servos.lx824.max_torqe_Nm", "mean max_torque_Nm?")),
-        ("mass_kg", "Mass_kg", ("links[0].Mass_kg", "mean mass_kg?")),
         ('name = "fish"', 'name = "fish"\nzzz = 1', ("zzz:", "one of name, links, joints, servos")),
         ("[-0.8, 0.8]", "[-60, 60]", ("joints[0].limits_rad", "[-60, 60]", "degrees?")),
     ],
@@ -231,10 +211,8 @@ def test_robot_counts(tmp_path: Path) -> None:
     [
         ({"kp_Nm_per_rad": -1}, ("joints.j1.kp_Nm_per_rad", "-1", "at least 0")),
         ({"latency_s": None}, ("joints.j1.latency_s", "None", "a number")),
-        ({"kp_Nm_per_rad": 1e300}, ("joints.j1.kp_Nm_per_rad", "1e+300", "N m/rad")),
         ({"inertia_kgm2": 0}, ("joints.j1.inertia_kgm2", "0", "above 0")),
         ({"interval": {"kp": [1, 2, 3]}}, ("joints.j1.interval.kp", "two numbers")),
-        ({"interval": {"kp": [2, 1]}}, ("joints.j1.interval.kp", "smaller first")),
         ({"effects": "backlash"}, ("joints.j1.effects", "'backlash'")),
         ({"effects": [{"effect": 3}]}, ("joints.j1.effects[0].effect", "3", "text")),
         (
@@ -248,7 +226,6 @@ def test_robot_counts(tmp_path: Path) -> None:
         ({"notes": 5}, ("joints.j1.notes", "5", "a list")),
         ({"correlation": {"kp, kd": "high"}}, ("joints.j1.correlation.kp, kd", "'high'")),
         ({"per_inertia": "yes"}, ("joints.j1.per_inertia", "'yes'", "true or false")),
-        ({"load": {"inertia_kgm2": -1}}, ("joints.j1.load.inertia_kgm2", "-1", "above 0")),
     ],
 )
 def test_model_joint(tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]) -> None:
@@ -264,11 +241,9 @@ def test_model_joint(tmp_path: Path, change: dict[str, Any], parts: tuple[str, .
         ({"fit": {"j1.position_rad": 3}}, ("fit.j1.position_rad", "3", "a table")),
         ({"fit": {"j1.position_rad": {"train": "low"}}}, ("fit.j1.position_rad.train", "'low'")),
         ({"body": {"twin": 3}}, ("body.twin", "3", "a table")),
-        ({"body": {"twin": {"across": 10**400}}}, ("body.twin.across", "a number")),
         ({"body": {"water": {"viscosity_m2_s": "thick"}}}, ("body.water.viscosity_m2_s", "thick")),
         ({"body": {"normalised_density": [1.0, 0]}}, ("body.normalised_density", "one for each")),
         ({"body": {"normalised_density_sd": 0.1}}, ("body.normalised_density_sd", "0.1")),
-        ({"body": {"interval": {"twin.across": [1]}}}, ("body.interval.twin.across", "two")),
         ({"body": {"effects": [3]}}, ("body.effects[0]", "3", "a table")),
         ({"body": {"posterior": {"names": ["a"], "mean": []}}}, ("body.posterior.mean", "1 num")),
         (

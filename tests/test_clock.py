@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from good_input import message
@@ -37,14 +35,19 @@ def test_an_even_clock() -> None:
     assert list(clock_findings(T)) == []
 
 
+ODD = [
+    (np.where(T < 4, T, T + 0.42), "A gap of 0.44 s, starting at 3.98 s."),
+    (bunched(), "of arrival, in bunches"),
+    (np.cumsum(0.02 * np.where(np.arange(T.size) % 2, 0.6, 1.4)), "far from constant"),
+]
+
+
 @pytest.mark.parametrize(
     ("t", "words"),
     [
-        (np.where(T < 4, T, T + 0.42), "A gap of 0.44 s, starting at 3.98 s."),
+        *ODD,
         (np.where(T < 4, T, T + 0.4) + np.where(T < 6, 0, 0.2), "2 gaps, the longest of 0.42 s"),
-        (bunched(), "of arrival, in bunches"),
         (np.where(np.arange(T.size) == 70, T - 0.0199, T), "Once a sample has almost the time"),
-        (np.cumsum(0.02 * np.where(np.arange(T.size) % 2, 0.6, 1.4)), "far from constant"),
         (np.where(T < 5, T, 5 + 0.8 * (T - 5)), "changes from 50 to 62.5 Hz"),
         (5 * T, "At 10 Hz a servo's latency"),
     ],
@@ -82,15 +85,10 @@ def test_rows_of_set_points_are_no_measurements(sent: np.ndarray) -> None:
     assert recording_clock_findings(["j1"], t, position) == []
 
 
-@pytest.mark.parametrize(
-    ("measured", "words"),
-    [
-        (bunched(), "of arrival, in bunches"),
-        (np.where(T < 4, T, T + 0.42), "A gap of 0.44 s, starting at 3.98 s."),
-        (np.cumsum(0.02 * np.where(np.arange(T.size) % 2, 0.6, 1.4)), "far from constant"),
-        (np.cumsum(np.random.default_rng(0).gamma(2, 0.01, T.size)), "of arrival, in bunches"),
-    ],
-)
+IRREGULAR = np.cumsum(np.random.default_rng(0).gamma(2, 0.01, T.size))
+
+
+@pytest.mark.parametrize(("measured", "words"), [*ODD, (IRREGULAR, "of arrival, in bunches")])
 def test_measurements_at_odd_times_among_set_points(measured: np.ndarray, words: str) -> None:
     t, position = merged(measured, SENT)
     said = " ".join(f.text for f in recording_clock_findings(["j1"], t, position))

@@ -6,8 +6,6 @@ that failed: an exception that escaped, a traceback, a refusal of more than a li
 does not parse, more than 60 s or more than 4 GB.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import contextlib

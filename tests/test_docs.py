@@ -12,8 +12,6 @@ All else runs, a page's blocks one after the other in one folder, which has the 
 shortened, in it.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import os
@@ -225,24 +223,6 @@ def run(words: list[str], where: str, *, parsed: bool) -> None:
 def expanded(word: str) -> list[str]:
     """File names for a pattern, as a shell makes them."""
     return sorted(str(path) for path in Path().glob(word)) if "*" in word else [word]
-
-
-def test_a_block_that_fails_is_noticed(folder, tmp_path):
-    page = tmp_path / "page.md"
-    for text in (
-        "```python\nassert 1 == 2\n```",
-        "```\nsim2real check nothing.csv\n```",
-        "```json\n{\n```",
-    ):
-        page.write_text(text)
-        (block,) = blocks(page)
-        with pytest.raises((AssertionError, ValueError)):
-            if block.language == "python":
-                exec(block.text, {})
-            elif block.language == "json":
-                loads(block.text)
-            else:
-                run(next(calls(block.text)), "", parsed=False)
 
 
 def test_the_effect_of_the_tutorial_is_one(tmp_path):

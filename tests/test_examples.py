@@ -1,7 +1,5 @@
 """Every example runs, as a program and as a notebook, and writes what it says that it writes."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys
@@ -42,13 +40,7 @@ def test_all_are_here() -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_runs(
-    name: str,
-    short: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_it_runs(name, short, tmp_path, monkeypatch, capsys) -> None:
     """As a program does, in this process: importing the libraries anew takes longer than it."""
     for dataset, folder in (("servo_steps", "BENCH"), ("pool", "POOL")):
         monkeypatch.setattr(f"sim2real.example.{folder}", short / "datasets" / dataset)
@@ -85,9 +77,7 @@ def test_the_example_recordings_are_those_of_the_datasets() -> None:
             assert path.read_bytes() == (ROOT / "datasets" / dataset / path.name).read_bytes(), path
 
 
-def test_the_example_is_copied_and_nothing_is_overwritten(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_is_copied_and_nothing_is_overwritten(tmp_path, capsys) -> None:
     out = tmp_path / "new" / "example"
     assert main(["example", "--out", str(out)]) == 0
     assert "sim2real identify" in capsys.readouterr().out

@@ -1,7 +1,5 @@
 """Without optional libraries, and without docstrings, commands work or say in one line why not."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

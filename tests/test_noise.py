@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,9 +25,7 @@ def held_angles(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np
     return command, position
 
 
-def measured(
-    angle: np.ndarray, sd: float, step: float, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
+def measured(angle, sd, step, rng) -> tuple[np.ndarray, float]:
     """What a sensor reads, with six decimals, and the true standard deviation of its error."""
     read = angle + rng.normal(0, sd, angle.size)
     if step:

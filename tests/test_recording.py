@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -10,13 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sim2real.csv_columns import LARGEST_ANGLE_RAD
-from sim2real.recording import (
-    Load,
-    Recording,
-    read_commands,
-    read_recording,
-    write_recording,
-)
+from sim2real.recording import Load, Recording, read_commands, read_recording, write_recording
 
 ROUNDING = 1e-9  # nine decimals are written
 

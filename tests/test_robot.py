@@ -1,52 +1,22 @@
-from __future__ import annotations
-
 import pickle
 import re
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import pytest
+from good_input import ROBOT
 
 from sim2real.errors import InputError
 from sim2real.robot import Link, Servo, read_robot
 
-FISH = """
-name = "two-joint fish"
-
+MORE = """
 [[links]]
-name = "head"
-mass_kg = 0.52
-length_m = 0.20
-width_m = 0.13
-height_m = 0.12
-material = "abs"
-com_m = 0.10
-inertia_kgm2 = 0.002
-
-[[links]]
-name = "body"
-mass_kg = 1
-length_m = 0.1
-
-[[links]]
-name = "tail"
+name = "fin"
 com_m = 0
-
-[[joints]]
-name = "j1"
-servo = "lx824"
-limits_rad = [-0.80, 0.80]
-
 [[joints]]
 name = "j2"
 servo = "small"
 limits_rad = [0, 1]
-
-[servos.lx824]
-max_torque_Nm = 1.67
-no_load_speed_rad_s = 5.24
-position_step_rad = 0.00419
-
 [servos.small]
 max_torque_Nm = 0.5
 no_load_speed_rad_s = 9
@@ -56,13 +26,13 @@ position_step_rad = 0
 
 def test_fields_of_a_robot(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
-    path.write_text(FISH)
+    head = 'name = "head"\nmaterial = "abs"\ncom_m = 0.10\ninertia_kgm2 = 0.002'
+    path.write_text(ROBOT.replace('name = "head"', head) + MORE)
     robot = read_robot(path)
-    assert (robot.name, robot.path) == ("two-joint fish", path)
-    assert [link.name for link in robot.links] == ["head", "body", "tail"]
-    assert robot.links[0] == Link("head", 0.52, 0.2, 0.13, 0.12, "abs", 0.1, 0.002)
-    assert robot.links[1] == Link("body", 1, 0.1)
-    assert robot.links[2].com_m == 0
+    assert (robot.name, robot.path) == ("fish", path)
+    tail, fin = robot.links[1:]
+    assert robot.links[0] == Link("head", 0.5, 0.2, 0.1, 0.1, "abs", 0.1, 0.002)
+    assert (tail, fin.name, fin.com_m) == (Link("tail", 0.5, 0.2, 0.1, 0.1), "fin", 0)
     assert [joint.name for joint in robot.joints] == ["j1", "j2"]
     assert robot.joints[0].servo == Servo("lx824", 1.67, 5.24, 0.00419)
     assert robot.joints[1].servo == Servo("small", 0.5, 9, 0)

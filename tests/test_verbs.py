@@ -1,7 +1,5 @@
 """The verbs from Python: one way of calling, results that print and draw."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
@@ -38,8 +36,7 @@ def prints_and_draws(result: object, *words: str) -> None:
 @pytest.fixture(scope="module")
 def steps() -> s2r.Recording:
     """Eight seconds of the first joint's steps."""
-    whole = s2r.read_recording(BENCH / "steps.csv").between(0, 400)
-    return whole
+    return s2r.read_recording(BENCH / "steps.csv").between(0, 400)
 
 
 @pytest.fixture(scope="module")
@@ -119,14 +116,6 @@ def test_calibrate_and_simulate_in_the_twin() -> None:
     assert one.columns["body.x_m"][0] == pytest.approx(swim.columns["body.x_m"][0], abs=1e-6)
     away = np.hypot(*(one.columns[n][-1] - swim.columns[n][-1] for n in ("body.x_m", "body.y_m")))
     assert away < 0.5 * np.hypot(*(np.ptp(swim.columns[n]) for n in ("body.x_m", "body.y_m")))
-
-
-def test_diagnose_chooses_between_servos_and_swims(steps, model) -> None:
-    swim = s2r.read_recording(POOL / "p1.csv")
-    with pytest.raises(InputError, match="swims alone"):
-        s2r.diagnose([steps, swim], BENCH / "robot.toml", model)
-    with pytest.raises(InputError, match="servos, to swim with"):
-        s2r.diagnose(swim, POOL / "robot.toml")
 
 
 def test_a_diagnosis_prints_each_signal_in_its_unit() -> None:

@@ -19,16 +19,13 @@ from arm.pendulum import (
     other_torques,
     recording,
 )
-from scipy.integrate import solve_ivp
 
 from sim2real import verbs
 from sim2real.arm.arm_loads import measured_motion, with_arm_loads
 from sim2real.arm.multibody import Multibody
 from sim2real.errors import InputError
 from sim2real.model import FittedEffect, JointModel, Model, read_model, write_model
-from sim2real.recording import Load, VaryingLoad, write_recording
-from sim2real.servo.parameters import COLUMNS
-from sim2real.servo.rollout import rollout
+from sim2real.recording import Load
 
 
 @pytest.fixture(scope="module")
@@ -66,28 +63,6 @@ def test_recorded_angles_may_count_from_elsewhere_and_backwards(robot, tmp_path)
     seen = Multibody(turned.arm).loads(sign * q + zero, sign * v, sign * a)
     assert seen[0] == pytest.approx(inertia)
     assert seen[1] == pytest.approx(sign * torque)
-
-
-def test_a_servo_under_a_load_that_varies():
-    t = 0.02 * np.arange(150)
-    sent = np.where(t > 0.2, 0.5, 0.0)
-    knots = 0.01 * np.arange(320)
-    load = VaryingLoad(0.0, 0.01, 0.01 + 0.006 * np.sin(5 * knots), 0.4 * np.cos(3 * knots))
-    row = np.zeros(len(COLUMNS))
-    row[:4] = 3.0, 0.2, 0.03, load.mean_inertia_kgm2
-
-    def slope(now, y, u):
-        inertia, torque = (np.interp(now, knots, x) for x in (load.inertia_kgm2, load.torque_Nm))
-        return [y[1], (3.0 * (u - y[0]) - 0.2 * y[1] + torque) / inertia]
-
-    start = [0.4 / 3.0, 0.0]
-    step_s = float(t[np.argmax(sent > 0)]) + 0.03  # when the new set-point arrives
-    accurate = {"rtol": 1e-9, "max_step": 0.01, "dense_output": True}
-    early = solve_ivp(slope, (0, step_s), start, args=(0.0,), **accurate)
-    late = solve_ivp(slope, (step_s, t[-1]), early.y[:, -1], args=(0.5,), **accurate)
-    expected = np.where(t < step_s, early.sol(np.minimum(t, step_s))[0], late.sol(t)[0])
-    angle = rollout(row[None], t, sent, varying=load)[0]
-    assert angle == pytest.approx(expected, abs=2e-4)
 
 
 def test_the_coupled_rollout_is_the_solution_of_the_equations_of_motion(robot):
@@ -198,15 +173,3 @@ def test_links_without_mass_are_refused(tmp_path):
     light = URDF.replace('<mass value="0.2"/>', '<mass value="0"/>')
     with pytest.raises(InputError, match="knee: found no mass and no inertia beyond it"):
         Multibody(leg(tmp_path, urdf=light).arm)
-
-
-def test_the_commands(robot, recordings, tmp_path):
-    from sim2real.cli import main
-
-    for shown in recordings:
-        write_recording(shown, tmp_path / f"{shown.name}.csv")
-    write_model(true_model(robot), tmp_path / "model.json")
-    predict_a = ["predict", str(tmp_path / "model.json"), str(tmp_path / "a.csv")]
-    assert main([*predict_a, "--out", str(tmp_path / "p.csv")]) == 0
-    predicted = verbs.recordings_of(tmp_path / "p.csv")[0]
-    assert predicted.position == pytest.approx(recordings[0].position, abs=5 * NOISE)

@@ -1,7 +1,5 @@
 """Files and streams of commands: no result replaces an input, and none is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -112,8 +110,6 @@ def test_every_option_that_is_written_is_known():
 @pytest.mark.parametrize(
     "call",
     [
-        "identify steps.csv --robot {} --out m.json",
-        "check {}",
         "export {} --out p.npz",
         "swim {} --target 1,1 --virtual",
         "evaluate {} --robot robot.toml --model model.json",

@@ -1,7 +1,5 @@
 """Commands and verbs: the same arguments, the same defaults, the same result to the last digit."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import json
@@ -13,10 +11,9 @@ import sim.verbs
 import sim2real as s2r
 import sim2real.verbs
 from sim2real.cli import main, parser
-from sim2real.commands.command import add_verb, described_arguments
+from sim2real.commands.command import described_arguments
 
 ROOT = Path(__file__).resolve().parents[2]
-BENCH = ROOT / "datasets" / "servo_steps"
 VERBS = {
     name: getattr(module, name)
     for module, names in (
@@ -48,31 +45,6 @@ def test_a_command_takes_what_its_verb_takes(name):
         assert argument in options, f"{name}: {argument}"
         if parameter.default is not inspect.Parameter.empty:
             assert options[argument].default == parameter.default, f"{name}: {argument}"
-
-
-def test_options_follow_annotations_and_defaults():
-    def verb(recordings: Recorded, count: int = 3, share: float = 0.25, quick: bool = False):  # noqa: F821
-        """Do something.
-
-        Args:
-            recordings: Where it is.
-            count: How many, in
-                two lines.
-            share: Which part.
-            quick: Whether to hurry.
-
-        Returns:
-            Nothing.
-        """
-
-    command = argparse.ArgumentParser()
-    add_verb(command, verb)
-    parsed = command.parse_args(["a.csv", "b.csv", "--count", "5", "--quick"])
-    assert vars(parsed) == {
-        "recordings": [Path("a.csv"), Path("b.csv")], "count": 5, "share": 0.25, "quick": True,
-    }  # fmt: skip
-    text = " ".join(command.format_help().split())
-    assert "how many, in two lines (default 3)" in text and "(default 0.25)" in text
 
 
 def test_identify_gives_the_same_digits_both_ways(short, tmp_path):

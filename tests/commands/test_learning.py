@@ -1,7 +1,5 @@
 """``train``, ``evaluate`` and ``ablate`` from the command line: a small run, and bad input."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import pickle

@@ -15,7 +15,7 @@ import simulated
 
 from sim2real.cli import main
 from sim2real.model import read_model, write_model
-from sim2real.posterior.chain import chain_file, read_chain, write_chain
+from sim2real.posterior.chain import chain_file, read_chain
 from sim2real.posterior.posteriors import read_sample
 from sim2real.progress import MANY, shared
 from sim2real.ranges.entry import read_ranges
@@ -74,19 +74,6 @@ def test_page_shows_every_number_and_its_source(written):
     assert page.count("<svg") >= 8
 
 
-def test_a_finished_chain_is_not_run_again(command, written, tmp_path):
-    for joint in ("j1", "j2", "j3"):
-        name = chain_file(written / "ranges.json", joint).name
-        (tmp_path / name).write_bytes((written / name).read_bytes())
-    assert main(command(tmp_path / "ranges.json", "--no-page")) == 0
-    again, first = (read_ranges(f / "ranges.json") for f in (tmp_path, written))
-    assert again.entries == first.entries
-    assert np.array_equal(
-        read_sample(tmp_path / "posterior.npz").values,
-        read_sample(written / "posterior.npz").values,
-    )
-
-
 def test_it_goes_on_where_it_was(command, written, tmp_path):
     """A chain cut back to half its steps, as a kill leaves it, ends as the uninterrupted one."""
     short = tmp_path / "short.json"
@@ -98,13 +85,6 @@ def test_it_goes_on_where_it_was(command, written, tmp_path):
         b = read_chain(chain_file(written / "ranges.json", joint))
         assert np.array_equal(a.coordinates, b.coordinates)
         assert np.array_equal(a.log_density, b.log_density)
-
-
-def test_too_short_says_what_to_do(command, tmp_path, capsys):
-    assert main(command(tmp_path / "ranges.json", "--no-page", steps=30)) == 2
-    message = capsys.readouterr().err
-    assert "run again with --steps" in message and message.count("\n") == 1
-    assert not (tmp_path / "ranges.json").exists()
 
 
 def test_an_interrupt_is_one_line(command, tmp_path):
@@ -174,11 +154,3 @@ def test_a_damaged_chain_is_one_line(damage, command, written, tmp_path, capsys)
     (line,) = capsys.readouterr().err.splitlines()
     assert "ranges.chain.j1.npz" in line
     assert not out.exists()
-
-
-def test_a_chain_of_something_else_is_refused(command, written, tmp_path, capsys):
-    chain = read_chain(chain_file(written / "ranges.json", "j1"))
-    out = tmp_path / "ranges.json"
-    write_chain(chain, chain_file(out, "j1"))
-    assert main(command(out, "--no-page", "--seed", "5")) == 2
-    assert "remove the file" in capsys.readouterr().err

@@ -105,19 +105,6 @@ def test_two_plants_agree_on_backlash_with_friction_on_either_side(code, on_outp
     assert rms(angle("gear_plant", not on_output) - ours) > 2e-3
 
 
-def test_effects_of_single_cases_can_be_selected(code, tmp_path):
-    effects = ["compliance", "packet_loss", "backlash_output_friction"]
-    counts = {"null": 4, "single": 12}
-    make = code["make_foreign"]
-    cases = make.plan(counts, np.random.default_rng(0), effects=effects)
-    drawn = [name for _, kind, name in cases if kind == "single"]
-    assert {name: drawn.count(name) for name in effects} == dict.fromkeys(effects, 4)
-    assert all(name in make.singles(plant) for plant, kind, name in cases if kind == "single")
-    assert {plant for plant, _, name in cases if name == "packet_loss"} == set(make.PLANTS)
-    with pytest.raises(SystemExit):
-        make.main([str(tmp_path), "--plants", "voltage", "--effects", "packet_loss,compliance"])
-
-
 def test_a_backlash_with_friction_states_the_friction_as_a_nuisance(code):
     name, rng = "backlash_output_friction", np.random.default_rng(2)
     case = code["foreign_cases"].draw_case("gears", "single", name, rng)

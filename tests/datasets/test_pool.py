@@ -1,7 +1,5 @@
 """The pool that nobody has: its laws, that it can be made again, and policies that swim in it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The sealed swims: what is drawn, what water and camera do to them, what a knower can tell."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from good_input import ROBOT
 from rival_pair import RIVALS
 
 from sim2real.cli import main
@@ -12,18 +13,6 @@ from sim2real.diagnose.result import DESIGN, to_design
 from sim2real.model import JointModel, Model, write_model
 from sim2real.recording import read_commands, read_recording
 
-ROBOT = """
-name = "bench"
-[[joints]]
-name = "j1"
-servo = "lx824"
-limits_rad = {limits}
-
-[servos.lx824]
-max_torque_Nm = 1.67
-no_load_speed_rad_s = {speed}
-position_step_rad = 0.00419
-"""
 TRUTH = {"kp_Nm_per_rad": 2.2, "kd_Nms_per_rad": 0.06, "latency_s": 0.05}
 INERTIA = 0.002
 
@@ -36,7 +25,8 @@ def folder(tmp_path, monkeypatch):
 
 
 def write_robot(folder, limits="[-0.8, 0.8]", speed="5.24"):
-    (folder / "robot.toml").write_text(ROBOT.format(limits=limits, speed=speed))
+    text = ROBOT.replace("[-0.8, 0.8]", limits).replace("5.24", speed)
+    (folder / "robot.toml").write_text(text)
 
 
 def design(*more):

@@ -75,9 +75,6 @@ WORDS = {  # effect: values, command, sample, words where it is larger than the 
 }
 
 
-"""On which a later set-point is a smaller angle."""
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("name", list(WORDS))
 def test_words_of_direction_agree_with_the_simulation(name, sign):

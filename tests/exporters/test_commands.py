@@ -60,10 +60,6 @@ def test_refused(model, capsys):
     out = model.with_name("out.xml")
     refused("no such file", source="no.json")
     refused("schema", command="ranges", to="isaaclab")
-    content = json.loads(model.read_text())
-    content["joints"]["j1"]["effects"][0]["parameters"] = {"width": 1}
-    model.write_text(json.dumps(content))
-    refused("width", "gap_rad", to="mujoco")
     with pytest.raises(SystemExit) as stop:
         refused(to="gazebo")
     assert stop.value.code == 2

@@ -94,7 +94,6 @@ def test_rough_friction_is_mostly_there_and_said_to_be_rough():
         ("rate_limit", "quadratic_drag", "gravity_load", "sensor_gain"),
         ("command_filter", "asymmetric_friction", "torque_saturation", "sensor_offset"),
         ("integral_action", "cogging", "presliding_friction"),
-        ("compliance", "torque_saturation", "coulomb_friction", "quadratic_drag"),
         ("backlash", "torque_saturation", "coulomb_friction", "quadratic_drag"),
     ],
 )

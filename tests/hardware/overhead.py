@@ -4,8 +4,6 @@ Light is followed from every pixel to the water and averaged over the pixel and 
 Nothing here comes from the tracker: lens, perspective and picture are written out once more.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cache

@@ -112,8 +112,6 @@ def test_a_robot_without_limits_is_refused(tmp_path, capsys):
     ("more", "part"),
     [
         (["--amplitude", "-1"], "--amplitude"),
-        (["--seconds", "0.1"], "--seconds"),
-        (["--frequency", "30"], "--frequency"),
         (["--inertia", "0.1,0.2"], "--inertia"),
         (["--ids", "1,2"], "--ids"),
         (["--trim", "a"], "--trim"),

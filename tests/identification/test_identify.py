@@ -16,7 +16,7 @@ from sim2real.identification.identify import identify
 from sim2real.model import read_model, write_model
 from sim2real.recording import Load, Recording, read_recording
 from sim2real.robot import read_robot
-from sim2real.servo.prediction import predict, replay
+from sim2real.servo.prediction import replay
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 NAMES = ("kp_Nm_per_rad", "kd_Nms_per_rad", "latency_s")
@@ -196,16 +196,6 @@ def test_missing_physics_is_not_hidden():
     laggy += np.random.default_rng(0).normal(0, 0.001, HALF.size)
     joint = identified(replace(recording, position=laggy[:, None]))
     assert any("physics is missing" in note for note in joint.notes)
-
-
-def test_predict_gives_the_model_back(fitted):
-    t = np.arange(0, 3, 0.02)
-    command = np.where(t > 0.5, 0.3, 0.0)
-    expected = plant.simulate(SERVO, t, t, command)[:, 0]
-    angle = predict(fitted, t, {"j1": command}, {"j1": Load(0.002)})["j1"]
-    assert np.abs(angle - expected).max() < 0.004
-    with pytest.raises(InputError, match="joint j9"):
-        predict(fitted, t, {"j9": command})
 
 
 def test_no_motion_above_the_noise_is_refused():

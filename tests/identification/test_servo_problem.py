@@ -1,7 +1,5 @@
 """Many fits in step: known parameters come back, bounds hold, and no fit disturbs another."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from simulated import INERTIA, KD, KP, LATENCY, column, row, traced
@@ -62,35 +60,6 @@ def test_known_parameters_come_back_and_what_is_left_is_noise(fits):
     slope, curvature = total[:, 1:, 0], np.diagonal(total[:, 1:, 1:], axis1=1, axis2=2)
     share = slope**2 / (curvature * fits.error2[:, None])
     assert (share.max(axis=1) * fits.count < 0.3).all(), "no step is worth making"
-
-
-def test_neither_others_nor_places_without_a_parameter_change_a_fit(batch, fits):
-    given = servos(FAR, joint=[1])
-    alone = minimise(batch, given, iterations=40, blocks=5)
-    np.testing.assert_allclose(alone.servos.theta[0], fits.servos.theta[1], rtol=1e-6)
-    np.testing.assert_allclose(alone.error2[0], fits.error2[1], rtol=1e-9)
-    padding = ((0, 0), (0, 2))
-    wider = replace(
-        given,
-        columns=np.pad(given.columns, padding, constant_values=-1),
-        unit=np.pad(given.unit, padding, constant_values=1.0),
-        low=np.pad(given.low, padding),
-        high=np.pad(given.high, padding),
-    )
-    padded = minimise(batch, wider, iterations=40, blocks=5)
-    np.testing.assert_allclose(padded.servos.theta[0], fits.servos.theta[1], rtol=1e-6)
-    assert (padded.gram[..., 5:] == 0).all()
-
-
-def test_bounds_hold(batch):
-    high = np.array([1.9, 1.0, 0.3, 0.03])
-    found = minimise(batch, servos(FAR, high=high), iterations=40).servos.theta[0, COLUMNS]
-    assert (found >= LOW).all()
-    assert (found <= high).all()
-    assert found[[0, 3]] == pytest.approx([1.9, 0.03])
-    low = np.array([2.0, 0.0, 0.0, 0.0])
-    found = minimise(batch, servos(FAR, low=low), iterations=1)
-    assert found.servos.theta[0, 0] == 2.0, "a start outside is brought inside"
 
 
 def test_white_noise_can_be_asked_for_and_inertia_comes_from_the_recording(batch):

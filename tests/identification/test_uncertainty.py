@@ -82,16 +82,6 @@ def test_variances_are_recovered_beside_noise_and_fitted_parameters():
     assert np.mean(found, axis=0) == pytest.approx([0.25, 4.0], rel=0.15)
 
 
-def test_no_variance_is_found_in_white_noise():
-    rng = np.random.default_rng(0)
-    group = rng.standard_normal((800, 30))
-    slopes = rng.standard_normal((800, 2))
-    error = rng.standard_normal(800)
-    (squares,), freedom = variance_components(error, slopes, np.zeros((2, 2)), [group])
-    assert squares.mean() < 2e-3
-    assert freedom[0] < 30
-
-
 def test_a_single_wave_keeps_its_power_and_one_that_the_fit_absorbs_has_that_of_the_others():
     rng = np.random.default_rng(1)
     group = rng.standard_normal((800, 30))

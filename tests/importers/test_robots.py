@@ -152,7 +152,6 @@ def test_joints_that_branch_get_no_links(tmp_path):
         ),
         (lambda s: s.replace('xyz="0 0 2"', 'xyz="0 0 0"'), ("shoulder, axis", "no length")),
         (lambda s: s.replace('xyz="0 0 2"', 'xyz="0 0"'), ("axis xyz", "three numbers")),
-        (lambda s: s.replace('xyz="0 0 2"', 'xyz="0 0 1e300"'), ("axis xyz", "within 1e+09")),
         (lambda s: s.replace('mass value="2"', 'mass value="1e99"'), ("mass", "within 1e+09")),
         (lambda s: s.replace('<mass value="2"/>', "<mass/>"), ("base, inertial, mass", "a number")),
         (lambda s: s.replace('effort="3"', 'effort="strong"'), ("effort", "'strong'")),

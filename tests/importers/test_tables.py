@@ -95,7 +95,6 @@ def ticks(step):
         (ticks(1), "min", ("--time-unit", "'min'")),
         (ticks(0.01), "ns", ("--time-unit ns", "samples 1e-11 s apart", "in seconds?")),
         (ticks(10), "s", ("--time-unit s", "samples 10 s apart", "in milliseconds?")),
-        (ticks(1e-3), "us", ("--time-unit us", "samples 1e-09 s apart", "in seconds?")),
         (ticks(1e7), "s", ("--time-unit s", "in nanoseconds?")),
     ],
 )
@@ -122,9 +121,7 @@ def variant(separator=",", comma=False, comment="", header="{}"):
         (variant(";"), "columns separated by semicolons"),
         (variant(";", comma=True), "columns separated by semicolons, decimal commas"),
         (variant("\t"), "columns separated by tabs"),
-        (variant("\t", comma=True), "columns separated by tabs, decimal commas"),
         (variant(comment="#"), None),
-        (variant(comment="//"), None),
         (variant(";", comment="%", comma=True), "columns separated by semicolons, decimal commas"),
         (variant(header="# {}"), None),
         (variant(comment="#", header="%{}"), None),

@@ -10,7 +10,6 @@ from sim2real.inference.correlated_noise import (
     Wander,
     autocorrelation_times,
     autoregression,
-    bandwidth,
     correlation_samples,
     counting,
     lag_products,
@@ -27,21 +26,10 @@ def ar1(rng, rho, n):
     return x
 
 
-def test_white_residuals_have_correlation_time_one():
-    times = [correlation_samples(np.random.default_rng(s).standard_normal(2000)) for s in range(20)]
-    assert np.mean(times) == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.parametrize("rho", [0.5, 0.9])
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_correlation_time_of_an_autoregression(rho):
     times = [correlation_samples(ar1(np.random.default_rng(s), rho, 20000)) for s in range(10)]
     assert np.mean(times) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
-
-
-def test_long_run_variance_of_an_autoregression():
-    x = ar1(np.random.default_rng(0), 0.8, 50000)[:, None]
-    lags = 4 * bandwidth(400, 9.0)
-    assert long_run(x, lags)[0, 0] / x.shape[0] == pytest.approx(1 / (1 - 0.8) ** 2, rel=0.15)
 
 
 def test_long_run_is_the_sum_of_weighted_lags():

@@ -11,7 +11,7 @@ from sim2real.errors import InputError
 from sim2real.identification.search import fit
 from sim2real.identification.uncertainty import uncertainty
 from sim2real.model import FittedEffect, JointModel
-from sim2real.posterior.posteriors import Posteriors, joint_sample, read_sample, write_sample
+from sim2real.posterior.posteriors import joint_sample, read_sample, write_sample
 from sim2real.posterior.predictive_check import predictive_check
 from sim2real.posterior.servo import sample_servo, servo_problem
 from sim2real.recording import Load
@@ -69,15 +69,6 @@ def test_what_is_random_is_not_sampled(given):
     assert problem.parameters[3].unit == "rad" and "log-uniform" in str(problem.parameters[0])
 
 
-def test_an_effect_of_the_model_is_sampled():
-    trace = simulated.traced(2, seconds=8.0, coulomb_friction={"torque_Nm": 0.05})
-    friction = FittedEffect("coulomb_friction", {"torque_Nm": 0.04})
-    found = sample_servo([trace], replace(JOINT, effects=(friction,)), steps=120)
-    low, high = found.quantiles(0.01, 0.99)
-    assert not found.problem.exact
-    assert found.names[3] == "coulomb_friction.torque_Nm" and low[3] < 0.05 < high[3]
-
-
 def test_noise_that_is_correlated_widens_it(given, found):
     white = np.random.default_rng(4).standard_normal(given.t.size)
     wander = lfilter([0.0015 * np.sqrt(1 - 0.95**2)], [1, -0.95], white)
@@ -120,10 +111,3 @@ def test_sample_of_all_joints(found, tmp_path):
     within = np.corrcoef(again.values[:, :2].T)[0, 1]
     assert within == pytest.approx(np.corrcoef(found.values[:, :2].T)[0, 1], abs=0.06)
     assert abs(np.corrcoef(again.values[:, [0, 3]].T)[0, 1]) < 0.08
-
-
-def test_for_arviz(found):
-    pytest.importorskip("arviz")
-    posterior = Posteriors({"j1": found}, {}).to_arviz().posterior
-    assert dict(posterior.sizes)["chain"] == 32
-    assert float(posterior["j1.latency_s"].mean()) == pytest.approx(TRUTH[2], rel=0.01)

@@ -12,11 +12,7 @@ from scipy.signal import lti, step
 
 from sim2real.model import FittedEffect, JointModel, Model
 from sim2real.recording import Load
-from sim2real.report.identification import (
-    describe_response,
-    identification_section,
-    step_response,
-)
+from sim2real.report.identification import describe_response, identification_section, step_response
 from sim2real.report.page import (
     Figure,
     Film,
@@ -174,22 +170,6 @@ def test_everything_is_escaped():
     html = render_page(EVIL, EVIL, [Section(EVIL, EVIL, blocks)], PROVENANCE)
     assert "<script" not in html and html.count("&lt;script&gt;") >= 12
     Page(html)
-
-
-def test_hostile_joint_names_are_escaped(bench):
-    joint = bench.model.joints["j1"]
-    model = Model({EVIL: replace(joint, notes=(EVIL,))})
-    recording = replace(bench.recording, joints=(EVIL, "j2", "j3"), name=EVIL)
-    fits = [(recording, EVIL, bench.predicted[:, 0], bench.heldout)]
-    html = render_page("a", "", [identification_section(model, fits)], {})
-    assert EVIL not in html
-    Page(html)
-
-
-def test_number_columns_are_right_aligned():
-    table = Table(("name", "value", "none"), [("a", "1.5\nsmall", ""), ("b", "−2", "")])
-    assert table.numeric == (False, True, False)
-    assert Table(("a",), []).numeric == (False,)
 
 
 def test_a_ragged_table_is_refused():

@@ -19,12 +19,6 @@ def one_joint(**changes):
     return Model({"j1": replace(joint, **changes)})
 
 
-def test_a_parameter_has_value_unit_interval_and_percent(bench):
-    expected = "j1 kp 2.204 N m/rad 2.110 to 2.298 ± 4.3 %"
-    assert row(bench.model, "j1", "kp") == expected.split()
-    assert row(bench.model, "j1", "latency")[2:7] == ["66.0", "ms", "64.3", "to", "67.7"]
-
-
 def test_what_the_recordings_do_not_bound_says_so():
     infinite = {
         "kp_Nm_per_rad": (1.5, 2.5),
@@ -49,9 +43,7 @@ def test_says_where_the_inertia_comes_from(bench):
     assert "1/s²" in row(model, "j1", "kp") and "1/s" in row(model, "j1", "kd")
 
 
-def test_errors_are_in_milliradians(bench):
-    text = " ".join(str(bench.model).split())
-    assert "j1 4.1 mrad 4.3 mrad 1.9 mrad correlated over 35 ms, 0.6 % outliers" in text
+def test_errors_are_in_milliradians():
     figures = {"train": 0.002, "heldout": None, "heldout_without_effects": 0.03, "whiteness": 0.02}
     text = str(replace(one_joint(), fit={"j1.position_rad": figures}))
     assert " ".join(text.splitlines()[-1].split()) == (

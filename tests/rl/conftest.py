@@ -1,7 +1,5 @@
 """Small worlds on the twin."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The ablation: its arms, its bookkeeping, its resumption, its report."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

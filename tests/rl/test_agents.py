@@ -1,7 +1,5 @@
 """The batched update against Stable-Baselines3's own, on the same batches and the same noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

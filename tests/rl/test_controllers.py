@@ -1,7 +1,5 @@
 """Controllers: the generator's waves, guidance, observers, tables; and who begins anew."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,6 @@ from rl.controllers.classical import (
     PACES,
     ADRCGains,
     DisturbanceRejection,
-    ExtendedStateObserver,
     LineOfSight,
     PNLGains,
     ProportionalNavigation,
@@ -70,15 +67,6 @@ class TestGenerator:
         rest = angle - angle.mean(axis=0) - np.real(part / wave[:, None, None])
         assert np.abs(rest).max() < 2e-3  # no other frequency in it
 
-    def test_neighbours_pull_each_other_back(self) -> None:
-        generator, gait = CentralPatternGenerator(WIDE, 1), Gait(1.0, 0.5, lag_rad=1.0)
-        generator.step(gait)
-        generator.phase += np.array([[0.0, 1.5, -2.0]])
-        for _ in range(150):
-            generator.step(gait)
-        behind = np.mod(-np.diff(generator.phase), 2 * np.pi)
-        assert behind == pytest.approx(1.0, abs=0.01)
-
     def test_glides_without_overshoot_as_the_equation_says(self) -> None:
         part = Gliding(np.zeros((1, 1)))
         got = [float(part.step(np.ones((1, 1)))[0, 0]) for _ in range(50)]
@@ -126,20 +114,6 @@ class TestLineOfSight:
 
 
 class TestADRC:
-    def test_observer_finds_the_disturbance_of_a_known_plant(self) -> None:
-        observer = ExtendedStateObserver(2, 12.0, 4.0)
-        y, rate, h = np.array([0.3, -0.2]), np.array([0.0, 0.5]), 1e-3
-        disturbance = np.array([-1.5, 0.8])
-        for k in range(150):
-            u = 0.3 * np.sin(0.1 * k) * np.ones(2)
-            for _ in range(20):
-                rate = rate + h * (disturbance + 4.0 * u)
-                y = y + h * rate
-            observer.update(y, u)
-        assert observer.state[:, 0] == pytest.approx(y + CONTROL_S * rate, abs=0.01)
-        assert observer.state[:, 1] == pytest.approx(rate, abs=0.1)
-        assert observer.state[:, 2] == pytest.approx(disturbance, abs=0.1)
-
     def test_profile_is_the_quickest_without_overshoot(self) -> None:
         profile = TransientProfile(2, np.array([4.0, 1.0]))
         met, rates = [], []
@@ -180,15 +154,6 @@ class TestBoth:
         assert (angle >= LIMITS[:, 0].astype(np.float32)).all()
         assert (angle <= LIMITS[:, 1].astype(np.float32)).all()
         assert np.ptp(angle, axis=0).min() > 0.1
-
-    @BOTH
-    @pytest.mark.parametrize("side", [1.0, -1.0])
-    def test_turns_to_the_side_of_the_target(self, kind: Kind, gains, side: float) -> None:
-        controller = kind(WIDE, 1, gains)
-        row = np.zeros((1, 11), dtype=np.float32)
-        row[0, 9:] = -0.2, side
-        angle = np.array([controller.act(row) for _ in range(100)])[-33:]
-        assert side * angle.mean() < -0.3  # below zero is to the left
 
     @BOTH
     def test_is_the_same_left_and_right(self, kind: Kind, gains) -> None:

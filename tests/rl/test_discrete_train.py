@@ -1,19 +1,11 @@
 """The policy that chooses gaits: trained, kept, read again, refused where it is another."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rl.controllers.discrete_cpg import (
-    COLUMNS,
-    TABLE,
-    read_policy,
-    read_table,
-    train_run,
-)
+from rl.controllers.discrete_cpg import COLUMNS, TABLE, read_policy, read_table, train_run
 from sim2real.errors import InputError
 
 POOL = Path(__file__).resolve().parents[2] / "datasets" / "pool"

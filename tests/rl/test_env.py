@@ -1,7 +1,5 @@
 """The environments: what their users' own checkers say, and that no rows are swapped."""
 
-from __future__ import annotations
-
 import re
 import sys
 import warnings

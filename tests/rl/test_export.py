@@ -1,10 +1,7 @@
 """Exported policies against the one that was trained: NumPy, C and ONNX say what SB3 says."""
 
-from __future__ import annotations
-
 import argparse
 import re
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -88,9 +85,7 @@ def test_the_header_tells_order_units_and_origin(tmp_path):
     assert max(map(len, text.splitlines())) < 200
 
 
-def options_of(
-    policy: Path, out: Path, formats: list[str] | None = None, price: float | None = None
-) -> argparse.Namespace:
+def options_of(policy, out, formats=None, price=None) -> argparse.Namespace:
     return argparse.Namespace(policy=policy, out=out, format=formats, seed=0, price=price)
 
 
@@ -159,12 +154,10 @@ def test_a_format_that_fails_leaves_no_file_of_another(tmp_path, monkeypatch):
         ({"joints": np.array(["a", "b"])}, "joints"),
         ({"bias_0": np.full(32, np.nan, np.float32)}, "finite"),
         ({"bias_0": np.full(32, 1e300)}, "finite"),
-        ({"bias_0": np.ones(32, complex)}, "complex128"),
         ({"observation": np.array(["x"] * 10)}, "observation"),
         ({"view": np.array('{"period": 0}')}, "a view"),
         ({"view": None}, "view"),
         ({"provenance": np.array("{")}, "an invalid array"),
-        ({"joints": np.array({"a": 1}, dtype=object)}, "no arrays"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(tmp_path, change, told):

@@ -1,7 +1,5 @@
 """A film of an evaluation: as long as the swim, with the robot, its way and its target on it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """The forecast: its statistics on known answers, its draws, its resumption, bad input."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

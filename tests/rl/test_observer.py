@@ -1,7 +1,5 @@
 """The one observer: what it sees, and that all who deploy a policy see and do the same."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Policies from strangers: nothing in a file is executed, and what is wrong is told in a line."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import io

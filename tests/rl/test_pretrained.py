@@ -1,7 +1,5 @@
 """Agents that were trained beforehand: what is kept of them, and for which robot they are."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

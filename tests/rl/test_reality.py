@@ -1,7 +1,5 @@
 """Realities of one's own: the file, the episodes in it, and that it shares nothing by accident."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

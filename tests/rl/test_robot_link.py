@@ -1,7 +1,5 @@
 """The robot's end of the air, and that of poses, with strangers on it: real sockets on loopback."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """Swimming over the air: what is said, what a policy sees, how a swim ends, what is kept of it."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import signal
@@ -98,14 +96,11 @@ class TestDatagrams:
         [
             b"",
             b"\xff\xfe",
-            b"[1]",
             b"[" * 3000,
             b'{"t_s": null, "pose": [0, 0, 0], "joints_rad": [0, 0, 0]}',
-            b'{"t_s": 1, "pose": [0, 0], "joints_rad": [0, 0, 0]}',
             b'{"t_s": 1, "pose": [0, 0, true], "joints_rad": [0, 0, 0]}',
             b'{"t_s": 1, "pose": [0, 0, 0], "joints_rad": [0, 0]}',
             b'{"t_s": 1' + b"0" * 400 + b', "pose": [0, 0, 0], "joints_rad": [0, 0, 0]}',
-            b'{"number": 1, "joints_rad": [0, 0, null]}',
             b'{"number": 1, "joints_rad": [0, 0, NaN]}',
             b'{"number": -1, "joints_rad": [0, 0, 0]}',
             b'{"number": true, "joints_rad": [0, 0, 0]}',
@@ -169,14 +164,6 @@ class TestMeasurements:
         expected += [c * dx + s * dy, c * dy - s * dx]
         assert observer.observation(np.ones(2)) == pytest.approx(expected, abs=1e-5)
         assert not observer.take(Telemetry(now, np.zeros(3), np.zeros(3))), "old news"
-
-    def test_knows_how_long_it_has_been_blind(self) -> None:
-        observer = Measurements(LIMIT)
-        assert observer.blind_s == np.inf
-        for k in range(11):
-            pose = np.zeros(3) if k < 5 else np.array([0.0, np.nan, 0.0])
-            observer.take(Telemetry(0.1 * k, pose, np.zeros(3)))
-        assert observer.blind_s == pytest.approx(0.6)
 
 
 def options_of(policy, **changes: object) -> argparse.Namespace:

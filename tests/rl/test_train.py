@@ -1,7 +1,5 @@
 """Training: the same run whether it was interrupted or not, and one that is another is refused."""
 
-from __future__ import annotations
-
 import io
 import json
 from contextlib import nullcontext

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from good_input import message
-from simulated import INERTIA, KP, LATENCY, recording, row, steps, traced
+from simulated import INERTIA, LATENCY, recording, row, traced
 
 from sim2real.identification.priors import gains
 from sim2real.identification.problem import ServoProblem
@@ -47,24 +47,6 @@ def test_every_simulation_heeds_the_context():
     angle = batch.evaluate(problems, keep=True).residual[0]
     np.testing.assert_allclose(angle[0], expected, atol=2e-4)
     assert np.abs(angle[1] - expected).max() > 0.01
-
-
-def test_recordings_of_two_gains_are_fitted_together():
-    def soft(t):
-        return steps(t, np.random.default_rng(5))
-
-    weak = row()
-    weak[0] *= 0.5
-    first = recording(1, "a", seconds=6.0)
-    second = recording(2, "b", seconds=6.0, command=soft)
-    noise = np.random.default_rng(3).normal(0, 0.0015, second.t.size)
-    angle = rollout(weak[None], second.t, second.command[:, 0])[0] + noise
-    second = replace(second, position=angle[:, None], metadata={"context": {"gain_ratio": 0.5}})
-    both = [trace(each, "j1") for each in (first, second)]
-    start = row()
-    start[0] *= 1.3
-    found = fit(ServoProblem(both, start, gains(INERTIA)), start[None])
-    assert found.row[0] == pytest.approx(KP, rel=0.02)
 
 
 def test_a_recording_that_samples_late_shows_the_whole_latency():

@@ -11,21 +11,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sim2real.errors import InputError
-from sim2real.identification import motor_choice
 from sim2real.identification.identify import identify
-from sim2real.identification.motor_choice import fit_motor
-from sim2real.identification.plain_fit import refitted
-from sim2real.identification.priors import motor_prior
-from sim2real.identification.problem import ServoProblem, plain_row
-from sim2real.identification.search import fit, robust_order
+from sim2real.identification.problem import ServoProblem
+from sim2real.identification.search import robust_order
 from sim2real.inference.parameters import Parameter
 from sim2real.model import JointModel, Model, read_model, write_model
 from sim2real.recording import Load, Recording
 from sim2real.robot import Joint, Link, Robot, Servo
-from sim2real.servo.parameters import BASE, LOSSES, joint_row
-from sim2real.servo.parameters import LINE as LIMIT
+from sim2real.servo.parameters import joint_row
 from sim2real.servo.rollout import STEPS_PER_RADIAN, rollout
-from sim2real.servo.trace import reported_drive, traces
+from sim2real.servo.trace import reported_drive
 
 DATA = Path(__file__).parents[2] / "datasets" / "servo_steps"
 spec = importlib.util.spec_from_file_location("servo_steps_make_motor", DATA / "make.py")
@@ -71,11 +66,6 @@ def test_on_its_line_it_is_the_exact_solution_of_another_program(joint):
     )  # fmt: skip
     found = rollout(joint_row(model, None)[None], T, command)[0]
     np.testing.assert_allclose(found, expected, rtol=0, atol=3e-5)
-
-
-def test_it_is_never_faster_than_without_load():
-    angle = simulate(command=np.where(T > 0.5, 40.0, 0.0), **LINE)
-    assert 0.99 * 5.2 < np.diff(angle).max() / 0.02 < 5.2 * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -192,11 +182,6 @@ def test_what_recordings_do_not_tell_stays_with_the_data_sheet():
     assert any("do not determine" in note and "stall torque" in note for note in joint.notes)
 
 
-def test_the_linear_servo_can_be_asked_for():
-    joint = identify([recorded(**LINE)], bench(), law="pd").joints["j1"]
-    assert joint.law == "pd" and not joint.motor
-
-
 def test_a_drive_is_told_from_a_torque():
     t = np.arange(500) / 200.0
     error = 0.6 * np.sin(3.1 * t) + 0.2 * np.sin(11.0 * t)
@@ -255,18 +240,6 @@ def mujoco_joint(t, command, kp, kd, latency, inertia, friction):
         data.ctrl[0] = set_point
         mujoco.mj_step(model, data)
     return np.interp(t, times, angle)
-
-
-def test_soft_friction_is_that_of_mujoco():
-    friction, line = 0.05, 1e3
-    angle = mujoco_joint(T, SQUARE, KP, KD, LATENCY, INERTIA, friction)
-    plain = {"stall_torque_Nm": line, "no_load_speed_rad_s": line / KD, "coulomb_Nm": friction}
-    rate, impedance = 2 / (0.95 * 0.02), 0.9  # solreffriction and solimpfriction by default
-    creep = (1 - impedance) / impedance / rate
-    soft = simulate(**plain, stick_time_s=1 / rate, creep_time_s=creep)
-    assert np.abs(simulate(**plain) - angle).max() > 5e-3
-    assert np.abs(soft - angle).max() < 1.5e-3
-    assert np.sqrt(np.mean((soft - angle) ** 2)) < 3e-4
 
 
 def stepped(rng, t, simulated):
@@ -342,24 +315,3 @@ def test_of_several_minima_the_one_with_the_best_neighbours_comes_first():
     assert problem.residuals(minima)[0] < problem.residuals(minima)[1]
     order = robust_order(problem, minima, (0.1, 1.0), np.random.default_rng(0))
     assert list(order) == [1, 0]
-
-
-def test_losses_that_no_first_step_shows_are_not_searched_further():
-    def fitted(recording, least_gain):
-        data = traces([recording], "j1")
-        plain, rng = refitted(data, plain_row(KP, KD, LATENCY)), np.random.default_rng(0)
-        prior, names = motor_prior(bench().joints[0].servo, data), (*BASE[:3], *LIMIT)
-        few = fit_motor(data, plain, prior, names, rng)
-        parameters = prior.of((*few.names, *LOSSES))
-        problem = ServoProblem(data, plain_row(0.0, 0.0, 0.0), parameters, prior.ties)
-        starts = motor_choice._candidates(parameters, plain, rng, 32, few.row)[:4]
-        more = fit(problem, starts, least_gain=least_gain, rng=rng)
-        return few.loss(more.scale_rad, more.inflation), more
-
-    loss, without = fitted(recorded(**LINE), 2.0)
-    assert len(without.others) == 0
-    assert loss - without.loss(without.scale_rad, without.inflation) < 4.0
-    rubbing = recorded(Load(INERTIA, 0.3, 0.1), **LINE, motor_friction=0.25)
-    loss, some = fitted(rubbing, 2.0)
-    assert loss - some.loss(some.scale_rad, some.inflation) > 20.0
-    assert np.array_equal(some.x, fitted(rubbing, 0.0)[1].x)  # followed to the same end

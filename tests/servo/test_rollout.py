@@ -57,16 +57,6 @@ def reference(t, command, row):
     return angle
 
 
-@pytest.mark.parametrize("gravity", [0.0, 0.48])
-def test_agrees_with_an_independent_integrator(clock, gravity):
-    t = clock[:120] + 0.35 * (np.arange(120) > 60)  # with a gap
-    row, command = theta(gravity_Nm=gravity), square(t)
-    # command[0] is 0, where the pendulum hangs still: both start from the same rest
-    expected = reference(t, command, row)
-    assert np.abs(rollout(row, t, command)[0] - expected).max() < 1e-4
-    assert np.abs(rollout(row, t, command, steps_per_radian=300.0)[0] - expected).max() < 1e-5
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -74,16 +64,15 @@ def test_agrees_with_an_independent_integrator(clock, gravity):
         {"gravity_Nm": 0.48},
         {"kp_Nm_per_rad": 8.0, "kd_Nms_per_rad": 0.08},
         {"kd_Nms_per_rad": 0.4},
-        {"coulomb_friction.torque_Nm": 0.05},
     ],
 )
-def test_halving_the_step_changes_nothing_above_1e_4(clock, values):
-    from sim2real.servo.rollout import STEPS_PER_RADIAN
-
-    row, command = theta(**values), square(clock)
-    coarse = rollout(row, clock, command)
-    fine = rollout(row, clock, command, steps_per_radian=2 * STEPS_PER_RADIAN)
-    assert np.abs(coarse - fine).max() < 1e-4
+def test_agrees_with_an_independent_integrator(clock, values):
+    t = clock[:120] + 0.35 * (np.arange(120) > 60)  # with a gap
+    row, command = theta(**values), square(t)
+    # command[0] is 0, where the pendulum hangs still: both start from the same rest
+    expected = reference(t, command, row)
+    assert np.abs(rollout(row, t, command)[0] - expected).max() < 1e-4
+    assert np.abs(rollout(row, t, command, steps_per_radian=300.0)[0] - expected).max() < 1e-5
 
 
 def test_latency_is_any_real_number(clock):
@@ -95,26 +84,12 @@ def test_latency_is_any_real_number(clock):
     assert steps.min() > 0
 
 
-def test_latency_shifts_the_motion():
-    t = 0.001 * np.arange(2000)
-    command = square(t)
-    early = rollout(theta(latency_s=0.02), t, command)[0]
-    late = rollout(theta(latency_s=0.07), t, command)[0]
-    assert np.abs(late[50:] - early[:-50]).max() < 1e-5
-
-
 def test_rows_do_not_mix(clock):
     rows = np.vstack([theta(kp_Nm_per_rad=k) for k in np.random.default_rng(0).uniform(1, 4, 5)])
     together = rollout(rows, clock, square(clock))
     assert together.shape == (5, clock.size)
     for k, row in enumerate(rows):
         np.testing.assert_array_equal(together[k], rollout(row[None], clock, square(clock))[0])
-
-
-def test_settles_on_the_command():
-    t = 0.02 * np.arange(200)
-    command = np.where(t > 0.1, 0.4, 0.0)
-    assert rollout(theta(), t, command)[0, -1] == pytest.approx(0.4, abs=1e-6)
 
 
 def test_starts_in_balance_with_a_pendulum():

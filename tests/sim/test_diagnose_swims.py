@@ -139,12 +139,6 @@ def test_a_swim_with_nothing_missing_is_consistent(few):
     assert all(np.isfinite(rival.probability) for rival in found.rivals)
 
 
-def test_a_late_camera_is_found_from_afar(few):
-    found = diagnosed({"camera_latency.latency_s": 0.12})
-    assert [one.effect for one in found.effects if one.probability > 0.5] == ["camera_latency"]
-    assert found.effects[0].parameters["latency_s"].mean == pytest.approx(0.12, abs=0.01)
-
-
 def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
     """Where a filter was tried first for a late camera, the camera is tried without it, too."""
     only(monkeypatch, ("camera_latency", "pose_filter"))
@@ -162,6 +156,7 @@ def test_what_another_stood_for_at_first_stands_alone_at_last(monkeypatch):
     monkeypatch.setattr(SwimSearch, "additions", filter_first)
     found = diagnosed({"camera_latency.latency_s": 0.12})
     assert [one.effect for one in found.effects if one.probability > 0.5] == ["camera_latency"]
+    assert found.effects[0].parameters["latency_s"].mean == pytest.approx(0.12, abs=0.01)
 
 
 def test_a_carried_twin_swims_as_a_free_one_where_nothing_holds_it():

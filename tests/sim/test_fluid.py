@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,7 @@ from benchmarks.validation.case import Where
 from benchmarks.validation.still import taylor_green, vortices
 from benchmarks.validation.streams import cavity
 from sim.fluid.fluid import Fluid
-from sim.lattice.cell import SLIP, SOLID
+from sim.lattice.cell import MOVING, SLIP, SOLID
 from sim.lattice.velocities import D2Q9, D3Q19
 from sim2real.errors import InputError
 
@@ -71,6 +69,22 @@ def test_flow_between_walls_is_the_parabola_whatever_the_viscosity(lattice):
         exact = force / 2 / viscosity * y * (width - y)
         # the force acts between collisions: half of it is not yet in what is read
         assert np.allclose(u + force / 2, exact, rtol=3e-4)
+
+
+@BOTH
+def test_a_moving_wall_drags_the_fluid_along(lattice):
+    """Couette's flow: linear from the wall at rest to the one that moves, both half-way."""
+    width, speed, viscosity = 8, 0.05, 0.1
+    walls = np.zeros((3, width + 2, 1 if lattice is D2Q9 else 2), np.uint8)
+    walls[:, 0], walls[:, -1] = SOLID, MOVING
+    velocity = np.zeros((*walls.shape, 3), np.float32)
+    velocity[:, -1, :, 0] = speed
+    fluid = Fluid(lattice, walls.shape, viscosity=viscosity, walls=walls, wall_velocity=velocity)
+    fluid.step(round(8 * width**2 / viscosity / np.pi**2))
+    u = fluid.moments()[1][0, 0, 1:-1, 0]
+    exact = speed * (np.arange(width) + 0.5) / width
+    assert np.allclose(u[:, 0], exact, rtol=0.02)
+    assert np.abs(u[:, 1:]).max() < 1e-6
 
 
 @pytest.mark.parametrize("out, along", [(0, 1), (1, 2), (2, 0), (1, 0)])

@@ -5,12 +5,10 @@ import pytest
 from swimming_robots import FISH, servos
 
 import sim.lattice.populations
-from sim.fluid.fluid import Fluid
-from sim.lattice.populations import MOST_CELLS, is_wide
+from sim.lattice.populations import is_wide
 from sim.lattice.velocities import D2Q9, D3Q19
 from sim.robot.swimmer import CONTROL_S, Swimmer
 from sim.view.plane import plane_of
-from sim2real.errors import InputError
 
 BOTH = pytest.mark.parametrize("lattice", [D2Q9, D3Q19], ids=lambda one: one.name)
 
@@ -55,11 +53,3 @@ def test_memory_is_wide_where_32_bits_end():
     most = 2**31 // 19
     assert not is_wide(D3Q19, most)
     assert is_wide(D3Q19, most + 1)
-
-
-def test_what_is_too_large_is_refused_in_one_line():
-    with pytest.raises(InputError) as caught:
-        Fluid(D3Q19, (MOST_CELLS + 1, 1, 1), viscosity=0.1)
-    text = str(caught.value)
-    assert f"{MOST_CELLS + 1} cells" in text and f"at most {MOST_CELLS} " in text
-    assert "\n" not in text

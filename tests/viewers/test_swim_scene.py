@@ -1,7 +1,5 @@
 """Swims of a diagnosis for viewers: as recorded, and simulated before and after."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

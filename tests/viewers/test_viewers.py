@@ -1,7 +1,5 @@
 """Files for viewers, read back by the viewers' own libraries."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys
@@ -153,9 +151,7 @@ def test_scenes_add_up(bench: Recording) -> None:
 
 
 @pytest.mark.parametrize("name", ["rerun", "mcap"])
-def test_a_missing_library_is_named(
-    name: str, bench: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_named(name, bench, tmp_path, monkeypatch) -> None:
     for module in [m for m in sys.modules if m.split(".")[0] == name]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, name, None)
@@ -165,9 +161,7 @@ def test_a_missing_library_is_named(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_with_another_ending_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_with_another_ending_is_refused(tmp_path, capsys) -> None:
     out = ("--out", str(tmp_path / "p.csv"), "--mcap", str(tmp_path / "p.json"))
     model = ROOT / "reports" / "servo_steps" / "model.json"
     assert main(["predict", str(model), str(DATA / "chirp.csv"), *out]) == 2
